@@ -86,7 +86,8 @@ pub fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> T
     Trace { steps, totals: engine.totals(), overflow: engine.overflow() }
 }
 
-fn shown(engine: &dyn Engine, kinds: &[NeuronKind]) -> Shown {
+/// What an engine shows after a step, whose compartments are of these kinds.
+pub fn shown(engine: &dyn Engine, kinds: &[NeuronKind]) -> Shown {
     assert!(engine.payloads().is_empty() || engine.payloads().len() == engine.spikes().len());
     let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
     let mut sent: Vec<_> = engine.spikes().iter().copied().zip(payloads).collect();

@@ -19,6 +19,7 @@ mod neuron_vectors;
 mod overflow;
 mod parts;
 mod payloads;
+mod plastic;
 mod pruning;
 mod ranks;
 mod reference;

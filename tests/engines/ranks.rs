@@ -25,12 +25,12 @@ const NETWORKS: u64 = 240;
 const MOST_RANKS: u32 = 4;
 
 /// The share of a rank among several; all of it where there is one.
-fn share(rank: u32, ranks: u32, whole: bool) -> Share {
+pub fn share(rank: u32, ranks: u32, whole: bool) -> Share {
     if ranks > 1 { Share { rank, ranks, whole } } else { Share::ALL }
 }
 
 /// What the ranks return, each on a thread of its own; the first's.
-fn on_ranks<T: Send>(count: u32, run: impl Fn(u32, Option<&Ranks>) -> T + Sync) -> T {
+pub fn on_ranks<T: Send>(count: u32, run: impl Fn(u32, Option<&Ranks>) -> T + Sync) -> T {
     if count == 1 {
         return run(0, None);
     }

@@ -6,15 +6,19 @@
 //! does exactly what running it does. What was shown is kept, so that the steps so far can be
 //! priced as a sample.
 //!
+//! Weights of plastic projections are read and written between steps; a copy of the session has its
+//! own.
+//!
 //! Errors: `session.channel` for channels that the network lacks, `session.too-long` beyond what
-//! can be kept.
+//! can be kept, `session.weights.*` for weights that cannot be written or would be lost.
 
 use std::sync::Arc;
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::id::{ChannelId, CompartmentId};
+use nsim_ir::base::id::{ChannelId, CompartmentId, ProjectionId};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Copies, Engine, Sample, Spikes};
+use nsim_machine::plastic::places::PlasticProjection;
 use nsim_machine::{Image, Machine, Settings};
 
 /// Input spikes that are kept, 12 bytes each; later ones are counted only.
@@ -25,6 +29,9 @@ const MOST_KEPT: usize = 1 << 26;
 pub struct Session {
     machine: Machine,
     copies: Copies,
+    plastic: Arc<[PlasticProjection]>,
+    /// Whether weights were written.
+    is_written: bool,
     /// Input spikes of one copy: (step, channel, value).
     kept: Vec<(u32, ChannelId, i32)>,
     steps: u32,
@@ -42,6 +49,8 @@ impl Session {
         let mut session = Session {
             machine: Machine::new(image, Settings::default()),
             copies: Copies { copies, channels: one.channels() },
+            plastic: PlasticProjection::all(image, one, copies).into(),
+            is_written: false,
             kept: Vec::new(),
             steps: 0,
             is_cut: false,
@@ -52,13 +61,13 @@ impl Session {
         session
     }
 
-    /// Goes back to before the first step, as a sample's end does.
+    /// Goes back to before the first step, as a sample's end does; weights too.
     pub fn reset(&mut self) {
         // A sample without end: every delivery is counted.
         self.machine.begin(u32::MAX);
         self.kept.clear();
         self.shown.clear();
-        (self.steps, self.is_cut) = (0, false);
+        (self.steps, self.is_cut, self.is_written) = (0, false, false);
     }
 
     /// Steps so far.
@@ -133,11 +142,62 @@ impl Session {
         &self.machine
     }
 
+    /// The weights of a plastic projection, source by source, in the order of its synapses.
+    ///
+    /// # Errors
+    /// `session.weights.not-plastic`.
+    pub fn weights(&self, projection: ProjectionId) -> Result<Vec<i16>> {
+        Ok(self.plastic(projection)?.places[0].iter().map(|&place| self.machine.weight(place)).collect())
+    }
+
+    /// Sets the weights of a plastic projection, in every copy of the network. They hold from the
+    /// next step on, also for spikes of compartments in the last; what is on its way over a delay
+    /// arrives as it was.
+    ///
+    /// # Errors
+    /// `session.weights.not-plastic`, `session.weights.size`, `session.weights.range`; all weights
+    /// stay as they were.
+    pub fn write_weights(&mut self, projection: ProjectionId, weights: &[i16]) -> Result<()> {
+        let PlasticProjection { name, format, places, .. } = self.plastic(projection)?;
+        if weights.len() != places[0].len() {
+            let message = format!("{} weights for {name}, which has {} synapses", weights.len(), places[0].len());
+            return Err(Diagnostic::new("session.weights.size", message).help("give one weight for each synapse"));
+        }
+        let ((low, high), step) = (format.sign.range(format.bits), format.sign.step(format.bits));
+        if let Some(at) = weights.iter().position(|w| !(low..=high).contains(w) || w % step != 0) {
+            let message = format!("weight {} of synapse {at} of {name} is not in its format", weights[at]);
+            let help = format!("give multiples of {step} from {low} to {high}");
+            return Err(Diagnostic::new("session.weights.range", message).help(help));
+        }
+        let (plastic, machine) = (Arc::clone(&self.plastic), &mut self.machine);
+        for copy in plastic.iter().filter(|plastic| plastic.id == projection).flat_map(|plastic| &plastic.places) {
+            copy.iter().zip(weights).for_each(|(&place, &weight)| machine.set_weight(place, weight));
+        }
+        self.is_written = true;
+        Ok(())
+    }
+
+    fn plastic(&self, projection: ProjectionId) -> Result<&PlasticProjection> {
+        self.plastic.iter().find(|plastic| plastic.id == projection).ok_or_else(|| {
+            let names: Vec<String> = self.plastic.iter().map(|own| format!("{} ({})", own.id, own.name)).collect();
+            let names = if names.is_empty() { "none".to_string() } else { names.join(", ") };
+            let message = format!("{projection} is no plastic projection; the network's are: {names}");
+            let help = "set `format.plastic` of a projection before the network is mapped";
+            Diagnostic::new("session.weights.not-plastic", message).help(help)
+        })
+    }
+
     /// What was shown so far, as a sample of as many steps.
     ///
     /// # Errors
-    /// `session.too-long`.
+    /// `session.too-long`; `session.weights.written` when a run of the sample would not have the
+    /// weights that were written.
     pub fn sample(&self) -> Result<Sample> {
+        if self.is_written {
+            let message = "weights were written, which a run of what was shown would not have".to_string();
+            let help = "call reset() and step without writing weights";
+            return Err(Diagnostic::new("session.weights.written", message).help(help));
+        }
         let too_long = || {
             let message = format!("more than {MOST_KEPT} input spikes were shown, which are not all kept");
             Diagnostic::new("session.too-long", message).help("call reset() where a trial ends")

@@ -95,6 +95,7 @@ pub const KINDS: &[(&str, Kind)] = &[
             format.synapse.port = if format.synapse.port.is_first() { Port::Second } else { Port::First };
         })
     }),
+    ("plastic format", |p, d| format_field(p, d, Anything, |format, _| format.synapse.plastic ^= true)),
     ("start step", |p, d| {
         let (core, slot) = compartment(p, d);
         p.class_mut(core).compartments[slot].start_step += d.from(1, 9) as u32;

@@ -1,0 +1,437 @@
+//! Weights that are written between steps: both engines do the same, in parts and ranks, with
+//! skipping and without, over delays and with payloads; what cannot have such weights is refused.
+
+use std::sync::Mutex;
+
+use crate::common::compare::{Trace, roomy, shown, small_cores};
+use crate::common::random::{self, Draw};
+use crate::common::{Builder, format, neuron};
+use crate::ranks::{on_ranks, share};
+use nsim::compile::{CompileError, Front, Options, compile};
+use nsim::dynamics;
+use nsim::dynamics::synapses::Enumerate;
+use nsim::golden::Golden;
+use nsim::ir::activity::{Activity, Totals};
+use nsim::ir::base::fixed::{SignMode, WeightExponent};
+use nsim::ir::base::id::{ChannelId, CompartmentId, ProjectionId};
+use nsim::ir::graph::{PerCompartment, Shape, Window};
+use nsim::ir::neurons::NeuronKind;
+use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
+use nsim::ir::spikes::{Engine, Sample, Spikes};
+use nsim::machine::plastic::places::PlasticProjection;
+use nsim::machine::{Image, Machine, Settings};
+use nsim::quantise::prune::Plan;
+use nsim::quantise::relays::relayed;
+use nsim::session::session::Session;
+use nsim_testing::sparse;
+use rayon::prelude::*;
+
+const NETWORKS: u64 = 200;
+const MOST_RANKS: u32 = 4;
+
+/// Synapses of a projection, source by source.
+fn synapses(network: &Parts, projection: &Projection) -> Vec<Vec<(u32, i16)>> {
+    let lists = (0..network.populations[projection.source].shape.len()).map(|source| {
+        let mut list = Vec::new();
+        projection.connectivity.for_each_from(source, |target, weight| list.push((target, weight)));
+        list
+    });
+    lists.collect()
+}
+
+/// A random network of any kinds, in which most projections are plastic that can be: kernels are
+/// listed first.
+fn plastic(seed: u64) -> Quantised {
+    let mut network = match seed % 4 {
+        0 => random::mixed(seed),
+        1 => random::joined(seed),
+        _ => random::network(seed),
+    };
+    let draw = &mut Draw::new(seed ^ 0x91a5);
+    for id in network.projections().ids() {
+        let mut parts = network.parts().clone();
+        let listed = synapses(&parts, &parts.projections[id]);
+        let projection = &mut parts.projections[id];
+        projection.format.plastic = draw.chance(70);
+        if projection.format.plastic && projection.connectivity.shares_weights() {
+            projection.connectivity = sparse(listed);
+        }
+        network = Quantised::new(parts).unwrap_or(network);
+    }
+    network
+}
+
+/// A random sample, whose messages carry an integer where they can.
+fn sample(network: &Quantised, seed: u64) -> Sample {
+    let (plain, draw) = (random::sample(network, seed), &mut Draw::new(seed ^ 0x7a1e));
+    let ids = (0..plain.steps()).flat_map(|step| plain.at(step).iter().map(move |&channel| (step, channel)));
+    let events: Vec<_> = ids.map(|(step, channel)| (step, channel, draw.one_of(&[-900, -3, 1, 40, 900]))).collect();
+    Sample::with_values(plain.steps(), &events, None).unwrap()
+}
+
+/// What is written before a step.
+type Writes = Vec<(ProjectionId, Vec<i16>)>;
+
+fn written(network: &Quantised, draw: &mut Draw, percent: i64) -> Writes {
+    let all: Vec<_> = network.plastic().filter(|_| draw.chance(percent)).collect();
+    let weights = |(id, projection): (ProjectionId, &Projection)| {
+        let weight = |_| if draw.chance(20) { 0 } else { draw.weight(projection.format) };
+        (id, (0..network.synapses_of(id)).map(weight).collect())
+    };
+    all.into_iter().map(weights).collect()
+}
+
+/// Weights for some steps of a sample.
+fn schedule(network: &Quantised, sample: &Sample, seed: u64) -> Vec<Writes> {
+    let draw = &mut Draw::new(seed ^ 0x3717e);
+    (0..sample.steps()).map(|_| written(network, draw, 20)).collect()
+}
+
+/// Runs a sample; before each step weights are written.
+fn trace<E: Engine>(
+    engine: &mut E,
+    (network, sample): (&Quantised, &Sample),
+    writes: &[Writes],
+    write: impl Fn(&mut E, ProjectionId, &[i16]),
+) -> Trace {
+    let neurons = network.populations().iter().flat_map(Population::each_neuron);
+    let kinds: Vec<NeuronKind> = neurons.map(|neuron| neuron.kind).collect();
+    engine.begin(sample.steps());
+    let mut steps = Vec::new();
+    for (step, writes) in (0..).zip(writes) {
+        writes.iter().for_each(|(id, weights)| write(engine, *id, weights));
+        if !sample.at(step).is_empty() || !engine.rest(1) {
+            engine.step(sample.input(step));
+        }
+        steps.push(shown(engine, &kinds));
+    }
+    engine.settle();
+    Trace { steps, totals: engine.totals(), overflow: engine.overflow() }
+}
+
+fn on_golden(network: &Quantised, sample: &Sample, writes: &[Writes]) -> Trace {
+    trace(&mut Golden::new(network), (network, sample), writes, Golden::write_weights)
+}
+
+/// Writes weights of the only copy, and reads what was written.
+fn write(projections: &[PlasticProjection], machine: &mut Machine, id: ProjectionId, weights: &[i16]) {
+    let places = &projections.iter().find(|projection| projection.id == id).unwrap().places[0];
+    assert_eq!(places.len(), weights.len());
+    places.iter().zip(weights).for_each(|(&place, &weight)| machine.set_weight(place, weight));
+    let read = places.iter().zip(weights).filter(|(place, _)| place.is_some());
+    read.for_each(|(&place, &weight)| assert_eq!(machine.weight(place), weight));
+}
+
+/// Holds the machine to a trace in 1, 2 and 8 shards, with skipping and without. Returns its counts
+/// by core.
+fn assert_on_machine(
+    network: &Quantised,
+    sample: &Sample,
+    writes: &[Writes],
+    expected: &Trace,
+    what: &str,
+) -> Activity {
+    let options = Options { place: false, ..Options::default() };
+    let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
+    let mut counts: Option<Activity> = None;
+    for shards in [1, 2, 8] {
+        let image = Image::new(&compiled.program, shards).unwrap();
+        let projections = PlasticProjection::all(&image, network, 1);
+        for (skip, per_step) in [(true, false), (false, true)] {
+            let what = format!("{what}, {shards} shards, skip {skip}");
+            let mut machine = Machine::new(&image, Settings { skip, per_step });
+            for projection in &projections {
+                let first = synapses(network.parts(), &network.projections()[projection.id]);
+                let weights = projection.places[0].iter().map(|&place| machine.weight(place));
+                assert!(first.iter().flatten().map(|synapse| synapse.1).eq(weights), "{what}: {}", projection.name);
+            }
+            // The second sample begins with the weights of the network again.
+            for _ in 0..2 {
+                let write = |machine: &mut Machine, id, weights: &[i16]| write(&projections, machine, id, weights);
+                expected.assert_same(&trace(&mut machine, (network, sample), writes, write), &what);
+                let activity = machine.take_activity();
+                assert_eq!(activity.totals(), expected.totals, "{what}: counts by core add up");
+                assert_eq!(*counts.get_or_insert_with(|| activity.clone()), activity, "{what}: counts by core");
+            }
+        }
+    }
+    counts.unwrap()
+}
+
+#[test]
+fn written_weights_act_alike_in_both_engines() {
+    let tried: Vec<(u64, usize, bool)> = (0..NETWORKS)
+        .into_par_iter()
+        .map(|seed| {
+            let network = plastic(seed);
+            let sample = sample(&network, seed);
+            let writes = schedule(&network, &sample, seed);
+            let expected = on_golden(&network, &sample, &writes);
+            assert_on_machine(&network, &sample, &writes, &expected, &format!("network {seed}"));
+            let differs = expected != on_golden(&network, &sample, &vec![Vec::new(); writes.len()]);
+            (expected.totals.spikes, network.plastic().count(), differs)
+        })
+        .collect();
+    let (spikes, plastic) = tried.iter().fold((0, 0), |sum, tried| (sum.0 + tried.0, sum.1 + tried.1));
+    let differing = tried.iter().filter(|tried| tried.2).count();
+    let what = format!("{spikes} spikes, {plastic} plastic projections, {differing} networks that writes change");
+    assert!(spikes > 10_000 && plastic > 200 && differing > 80, "{what}");
+}
+
+/// Weights that are written before the first step act as if the network had them, counts by core
+/// included.
+#[test]
+fn weights_written_first_are_those_of_a_network_that_has_them() {
+    let compared = (0..80u64).into_par_iter().filter(|&seed| {
+        let mut parts = plastic(seed).parts().clone();
+        for id in parts.projections.ids() {
+            // Written as lists in both, they are on the same cores.
+            parts.projections[id].connectivity = sparse(synapses(&parts, &parts.projections[id]));
+        }
+        let network = Quantised::new(parts.clone()).unwrap();
+        let sample = sample(&network, seed);
+        let draw = &mut Draw::new(seed);
+        let mut writes = vec![Vec::new(); sample.steps() as usize];
+        let Some(first) = writes.first_mut() else { return false };
+        *first = written(&network, draw, 100);
+        for (id, weights) in first.iter() {
+            let mut weights = weights.iter();
+            let lists = synapses(&parts, &parts.projections[*id]);
+            let with = |list: &Vec<(u32, i16)>| list.iter().map(|own| (own.0, *weights.next().unwrap())).collect();
+            let lists: Vec<Vec<(u32, i16)>> = lists.iter().map(with).collect();
+            parts.projections[*id].connectivity = sparse(lists);
+        }
+        let meant = Quantised::new(parts).unwrap();
+        let none = vec![Vec::new(); writes.len()];
+        let expected = on_golden(&meant, &sample, &none);
+        let what = format!("network {seed}");
+        let counts = assert_on_machine(&meant, &sample, &none, &expected, &format!("{what}, as meant"));
+        assert_eq!(counts, assert_on_machine(&network, &sample, &writes, &expected, &what), "{what}");
+        expected.totals.spikes > 0
+    });
+    assert!(compared.count() > 40);
+}
+
+/// Every rank is given all weights, and takes those of its synapses.
+#[test]
+fn written_weights_act_alike_on_any_number_of_ranks() {
+    let events: u64 = (0..40u64)
+        .into_par_iter()
+        .map(|seed| {
+            let network = plastic(seed);
+            let sample = sample(&network, seed);
+            let writes = schedule(&network, &sample, seed);
+            let expected = on_golden(&network, &sample, &writes);
+            for count in 2..=MOST_RANKS {
+                let what = format!("network {seed} on {count} ranks");
+                let sum = Mutex::new(Totals::default());
+                on_ranks(count, |rank, ranks| {
+                    let options = Options { place: false, share: share(rank, count, false), ..Options::default() };
+                    let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
+                    let image = Image::new(&compiled.program, 1).unwrap();
+                    let projections = PlasticProjection::all(&image, &network, 1);
+                    let all = Some((CompartmentId(0), network.compartments()));
+                    let settings = Settings { skip: seed % 2 == 0, per_step: false };
+                    let mut machine = Machine::of_part(&image, settings, ranks.unwrap(), all);
+                    let write = |machine: &mut Machine, id, weights: &[i16]| write(&projections, machine, id, weights);
+                    machine.begin(sample.steps());
+                    for (step, writes) in (0..).zip(&writes) {
+                        writes.iter().for_each(|(id, weights)| write(&mut machine, *id, weights));
+                        machine.step(sample.input(step));
+                        let mut spikes: Vec<CompartmentId> = machine.spikes().to_vec();
+                        spikes.sort_unstable();
+                        let meant = expected.steps[step as usize].0.iter().map(|sent| sent.0);
+                        assert!(meant.eq(spikes), "{what}: step {step} on rank {rank}");
+                    }
+                    machine.settle();
+                    *sum.lock().unwrap() += machine.totals();
+                });
+                assert_eq!(sum.into_inner().unwrap(), expected.totals, "{what}");
+            }
+            expected.totals.synaptic_events
+        })
+        .sum();
+    assert!(events > 10_000, "{events} events");
+}
+
+/// `in -> first` with a delay of 2 and `first -> second`, plastic, of weights 10.
+fn chain() -> Builder {
+    let mut net = Builder::new();
+    let input = net.input("in", 1);
+    let memoryless = |vth| [neuron(4096, 4096, vth, 1)];
+    let first = net.each("first", Shape::Line(1), &memoryless(1), 0);
+    let second = net.each("second", Shape::Line(1), &memoryless(1_000), 0);
+    let ten = || Connectivity::Dense { targets: 1, weights: [10].into() };
+    let plastic = SynapseFormat { plastic: true, ..format(SignMode::Mixed, 0) };
+    net.connect((input, first), plastic, 2, ten());
+    net.connect((first, second), plastic, 0, ten());
+    net
+}
+
+const IN: ProjectionId = ProjectionId(0);
+const BETWEEN: ProjectionId = ProjectionId(1);
+
+fn session(network: &Quantised, copies: u32) -> Session {
+    let options = Options { copies, ..Options::default() };
+    let compiled = compile(network.clone(), &roomy("oheo-gulch"), &options).unwrap();
+    Session::open(&Image::new(&compiled.program, 1).unwrap(), &compiled.one, copies)
+}
+
+/// By hand: an input of step t is delivered in step t, a spike of a compartment in step t + 1, both
+/// at the weight of then.
+#[test]
+fn a_weight_holds_from_the_next_delivery_on() {
+    let network = chain().build();
+    let mut session = session(&network, 1);
+    let mut golden = Golden::new(&network);
+    golden.begin(8);
+    // What is written before the step, whether the channel spikes, and u of both compartments.
+    let steps = [
+        (None, true, [0, 0]),
+        (Some((IN, 20)), true, [0, 0]),
+        (Some((IN, -6)), false, [640, 0]),
+        (Some((BETWEEN, 30)), false, [1280, 1920]),
+        (Some((BETWEEN, 0)), false, [0, 0]),
+        (None, false, [0, 0]),
+    ];
+    for (step, (write, spikes, u)) in steps.into_iter().enumerate() {
+        if let Some((id, weight)) = write {
+            session.write_weights(id, &[weight]).unwrap();
+            golden.write_weights(id, &[weight]);
+            assert_eq!((session.weights(id).unwrap(), golden.weights(id)), (vec![weight], &[weight][..]));
+        }
+        let channels: &[ChannelId] = if spikes { &[ChannelId(0)] } else { &[] };
+        session.step(channels.iter().map(|&channel| (channel, 1))).unwrap();
+        golden.step(Spikes { ids: channels, values: &[] });
+        assert_eq!([0, 1].map(|id| session.engine().u(CompartmentId(id))), u, "step {step}");
+        assert_eq!([0, 1].map(|id| golden.u(CompartmentId(id))), u, "step {step}, golden");
+    }
+}
+
+/// A copy of a session has weights of its own, `reset` takes all writes back, and every copy of the
+/// network has the same.
+#[test]
+fn snapshots_carry_weights() {
+    let (mut spikes, mut parted) = (0, 0);
+    for seed in 0..40u64 {
+        let network = plastic(seed);
+        let sample = sample(&network, seed);
+        let writes = schedule(&network, &sample, seed);
+        let expected = on_golden(&network, &sample, &writes);
+        let copies = 1 + seed as u32 % 3;
+        let mut session = session(&network, copies);
+        let first: Vec<Vec<i16>> = network.plastic().map(|(id, _)| session.weights(id).unwrap()).collect();
+        let n = network.compartments();
+        let step = |session: &mut Session, t: u32| {
+            let input = sample.input(t);
+            let values = input.values.iter().copied().chain(std::iter::repeat(1));
+            session.step(input.ids.iter().copied().zip(values)).unwrap();
+            (0..copies).map(|k| session.spikes(CompartmentId(k * n), n)).collect::<Vec<_>>()
+        };
+        let middle = sample.steps() / 2;
+        for again in 0..2 {
+            let mut middle_state = None;
+            for (t, writes) in (0..).zip(&writes) {
+                if t == middle {
+                    middle_state = Some(session.clone());
+                }
+                writes.iter().for_each(|(id, weights)| session.write_weights(*id, weights).unwrap());
+                let now = step(&mut session, t);
+                assert!(now.iter().all(|of_copy| *of_copy == now[0]), "network {seed}, step {t}: copies");
+                let meant: Vec<u32> = expected.steps[t as usize].0.iter().map(|sent| sent.0.0).collect();
+                let found: Vec<u32> = now[0].iter().map(|sent| sent.0).collect();
+                assert!(found == meant, "network {seed}, step {t}, run {again}");
+                spikes += found.len();
+            }
+            let after: Vec<Vec<i16>> = network.plastic().map(|(id, _)| session.weights(id).unwrap()).collect();
+            if let Some(mut middle_state) = middle_state {
+                let before = network.plastic().map(|(id, _)| middle_state.weights(id).unwrap());
+                parted += usize::from(!before.eq(after));
+                for (t, writes) in (middle..).zip(&writes[middle as usize..]) {
+                    writes.iter().for_each(|(id, weights)| middle_state.write_weights(*id, weights).unwrap());
+                    let found: Vec<u32> = step(&mut middle_state, t)[0].iter().map(|sent| sent.0).collect();
+                    let meant: Vec<u32> = expected.steps[t as usize].0.iter().map(|sent| sent.0.0).collect();
+                    assert!(found == meant, "network {seed}, step {t} after going back");
+                }
+            }
+            session.reset();
+            assert!(network.plastic().zip(&first).all(|((id, _), first)| session.weights(id).unwrap() == *first));
+        }
+    }
+    assert!(spikes > 1_000 && parted > 20, "{spikes} spikes, {parted} sessions part");
+}
+
+#[test]
+fn what_cannot_be_written_is_refused_by_name() {
+    let network = chain().build();
+    let mut session = session(&network, 2);
+    let code = |result: Result<(), nsim::ir::base::diagnostic::Diagnostic>| result.unwrap_err().code;
+    assert_eq!(code(session.write_weights(ProjectionId(7), &[0])), "session.weights.not-plastic");
+    assert_eq!(code(session.write_weights(IN, &[0, 2])), "session.weights.size");
+    for weight in [3, 256, -258] {
+        let refused = session.write_weights(IN, &[weight]).unwrap_err();
+        assert_eq!(refused.code, "session.weights.range");
+        assert!(refused.message.contains("in -> first") && refused.message.contains(&weight.to_string()));
+        assert!(refused.help.unwrap().contains("multiples of 2 from -256 to 254"));
+    }
+    assert_eq!(session.weights(IN).unwrap(), [10]);
+    // What was shown is no sample that could be run again with these weights.
+    assert!(session.sample().is_ok());
+    session.write_weights(IN, &[12]).unwrap();
+    assert_eq!(session.sample().unwrap_err().code, "session.weights.written");
+    session.reset();
+    assert!(session.sample().is_ok());
+}
+
+#[test]
+fn what_does_not_support_plastic_projections_refuses_them_by_name() {
+    let refused = |change: &dyn Fn(&mut Builder), what: &str| {
+        let mut net = chain();
+        change(&mut net);
+        let error = Quantised::new(net.parts).unwrap_err().to_string();
+        assert!(error.contains(what) && error.contains("projection in -> first"), "{error}");
+    };
+    refused(&|net| _ = net.parts.projections.push(net.parts.projections[IN].clone()), "give one another delay");
+    let window = Window {
+        source: (1, 1, 1),
+        target: (1, 1, 1),
+        kernel: (1, 1),
+        stride: (1, 1),
+        padding: (0, 0),
+        dilation: (1, 1),
+        groups: 1,
+    };
+    let volume = Shape::Volume(1, 1, 1);
+    refused(
+        &|net| {
+            net.parts.populations.iter_mut().for_each(|population| population.shape = volume);
+            net.parts.projections[IN].connectivity = Connectivity::Conv2d { window, kernel: [10].into() };
+        },
+        "list the synapses",
+    );
+    refused(
+        &|net| {
+            let sums = vec![dynamics::neuron(NeuronKind::Sigma, &[]).unwrap(); 1];
+            let first = net.parts.projections[IN].target;
+            if let Units::Compartments { neurons, .. } = &mut net.parts.populations[first].units {
+                *neurons = PerCompartment::Each(sums);
+            }
+            net.parts.projections[IN].format.exponent = WeightExponent::new(-1).unwrap();
+        },
+        "lose bits",
+    );
+    let network = chain().build();
+    let Err(CompileError::Input(problem)) = Front::from(network.clone()).prune(&Plan::fixed()) else {
+        panic!("pruned");
+    };
+    assert_eq!(problem.code, "map.prune");
+    assert!(problem.message.contains("in -> first") && problem.help.unwrap().contains("--prune"));
+    assert!(relayed(&network, 4).is_ok(), "no compartment needs relays");
+    let mut net = chain();
+    let first = net.parts.projections[IN].target;
+    let many = net.loihi("many", 9);
+    net.dense(first, many, |_, _| 2);
+    let problem = relayed(&net.build(), 4).unwrap_err();
+    assert!(problem.code == "map.relays" && problem.message.contains("in -> first is plastic"), "{problem:?}");
+}
