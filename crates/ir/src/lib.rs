@@ -14,6 +14,7 @@ pub mod firing_rates;
 pub mod graph;
 pub mod groups;
 pub mod hardware;
+pub mod learning;
 pub mod locate;
 pub mod mapping;
 pub mod messages;

@@ -29,6 +29,7 @@ use rayon::prelude::*;
 
 use crate::count::spike_counts::SpikeCounts;
 pub use crate::layout::image::{Image, ImageError};
+use crate::plastic::learning::Learning;
 use crate::plastic::places::PlasticPlace;
 use crate::ranks::exchange::Exchange;
 use crate::ranks::transport::Ranks;
@@ -38,6 +39,7 @@ use crate::update::width;
 use nsim_dynamics as neuron;
 use nsim_ir::activity::{Activity, Overflow, StepActivity, Totals};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim_ir::learning::LearningRule;
 use nsim_ir::source_counts::SourceCounts;
 use nsim_ir::spikes::{Engine, Spikes};
 
@@ -91,6 +93,8 @@ pub struct Machine {
     totals: Totals,
     last: StepActivity,
     counts: SpikeCounts,
+    /// What changes plastic weights.
+    learning: Option<Learning>,
 }
 
 impl Machine {
@@ -118,6 +122,7 @@ impl Machine {
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
             counts: SpikeCounts::new(image),
+            learning: None,
         }
     }
 
@@ -175,7 +180,17 @@ impl Machine {
         }
     }
 
-    /// Whether nothing will happen until the next input spike.
+    /// Changes all plastic weights by this rule in the samples that begin from now on.
+    pub fn set_rule(&mut self, rule: Arc<dyn LearningRule>) {
+        self.learning = Some(Learning::new(rule, &self.image));
+    }
+
+    /// Whether a rule changes plastic weights.
+    pub fn learns(&self) -> bool {
+        self.learning.is_some()
+    }
+
+    /// Whether nothing will happen until the next input spike, but for what a rule changes.
     pub fn at_rest(&self) -> bool {
         self.spikes.is_empty()
             && self.remote.is_empty()
@@ -220,7 +235,7 @@ impl Machine {
         std::mem::swap(&mut self.remote, &mut self.carried);
         std::mem::swap(&mut self.remote_payloads, &mut self.carried_payloads);
         self.each_shard(Phase::Update, Spikes::default(), left);
-        self.remote.clear();
+        self.carried.append(&mut self.remote);
     }
 
     /// Waits for the other ranks' spikes of the last step.
@@ -273,6 +288,16 @@ impl Machine {
                 .zip(shards)
                 .for_each(|(state, shard)| Step { state, image, shard, input, channel_counts: &mut [] }.run(arch)),
         }
+    }
+
+    /// Learn, after what this step delivered. It is apart, so that a step without rule has nothing
+    /// of it.
+    #[cold]
+    fn learn(&mut self, channels: &[ChannelId]) {
+        let (image, Some(learning)) = (&*self.image, &mut self.learning) else { return };
+        let compartments = self.carried.iter().map(|spike| image.channels + spike.0);
+        let sources = channels.iter().map(|channel| channel.0).chain(compartments);
+        learning.learn(self.step, sources, (image, &mut self.shards));
     }
 
     /// Exchange: the spikes of all shards in one list.
@@ -363,6 +388,7 @@ impl Engine for Machine {
         self.remote.clear();
         self.last_events = 0;
         self.counts.begin(&self.image, &self.shards, self.arch);
+        self.learning.iter_mut().for_each(Learning::clear);
         self.totals = Totals::default();
         self.last.clear();
     }
@@ -373,13 +399,18 @@ impl Engine for Machine {
     //   reach to the sums of the step in which it arrives: step t + delay field for both.
     // - Update(t) takes the sums of step t through the compartments and collects who spiked.
     // - Exchange(t) puts the spikes of all shards into one list.
+    // - Learn(t) notes what Deliver(t + 1) carried; at the end of an epoch plastic weights change.
     //
     // Deliver(t) precedes Update(t) on the same shard; Update(t) on every shard precedes
-    // Exchange(t): that is the barrier; Exchange(t) precedes Deliver(t + 1). Sums are exact and
-    // narrowed once, so neither order nor number of shards and threads can change a result.
+    // Exchange(t): that is the barrier. Exchange(t) precedes Deliver(t + 1), and that Learn(t), and
+    // that Deliver(t + 2). Sums are exact and narrowed once, so neither order nor number of shards
+    // and threads can change a result.
     fn step(&mut self, input: Spikes<'_>) {
         let left = self.steps.saturating_sub(self.step);
         self.deliver_and_update(input, left);
+        if self.learning.is_some() {
+            self.learn(input.ids);
+        }
         self.exchange();
         self.count(input.ids, left);
         self.step += 1;
@@ -400,7 +431,14 @@ impl Engine for Machine {
             return false;
         }
         self.shown.clear();
-        self.step += steps;
+        self.carried.clear();
+        let end = self.step + steps;
+        while self.learning.is_some() && self.step < end {
+            // Epochs end at rest too.
+            self.learn(&[]);
+            self.step += 1;
+        }
+        self.step = end;
         self.counts.steps += u64::from(steps);
         self.totals.compartment_updates += u64::from(steps) * self.image.held as u64;
         if self.settings.per_step {

@@ -33,6 +33,15 @@ pub struct SynapseFormat {
     pub plastic: bool,
 }
 
+impl SynapseFormat {
+    /// The next weight toward 0 that it has.
+    pub fn toward_zero(self, weight: i16) -> i16 {
+        let (low, high) = self.sign.range(self.bits);
+        let weight = weight.clamp(low, high);
+        weight - weight % self.sign.step(self.bits)
+    }
+}
+
 /// A sum that is narrowed before it is added to its port: of what arrives at a compartment in a
 /// step over synapses of one number, port and delay. It is shifted by a negative exponent, and
 /// wrapped if it says so: (39) and (40) of `docs/loihi2.md`.
