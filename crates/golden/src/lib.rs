@@ -19,6 +19,7 @@ mod resonator;
 mod sigma_delta;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
 
 use crate::outcome::{Outcome, decay, wrap};
 use nsim_ir::activity::{Overflow, Totals};
@@ -27,6 +28,7 @@ use nsim_ir::base::fixed::Decay;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, ProjectionId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
+use nsim_ir::learning::LearningRule;
 use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port, Role};
 use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
@@ -58,8 +60,7 @@ struct Synapse {
 /// The weights of a plastic projection, source by source.
 #[derive(Debug, Clone)]
 struct Plastic {
-    /// The exponent of its weights, without what shifts a sum.
-    exponent: i8,
+    format: SynapseFormat,
     /// Before the first step.
     first: Vec<i16>,
     /// From which step on they were which, ascending.
@@ -167,6 +168,7 @@ pub struct Golden {
     /// Of each compartment, over all samples.
     left_fields: IdVec<CompartmentId, LeftField>,
     plastic: BTreeMap<ProjectionId, Plastic>,
+    rule: Option<Arc<dyn LearningRule>>,
 }
 
 impl Golden {
@@ -199,7 +201,7 @@ impl Golden {
         }
         let plastic = network.plastic().map(|(id, projection)| {
             let first = connections_by_source(network, projection).iter().map(|&(.., weight)| weight as i16).collect();
-            (id, Plastic { exponent: exponents(projection).0, first, written: Vec::new() })
+            (id, Plastic { format: projection.format, first, written: Vec::new() })
         });
         let plastic = plastic.collect();
         let parts = network.parts();
@@ -221,6 +223,7 @@ impl Golden {
             overflow: Overflow::default(),
             left_fields,
             plastic,
+            rule: None,
         }
     }
 
@@ -242,7 +245,37 @@ impl Golden {
         let Some((projection, number)) = synapse.plastic else { return synapse.adds };
         let between = u32::from(matches!(synapse.source, SpikeSource::Compartment(_)));
         let plastic = &self.plastic[&projection];
-        scaled(plastic.weights(self.done + between - synapse.way)[number].into(), plastic.exponent)
+        scaled(plastic.weights(self.done + between - synapse.way)[number].into(), exponents(plastic.format).0)
+    }
+
+    /// Changes all plastic weights by this rule in the samples that begin from now on.
+    pub fn set_rule(&mut self, rule: Arc<dyn LearningRule>) {
+        self.rule = Some(rule);
+    }
+
+    /// The end of an epoch: the rules of `nsim_ir::learning`, at the end of a step whose delivery
+    /// was the epoch's last.
+    fn learn(&mut self, rule: &dyn LearningRule) {
+        let noted = |source: SpikeSource| {
+            let delivered = u32::from(matches!(source, SpikeSource::Compartment(_)));
+            (delivered..delivered + rule.epoch()).any(|ago| self.carried(source, ago).is_some())
+        };
+        let now = |plastic: &Plastic| plastic.weights(self.done).to_vec();
+        let mut learned: BTreeMap<_, _> = self.plastic.iter().map(|(&id, plastic)| (id, now(plastic))).collect();
+        for (target, compartment) in self.compartments.enumerate() {
+            let post = noted(SpikeSource::Compartment(target));
+            for synapse in &compartment.incoming {
+                let Some((id, number)) = synapse.plastic else { continue };
+                let weight = learned.get_mut(&id).map(|weights| &mut weights[number]).expect("it is plastic");
+                let SynapseFormat { sign, bits, .. } = self.plastic[&id].format;
+                let ((low, high), step) = (sign.range(bits), sign.step(bits));
+                // Division rounds toward zero.
+                *weight = rule.learn(*weight, noted(synapse.source), post).clamp(low, high) / step * step;
+            }
+        }
+        for (plastic, weights) in self.plastic.values_mut().zip(learned.into_values()) {
+            plastic.written.push((self.done + 1, weights));
+        }
     }
 
     /// How often values of each compartment left their fields, over all samples so far.
@@ -412,6 +445,9 @@ impl Engine for Golden {
         let carried = spikes.iter().filter(|_| self.graded).map(|&id| narrow(self.compartments[id].sent));
         self.payloads = carried.collect();
         self.spikes = spikes;
+        if let Some(rule) = self.rule.clone().filter(|rule| step > 0 && step.is_multiple_of(rule.epoch())) {
+            self.learn(&*rule);
+        }
         self.done += 1;
     }
 
@@ -695,7 +731,7 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
                 }
             };
             let SynapseFormat { port, apart, plastic, .. } = projection.format;
-            let (exponent, of_sum) = exponents(projection);
+            let (exponent, of_sum) = exponents(projection.format);
             let adds = scaled(weight, exponent);
             let apart = apart.map(|apart| Sum { apart, delay, shift: of_sum.unsigned_abs().into() });
             let plastic = plastic.then_some((id, number));
@@ -707,8 +743,7 @@ fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
 
 /// The exponent of a projection's weights, and of their sum. Rule (39): of a sum apart a negative
 /// exponent is the sum's.
-fn exponents(projection: &Projection) -> (i8, i8) {
-    let SynapseFormat { apart, exponent, .. } = projection.format;
+fn exponents(SynapseFormat { apart, exponent, .. }: SynapseFormat) -> (i8, i8) {
     let of_sum = if apart.is_some() { exponent.get().min(0) } else { 0 };
     (exponent.get() - of_sum, of_sum)
 }
