@@ -12,6 +12,7 @@ mod compartments;
 mod differential;
 mod early_exit;
 mod integrate_and_fire;
+mod learning;
 mod loihi2;
 mod microcode;
 mod mutations;

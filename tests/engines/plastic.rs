@@ -28,7 +28,7 @@ use nsim_testing::sparse;
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 200;
-const MOST_RANKS: u32 = 4;
+pub const MOST_RANKS: u32 = 4;
 
 /// Synapses of a projection, source by source.
 fn synapses(network: &Parts, projection: &Projection) -> Vec<Vec<(u32, i16)>> {
@@ -42,7 +42,7 @@ fn synapses(network: &Parts, projection: &Projection) -> Vec<Vec<(u32, i16)>> {
 
 /// A random network of any kinds, in which most projections are plastic that can be: kernels are
 /// listed first.
-fn plastic(seed: u64) -> Quantised {
+pub fn plastic(seed: u64) -> Quantised {
     let mut network = match seed % 4 {
         0 => random::mixed(seed),
         1 => random::joined(seed),
@@ -63,7 +63,7 @@ fn plastic(seed: u64) -> Quantised {
 }
 
 /// A random sample, whose messages carry an integer where they can.
-fn sample(network: &Quantised, seed: u64) -> Sample {
+pub fn sample(network: &Quantised, seed: u64) -> Sample {
     let (plain, draw) = (random::sample(network, seed), &mut Draw::new(seed ^ 0x7a1e));
     let ids = (0..plain.steps()).flat_map(|step| plain.at(step).iter().map(move |&channel| (step, channel)));
     let events: Vec<_> = ids.map(|(step, channel)| (step, channel, draw.one_of(&[-900, -3, 1, 40, 900]))).collect();
@@ -71,7 +71,7 @@ fn sample(network: &Quantised, seed: u64) -> Sample {
 }
 
 /// What is written before a step.
-type Writes = Vec<(ProjectionId, Vec<i16>)>;
+pub type Writes = Vec<(ProjectionId, Vec<i16>)>;
 
 fn written(network: &Quantised, draw: &mut Draw, percent: i64) -> Writes {
     let all: Vec<_> = network.plastic().filter(|_| draw.chance(percent)).collect();
@@ -83,13 +83,13 @@ fn written(network: &Quantised, draw: &mut Draw, percent: i64) -> Writes {
 }
 
 /// Weights for some steps of a sample.
-fn schedule(network: &Quantised, sample: &Sample, seed: u64) -> Vec<Writes> {
+pub fn schedule(network: &Quantised, sample: &Sample, seed: u64) -> Vec<Writes> {
     let draw = &mut Draw::new(seed ^ 0x3717e);
     (0..sample.steps()).map(|_| written(network, draw, 20)).collect()
 }
 
 /// Runs a sample; before each step weights are written.
-fn trace<E: Engine>(
+pub fn trace<E: Engine>(
     engine: &mut E,
     (network, sample): (&Quantised, &Sample),
     writes: &[Writes],
@@ -115,7 +115,7 @@ fn on_golden(network: &Quantised, sample: &Sample, writes: &[Writes]) -> Trace {
 }
 
 /// Writes weights of the only copy, and reads what was written.
-fn write(projections: &[PlasticProjection], machine: &mut Machine, id: ProjectionId, weights: &[i16]) {
+pub fn write(projections: &[PlasticProjection], machine: &mut Machine, id: ProjectionId, weights: &[i16]) {
     let places = &projections.iter().find(|projection| projection.id == id).unwrap().places[0];
     assert_eq!(places.len(), weights.len());
     places.iter().zip(weights).for_each(|(&place, &weight)| machine.set_weight(place, weight));
@@ -256,7 +256,7 @@ fn written_weights_act_alike_on_any_number_of_ranks() {
 }
 
 /// `in -> first` with a delay of 2 and `first -> second`, plastic, of weights 10.
-fn chain() -> Builder {
+pub fn chain() -> Builder {
     let mut net = Builder::new();
     let input = net.input("in", 1);
     let memoryless = |vth| [neuron(4096, 4096, vth, 1)];
@@ -269,10 +269,10 @@ fn chain() -> Builder {
     net
 }
 
-const IN: ProjectionId = ProjectionId(0);
-const BETWEEN: ProjectionId = ProjectionId(1);
+pub const IN: ProjectionId = ProjectionId(0);
+pub const BETWEEN: ProjectionId = ProjectionId(1);
 
-fn session(network: &Quantised, copies: u32) -> Session {
+pub fn session(network: &Quantised, copies: u32) -> Session {
     let options = Options { copies, ..Options::default() };
     let compiled = compile(network.clone(), &roomy("oheo-gulch"), &options).unwrap();
     Session::open(&Image::new(&compiled.program, 1).unwrap(), &compiled.one, copies)

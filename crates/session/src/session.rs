@@ -6,16 +6,18 @@
 //! does exactly what running it does. What was shown is kept, so that the steps so far can be
 //! priced as a sample.
 //!
-//! Weights of plastic projections are read and written between steps; a copy of the session has its
-//! own.
+//! Weights of plastic projections are read and written between steps, or a rule changes them. Each
+//! copy of the session has its own.
 //!
 //! Errors: `session.channel` for channels that the network lacks, `session.too-long` beyond what
-//! can be kept, `session.weights.*` for weights that cannot be written or would be lost.
+//! can be kept, `session.weights.*` for weights that cannot be written or would be lost,
+//! `session.rule.*` for rules that cannot act.
 
 use std::sync::Arc;
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId, ProjectionId};
+use nsim_ir::learning::{LONGEST_EPOCH, LearningRule};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Copies, Engine, Sample, Spikes};
 use nsim_machine::plastic::places::PlasticProjection;
@@ -24,13 +26,16 @@ use nsim_machine::{Image, Machine, Settings};
 /// Input spikes that are kept, 12 bytes each; later ones are counted only.
 const MOST_KEPT: usize = 1 << 26;
 
+/// The remedy where a network has no plastic projection.
+const MAKE_PLASTIC: &str = "set `format.plastic` of a projection before the network is mapped";
+
 /// An engine after some step.
 #[derive(Debug, Clone)]
 pub struct Session {
     machine: Machine,
     copies: Copies,
     plastic: Arc<[PlasticProjection]>,
-    /// Whether weights were written.
+    /// Whether weights were written, or a rule changes them.
     is_written: bool,
     /// Input spikes of one copy: (step, channel, value).
     kept: Vec<(u32, ChannelId, i32)>,
@@ -67,7 +72,7 @@ impl Session {
         self.machine.begin(u32::MAX);
         self.kept.clear();
         self.shown.clear();
-        (self.steps, self.is_cut, self.is_written) = (0, false, false);
+        (self.steps, self.is_cut, self.is_written) = (0, false, self.machine.learns());
     }
 
     /// Steps so far.
@@ -142,7 +147,28 @@ impl Session {
         &self.machine
     }
 
-    /// The weights of a plastic projection, source by source, in the order of its synapses.
+    /// Changes the weights of all plastic projections by this rule, and goes back to before the
+    /// first step.
+    ///
+    /// # Errors
+    /// `session.rule.epoch`, `session.rule.not-plastic`; the session stays as it was.
+    pub fn set_rule(&mut self, rule: Arc<dyn LearningRule>) -> Result<()> {
+        if !(1..=LONGEST_EPOCH).contains(&rule.epoch()) {
+            let message = format!("a rule has epochs of {} steps", rule.epoch());
+            let help = format!("give epochs of 1 to {LONGEST_EPOCH} steps");
+            return Err(Diagnostic::new("session.rule.epoch", message).help(help));
+        }
+        if self.plastic.is_empty() {
+            let message = "a rule has no weights to change, as the network has no plastic projection".to_string();
+            return Err(Diagnostic::new("session.rule.not-plastic", message).help(MAKE_PLASTIC));
+        }
+        self.machine.set_rule(rule);
+        self.reset();
+        Ok(())
+    }
+
+    /// The weights of a plastic projection, source by source, in the order of its synapses. Where a
+    /// rule changes them, an epoch that ends with a step has changed them after that step.
     ///
     /// # Errors
     /// `session.weights.not-plastic`.
@@ -182,8 +208,7 @@ impl Session {
             let names: Vec<String> = self.plastic.iter().map(|own| format!("{} ({})", own.id, own.name)).collect();
             let names = if names.is_empty() { "none".to_string() } else { names.join(", ") };
             let message = format!("{projection} is no plastic projection; the network's are: {names}");
-            let help = "set `format.plastic` of a projection before the network is mapped";
-            Diagnostic::new("session.weights.not-plastic", message).help(help)
+            Diagnostic::new("session.weights.not-plastic", message).help(MAKE_PLASTIC)
         })
     }
 
@@ -194,8 +219,8 @@ impl Session {
     /// weights that were written.
     pub fn sample(&self) -> Result<Sample> {
         if self.is_written {
-            let message = "weights were written, which a run of what was shown would not have".to_string();
-            let help = "call reset() and step without writing weights";
+            let message = "weights were written or learned, which a run of what was shown would not have".to_string();
+            let help = "call reset() and step without writing weights, in a session without rule";
             return Err(Diagnostic::new("session.weights.written", message).help(help));
         }
         let too_long = || {
