@@ -1,7 +1,10 @@
 //! What a message causes at the core that it reaches: events of dense and of sparse synapses.
 //!
 //! Input: the lists of a class of cores. Output: [`Effect`], 32 bits for each list. The messages of
-//! a core's spikes find them in the cache: neighbouring sources select lists side by side.
+//! a core's spikes find them in the cache: neighbouring sources select lists side by side, and few
+//! effects differ.
+
+use rayon::prelude::*;
 
 use nsim_ir::program::{CoreClass, CoreFormat, Synapse};
 
@@ -34,7 +37,7 @@ impl Events {
 
 /// What reaching a list causes: how many of its synapses are dense, how many sparse, and their
 /// delay field.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Effect(u32);
 
 impl Effect {
@@ -44,6 +47,25 @@ impl Effect {
     const SEVERAL: u32 = 63;
     /// More synapses than the bits hold: the list has to be read.
     const READ: Self = Effect(u32::MAX);
+
+    /// At most this many of the effects of all classes, ascending. What is left out has to be read,
+    /// which is the last.
+    pub fn distinct(of_classes: &[Vec<Self>], most: usize) -> Vec<Self> {
+        let of_class = |lists: &Vec<Self>| {
+            let mut distinct = lists.clone();
+            distinct.sort_unstable();
+            distinct.dedup();
+            distinct
+        };
+        let mut distinct: Vec<Self> = of_classes.par_iter().flat_map_iter(of_class).collect();
+        distinct.par_sort_unstable();
+        distinct.dedup();
+        distinct.truncate(most - 1);
+        if distinct.last() != Some(&Effect::READ) {
+            distinct.push(Effect::READ);
+        }
+        distinct
+    }
 
     /// Of each list of a class.
     pub fn of_class(class: &CoreClass) -> Vec<Self> {
@@ -84,6 +106,16 @@ mod tests {
     use nsim_ir::base::rng;
     use nsim_ir::neurons::Port;
     use nsim_ir::quantised::connectivity::SynapseFormat;
+
+    #[test]
+    fn effects_beyond_a_table_have_to_be_read() {
+        let of_classes = [vec![Effect(7), Effect(3), Effect(7)], vec![], vec![Effect(9), Effect(3)]];
+        assert_eq!(Effect::distinct(&of_classes, 4), [3, 7, 9, u32::MAX].map(Effect));
+        assert_eq!(Effect::distinct(&of_classes, 3), [3, 7, u32::MAX].map(Effect));
+        assert_eq!(Effect::distinct(&[vec![Effect::READ; 2]], 2), [Effect::READ]);
+        assert_eq!(Effect(7).events(Some(1), |_| 1), Some(Events { dense: 0, sparse: 7 }));
+        assert_eq!(Effect::READ.events(Some(1), |_| 1), None);
+    }
 
     /// Lists of every length about the limits, of one delay field or of several.
     #[test]

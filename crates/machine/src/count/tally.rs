@@ -51,19 +51,17 @@ const PIECE: u32 = 1 << 12;
 /// A core that messages reach.
 #[derive(Debug)]
 struct Receiver {
-    /// Where the effects of its lists begin.
-    effects: usize,
+    /// Where its lists begin among those of all classes.
+    lists: usize,
     /// Whether input axon i selects list i.
     is_direct: bool,
     position: MeshPosition,
 }
 
-/// A message of a spike.
+/// A message of a spike in 32 bits: the core that it reaches, and above it the number of its
+/// effect.
 #[derive(Debug, Clone, Copy)]
-struct Message {
-    to: CoreId,
-    effect: Effect,
-}
+struct Message(u32);
 
 /// The links that a source's messages cross.
 #[derive(Debug, Clone, Copy, Default)]
@@ -88,8 +86,12 @@ pub struct Tally<'p> {
     longest_delay: u32,
     receivers: IdVec<CoreId, Receiver>,
     classes: IdVec<CoreId, &'p CoreClass>,
-    /// Of the lists of all classes, one class after the other.
+    /// The different effects of lists; the last is that a list has to be read.
     effects: Vec<Effect>,
+    /// Bits of a message that hold its core.
+    core_bits: u32,
+    /// Number of the effect of each list of all classes, one class after the other.
+    of_lists: Vec<u32>,
     /// `None` where they would take much memory and their synapses are many.
     kept: Option<Kept>,
 }
@@ -110,6 +112,9 @@ impl<'p> Tally<'p> {
     pub fn new(program: &'p Program) -> Self {
         let classes = program.classes();
         let of_classes: Vec<Vec<Effect>> = classes.as_slice().par_iter().map(Effect::of_class).collect();
+        let core_bits = (u32::BITS - (program.cores().len() as u32).leading_zeros()).min(u32::BITS - 1);
+        let effects = Effect::distinct(&of_classes, 1 << (u32::BITS - core_bits));
+        let number = |effect| effects.binary_search(effect).unwrap_or(effects.len() - 1) as u32;
         let ends = of_classes.iter().scan(0, |end, lists| Some((*end, *end += lists.len()).0));
         let firsts: IdVec<ClassId, usize> = ends.collect();
         let delays = classes.as_slice().par_iter().map(|class| {
@@ -117,7 +122,7 @@ impl<'p> Tally<'p> {
             delays.max().unwrap_or(0)
         });
         let receiver = |image: &CoreImage| Receiver {
-            effects: firsts[image.class],
+            lists: firsts[image.class],
             is_direct: classes[image.class].inputs.populations.is_empty(),
             position: program.mesh().position(image.site),
         };
@@ -127,7 +132,9 @@ impl<'p> Tally<'p> {
             longest_delay: delays.max().unwrap_or(0).into(),
             receivers: program.cores().iter().map(receiver).collect(),
             classes: program.cores().iter().map(|image| &classes[image.class]).collect(),
-            effects: of_classes.concat(),
+            of_lists: of_classes.par_iter().flat_map_iter(|lists| lists.iter().map(number)).collect(),
+            effects,
+            core_bits,
             kept: None,
         };
         let sources = program.channels() + program.compartments();
@@ -172,6 +179,7 @@ impl<'p> Tally<'p> {
         size_of_val(self.receivers.as_slice())
             + size_of_val(self.classes.as_slice())
             + size_of_val(self.effects.as_slice())
+            + size_of_val(self.of_lists.as_slice())
             + self.kept.as_ref().map_or(0, |Kept { messages, crossed }| {
                 size_of_val(messages.items()) + size_of_val(messages.firsts()) + size_of_val(crossed.as_slice())
             })
@@ -182,6 +190,12 @@ impl<'p> Tally<'p> {
     fn list(&self, AxonTarget { core, axon }: AxonTarget) -> usize {
         let axon = usize::from(axon);
         if self.receivers[core].is_direct { axon } else { self.classes[core].inputs.selected(axon).0 }
+    }
+
+    /// The core that a message reaches.
+    #[inline]
+    fn core(&self, message: Message) -> CoreId {
+        CoreId(message.0 & ((1 << self.core_bits) - 1))
     }
 
     /// Passes on each of these sources with its messages.
@@ -195,13 +209,14 @@ impl<'p> Tally<'p> {
             // All are asked for before the first is used.
             while let Some(source) = sources.next_if(|_| places.len() < BATCH) {
                 places.extend(self.program.messages(source).map(|target| {
-                    let effect = self.receivers[target.core].effects + self.list(target);
-                    prefetch(&self.effects, effect);
-                    (target.core, effect)
+                    let list = self.receivers[target.core].lists + self.list(target);
+                    prefetch(&self.of_lists, list);
+                    (target.core, list)
                 }));
                 ends.push((source, places.len()));
             }
-            messages.extend(places.drain(..).map(|(to, effect)| Message { to, effect: self.effects[effect] }));
+            let message = |(core, list): (CoreId, usize)| Message(core.0 | self.of_lists[list] << self.core_bits);
+            messages.extend(places.drain(..).map(message));
             let mut first = 0;
             for (source, end) in ends.drain(..) {
                 see(source, &messages[first..end]);
@@ -215,8 +230,8 @@ impl<'p> Tally<'p> {
     fn crossed(&self, source: u32, messages: &[Message]) -> Crossed {
         let from = self.core_of(source).map(|core| self.receivers[core].position);
         let mut crossed = Crossed::default();
-        for message in messages {
-            let to = self.receivers[message.to].position;
+        for &message in messages {
+            let to = self.receivers[self.core(message)].position;
             let route = from.unwrap_or_else(|| self.program.mesh().corner(to)).route(to);
             crossed.hops.add_routes(route, 1);
             crossed.longest = crossed.longest.max(route);
@@ -232,12 +247,14 @@ impl<'p> Tally<'p> {
         (source, messages): (u32, &'a [Message]),
         (always, times): (Option<u64>, impl Fn(u8) -> u64 + 'a),
     ) -> impl Iterator<Item = (CoreId, Events)> + 'a {
-        messages.iter().enumerate().map(move |(place, &Message { to, effect })| {
-            let events = effect.events(always, &times).unwrap_or_else(|| {
-                let axon = self.program.messages(source).nth(place);
-                let list = axon.map_or(&[][..], |axon| self.classes[to].inputs.lists.get(self.list(axon)));
-                Events::of_list(list, &self.classes[to].formats, &times)
-            });
+        messages.iter().enumerate().map(move |(place, &message)| {
+            let to = self.core(message);
+            let events =
+                self.effects[(message.0 >> self.core_bits) as usize].events(always, &times).unwrap_or_else(|| {
+                    let axon = self.program.messages(source).nth(place);
+                    let list = axon.map_or(&[][..], |axon| self.classes[to].inputs.lists.get(self.list(axon)));
+                    Events::of_list(list, &self.classes[to].formats, &times)
+                });
             (to, events)
         })
     }
