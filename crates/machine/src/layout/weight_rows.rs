@@ -20,6 +20,7 @@ use rayon::prelude::*;
 use crate::deliver::prefetch::prefetch;
 use crate::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::layout::lane_order::LaneOrder;
+use crate::layout::padded_runs::{Packing, RunForm};
 use crate::update::kernel::LANES;
 use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::csr::Csr;
@@ -30,7 +31,8 @@ use nsim_ir::program::{CoreClass, CoreFormat, Program, Selected, Stored, Synapse
 const BRIDGED: u16 = LANES as u16;
 /// Synapses of a row on average.
 const SHORTEST: usize = 2;
-/// How often rows must be used on average: rows of one source each belong to dense blocks.
+/// How often the synapses of rows must be used on average: rows of one source each belong to dense
+/// blocks or lists, and pieces of those are equal to others by chance.
 const USES: usize = 2;
 /// Input axons of a core of which either all that have rows are delivered by them or none.
 const TOGETHER: usize = 64;
@@ -170,8 +172,12 @@ impl ProgramRows {
             })
             .collect();
         let synapses: u64 = firsts.par_iter().map(|(class, _, cores)| class.inputs.count() * *cores as u64).sum();
+        // A source has one list, which its messages share.
+        let sources = program.channels() + program.compartments();
+        let messages: usize = (0..sources).map(|source| program.messages(source).len()).sum();
+        let list_cost = COST.list * sources as usize / messages.max(sources as usize).max(1);
         let found: Vec<Option<CoreRows>> =
-            firsts.par_iter().map(|&(class, ranks, _)| CoreRows::of_class(class, ranks)).collect();
+            firsts.par_iter().map(|&(class, ranks, _)| CoreRows::of_class(class, ranks, list_cost)).collect();
         // How often the cores of all classes together use each row.
         let mut uses: HashMap<&Content, usize> = HashMap::new();
         if synapses >= MANY {
@@ -242,13 +248,13 @@ struct CoreRows {
 
 impl CoreRows {
     /// The rows of a core's input axons, if it has any.
-    fn of_class(class: &CoreClass, ranks: &[u16]) -> Option<Self> {
+    fn of_class(class: &CoreClass, ranks: &[u16], list_cost: usize) -> Option<Self> {
         let stored: &Stored = &class.inputs;
         let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
         let mut axons = Csr::with_capacity(stored.len(), 0);
         let mut scratch = Vec::new();
         for axon in stored.iter() {
-            if let Some(rows) = rows_of(axon, ranks, &class.formats, &mut scratch) {
+            if let Some(rows) = rows_of(axon, ranks, (&class.formats, list_cost), &mut scratch) {
                 for (rank, delay, content) in rows {
                     let row = *numbers.entry(content).or_insert_with_key(|content: &Content| {
                         contents.push(content.clone());
@@ -263,8 +269,8 @@ impl CoreRows {
     }
 
     /// What is left with the axons alone that lie beside others whose rows are used often enough on
-    /// average: by the core's own axons, or by those of all cores. A kernel's rows that the border
-    /// cuts are used seldom, but lie beside others.
+    /// average, by the core's own axons or by those of all cores, to take no more memory than lists
+    /// would. A kernel's rows that the border cuts are used seldom, but lie beside others.
     fn shared(&self, uses: &HashMap<&Content, usize>) -> Option<Self> {
         let mut all = vec![0; self.contents.len()];
         self.axons.items().iter().for_each(|(_, _, number)| all[*number as usize] += 1);
@@ -277,9 +283,15 @@ impl CoreRows {
             let run = first..self.axons.len().min(first + TOGETHER);
             let numbers = || run.clone().flat_map(|axon| self.axons.get(axon)).map(|item| item.2 as usize);
             let distinct: BTreeSet<usize> = numbers().collect();
-            let uses = distinct.iter().map(|&number| all[number]).sum::<usize>();
+            let (mut stored, mut reached, mut bytes) = (0, 0, 0);
+            for number in distinct {
+                let Content { weights, synapses } = &self.contents[number];
+                stored += *synapses as usize;
+                reached += all[number] * *synapses as usize;
+                bytes += weights.len().div_ceil(LANES) * size_of::<[i16; LANES]>();
+            }
             let have_rows = run.clone().filter(|&axon| !self.axons.get(axon).is_empty()).count();
-            let shared = have_rows >= FEWEST && uses >= USES * distinct.len();
+            let shared = have_rows >= FEWEST && reached >= USES * stored && reached * Packing::SYNAPSE >= bytes;
             for axon in run.clone() {
                 if shared {
                     axons.extend_last(self.axons.get(axon).iter().map(|&(rank, delay, number)| {
@@ -298,11 +310,12 @@ impl CoreRows {
 }
 
 /// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost
-/// more than the synapses one by one, or do not fit, or a weight may change.
+/// more than the synapses one by one and this share of a list, or do not fit, or a weight may
+/// change.
 fn rows_of(
     axon: Selected<'_>,
     ranks: &[u16],
-    formats: &[CoreFormat],
+    (formats, list_cost): (&[CoreFormat], usize),
     scratch: &mut Vec<(u8, u16, i16)>,
 ) -> Option<Vec<(u16, u8, Content)>> {
     scratch.clear();
@@ -322,7 +335,7 @@ fn rows_of(
         let span = usize::from(row[row.len() - 1].1 - row[0].1) + 1;
         cost += COST.row + span.div_ceil(LANES) * COST.row_chunk;
         rows += 1;
-        if cost > COST.list + axon.stored.len() * COST.synapse {
+        if cost > list_cost + axon.stored.len() * COST.synapse {
             return None;
         }
     }
@@ -615,7 +628,7 @@ mod tests {
             let ranks = if seed % 3 == 0 { ranks } else { (0..400).collect() };
             let base = draw(40, 5, 0) as u16;
             let axon = Selected { base, stored: &list };
-            let Some(rows) = rows_of(axon, &ranks, &formats, &mut scratch) else { continue };
+            let Some(rows) = rows_of(axon, &ranks, (&formats, COST.list), &mut scratch) else { continue };
             rowed += usize::from(!rows.is_empty());
             let mut expected = std::collections::BTreeMap::new();
             for synapse in &list {
@@ -680,10 +693,33 @@ mod tests {
     }
 
     #[test]
+    fn rows_are_used_often_and_take_no_more_memory_than_lists() {
+        // The rows of each axon, among some of these weights.
+        let is_shared = |contents: &[Vec<i16>], of_axons: Vec<Vec<u32>>| {
+            let synapses = |weights: &[i16]| weights.iter().filter(|weight| **weight != 0).count() as u32;
+            let content = |weights: &Vec<i16>| Content { weights: weights.clone(), synapses: synapses(weights) };
+            let contents = contents.iter().map(content).collect();
+            let mut axons = Csr::default();
+            of_axons.into_iter().for_each(|rows| axons.push(rows.into_iter().map(|row| (0, 0, row))));
+            CoreRows { contents, axons }.shared(&HashMap::new()).is_some()
+        };
+        // A long row of its own for each axon, and a short one that all happen to have.
+        let mut contents: Vec<Vec<i16>> = (0..8).map(|own| vec![own + 1; 20]).collect();
+        contents.push(vec![3, 4]);
+        assert!(!is_shared(&contents, (0..8).map(|own| vec![own, 8]).collect()));
+        assert!(is_shared(&contents, (0..8).map(|own| vec![own / 2, 8]).collect()));
+        // Two synapses in 64 bytes.
+        let mut apart = vec![0; 17];
+        (apart[0], apart[16]) = (1, 2);
+        assert!(!is_shared(&[apart.clone()], vec![vec![0]; 7]));
+        assert!(is_shared(&[apart], vec![vec![0]; 8]));
+    }
+
+    #[test]
     fn scattered_synapses_are_no_rows() {
         let at = |slot| Synapse { slot, weight: 2, format: 0, delay: Delay::new(0).unwrap() };
         let list: Vec<Synapse> = (0..30).map(|k| at(k * 30)).collect();
         let (axon, ranks) = (Selected { base: 0, stored: &list }, (0..900).collect::<Vec<_>>());
-        assert!(rows_of(axon, &ranks, &[format(0)], &mut Vec::new()).is_none());
+        assert!(rows_of(axon, &ranks, (&[format(0)], COST.list), &mut Vec::new()).is_none());
     }
 }
