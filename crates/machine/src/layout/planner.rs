@@ -163,7 +163,9 @@ impl Candidate {
     /// Cost when each source spikes once.
     fn cost(&self, sources: usize) -> usize {
         let lists = if self.listed > 0 { self.listed * COST.synapse + sources * COST.list } else { 0 };
-        self.blocks.iter().map(PlannedBlock::cost).sum::<usize>() + lists
+        // Chunks that fit no second-level cache take twice as long.
+        let waits = if self.bytes() > CACHED { self.size * COST.chunk } else { 0 };
+        self.blocks.iter().map(PlannedBlock::cost).sum::<usize>() + waits + lists
     }
 }
 
@@ -221,9 +223,10 @@ impl Planner {
         }
     }
 
-    /// The most bytes that blocks alone may take: what fits the cache, or no more than lists.
+    /// The most bytes that blocks alone may take: what fits a third-level cache, or four times as
+    /// many as lists. Weights of 8 bits take half.
     fn most(&self) -> usize {
-        CACHED.max(LISTED * self.synapses)
+        (16 * CACHED).max(4 * LISTED * self.synapses)
     }
 
     /// The blocks of the cheapest candidate, ascending.
