@@ -28,7 +28,7 @@ pub const CLIFF: f64 = 2.5;
 /// `nsim bench step` measured `silent-1m` without skipping (AVX-512, `docs/benchmarks.md`).
 const UPDATE_NS: f64 = 0.6;
 /// Runs of a rung, of which the fastest counts: other programs only make runs longer.
-const REPEATS: usize = 5;
+const REPEATS: usize = 15;
 /// Synaptic events of a run, about.
 const EVENTS: u64 = 12_000_000;
 /// The longest delay of a ladder.
@@ -139,7 +139,7 @@ pub fn rungs(seed: u64, threads: usize) -> Vec<Rung> {
     for per_mille in [5, 20, 80, 320] {
         add("spikes in 1,000", &per_mille, Rung { per_mille, ..base(3) });
     }
-    for populations in [1, 4, 16, 64] {
+    for populations in [1, 2, 4, 8, 16, 32, 64] {
         add("populations", &populations, Rung { populations, ..base(4) });
     }
     for kernel in [1, 3, 5, 7] {
