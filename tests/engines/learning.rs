@@ -1,5 +1,5 @@
 //! Rules that change weights at the end of each epoch: both engines do the same, in parts and
-//! ranks, with skipping and without, beside weights that are written; rules that cannot act are
+//! ranks, with skipping and without, also where weights are written; rules that cannot act are
 //! refused.
 
 use std::iter::repeat;
@@ -181,7 +181,7 @@ fn an_epoch_changes_weights_by_what_it_delivered() {
 /// Spikes and plastic weights after each step.
 type Seen = Vec<(Vec<u32>, Vec<Vec<i16>>)>;
 
-/// A copy of a session in the midst of an epoch goes on as the session does, and skipping keeps
+/// A copy of a session within an epoch goes on as the session does, and skipping keeps
 /// what was noted.
 #[test]
 fn copies_and_skips_keep_what_an_epoch_noted() {

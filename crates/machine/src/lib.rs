@@ -290,8 +290,8 @@ impl Machine {
         }
     }
 
-    /// Learn, after what this step delivered. It is apart, so that a step without rule has nothing
-    /// of it.
+    /// Learn, after what this step delivered. It is a separate function, so that a step without
+    /// rule has nothing of it.
     #[cold]
     fn learn(&mut self, channels: &[ChannelId]) {
         let (image, Some(learning)) = (&*self.image, &mut self.learning) else { return };
@@ -434,7 +434,7 @@ impl Engine for Machine {
         self.carried.clear();
         let end = self.step + steps;
         while self.learning.is_some() && self.step < end {
-            // Epochs end at rest too.
+            // Epochs end in idle steps too.
             self.learn(&[]);
             self.step += 1;
         }

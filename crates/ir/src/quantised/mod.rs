@@ -456,7 +456,7 @@ impl Quantised {
             let Projection { name, source, target, format, delay, .. } = projection;
             if format.plastic && !plastic.insert((*source, *target, *format, *delay)) {
                 let what = "another plastic projection has its ends, format and delay, so that synapses of the two \
-                            could not be told apart; make them one, or give one another delay";
+                            could not be identified; make them one, or give one another delay";
                 return Err(Inconsistent(format!("projection {name}: {what}")));
             }
             outgoing[projection.source].push(id);

@@ -9,7 +9,7 @@ use nsim_ir::spikes::Spike;
 impl<S: Sum> DelayRing<S> {
     /// Delivers spikes of sources that are numbered from `first` on over synapses of these weights,
     /// and marks where they arrive. Returns the synaptic events that fall within `left` steps.
-    /// It is a function apart, so that a step without plastic synapses has nothing of it.
+    /// It is a separate function, so that a step without plastic synapses has nothing of it.
     #[cold]
     #[inline(never)]
     pub fn deliver_plastic<P: Spike>(

@@ -270,7 +270,7 @@ impl CoreRows {
 
     /// What is left with the axons alone that lie beside others whose rows are used often enough on
     /// average, by the core's own axons or by those of all cores, to take no more memory than lists
-    /// would. A kernel's rows that the border cuts are used seldom, but lie beside others.
+    /// would. A kernel's rows that the border cuts are used seldom, but lie next to others.
     fn shared(&self, uses: &HashMap<&Content, usize>) -> Option<Self> {
         let mut all = vec![0; self.contents.len()];
         self.axons.items().iter().for_each(|(_, _, number)| all[*number as usize] += 1);
