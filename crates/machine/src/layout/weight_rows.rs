@@ -29,11 +29,9 @@ use nsim_ir::program::{CoreClass, CoreFormat, Program, Selected, Stored, Synapse
 
 /// Lanes without a synapse that a row may bridge.
 const BRIDGED: u16 = LANES as u16;
-/// Synapses of a row on average.
-const SHORTEST: usize = 2;
 /// How often the synapses of rows must be used on average: rows of one source each belong to dense
 /// blocks or lists, and pieces of those are equal to others by chance.
-const USES: usize = 2;
+const USES: usize = 4;
 /// Input axons of a core of which either all that have rows are delivered by them or none.
 const TOGETHER: usize = 64;
 /// Those of them that have rows: fewer are equal to another by chance, as pairs of random synapses
@@ -172,12 +170,8 @@ impl ProgramRows {
             })
             .collect();
         let synapses: u64 = firsts.par_iter().map(|(class, _, cores)| class.inputs.count() * *cores as u64).sum();
-        // A source has one list, which its messages share.
-        let sources = program.channels() + program.compartments();
-        let messages: usize = (0..sources).map(|source| program.messages(source).len()).sum();
-        let list_cost = COST.list * sources as usize / messages.max(sources as usize).max(1);
         let found: Vec<Option<CoreRows>> =
-            firsts.par_iter().map(|&(class, ranks, _)| CoreRows::of_class(class, ranks, list_cost)).collect();
+            firsts.par_iter().map(|&(class, ranks, _)| CoreRows::of_class(class, ranks)).collect();
         // How often the cores of all classes together use each row.
         let mut uses: HashMap<&Content, usize> = HashMap::new();
         if synapses >= MANY {
@@ -248,13 +242,13 @@ struct CoreRows {
 
 impl CoreRows {
     /// The rows of a core's input axons, if it has any.
-    fn of_class(class: &CoreClass, ranks: &[u16], list_cost: usize) -> Option<Self> {
+    fn of_class(class: &CoreClass, ranks: &[u16]) -> Option<Self> {
         let stored: &Stored = &class.inputs;
         let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
         let mut axons = Csr::with_capacity(stored.len(), 0);
         let mut scratch = Vec::new();
         for axon in stored.iter() {
-            if let Some(rows) = rows_of(axon, ranks, (&class.formats, list_cost), &mut scratch) {
+            if let Some(rows) = rows_of(axon, ranks, &class.formats, &mut scratch) {
                 for (rank, delay, content) in rows {
                     let row = *numbers.entry(content).or_insert_with_key(|content: &Content| {
                         contents.push(content.clone());
@@ -310,12 +304,11 @@ impl CoreRows {
 }
 
 /// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost
-/// more than the synapses one by one and this share of a list, or do not fit, or a weight may
-/// change.
+/// more than the synapses one by one, or do not fit, or a weight may change.
 fn rows_of(
     axon: Selected<'_>,
     ranks: &[u16],
-    (formats, list_cost): (&[CoreFormat], usize),
+    formats: &[CoreFormat],
     scratch: &mut Vec<(u8, u16, i16)>,
 ) -> Option<Vec<(u16, u8, Content)>> {
     scratch.clear();
@@ -330,18 +323,13 @@ fn rows_of(
     // The last chunk of a row may reach beyond its last lane, whose number has 16 bits.
     let together =
         |a: &(u8, u16, i16), b: &(u8, u16, i16)| a.0 == b.0 && b.1 - a.1 <= BRIDGED && b.1 < u16::MAX - LANES as u16;
-    let (mut cost, mut rows) = (0, 0);
+    let mut cost = 0;
     for row in scratch.chunk_by(together) {
         let span = usize::from(row[row.len() - 1].1 - row[0].1) + 1;
         cost += COST.row + span.div_ceil(LANES) * COST.row_chunk;
-        rows += 1;
-        if cost > list_cost + axon.stored.len() * COST.synapse {
+        if cost > axon.stored.len() * COST.synapse {
             return None;
         }
-    }
-    // Single synapses would be found equal by chance.
-    if axon.stored.len() < SHORTEST * rows {
-        return None;
     }
     let content = |row: &[(u8, u16, i16)]| {
         let (first, last) = (row[0].1, row[row.len() - 1].1);
@@ -628,7 +616,7 @@ mod tests {
             let ranks = if seed % 3 == 0 { ranks } else { (0..400).collect() };
             let base = draw(40, 5, 0) as u16;
             let axon = Selected { base, stored: &list };
-            let Some(rows) = rows_of(axon, &ranks, (&formats, COST.list), &mut scratch) else { continue };
+            let Some(rows) = rows_of(axon, &ranks, &formats, &mut scratch) else { continue };
             rowed += usize::from(!rows.is_empty());
             let mut expected = std::collections::BTreeMap::new();
             for synapse in &list {
@@ -706,8 +694,8 @@ mod tests {
         // A long row of its own for each axon, and a short one that all happen to have.
         let mut contents: Vec<Vec<i16>> = (0..8).map(|own| vec![own + 1; 20]).collect();
         contents.push(vec![3, 4]);
-        assert!(!is_shared(&contents, (0..8).map(|own| vec![own, 8]).collect()));
-        assert!(is_shared(&contents, (0..8).map(|own| vec![own / 2, 8]).collect()));
+        assert!(!is_shared(&contents, (0..8).map(|own| vec![own / 2, 8]).collect()));
+        assert!(is_shared(&contents, (0..8).map(|own| vec![own / 4, 8]).collect()));
         // Two synapses in 64 bytes.
         let mut apart = vec![0; 17];
         (apart[0], apart[16]) = (1, 2);
@@ -720,6 +708,6 @@ mod tests {
         let at = |slot| Synapse { slot, weight: 2, format: 0, delay: Delay::new(0).unwrap() };
         let list: Vec<Synapse> = (0..30).map(|k| at(k * 30)).collect();
         let (axon, ranks) = (Selected { base: 0, stored: &list }, (0..900).collect::<Vec<_>>());
-        assert!(rows_of(axon, &ranks, (&[format(0)], COST.list), &mut Vec::new()).is_none());
+        assert!(rows_of(axon, &ranks, &[format(0)], &mut Vec::new()).is_none());
     }
 }
