@@ -1,5 +1,7 @@
 //! Neurons of several compartments: each parent adds what its child pushes in the same step.
 
+use std::sync::Arc;
+
 use crate::common::compare::{assert_on_machine, roomy, small_cores, trace};
 use crate::common::random;
 use crate::common::{Builder, engines, neuron};
@@ -117,8 +119,9 @@ fn compartments_of_a_neuron_that_are_apart_are_found() {
     let mut parts = (*compiled.program).clone().into_parts();
     let [a, b] = [CompartmentId(0), CompartmentId(1)];
     let (at_a, at_b) = (parts.seats[a], parts.seats[b]);
-    (parts.seats[a], parts.seats[b]) = (at_b, at_a);
-    parts.cores[at_a.core].ids.swap(at_a.slot.into(), at_b.slot.into());
+    let seats = Arc::make_mut(&mut parts.seats);
+    (seats[a], seats[b]) = (at_b, at_a);
+    Arc::make_mut(&mut parts.cores[at_a.core].ids).swap(at_a.slot.into(), at_b.slot.into());
     let swapped = Program::new(parts).unwrap();
     assert_eq!(verify(&swapped, &target), Ok(()));
     assert_eq!(check_copies(&network, &swapped, 1), Err(Difference::Neuron(a)));

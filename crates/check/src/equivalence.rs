@@ -59,7 +59,7 @@ const MOST_SOURCES: u64 = 1 << 16;
 /// many that what is loaded of its tables is read from end to end; beyond that they should stay in
 /// a processor's cache.
 fn synapses_of_piece(cores: usize) -> u64 {
-    (64 * cores as u64).clamp(1 << 16, 1 << 20)
+    (64 * cores as u64).clamp(1 << 16, 1 << 19)
 }
 
 /// A difference between a program and its network.

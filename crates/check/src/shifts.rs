@@ -124,7 +124,7 @@ impl Shifts<'_> {
     fn between(&self, first: CoreId, core: CoreId) -> Option<Shift> {
         let [from, to] = [first, core].map(|core| &self.program.cores()[core].ids);
         let (one, other) = (from.first()?, to.first()?);
-        let pairs = || from.iter().zip(to);
+        let pairs = || from.iter().zip(&**to);
         if let Some(sizes) = self.sizes {
             let later = i64::from(other.0 / sizes.compartments) - i64::from(one.0 / sizes.compartments);
             let more = later * i64::from(sizes.compartments);

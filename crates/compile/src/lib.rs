@@ -45,7 +45,7 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> R
 fn place(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Placed, CompileError> {
     let one = |front: Front, options: &Options| {
         let placed = place(front, target, options, rates)?;
-        Ok((placed.partitioned.partition.members().clone(), placed.placement, placed.name))
+        Ok((placed.partitioned.partition.to_members(), placed.placement, placed.name))
     };
     if let Some(spread) = spread(&front, target, options, rates, one)? {
         return Ok(spread);

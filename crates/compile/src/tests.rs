@@ -329,7 +329,7 @@ fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
     let (network, mut alone) = (layers(), 0);
     let fan_in = FanIn::new(&network);
     let mut filling = Filling::new(&network, &fan_in, &tight);
-    for &id in &same.partition.members()[CoreId(0)] {
+    for &id in same.partition.members()[CoreId(0)].iter() {
         if filling.add(&Newcomer::new(&network, id).unwrap()).is_err() {
             break;
         }

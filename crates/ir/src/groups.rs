@@ -123,7 +123,7 @@ impl CoreGroups {
         let mut new_class = HashMap::new();
         for &number in kept_cores.clone() {
             let mut image = whole.cores[number].clone();
-            image.ids = image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?;
+            image.ids = Arc::new(image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?);
             let axons_out = image.axons_out.renumbered(core)?;
             let old = image.class;
             let class = *new_class.entry(old).or_insert_with(|| classes.push(whole.classes[old].clone()));
@@ -152,7 +152,7 @@ impl CoreGroups {
             classes,
             cores: cores.into(),
             channels,
-            seats: seats.into(),
+            seats: Arc::new(seats.into()),
             populations: populations.into(),
             graded,
             dealt: whole.dealt.as_ref().map(|dealt| {

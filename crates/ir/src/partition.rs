@@ -4,6 +4,7 @@
 //! each core's use of every resource is within the target's limits.
 
 use std::ops::{Index, IndexMut};
+use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
@@ -95,9 +96,9 @@ pub enum PartitionError {
 #[serde(try_from = "Text")]
 pub struct Partition {
     limits: Limits,
-    members: IdVec<CoreId, Vec<CompartmentId>>,
+    members: IdVec<CoreId, Arc<Vec<CompartmentId>>>,
     #[serde(skip)]
-    seats: IdVec<CompartmentId, Seat>,
+    seats: Arc<IdVec<CompartmentId, Seat>>,
     usage: IdVec<CoreId, CoreUsage>,
 }
 
@@ -128,7 +129,7 @@ impl Partition {
     /// given, or a core exceeds a limit.
     pub fn new(
         compartments: u32,
-        members: IdVec<CoreId, Vec<CompartmentId>>,
+        mut members: IdVec<CoreId, Vec<CompartmentId>>,
         usage: IdVec<CoreId, CoreUsage>,
         limits: &Limits,
     ) -> Result<Self, PartitionError> {
@@ -136,7 +137,8 @@ impl Partition {
         if cores != given {
             return Err(PartitionError::Uncounted { cores, given });
         }
-        let seats = seats(compartments, &members)?;
+        let seats = Arc::new(seats(compartments, &members)?);
+        let members = members.iter_mut().map(|held| Arc::new(std::mem::take(held))).collect();
         Partition { limits: limits.clone(), members, seats, usage }.within(limits)
     }
 
@@ -159,18 +161,18 @@ impl Partition {
         self.members.len()
     }
 
-    /// Compartments of each core in slot order.
-    pub fn members(&self) -> &IdVec<CoreId, Vec<CompartmentId>> {
+    /// Compartments of each core in slot order, which the program shares.
+    pub fn members(&self) -> &IdVec<CoreId, Arc<Vec<CompartmentId>>> {
         &self.members
     }
 
-    /// The compartments of each core in slot order, and what each core uses.
-    pub fn into_members(self) -> (IdVec<CoreId, Vec<CompartmentId>>, IdVec<CoreId, CoreUsage>) {
-        (self.members, self.usage)
+    /// A copy of the compartments of each core, for a partition of other cores.
+    pub fn to_members(&self) -> IdVec<CoreId, Vec<CompartmentId>> {
+        self.members.iter().map(|held| held.to_vec()).collect()
     }
 
-    /// Where each compartment sits.
-    pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {
+    /// Where each compartment sits, which the program shares.
+    pub fn seats(&self) -> &Arc<IdVec<CompartmentId, Seat>> {
         &self.seats
     }
 

@@ -14,7 +14,8 @@
 
 use std::collections::HashMap;
 use std::ops::Range;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize, Serializer};
@@ -299,7 +300,7 @@ pub struct CoreImage {
     /// What it stores.
     pub class: ClassId,
     /// The network's number of each compartment, by slot.
-    pub ids: Vec<CompartmentId>,
+    pub ids: Arc<Vec<CompartmentId>>,
     /// Messages that a spike sends, by slot, in ascending order of cores.
     pub axons_out: AxonsOut,
 }
@@ -349,7 +350,7 @@ pub struct Parts {
     /// Messages that an input spike sends, by channel, in ascending order of cores.
     pub channels: Csr<AxonTarget>,
     /// Where each compartment of the network sits.
-    pub seats: IdVec<CompartmentId, Seat>,
+    pub seats: Arc<IdVec<CompartmentId, Seat>>,
     /// The compartments of each population; `None` for inputs.
     pub populations: IdVec<PopulationId, Option<Compartments>>,
     /// Sources of graded spikes, ascending; all others send binary spikes.
@@ -371,22 +372,28 @@ pub struct Parts {
 }
 
 /// Which input axons a message has been seen to reach.
-struct Marks(IdVec<CoreId, Box<[AtomicBool]>>);
+struct Marks(IdVec<CoreId, Box<[AtomicU64]>>);
 
 impl Marks {
     fn new(parts: &Parts) -> Self {
-        let of = |core| (0..parts.class_of(core).inputs.len()).map(|_| AtomicBool::new(false)).collect();
+        let of = |core| {
+            // Those behind the last axon are set.
+            let axons = parts.class_of(core).inputs.len();
+            let word = |first: usize| AtomicU64::new(u64::MAX.checked_shl((axons - first) as u32).unwrap_or(0));
+            (0..axons).step_by(64).map(word).collect()
+        };
         Marks(parts.cores.ids().map(of).collect())
     }
 
     /// Whether a message leads to an input axon that none did before.
     fn reach(&self, target: AxonTarget) -> bool {
-        let axon = self.0.get(target.core).and_then(|axons| axons.get(usize::from(target.axon)));
-        axon.is_some_and(|axon| !axon.swap(true, Ordering::Relaxed))
+        let bit = 1 << (target.axon % 64);
+        let word = self.0.get(target.core).and_then(|words| words.get(usize::from(target.axon / 64)));
+        word.is_some_and(|word| word.fetch_or(bit, Ordering::Relaxed) & bit == 0)
     }
 
     fn all(&self, core: CoreId) -> bool {
-        self.0[core].iter().all(|axon| axon.load(Ordering::Relaxed))
+        self.0[core].iter().all(|word| word.load(Ordering::Relaxed) == u64::MAX)
     }
 }
 

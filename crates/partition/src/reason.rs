@@ -3,6 +3,7 @@
 //! Input: what a population, a core or the whole network needs of a resource, and the limit.
 //! Output: a [`Reason`].
 
+use std::borrow::Borrow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
@@ -68,10 +69,10 @@ pub struct Tightest {
 
 impl Tightest {
     /// Of each population that has compartments, from what each core uses and holds.
-    pub fn of_each<'a>(
+    pub fn of_each<'a, M: Borrow<Vec<CompartmentId>> + 'a>(
         network: &Quantised,
         target: &Target,
-        cores: impl Iterator<Item = (&'a CoreUsage, &'a Vec<CompartmentId>)>,
+        cores: impl Iterator<Item = (&'a CoreUsage, &'a M)>,
     ) -> BTreeMap<PopulationId, Self> {
         let sources = &target.chip().limit_sources;
         let mut all: BTreeMap<PopulationId, Self> = BTreeMap::new();
@@ -79,7 +80,7 @@ impl Tightest {
             let named = target.limits().against(used.of).filter(|(capacity, ..)| capacity.heading().is_some());
             let Some(here) = named.reduce(tighter) else { continue };
             let of = |id: &CompartmentId| network.population_of(CompartmentId(id.0 % network.compartments())).0;
-            for id in members.iter().map(of).collect::<BTreeSet<_>>() {
+            for id in members.borrow().iter().map(of).collect::<BTreeSet<_>>() {
                 let before = all.remove(&id).map(|one| (one.cores, (one.resource, one.need, one.limit)));
                 let (cores, most) = before.unwrap_or_else(|| (0, here.clone()));
                 let (resource, need, limit) = tighter(most, here.clone());

@@ -1,6 +1,8 @@
 //! The kinds of mutations: each changes one thing of a program, drawn at random, and says who
 //! should notice first.
 
+use std::sync::Arc;
+
 use nsim::check::verify::Violation;
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::csr::Csr;
@@ -110,20 +112,22 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("seats of two compartments swapped", |p, d| {
         let [a, b] = [0, 1].map(|_| CompartmentId::new(d.from(0, p.seats.len() as i64 - 1) as usize));
         let (at_a, at_b) = (p.seats[a], p.seats[b]);
-        (p.seats[a], p.seats[b]) = (at_b, at_a);
-        p.cores[at_a.core].ids[usize::from(at_a.slot)] = b;
-        p.cores[at_b.core].ids[usize::from(at_b.slot)] = a;
+        let seats = Arc::make_mut(&mut p.seats);
+        (seats[a], seats[b]) = (at_b, at_a);
+        Arc::make_mut(&mut p.cores[at_a.core].ids)[usize::from(at_a.slot)] = b;
+        Arc::make_mut(&mut p.cores[at_b.core].ids)[usize::from(at_b.slot)] = a;
         Some(Verified)
     }),
     ("seat of another compartment", |p, d| {
         let [a, b] = [0, 1].map(|_| CompartmentId::new(d.from(0, p.seats.len() as i64 - 1) as usize));
-        p.seats[a] = p.seats[b];
+        let seat = p.seats[b];
+        Arc::make_mut(&mut p.seats)[a] = seat;
         Some(NotClosed)
     }),
     ("identity of another compartment", |p, d| {
         let (core, slot) = compartment(p, d);
         let id = CompartmentId::new(d.from(0, p.seats.len() as i64) as usize);
-        p.cores[core].ids[slot] = id;
+        Arc::make_mut(&mut p.cores[core].ids)[slot] = id;
         Some(NotClosed)
     }),
     ("a compartment too many", |p, d| {
@@ -137,7 +141,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         let (core, _) = compartment(p, d);
         p.class_mut(core).compartments.pop();
         let image = &mut p.cores[core];
-        image.ids.pop();
+        Arc::make_mut(&mut image.ids).pop();
         edit_out(&mut image.axons_out, |lists| edit(lists, |lists| drop(lists.pop())));
         Some(NotClosed)
     }),

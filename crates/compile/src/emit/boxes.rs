@@ -32,6 +32,9 @@ use nsim_partition::resources::fan_in::FanIn;
 use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
 use nsim_partition::strategy::lattice;
 
+/// Boxes whose patterns are found side by side.
+const TOGETHER: usize = 1 << 10;
+
 /// The program, each class written once.
 ///
 /// # Errors
@@ -44,15 +47,17 @@ pub fn route_boxes(
 ) -> Result<Program, String> {
     let layers = lattice::layers(network).ok_or("the network does not consist of layers")?;
     let all: Vec<CoreId> = partition.members().ids().collect();
-    let boxes: Vec<Option<BoxOfLayer>> =
-        all.par_iter().map(|&core| BoxOfLayer::holding(network, &layers, &partition.members()[core])).collect();
+    let found = |&core: &CoreId| (core, BoxOfLayer::holding(network, &layers, &partition.members()[core]));
+    // Some boxes at a time, since patterns of all take the memory of their compartments.
+    let boxes = all.chunks(TOGETHER).flat_map(|some| some.par_iter().map(found).collect::<Vec<_>>());
     let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
     let parameters = |core: CoreId| parameters(network, &partition.members()[core]);
-    let patterns = Classes::by_key(all.iter().zip(&boxes).map(|(core, found)| match found {
-        Some(BoxOfLayer { pattern, .. }) => Ok(pattern),
-        None => Err(core),
+    let mut origins: Vec<Option<Vec<Origin>>> = Vec::with_capacity(all.len());
+    let patterns = Classes::by_key(boxes.map(|(core, found)| {
+        let (pattern, of_box) = found.map(|found| (found.pattern, found.origins)).unzip();
+        origins.push(of_box);
+        pattern.ok_or(core)
     }));
-    let origins: Vec<Option<Vec<Origin>>> = boxes.into_iter().map(|found| Some(found?.origins)).collect();
     let of_patterns: Vec<Vec<Compartment>> =
         patterns.firsts.as_slice().par_iter().map(|&core| parameters(core)).collect();
     // A box with other parameters than the first of its pattern is a class by itself.

@@ -135,7 +135,7 @@ impl Bursts<Kept> for KeptBursts<'_> {
 pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping> {
     let one = |front: Front, options: &Options| {
         let mapping = map(front, target, options, rates)?;
-        Ok((mapping.partition.members().clone(), mapping.placement, mapping.placed))
+        Ok((mapping.partition.to_members(), mapping.placement, mapping.placed))
     };
     if let Some(spread) = spread(&front, target, options, rates, one)? {
         return spread.emit(target, options)?.check(target);

@@ -141,7 +141,7 @@ fn counts_and_costs_of_boxes_are_those_of_the_program() {
         let made = placed.emit(&board, &options).unwrap().check(&board).unwrap();
         let (network, placement) = (&made.quantised, &made.placement);
         let chips = row_of_chips(made.partition.cores(), &board);
-        let (members, seats) = (made.partition.members(), made.partition.seats());
+        let (members, seats) = (&made.partition.to_members(), made.partition.seats());
         let exact = nsim_partition::resources::exact::usage(network, members, seats, &chips, board.limits());
         let each = Limits { output_axons: OutputAxons::PerCompartment, ..board.limits().clone() };
         let each = nsim_partition::resources::exact::usage(network, members, seats, &chips, &each);
@@ -204,7 +204,7 @@ fn a_wrong_count_is_found() {
         let used = verify::used(&made.program, &board).unwrap();
         let confirmed = |change: &dyn Fn(&mut IdVec<CoreId, CoreUsage>)| {
             let (network, members, mut usage) =
-                (&made.quantised, made.partition.members().clone(), made.partition.usage().clone());
+                (&made.quantised, made.partition.to_members(), made.partition.usage().clone());
             change(&mut usage);
             verify::confirm(&Partition::new(network.compartments(), members, usage, board.limits()).unwrap(), &used)
         };

@@ -11,6 +11,7 @@ pub mod pruned;
 
 use std::collections::HashMap;
 use std::path::Path;
+use std::sync::Arc;
 
 use crate::mapping::Mapping;
 use crate::mapping_file::pruned::pruned_file;
@@ -72,10 +73,10 @@ pub fn file_of_boxes(
 /// The cores of a file.
 fn cores_of(network: &Quantised, partition: &Partition, placement: &Placement) -> Vec<MappedCore> {
     let population_of = populations_of(network);
-    let mapped = |(core, held): (CoreId, &Vec<CompartmentId>)| {
+    let mapped = |(core, held): (CoreId, &Arc<Vec<CompartmentId>>)| {
         let Site { chip, x, y, core } = placement.site(core);
         let mut holds: Vec<Run> = Vec::new();
-        for &id in held {
+        for &id in held.iter() {
             let (name, index) = population_of(id);
             Run::add(&mut holds, name, index);
         }

@@ -286,7 +286,12 @@ mod tests {
                 formats: vec![format(0, Some(4)), format(3, None)],
                 inputs,
             });
-            cores.push(CoreImage { site: Site { chip: 0, x: core as u32, y: 0, core: 0 }, class, ids, axons_out });
+            cores.push(CoreImage {
+                site: Site { chip: 0, x: core as u32, y: 0, core: 0 },
+                class,
+                ids: ids.into(),
+                axons_out,
+            });
         }
         let mut channels = Csr::default();
         sent[..CHANNELS as usize].iter().for_each(|messages| channels.push(messages.iter().copied()));
@@ -295,7 +300,7 @@ mod tests {
             classes,
             cores: cores.into(),
             channels,
-            seats: seats.into(),
+            seats: std::sync::Arc::new(seats.into()),
             populations: vec![Some(Compartments { first: CompartmentId(0), count: compartments as u32, positions: 1 })]
                 .into(),
             graded: Vec::new(),

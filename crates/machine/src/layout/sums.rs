@@ -76,7 +76,7 @@ impl Sums {
                 }
             }
             sums.apart.resize(program.compartments() as usize, None);
-            for &id in ids {
+            for &id in &**ids {
                 let own = reached.get(&order.population(id)).filter(|own| own.iter().any(|sum| sum.apart.is_some()));
                 let Some(own) = own else { continue };
                 if own.len() > Apart::MOST {

@@ -34,6 +34,7 @@ pub mod sharing;
 pub mod structure;
 pub mod tiles;
 
+use std::borrow::Borrow;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
@@ -195,13 +196,6 @@ fn partition_copies(
         pattern.usage(target).ok_or_else(|| CompileError::fault("a group of copies has no seat for each compartment"))
     };
     let fits = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().all(|used| used.excesses(limits).next().is_none());
-    let on_board = |members: &Members, usage: &IdVec<CoreId, CoreUsage>| match members.len() as u64 {
-        cores if cores > u64::from(target.cores()) => {
-            let of_each = Tightest::of_each(one, target, usage.iter().zip(members.iter()));
-            Err(CompileError::from(Reason::of_mapping(target, copies, cores, of_each)))
-        }
-        _ => Ok(()),
-    };
     let mut pattern = Pattern::repeated(one, members, copies);
     let mut usage = counted_once(&pattern)?;
     if !fits(&usage) {
@@ -222,13 +216,28 @@ fn partition_copies(
                 // Output axons decide, which depend on the chips of all copies, or cores do not
                 // repeat copy by copy.
                 let together = counted(all, together, target).map_err(CompileError::fault)?;
-                return on_board(together.members(), together.usage()).map(|()| together);
+                on_board((one, copies), (together.members(), together.usage()), target)?;
+                return Ok(together);
             }
         }
     }
     let members = pattern.members();
-    on_board(&members, &usage)?;
+    on_board((one, copies), (&members, &usage), target)?;
     Partition::new(all.compartments(), members, usage, limits).map_err(CompileError::fault)
+}
+
+/// Refuses more cores of copies than the target has.
+fn on_board<M: Borrow<Vec<CompartmentId>>>(
+    (one, copies): (&Quantised, u32),
+    (members, usage): (&IdVec<CoreId, M>, &IdVec<CoreId, CoreUsage>),
+    target: &Target,
+) -> Result<()> {
+    let cores = members.len() as u64;
+    if cores > u64::from(target.cores()) {
+        let of_each = Tightest::of_each(one, target, usage.iter().zip(members));
+        return Err(Reason::of_mapping(target, copies, cores, of_each).into());
+    }
+    Ok(())
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
@@ -453,8 +462,8 @@ fn fewest(filler: &Filler<'_>, found: &[Found], rates: &Rates) -> Option<usize> 
 /// Members with what each core uses, counted exactly with cores placed chip by chip; none where a
 /// core exceeds a limit.
 fn within_limits(network: &Quantised, members: Members, target: &Target) -> Option<Found> {
-    let (members, usage) = counted(network, uncounted(members), target).ok()?.into_members();
-    Some(Found { members, fan_out: None, usage: Some(usage) })
+    let partition = counted(network, uncounted(members.clone()), target).ok()?;
+    Some(Found { members, fan_out: None, usage: Some(partition.usage().clone()) })
 }
 
 /// Members of which nothing has been counted.

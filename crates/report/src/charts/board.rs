@@ -176,7 +176,7 @@ fn bars(sheet: &mut Sheet, compiled: &Mapping, target: &Target, top: f64, width:
 pub(crate) fn mostly(compiled: &Mapping, core: CoreId) -> PopulationId {
     let per_copy = compiled.one.populations().len().max(1) as u32;
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();
-    for &id in &compiled.partition.members()[core] {
+    for &id in compiled.partition.members()[core].iter() {
         let (population, _) = compiled.quantised.population_of(id);
         *counts.entry(population.0 % per_copy).or_default() += 1;
     }
