@@ -10,9 +10,8 @@ use serde::Serialize;
 
 use crate::constants::CostTable;
 use crate::deployment::{Deployment, Host};
-use crate::job::Accounting;
 pub use crate::job::Convention;
-use crate::job::Mode;
+use crate::job::{Accounting, Mode};
 use crate::meter::{Distribution, Lane, StepMeter, StepPrice, StepSums};
 use crate::model::{CORE_TIMES, StepTime, energy};
 use crate::quantiles::{Quantiles, Spread};

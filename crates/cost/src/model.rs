@@ -196,9 +196,8 @@ pub(crate) mod tests {
 
     use super::*;
     use crate::constants::tests::{preset, table};
-    use crate::transport::Words;
     use crate::transport::tests::{no_routes, timing};
-    use crate::transport::{QueueMemory, Timing, Transport};
+    use crate::transport::{QueueMemory, Timing, Transport, Words};
 
     /// The time of a step whose messages are not followed.
     fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {

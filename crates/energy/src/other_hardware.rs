@@ -5,8 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::baseline::{Figures, NetworkShape, Work};
-use crate::cpu;
-use crate::cpu::Timed;
+use crate::cpu::{self, Timed};
 use crate::environment::Environment;
 use crate::options::{BaselineSelection, ROOFLINE, Watts};
 use crate::power::{POWERCAP, PackagePower, Power, PowerMeter};

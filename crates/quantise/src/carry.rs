@@ -18,8 +18,7 @@
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
 use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
-use nsim_ir::graph;
-use nsim_ir::graph::{Graph, PopulationKind, ProjectionKind};
+use nsim_ir::graph::{self, Graph, PopulationKind, ProjectionKind};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neurons, Population, Projection};
 
@@ -165,8 +164,7 @@ fn rho(form: &RealForm) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::analytic;
-    use crate::analytic::Fit;
+    use crate::analytic::{self, Fit};
     use crate::exponents::Detail;
     use crate::quantise::{quantise_with, scales};
     use nsim_dynamics::synapses::Enumerate;

@@ -30,8 +30,7 @@ use nsim_ir::base::fixed::{
     WeightBits, WeightExponent,
 };
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
-use nsim_ir::graph;
-use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
+use nsim_ir::graph::{self, Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
 use nsim_ir::neurons::{Conversion, ParameterField};
 use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};

@@ -18,8 +18,7 @@ use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::spikes::{Message, Sample, Spikes, Stimulus};
 use nsim_ir::stimulus::{InputArg, InputSource, SceneArg};
 use nsim_scene as scene;
-use nsim_scene::clock;
-use nsim_scene::clock::Clock;
+use nsim_scene::clock::{self, Clock};
 
 /// Reads or makes the samples of a run; without arguments, those of the model's own scene. Each has
 /// the steps that the model drains.

@@ -21,8 +21,7 @@ use nsim_dynamics::Fields;
 use nsim_files::budget::MOST_ARRAY;
 use nsim_files::text::{read_bytes, sha256};
 use nsim_files::training::CreditDesc;
-use nsim_files::write;
-use nsim_files::write::checksum;
+use nsim_files::write::{self, checksum};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 

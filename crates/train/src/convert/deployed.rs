@@ -4,17 +4,14 @@
 //! [`Integers`], whose ladder leads from the trained network to the machine. Left out on purpose:
 //! the comparison itself (`agree`).
 
-use crate::convert::calibration;
-use crate::convert::calibration::RunInput;
-use crate::convert::search;
-use crate::convert::search::SearchResult;
+use crate::convert::calibration::{self, RunInput};
+use crate::convert::search::{self, SearchResult};
 use nsim_agree::ladder::Ladder;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
-use nsim_quantise::analytic;
-use nsim_quantise::analytic::Fit;
+use nsim_quantise::analytic::{self, Fit};
 use nsim_session::error::Result;
 
 /// How a spike response network becomes integers.

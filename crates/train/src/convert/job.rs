@@ -9,14 +9,12 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use crate::convert::fine_tune::{BestEpoch, Task, Tuned};
-use crate::convert::staged;
-use crate::convert::staged::{Converted, Measured};
+use crate::convert::staged::{self, Converted, Measured};
 use crate::convert::{model_file, resets};
 use crate::fit::Example;
 use crate::plan::plan;
 use nsim_compile::Form;
-use nsim_files::network::Network;
-use nsim_files::network::NetworkFile;
+use nsim_files::network::{Network, NetworkFile};
 use nsim_files::text::sha256;
 use nsim_files::training::TrainingFile;
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};

@@ -6,8 +6,7 @@
 //! analysis where it has none. Deterministic, so that a saved mapping fits the same network again.
 //! Errors: a network that cannot be converted.
 
-use crate::convert::calibration;
-use crate::convert::calibration::RunInput;
+use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::search;
 use nsim_compile::Front;
 use nsim_files::network::Network;

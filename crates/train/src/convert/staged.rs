@@ -8,10 +8,8 @@
 //! integer, all others staying (`agree::ladder`).
 
 use crate::convert::resets;
-use crate::convert::search;
-use crate::convert::search::{Conversion, SearchResult};
-use nsim_agree::attribution;
-use nsim_agree::attribution::{Attribution, Distance, Share};
+use crate::convert::search::{self, Conversion, SearchResult};
+use nsim_agree::attribution::{self, Attribution, Distance, Share};
 use nsim_agree::causes::{Cause, Rung};
 use nsim_agree::compare::output_layer;
 use nsim_agree::ladder::Ladder;
@@ -21,8 +19,7 @@ use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::graph::{Graph, PopulationKind};
 use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::spikes::{Engine, Sample};
-use nsim_quantise::analytic;
-use nsim_quantise::analytic::Fit;
+use nsim_quantise::analytic::{self, Fit};
 use nsim_quantise::exponents::Detail;
 use nsim_session::warnings::widen;
 
