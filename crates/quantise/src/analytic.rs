@@ -46,17 +46,25 @@ pub struct Fit {
 /// The greatest value of a compartment's answer to one spike of weight 1, current and voltage
 /// keeping these shares of themselves in a step.
 pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
+    match early_peak(keep_u, keep_v) {
+        (peak, true) => peak,
+        (_, false) => late_peak(keep_u, keep_v),
+    }
+}
+
+/// The greatest value in the first 100,000 steps, and whether the answer falls after it.
+pub fn early_peak(keep_u: f64, keep_v: f64) -> (f64, bool) {
     let (mut u, mut v) = (1.0, 1.0);
     // The answer rises once and falls for ever.
     for _ in 0..ITERATED {
         u *= keep_u;
         let next = keep_v * v + u;
         if next <= v {
-            return v;
+            return (v, true);
         }
         v = next;
     }
-    late_peak(keep_u, keep_v)
+    (v, false)
 }
 
 /// Steps up to which an answer is computed step by step.

@@ -10,7 +10,7 @@ use super::surrogate::Surrogate;
 use super::trace::{FREE, HELD, SPIKED, Trace};
 use nsim_dynamics::{Fields, Registers, update};
 use nsim_files::training::CreditDesc;
-use nsim_ir::base::fixed::Decay;
+use nsim_quantise::analytic::{early_peak, keep};
 use nsim_reference::kernel::{Alpha, EPSILON, Kernel};
 
 /// The longest kernel in timesteps.
@@ -82,10 +82,9 @@ impl Srm {
 impl Loihi {
     /// Compartments with these fields; a trained weight of 1 counts `weight_unit` units of 64.
     pub fn new(fields: Vec<Fields>, theta: f32, weight_unit: f32, credit: CreditDesc) -> Self {
-        let left = |d: Decay| (f64::from(4096 - d.get()) / 4096.0) as f32;
         let leaves = |f: &Fields| {
-            let (du, dv) = (f.neuron.du, f.neuron.dv);
-            (left(du), left(dv), (1.0 / response_peak(du, dv)) as f32)
+            let (keep_u, keep_v) = (keep(f.neuron.du), keep(f.neuron.dv));
+            (keep_u as f32, keep_v as f32, (1.0 / early_peak(keep_u, keep_v).0) as f32)
         };
         let mut leaves: Vec<_> = fields.iter().map(leaves).collect();
         if theta.is_infinite() {
@@ -100,23 +99,6 @@ impl Loihi {
     pub fn unit(&self) -> f32 {
         64.0 * self.weight_unit / self.leaves.first().map_or(1.0, |leaves| leaves.2)
     }
-}
-
-/// The greatest voltage that an input of 1 in one step leads to, without threshold and rounding.
-pub fn response_peak(du: Decay, dv: Decay) -> f64 {
-    let left = |d: Decay| f64::from(4096 - d.get()) / 4096.0;
-    let (mut u, mut v, mut peak) = (1.0, 1.0, 1.0f64);
-    // The voltage falls once its decay exceeds the current; with both decays at 0 it never falls.
-    for _ in 0..100_000 {
-        u *= left(du);
-        let next = v * left(dv) + u;
-        if next <= v {
-            break;
-        }
-        v = next;
-        peak = peak.max(v);
-    }
-    peak
 }
 
 impl Cells {

@@ -1,6 +1,6 @@
 //! From a training file to a plan whose values are checked to be in range.
 
-use super::cells::{Cells, Loihi, Srm, response_peak};
+use super::cells::{Cells, Loihi, Srm};
 use super::fit::Plan;
 use super::loihi2::Loihi2;
 use super::loss::{Form, Loss};
@@ -14,6 +14,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, ThresholdMantissa, WeightExponent};
 use nsim_ir::neurons::{NeuronKind, Row, Storage};
 use nsim_ir::quantised::Neuron;
+use nsim_quantise::analytic::{early_peak, keep};
 use nsim_reference::kernel::{Alpha, Kernel};
 use nsim_reference::srm::Parameters;
 
@@ -223,7 +224,7 @@ fn cells(
             let mut fields = Vec::with_capacity(n);
             for (u, v) in u.into_iter().zip(v) {
                 let (du, dv) = (problems.field(span, decay_of(u))?, problems.field(span, decay_of(v))?);
-                let threshold = theta * f64::from(mantissas.unit()) * response_peak(du, dv);
+                let threshold = theta * f64::from(mantissas.unit()) * early_peak(keep(du), keep(dv)).0;
                 let vth = match never_spikes {
                     true => ThresholdMantissa::MAX,
                     false => problems.field(span, ThresholdMantissa::new(threshold.round() as i64))?,
