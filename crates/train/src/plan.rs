@@ -128,29 +128,29 @@ fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Lo
     let last = layers.len() - 1;
     let by_potential = matches!(file.loss.value, LossDesc::Potential { .. });
     for (index, layer) in layers.iter().enumerate() {
+        let refused =
+            |message: String, help: &str| Err(problems.at("train.layer", file.layers[index].span, message).help(help));
         let never_spikes = layer.cells.theta().is_infinite();
         if never_spikes && (index < last || !by_potential) {
             let message = format!(
                 "layer '{}' is read out by its potential (theta inf, or Sigma), and what it sends is needed",
                 layer.name
             );
-            return Err(problems.at("train.layer", file.layers[index].span, message).help(
-                "give it a threshold such as theta: 10; only the last layer is read out by its potential, with the \
-                 loss Potential(decision: LastV, temperature: 1)",
-            ));
+            let help = "give it a threshold such as theta: 10; only the last layer is read out by its potential, with \
+                        the loss Potential(decision: LastV, temperature: 1)";
+            return refused(message, help);
         }
         if index == last && matches!(&layer.cells, Cells::Loihi2(loihi2) if loihi2.kind == NeuronKind::SigmaDelta) {
             let message = format!("layer '{}' sends changes, whose number decides nothing", layer.name);
-            return Err(problems.at("train.layer", file.layers[index].span, message).help(
-                "give this layer the neuron Sigma(weight_scale: 64), with the loss Potential(decision: LastV, \
-                 temperature: 64)",
-            ));
+            let help = "give this layer the neuron Sigma(weight_scale: 64), with the loss Potential(decision: LastV, \
+                        temperature: 64)";
+            return refused(message, help);
         }
         if by_potential && index == last && !never_spikes {
             let message = format!("layer '{}' spikes, and a spike resets the potential that is to decide", layer.name);
-            return Err(problems.at("train.layer", file.layers[index].span, message).help(
-                "give this layer a neuron of its own: neuron: Loihi(.., theta: inf), which never spikes, or Sigma(..)",
-            ));
+            let help =
+                "give this layer a neuron of its own: neuron: Loihi(.., theta: inf), which never spikes, or Sigma(..)";
+            return refused(message, help);
         }
     }
     let output = &layers[last].cells;
