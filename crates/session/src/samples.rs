@@ -416,17 +416,8 @@ fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps:
 /// How often each channel and compartment fires over samples, on the golden interpreter: it needs
 /// no mapping.
 pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &'s Sample>) -> Rates {
-    let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
-    let mut engine = Golden::new(network);
-    let mut steps = 0;
-    for sample in samples {
-        engine.begin(sample.steps());
-        for step in 0..sample.steps() {
-            engine.step(sample.input(step));
-            add_spikes(&mut counts, engine.spikes());
-        }
-        add_inputs(&mut counts, sample, sample.steps());
-        steps += u64::from(sample.steps());
-    }
+    let samples: Vec<&Sample> = samples.into_iter().collect();
+    let Run { outcomes, counts, .. } = golden(network, &samples, &Keep::new(network.output()), &|| ());
+    let steps = outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum();
     Rates::profile(counts.channels.as_slice(), counts.compartments.as_slice(), steps)
 }

@@ -13,14 +13,15 @@ use nsim_agree::attribution::{self, Attribution, Distance, Share};
 use nsim_agree::causes::{Cause, Rung};
 use nsim_agree::compare::output_layer;
 use nsim_agree::ladder::Ladder;
-use nsim_golden::Golden;
 use nsim_ir::base::diagnostic::Result;
-use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::graph::{Graph, PopulationKind};
-use nsim_ir::quantised::{Population, Quantised};
-use nsim_ir::spikes::{Engine, Sample};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
 use nsim_quantise::analytic::{self, Fit};
 use nsim_quantise::exponents::Detail;
+use nsim_session::Keep;
+use nsim_session::populations::ByPopulation;
+use nsim_session::samples::golden;
 use nsim_session::warnings::widen;
 
 /// Samples on which overflows are counted, with the slow interpreter.
@@ -248,11 +249,12 @@ fn by_exponents(graph: &Graph) -> Result<Steps> {
 
 /// Each layer of the integers, and what is wrong with it.
 fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<LayerRow> {
-    let clipped = clipped(network, samples);
+    let some = &samples[..samples.len().min(COUNTED)];
+    let sums = ByPopulation::new(network, &golden(network, some, &Keep::new(network.output()), &|| ()).counts);
     let rows = measured.layers.iter().map(|(name, coincidence, spikes)| {
         let target = network.population_named(name);
         let into = target.into_iter().flat_map(|target| network.incoming(target));
-        let clipped = target.map_or(0, |target| clipped[target.index()]);
+        let clipped = sums.populations.iter().find(|row| row.name == *name).map_or(0, |row| row.cut);
         let problem = match (spikes, coincidence, clipped) {
             (0, None, _) => Some("it never fires: nothing to compare; show it input that drives it".to_string()),
             (0, Some(_), _) => Some("its integers never fire where the trained layer does".to_string()),
@@ -263,22 +265,4 @@ fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<La
         LayerRow { name: name.clone(), coincidence: *coincidence, weight_exp, clipped, problem }
     });
     rows.collect()
-}
-
-/// Voltages of each population that are clipped and missed, on the first samples.
-fn clipped(network: &Quantised, samples: &[&Sample]) -> Vec<u64> {
-    let mut engine = Golden::new(network);
-    for sample in samples.iter().take(COUNTED) {
-        engine.begin(sample.steps());
-        for step in 0..sample.steps() {
-            engine.step(sample.input(step));
-        }
-    }
-    let left = engine.left_fields();
-    let of = |population: &Population| {
-        let first = population.first_compartment().map_or(0, |first| first.0);
-        let count = population.first_compartment().map_or(0, |_| population.shape.len());
-        (first..first + count).map(|compartment| left[CompartmentId(compartment)].cut).sum()
-    };
-    network.populations().iter().map(of).collect()
 }
