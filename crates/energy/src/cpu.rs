@@ -19,7 +19,8 @@ use crate::measure::median_least_and_spread;
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;
-use nsim_ir::base::id::{Id, IdVec, PopulationId};
+use nsim_ir::base::depths::depths;
+use nsim_ir::base::id::{Id, PopulationId};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spikes::Sample;
@@ -233,22 +234,12 @@ impl Layer {
 /// Populations in an order in which each comes after its sources; none when they run in a circle.
 fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
     let ids = || network.populations().ids();
-    let mut missing: IdVec<PopulationId, usize> = ids().map(|id| network.incoming(id).count()).collect();
-    let mut now: Vec<PopulationId> = ids().filter(|&id| missing[id] == 0).collect();
-    let mut order = Vec::with_capacity(missing.len());
-    while !now.is_empty() {
-        let mut next = Vec::new();
-        for projection in now.iter().flat_map(|&id| network.outgoing(id)).map(|&p| &network.projections()[p]) {
-            missing[projection.target] -= 1;
-            if missing[projection.target] == 0 {
-                next.push(projection.target);
-            }
-        }
-        next.sort_unstable();
-        order.append(&mut now);
-        now = next;
-    }
-    (order.len() == missing.len()).then_some(order)
+    let sources: Vec<Vec<usize>> =
+        ids().map(|id| network.incoming(id).map(|(_, projection)| projection.source.index()).collect()).collect();
+    let (depths, loops) = depths(&sources, |_| false);
+    let mut order: Vec<PopulationId> = ids().collect();
+    order.sort_by_key(|id| depths[id.index()]);
+    loops.is_empty().then_some(order)
 }
 
 /// Times the dense window over these samples.
