@@ -262,11 +262,6 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
     changed.and_projections(added)
 }
 
-/// The network with Loihi compartments only, by analysis alone.
-pub fn convert(graph: &Graph) -> Graph {
-    with_fits(graph, &starts(graph))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -8,11 +8,6 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::graph::MOST_UNITS;
 use nsim_ir::quantised::{Child, Inconsistent, Parts, Projection, Quantised, Units};
 
-/// The name of a population in copy k.
-pub fn copied_name(name: &str, k: u32) -> String {
-    if k == 0 { name.to_string() } else { format!("{name}@{k}") }
-}
-
 /// This many copies. The output population is that of copy 0.
 ///
 /// # Errors
@@ -48,7 +43,9 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
     for k in 0..n {
         for population in &one.populations {
             let mut copy = population.clone();
-            copy.name = copied_name(&population.name, k);
+            if k > 0 {
+                copy.name = format!("{}@{k}", population.name);
+            }
             match &mut copy.units {
                 Units::Input(first) => *first = ChannelId(first.0 + k * network.channels()),
                 Units::Compartments { first, .. } => *first = CompartmentId(first.0 + k * network.compartments()),

@@ -19,7 +19,7 @@ use nsim_ir::quantised::Quantised;
 /// As [`quantise::quantise`].
 pub fn integers(graph: &Graph) -> Result<Quantised, Diagnostic> {
     match graph.has_srm() {
-        true => quantise::quantise(&analytic::convert(graph)),
+        true => quantise::quantise(&analytic::with_fits(graph, &analytic::starts(graph))),
         false => quantise::quantise(graph),
     }
 }
