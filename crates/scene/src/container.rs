@@ -110,64 +110,31 @@ const CONTAINERS: [Container; 4] = [
     },
 ];
 
-/// The scene's parameters. Each sample draws uniformly from the ranges.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Containers {
-    /// How many samples.
-    pub samples: u32,
-    /// The seed of everything that is drawn.
-    pub seed: u64,
-    /// Largest normal force of each finger, N.
-    pub grip_n: (f64, f64),
-    /// Speed at which each finger closes, m/s.
-    pub closing_m_per_s: (f64, f64),
-    /// When the fingers begin to close, s.
-    pub closing_s: (f64, f64),
-    /// When the lift begins, s.
-    pub lift_s: (f64, f64),
-    /// How far the grasp lies above or below the container's middle, mm.
-    pub grasp_mm: (f64, f64),
-    /// How full a container is beside its level, as a part of the largest fill.
-    pub fill_error: (f64, f64),
-    /// Relative amplitude of the arm's vibration in the grip force while it lifts.
-    pub vibration: (f64, f64),
-    /// Amplitude of the arm's shaking in the picture after contact and while it lifts, mm.
-    pub shake_mm: (f64, f64),
-    /// The taxels.
-    pub skin: Skin,
-    /// The camera's pixels.
-    pub pixels: Pixels,
-    /// The wire that all taxels share; none when each has its own.
-    pub wire: Option<Wire>,
-    /// Events that a channel needs in a bin to spike: the paper's S_min.
-    pub s_min: u32,
-}
-
-impl Default for Containers {
-    fn default() -> Self {
-        Containers {
-            samples: 20,
-            seed: 1,
-            grip_n: (6.7, 7.3),
-            closing_m_per_s: (0.0185, 0.0195),
-            closing_s: (0.0, 0.06),
-            lift_s: (3.95, 4.1),
-            grasp_mm: (-1.5, 1.5),
-            fill_error: (-0.03, 0.03),
-            vibration: (0.001, 0.004),
-            shake_mm: (0.2, 0.4),
-            skin: Skin {
-                threshold_kpa: 0.3,
-                noise_kpa: 0.05,
-                adaptation_ms: 200.0,
-                tick_ms: TICK_MS,
-                ..Skin::default()
-            },
-            pixels: Pixels { noise_hz: 0.01, tick_ms: TICK_MS as u16, ..Pixels::default() },
-            wire: None,
-            s_min: 1,
-        }
+parameters! {
+    "container",
+    /// The scene's parameters. Each sample draws uniformly from the ranges.
+    pub struct Containers {
+        skin: Skin { threshold_kpa: 0.3, noise_kpa: 0.05, adaptation_ms: 200.0, tick_ms: TICK_MS, ..Skin::default() },
+        pixels: Pixels { noise_hz: 0.01, tick_ms: TICK_MS as u16, ..Pixels::default() }
     }
+    /// Largest normal force of each finger, N.
+    grip_n: (f64, f64) = (6.7, 7.3), spread(0.01..=100.0);
+    /// Speed at which each finger closes, m/s.
+    closing_m_per_s: (f64, f64) = (0.0185, 0.0195), spread(0.001..=1.0);
+    /// When the fingers begin to close, s.
+    closing_s: (f64, f64) = (0.0, 0.06), spread(0.0..=10.0);
+    /// When the lift begins, s.
+    lift_s: (f64, f64) = (3.95, 4.1), spread(0.0..=10.0);
+    /// How far the grasp lies above or below the container's middle, mm.
+    grasp_mm: (f64, f64) = (-1.5, 1.5), spread(-50.0..=50.0);
+    /// How full a container is beside its level, as a part of the largest fill.
+    fill_error: (f64, f64) = (-0.03, 0.03), spread(-1.0..=1.0);
+    /// Relative amplitude of the arm's vibration in the grip force while it lifts.
+    vibration: (f64, f64) = (0.001, 0.004), spread(0.0..=1.0);
+    /// Amplitude of the arm's shaking in the picture after contact and while it lifts, mm.
+    shake_mm: (f64, f64) = (0.2, 0.4), spread(0.0..=20.0);
+    /// Events that a channel needs in a bin to spike: the paper's S_min.
+    s_min: u32 = 1, parameter(1..=1000);
 }
 
 /// The class of a sample: every 20 samples in a row show each class once, in drawn order.
@@ -266,19 +233,6 @@ impl Course {
             shaking,
         }
     }
-}
-
-parameters! {
-    "container", Containers, set;
-    grip_n = spread(0.01..=100.0) => set.grip_n,
-    closing_m_per_s = spread(0.001..=1.0) => set.closing_m_per_s,
-    closing_s = spread(0.0..=10.0) => set.closing_s,
-    lift_s = spread(0.0..=10.0) => set.lift_s,
-    grasp_mm = spread(-50.0..=50.0) => set.grasp_mm,
-    fill_error = spread(-1.0..=1.0) => set.fill_error,
-    vibration = spread(0.0..=1.0) => set.vibration,
-    shake_mm = spread(0.0..=20.0) => set.shake_mm,
-    s_min = parameter(1..=1000) => set.s_min,
 }
 
 impl Containers {

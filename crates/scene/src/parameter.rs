@@ -36,27 +36,53 @@ pub(super) fn unknown(scene: &str, key: &str, keys: &[&str]) -> Diagnostic {
         .help(format!("parameters are: {}", keys.join(", ")))
 }
 
-/// Parses a scene's parameters: for each key its reader, its range, and the field it sets. Number
-/// of samples, seed, taxels, pixels and wire are parameters of every scene.
+/// A scene that fingers and a camera record: for each parameter of its own what it means, its type,
+/// its default, its reader and its range. Number of samples, seed, taxels, pixels and wire are
+/// parameters of every such scene.
 macro_rules! parameters {
-    ($name:literal, $scene:ident, $set:ident; $($own:ident = $read:ident($range:expr) => $field:expr,)*) => {
+    (
+        $name:literal, $(#[$about:meta])* pub struct $scene:ident { skin: $skin:expr, pixels: $pixels:expr }
+        $($(#[$of:meta])* $own:ident: $type:ty = $default:expr, $read:ident($range:expr);)*
+    ) => {
+        $(#[$about])*
+        #[derive(Debug, Clone, PartialEq)]
+        pub struct $scene {
+            /// How many samples.
+            pub samples: u32,
+            /// The seed of everything that is drawn.
+            pub seed: u64,
+            $($(#[$of])* pub $own: $type,)*
+            /// The taxels.
+            pub skin: Skin,
+            /// The camera's pixels.
+            pub pixels: Pixels,
+            /// The wire that all taxels share; none when each has its own.
+            pub wire: Option<Wire>,
+        }
+
+        impl Default for $scene {
+            fn default() -> Self {
+                $scene { samples: 20, seed: 1, $($own: $default,)* skin: $skin, pixels: $pixels, wire: None }
+            }
+        }
+
         parameters! {
-            @all $name, $scene, $set;
-            samples = parameter(1..=crate::recording::MOST_SAMPLES) => $set.samples,
-            seed = parameter(0..=u64::MAX) => $set.seed,
-            $($own = $read($range) => $field,)*
-            threshold_kpa = parameter(0.001..=1000.0) => $set.skin.threshold_kpa,
-            touch_noise_kpa = parameter(0.0..=1000.0) => $set.skin.noise_kpa,
-            touch_refractory_ms = parameter(1..=1000) => $set.skin.refractory_ms,
-            adaptation_ms = parameter(1.0..=1e6) => $set.skin.adaptation_ms,
-            contrast = parameter(0.01..=10.0) => $set.pixels.contrast,
-            pixel_refractory_ms = parameter(1..=1000) => $set.pixels.refractory_ms,
-            pixel_noise_hz = parameter(0.0..=100.0) => $set.pixels.noise_hz,
-            aces_noise = parameter(0.0..=10.0) => $set.wire.get_or_insert_default().noise,
-            aces_jitter_us = parameter(0..=crate::wire::MOST_JITTER) => $set.wire.get_or_insert_default().jitter_us,
+            @parse $name, $scene, set;
+            samples = parameter(1..=crate::recording::MOST_SAMPLES) => set.samples,
+            seed = parameter(0..=u64::MAX) => set.seed,
+            $($own = $read($range) => set.$own,)*
+            threshold_kpa = parameter(0.001..=1000.0) => set.skin.threshold_kpa,
+            touch_noise_kpa = parameter(0.0..=1000.0) => set.skin.noise_kpa,
+            touch_refractory_ms = parameter(1..=1000) => set.skin.refractory_ms,
+            adaptation_ms = parameter(1.0..=1e6) => set.skin.adaptation_ms,
+            contrast = parameter(0.01..=10.0) => set.pixels.contrast,
+            pixel_refractory_ms = parameter(1..=1000) => set.pixels.refractory_ms,
+            pixel_noise_hz = parameter(0.0..=100.0) => set.pixels.noise_hz,
+            aces_noise = parameter(0.0..=10.0) => set.wire.get_or_insert_default().noise,
+            aces_jitter_us = parameter(0..=crate::wire::MOST_JITTER) => set.wire.get_or_insert_default().jitter_us,
         }
     };
-    (@all $name:literal, $scene:ident, $set:ident; $($key:ident = $read:ident($range:expr) => $field:expr,)*) => {
+    (@parse $name:literal, $scene:ident, $set:ident; $($key:ident = $read:ident($range:expr) => $field:expr,)*) => {
         impl $scene {
             /// The parameters that can be set.
             pub const KEYS: &[&str] = &[$(stringify!($key)),*];

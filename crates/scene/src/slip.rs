@@ -38,87 +38,36 @@ const PIXEL_MM: f64 = 0.6;
 /// Bricks of the box, across and down.
 const BRICKS: (usize, usize) = (2, 2);
 
-/// The scene's parameters. Each sample draws uniformly from the ranges.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Slip {
-    /// How many samples.
-    pub samples: u32,
-    /// The seed of everything that is drawn.
-    pub seed: u64,
-    /// Mass of the box, kg; both classes weigh the same.
-    pub mass_kg: (f64, f64),
-    /// Normal force of each finger, N.
-    pub grip_n: (f64, f64),
-    /// Coefficient of static friction.
-    pub friction: (f64, f64),
-    /// Torque of gravity over the torque that friction bears, for grasps that hold.
-    pub stable_ratio: (f64, f64),
-    /// The same for grasps that slide.
-    pub slip_ratio: (f64, f64),
-    /// When the lift begins, ms.
-    pub lift_ms: (f64, f64),
-    /// Acceleration of the lift, m/s^2.
-    pub lift_m_per_s2: (f64, f64),
-    /// Relative amplitude of the arm's vibration in the grip force while it lifts.
-    pub vibration: (f64, f64),
-    /// Relative standard deviation of the pressure that full sliding causes.
-    pub chatter: (f64, f64),
-    /// Relative relief of the surface in the pressure.
-    pub relief: (f64, f64),
-    /// Part of the skin's shear stress that a taxel senses; 0 leaves it at pressure.
-    pub shear: f64,
-    /// Width of an edge in the picture by the blur of the lens, pixels.
-    pub edge_px: f64,
-    /// Amplitude of the flicker of the lamps at 100 Hz in the natural logarithm of brightness.
-    pub flicker: f64,
-    /// The taxels.
-    pub skin: Skin,
-    /// The camera's pixels.
-    pub pixels: Pixels,
-    /// The wire that all taxels share; none when each has its own.
-    pub wire: Option<Wire>,
-}
-
-impl Default for Slip {
-    fn default() -> Self {
-        Slip {
-            samples: 20,
-            seed: 1,
-            mass_kg: (0.11, 0.13),
-            grip_n: (1.2, 1.8),
-            friction: (0.7, 0.9),
-            stable_ratio: (0.0, 0.35),
-            slip_ratio: (1.25, 1.75),
-            lift_ms: (2.0, 8.0),
-            lift_m_per_s2: (1.5, 3.0),
-            vibration: (0.02, 0.09),
-            chatter: (0.01, 0.035),
-            relief: (0.05, 0.2),
-            shear: 0.0,
-            edge_px: 1.0,
-            flicker: 0.0,
-            skin: Skin::default(),
-            pixels: Pixels::default(),
-            wire: None,
-        }
-    }
-}
-
 parameters! {
-    "slip", Slip, slip;
-    mass_kg = spread(0.001..=10.0) => slip.mass_kg,
-    grip_n = spread(0.01..=100.0) => slip.grip_n,
-    friction = spread(0.01..=5.0) => slip.friction,
-    stable_ratio = spread(0.0..=10.0) => slip.stable_ratio,
-    slip_ratio = spread(0.0..=10.0) => slip.slip_ratio,
-    lift_ms = spread(0.0..=1000.0) => slip.lift_ms,
-    lift_m_per_s2 = spread(0.01..=100.0) => slip.lift_m_per_s2,
-    vibration = spread(0.0..=1.0) => slip.vibration,
-    chatter = spread(0.0..=1.0) => slip.chatter,
-    relief = spread(0.0..=1.0) => slip.relief,
-    shear = parameter(0.0..=1.0) => slip.shear,
-    edge_px = parameter(1.0..=20.0) => slip.edge_px,
-    flicker = parameter(0.0..=1.0) => slip.flicker,
+    "slip",
+    /// The scene's parameters. Each sample draws uniformly from the ranges.
+    pub struct Slip { skin: Skin::default(), pixels: Pixels::default() }
+    /// Mass of the box, kg; both classes weigh the same.
+    mass_kg: (f64, f64) = (0.11, 0.13), spread(0.001..=10.0);
+    /// Normal force of each finger, N.
+    grip_n: (f64, f64) = (1.2, 1.8), spread(0.01..=100.0);
+    /// Coefficient of static friction.
+    friction: (f64, f64) = (0.7, 0.9), spread(0.01..=5.0);
+    /// Torque of gravity over the torque that friction bears, for grasps that hold.
+    stable_ratio: (f64, f64) = (0.0, 0.35), spread(0.0..=10.0);
+    /// The same for grasps that slide.
+    slip_ratio: (f64, f64) = (1.25, 1.75), spread(0.0..=10.0);
+    /// When the lift begins, ms.
+    lift_ms: (f64, f64) = (2.0, 8.0), spread(0.0..=1000.0);
+    /// Acceleration of the lift, m/s^2.
+    lift_m_per_s2: (f64, f64) = (1.5, 3.0), spread(0.01..=100.0);
+    /// Relative amplitude of the arm's vibration in the grip force while it lifts.
+    vibration: (f64, f64) = (0.02, 0.09), spread(0.0..=1.0);
+    /// Relative standard deviation of the pressure that full sliding causes.
+    chatter: (f64, f64) = (0.01, 0.035), spread(0.0..=1.0);
+    /// Relative relief of the surface in the pressure.
+    relief: (f64, f64) = (0.05, 0.2), spread(0.0..=1.0);
+    /// Part of the skin's shear stress that a taxel senses; 0 leaves it at pressure.
+    shear: f64 = 0.0, parameter(0.0..=1.0);
+    /// Width of an edge in the picture by the blur of the lens, pixels.
+    edge_px: f64 = 1.0, parameter(1.0..=20.0);
+    /// Amplitude of the flicker of the lamps at 100 Hz in the natural logarithm of brightness.
+    flicker: f64 = 0.0, parameter(0.0..=1.0);
 }
 
 impl Slip {
@@ -146,7 +95,7 @@ impl Slip {
 
     /// How a sample is grasped, and what the box does.
     pub fn course(&self, sample: u32) -> (Grasp, Motion) {
-        let grasp = grasp(self, self.seed, sample);
+        let grasp = grasp(self, sample);
         let motion = follow(&grasp, BEFORE_MS, STEPS);
         (grasp, motion)
     }
@@ -159,10 +108,10 @@ pub fn label(seed: u64, sample: u32) -> u32 {
 }
 
 /// The grasp of a sample.
-fn grasp(slip: &Slip, seed: u64, sample: u32) -> Grasp {
-    let draws = Draws::new(seed, sample);
+fn grasp(slip: &Slip, sample: u32) -> Grasp {
+    let draws = Draws::new(slip.seed, sample);
     let draw = |index, range| draws.between(Purpose::Grasp, index, range);
-    let slides = label(seed, sample) == 1;
+    let slides = label(slip.seed, sample) == 1;
     let mut grasp = Grasp {
         mass_kg: draw(0, slip.mass_kg),
         offset_m: 0.0,
