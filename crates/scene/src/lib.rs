@@ -26,17 +26,8 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_ir::stimulus::SceneArg;
 
-/// The scenes that ship, by name and what they are.
-pub const SCENES: [(&str, &str); 4] = [
-    (clock::NAME, "a channel for each part of a sample, for one population beside the sources of others (span)"),
-    (
-        "container",
-        "a gripper closes on one of four containers with one of five fills, and lifts it (samples, seed, and \
-         docs/scenes.md)",
-    ),
-    ("noise", "independent spikes at a fixed rate (samples, steps, seed, rate, POPULATION=rate)"),
-    ("slip", "a gripper lifts a box, which rotates or does not (samples, seed, and docs/scenes.md)"),
-];
+/// The names of the scenes that ship.
+pub const SCENES: [&str; 4] = [clock::NAME, "container", "noise", "slip"];
 
 /// Makes a scene for a network.
 ///
@@ -116,7 +107,7 @@ impl Recorded {
                 "nsim run MODEL --input touch=recordings --input phase=scene:clock?span=13",
             )),
             other => {
-                let known = SCENES.map(|(name, _)| name).join(", ");
+                let known = SCENES.join(", ");
                 Err(unknown(&format!("there is no scene '{other}'"), &format!("scenes are: {known}")))
             }
         }

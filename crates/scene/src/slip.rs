@@ -272,16 +272,16 @@ struct Pose {
     table: f32,
 }
 
-/// What is in the picture: brightness as a natural logarithm.
+/// Brightness of what is behind the box, as a natural logarithm.
+const WALL: f32 = 0.0;
+const TABLE: f32 = -0.5;
+
+/// What is in the picture.
 struct Look {
     /// The box's left, top, and a brick's width and height, in px from the grasp.
     left: f32,
     top: f32,
     brick: (f32, f32),
-    /// Bricks with a frame of the wall around.
-    cells: [[f32; BRICKS.0 + 2]; BRICKS.1 + 2],
-    wall: f32,
-    table: f32,
     /// Pixels that an edge is wide.
     edge: f32,
 }
@@ -294,12 +294,14 @@ impl Look {
         let (dx, dy) = (px - pose.x, py - pose.y);
         let u = (pose.cos * dx + pose.sin * dy - self.left) / self.brick.0;
         let v = (pose.cos * dy - pose.sin * dx - self.top) / self.brick.1;
-        let behind = self.wall + (self.table - self.wall) * ((py - pose.table) / self.edge + 0.5).clamp(0.0, 1.0);
+        let behind = WALL + (TABLE - WALL) * ((py - pose.table) / self.edge + 0.5).clamp(0.0, 1.0);
         let (column, across) = cell(u, self.brick.0 / self.edge, BRICKS.0);
         let (row, down) = cell(v, self.brick.1 / self.edge, BRICKS.1);
         let look = |r: usize, c: usize| {
             let outside = r == 0 || c == 0 || r > BRICKS.1 || c > BRICKS.0;
-            if outside { behind } else { self.cells[r][c] }
+            // The same box in every sample: its bricks are lighter or darker by turns.
+            let brick = if (r + c).is_multiple_of(2) { 0.4 } else { 0.65 };
+            if outside { behind } else { brick }
         };
         let upper = look(row, column) + (look(row, column + 1) - look(row, column)) * across;
         if down == 0.0 {
@@ -319,21 +321,12 @@ fn cell(place: f32, pixels: f32, bricks: usize) -> (usize, f32) {
 
 impl Look {
     fn draw(draws: Draws, edge_px: f64) -> (Look, f32, f32) {
-        let cells = std::array::from_fn(|r| {
-            std::array::from_fn(|c| {
-                // The same box in every sample: its bricks are lighter or darker by turns.
-                if (r + c) % 2 == 0 { 0.4 } else { 0.65 }
-            })
-        });
         let (width, height) = (SIZE_M.0 * 1e3 / PIXEL_MM, SIZE_M.1 * 1e3 / PIXEL_MM);
         let jitter = |k| draws.between(Purpose::Look, k, (-4.0, 4.0));
         let look = Look {
             left: (-0.5 * width + jitter(0)) as f32,
             top: (-0.5 * height + jitter(1)) as f32,
             brick: ((width / BRICKS.0 as f64) as f32, (height / BRICKS.1 as f64) as f32),
-            cells,
-            wall: 0.0,
-            table: -0.5,
             edge: edge_px as f32,
         };
         (look, 100.0, 110.0)
