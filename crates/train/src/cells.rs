@@ -472,7 +472,6 @@ mod tests {
 
     #[test]
     fn an_srm_neuron_rests_behind_a_spike() {
-        let Cells::Srm(_) = cells(SRM, 1) else { panic!() };
         for neuron in [SRM, CUT_OFF] {
             let cells = cells(neuron, 1);
             let mut drive = vec![0.0; 30];

@@ -93,7 +93,10 @@ fn layer(layer: &Layer) -> Value {
         }),
         Cells::Loihi(loihi) => json!({
             "kind": "loihi", "fields": loihi.fields.iter().map(fields).collect::<Vec<_>>(), "leaves": loihi.leaves,
-            "theta": loihi.theta, "weight_unit": loihi.weight_unit, "credit": credit(loihi.credit),
+            "theta": loihi.theta, "weight_unit": loihi.weight_unit, "credit": match loihi.credit {
+                CreditDesc::Slayer => "slayer",
+                CreditDesc::UpToReset => "up-to-reset",
+            },
         }),
         Cells::Loihi2(loihi2) => json!({
             "kind": loihi2.kind.name(), "rows": loihi2.rows, "turns": loihi2.turns, "theta": loihi2.theta,
@@ -108,13 +111,6 @@ fn layer(layer: &Layer) -> Value {
         "mantissas": layer.mantissas.map(|mantissas| (mantissas.scale, mantissas.exponent.get())),
         "surrogate": layer.surrogate.numbers(),
     })
-}
-
-fn credit(credit: CreditDesc) -> &'static str {
-    match credit {
-        CreditDesc::Slayer => "slayer",
-        CreditDesc::UpToReset => "up-to-reset",
-    }
 }
 
 /// The numbers of a compartment.

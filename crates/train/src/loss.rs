@@ -187,7 +187,7 @@ mod tests {
 
     fn output() -> Trace {
         let spikes = Raster::from_events(2, 4, vec![(0, 0), (1, 0), (3, 0), (2, 1)]);
-        Trace::of_stand_in(vec![3.0, -1.0, 5.0, 2.0, 5.0, 6.0, -2.0, 4.0], spikes)
+        Trace { potential: vec![3.0, -1.0, 5.0, 2.0, 5.0, 6.0, -2.0, 4.0], spikes, ..Trace::default() }
     }
 
     fn loss(form: Form) -> (f64, Vec<f32>) {

@@ -4,11 +4,9 @@
 /// `rho(u) = scale / (tau * theta) * exp(-|u - theta| / (tau * theta))`.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Surrogate {
-    /// Threshold.
     theta: f32,
     /// `1 / (tau * theta)`.
     steepness: f32,
-    /// `scale`.
     scale: f32,
 }
 

@@ -20,11 +20,3 @@ pub struct Trace {
     /// Spikes.
     pub spikes: Raster,
 }
-
-impl Trace {
-    /// The trace of another network in place of these neurons; potentials are `[step][neuron]`.
-    pub fn of_stand_in(potential: Vec<f32>, spikes: Raster) -> Trace {
-        // Credit of spike response neurons does not depend on what a neuron did.
-        Trace { potential, spikes, ..Trace::default() }
-    }
-}

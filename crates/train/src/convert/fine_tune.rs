@@ -30,6 +30,7 @@ use crate::convert::staged::Measured;
 use crate::fit::{Example, Forward, Plan};
 use crate::network::{Deployed, Source, Weights, Workspace};
 use crate::raster::Raster;
+use crate::trace::Trace as TrainedTrace;
 use nsim_agree::causes::Rung;
 use nsim_agree::compare::output_layer;
 use nsim_agree::ladder::Ladder;
@@ -361,7 +362,7 @@ impl Task {
         let one = |example: &Example| {
             let trace = ladder.run(Rung::MACHINE, &sample(&example.inputs), false);
             let mut error = vec![0.0; (trace.steps as usize + 1) * output.count as usize];
-            let spikes = crate::trace::Trace::of_stand_in(Vec::new(), raster(&trace, &output));
+            let spikes = TrainedTrace { spikes: raster(&trace, &output), ..TrainedTrace::default() };
             let loss = self.plan.loss.evaluate(&spikes, example.label, &mut error);
             step();
             (loss, trace.class(&output) == Some(example.label))
@@ -438,7 +439,9 @@ impl<F: Fn() + Sync> Forward for Integers<'_, F> {
         let each = self.task.layers.iter().zip(&self.task.plan.topology.layers).zip(&mut work.traces);
         for ((layer, trained), kept) in each {
             let theta = trained.cells.theta();
-            *kept = crate::trace::Trace::of_stand_in(potentials(&trace, layer, theta), raster(&trace, layer));
+            // Credit of spike response neurons does not depend on what a neuron did.
+            let (potential, spikes) = (potentials(&trace, layer, theta), raster(&trace, layer));
+            *kept = TrainedTrace { potential, spikes, ..TrainedTrace::default() };
         }
         (self.shown)();
     }
