@@ -11,8 +11,7 @@ use crate::published::scenario::ScenarioFile;
 use nsim_compile::{Mapping, Options, compile};
 use nsim_cost::estimate::{Case, Convention, EnergyRow, FigureSource, estimate};
 use nsim_cost::job::Mode;
-use nsim_cost::{CostTable, Deployment, HostWork, MeterSettings};
-use nsim_ir::base::units::Picoseconds;
+use nsim_cost::{CostTable, Deployment, HostWork};
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Resource;
@@ -50,12 +49,7 @@ pub fn rows(
     let compiled = mapped(&workload.compiled.one, scenario, target)?;
     let deployment = Deployment::from_numbers("paper", scenario.deployment.value, target, scenario.copies.value, work);
     let metered = Metered::new(&compiled);
-    let settings = MeterSettings::new(
-        vec![CostTable::new(&target.constants()[0])?],
-        deployment.timing(options.transport, 1),
-        metered.routes.clone(),
-        Picoseconds::from_milliseconds(compiled.one.parts().timestep_ms),
-    );
+    let settings = metered.settings(vec![CostTable::new(&target.constants()[0])?], &deployment, options.transport);
     let samples = workload.samples();
     let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
     let case = Case {

@@ -4,7 +4,6 @@ use nsim_compile::Mapping;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use nsim_ir::base::id::CompartmentId;
-use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::spikes::{Copies, Sample, Stimulus};
@@ -71,8 +70,7 @@ impl<'j> Workload<'j> {
 
     /// What its steps are metered under: sums alone.
     pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
-        let timestep = Picoseconds::from_milliseconds(self.compiled.one.parts().timestep_ms);
-        MeterSettings::new(tables, deployment.timing(transport, self.copies), self.metered.routes.clone(), timestep)
+        self.metered.settings(tables, deployment, transport)
     }
 
     /// Timesteps of a sample; `None` when samples differ.

@@ -110,12 +110,17 @@ impl<'c> Metered<'c> {
     /// # Errors
     /// As [`Self::offline`].
     pub fn offline_with(&self, target: &Target, work: HostWork) -> Result<(MeterSettings, Deployment)> {
-        let Mapping { placement, options, one, .. } = self.compiled;
+        let Mapping { placement, options, .. } = self.compiled;
         let deployment = Deployment::from_placement(options.placement.name(), placement, target, options.copies, work);
         let tables = vec![CostTable::new(&target.constants()[0])?];
-        let timing = deployment.timing(Transport::default(), options.copies);
+        Ok((self.settings(tables, &deployment, Transport::default()), deployment))
+    }
+
+    /// What steps are metered under by these presets and a deployment: sums alone.
+    pub fn settings(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
+        let Mapping { options, one, .. } = self.compiled;
         let timestep = Picoseconds::from_milliseconds(one.parts().timestep_ms);
-        Ok((MeterSettings::new(tables, timing, self.routes.clone(), timestep), deployment))
+        MeterSettings::new(tables, deployment.timing(transport, options.copies), self.routes.clone(), timestep)
     }
 
     /// Copies that are run, which do what all do.
