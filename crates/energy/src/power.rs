@@ -78,6 +78,14 @@ impl Rapl {
         };
         self.zones.iter().zip(before).zip(after).map(spent).sum()
     }
+
+    /// Runs something; its mean power in mW, or why the counters cannot be read.
+    fn power_mw<T>(&self, run: impl FnOnce() -> T) -> (T, Result<f64, String>) {
+        let (before, begin) = (self.read(), Instant::now());
+        let out = run();
+        let (after, took) = (self.read(), begin.elapsed().as_secs_f64().max(1e-9));
+        (out, before.and_then(|before| Ok(self.between(&before, &after?) as f64 / took / 1e3)))
+    }
 }
 
 /// What a whole package is assumed to draw, and how many threads share it when it is busy.
@@ -147,10 +155,7 @@ impl PowerMeter {
     pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
         let counted = || -> Result<PowerMeter, String> {
             let rapl = Rapl::open(tree)?;
-            let (before, begin) = (rapl.read()?, Instant::now());
-            std::thread::sleep(idle);
-            let (after, took) = (rapl.read()?, begin.elapsed());
-            let idle_mw = rapl.between(&before, &after) as f64 / took.as_secs_f64() / 1e3;
+            let idle_mw = rapl.power_mw(|| std::thread::sleep(idle)).1?;
             Ok(PowerMeter::Counted { rapl, idle_mw })
         };
         match stated {
@@ -173,18 +178,10 @@ impl PowerMeter {
                 (run(), power(idle_mw, busy_mw, FigureSource::Assumed))
             }
             PowerMeter::Counted { rapl, idle_mw } => {
-                let (before, begin) = (rapl.read(), Instant::now());
-                let out = run();
-                let (after, took) = (rapl.read(), begin.elapsed().as_secs_f64().max(1e-9));
-                let found = match (before, after) {
-                    (Ok(before), Ok(after)) => {
-                        let busy_mw = rapl.between(&before, &after) as f64 / took / 1e3;
-                        power(*idle_mw, busy_mw, FigureSource::Measured)
-                    }
-                    // Counters that were there a moment ago: take what they said last.
-                    _ => power(*idle_mw, *idle_mw, FigureSource::Assumed),
-                };
-                (out, found)
+                let (out, busy_mw) = rapl.power_mw(run);
+                // Counters that were there a moment ago: take what they said last.
+                let said_last = |_| power(*idle_mw, *idle_mw, FigureSource::Assumed);
+                (out, busy_mw.map_or_else(said_last, |busy_mw| power(*idle_mw, busy_mw, FigureSource::Measured)))
             }
         }
     }
