@@ -310,16 +310,7 @@ impl Look {
         let lower = look(row + 1, column) + (look(row + 1, column + 1) - look(row + 1, column)) * across;
         upper + (lower - upper) * down
     }
-}
 
-/// The cell before a place given in bricks, and how much of the next one the pixel sees.
-#[inline]
-fn cell(place: f32, pixels: f32, bricks: usize) -> (usize, f32) {
-    let nearest = (place.clamp(0.0, bricks as f32) + 0.5) as usize;
-    (nearest, ((place - nearest as f32) * pixels + 0.5).clamp(0.0, 1.0))
-}
-
-impl Look {
     fn draw(draws: Draws, edge_px: f64) -> (Look, f32, f32) {
         let (width, height) = (SIZE_M.0 * 1e3 / PIXEL_MM, SIZE_M.1 * 1e3 / PIXEL_MM);
         let jitter = |k| draws.between(Purpose::Look, k, (-4.0, 4.0));
@@ -355,6 +346,13 @@ impl Look {
             line((0.0, pose.table), (WIDTH as f32, pose.table), reach, near);
         }
     }
+}
+
+/// The cell before a place given in bricks, and how much of the next one the pixel sees.
+#[inline]
+fn cell(place: f32, pixels: f32, bricks: usize) -> (usize, f32) {
+    let nearest = (place.clamp(0.0, bricks as f32) + 0.5) as usize;
+    (nearest, ((place - nearest as f32) * pixels + 0.5).clamp(0.0, 1.0))
 }
 
 /// The pixels near a line, those within `reach` of where it crosses a row or a column.

@@ -16,6 +16,8 @@
 use super::draw::{Draws, Purpose};
 use super::touch::TAXELS;
 
+/// Channels of touch: falls and rises of the taxels of two fingers.
+const CHANNELS: u32 = 4 * TAXELS as u32;
 /// Pulses of a signature.
 const PULSES: usize = 10;
 /// Slots of a signature, and of a millisecond.
@@ -71,20 +73,16 @@ impl Wire {
         end_ms: u32,
         draws: Draws,
     ) -> (Vec<(u32, u32)>, Option<Carried>) {
-        match wire {
-            None => (events, None),
-            Some(wire) => {
-                let (decoded, carried) = wire.carry(&events, 4 * TAXELS as u32, end_ms, draws);
-                (decoded, Some(carried))
-            }
-        }
+        let Some(wire) = wire else { return (events, None) };
+        let (decoded, carried) = wire.carry(&events, end_ms, draws);
+        (decoded, Some(carried))
     }
 
     /// Sends events, (ms, channel), over `end_ms` and decodes them in order of time and channel.
-    pub fn carry(&self, events: &[(u32, u32)], channels: u32, end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
+    pub fn carry(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
         let seen = self.seen(events, end_ms, draws);
         let mut reported = Vec::new();
-        for channel in 0..channels {
+        for channel in 0..CHANNELS {
             let mut free = 0;
             let mut run: Option<(usize, usize)> = None;
             let mut end = |run: (usize, usize)| {
@@ -110,7 +108,7 @@ impl Wire {
             run.into_iter().for_each(&mut end);
         }
         reported.sort_unstable();
-        let carried = compared(events, &reported, channels);
+        let carried = compared(events, &reported);
         (reported, carried)
     }
 
@@ -164,9 +162,9 @@ fn matches<'a>(seen: &'a [u64], signature: &'a [usize; PULSES]) -> impl Iterator
 }
 
 /// Each report takes the first event of its channel that it is within a millisecond of.
-fn compared(sent: &[(u32, u32)], reported: &[(u32, u32)], channels: u32) -> Carried {
+fn compared(sent: &[(u32, u32)], reported: &[(u32, u32)]) -> Carried {
     let of = |events: &[(u32, u32)]| {
-        let mut times = vec![Vec::new(); channels as usize];
+        let mut times = vec![Vec::new(); CHANNELS as usize];
         for &(ms, channel) in events {
             times[channel as usize].push(ms);
         }
@@ -212,11 +210,11 @@ mod tests {
     fn sparse_events_on_a_quiet_wire_all_arrive_once() {
         let sent = events(156, 60, 0.01);
         assert!(sent.len() > 50);
-        let (reported, carried) = Wire { noise: 0.0, jitter_us: 0 }.carry(&sent, 156, 60, Draws::new(1, 0));
+        let (reported, carried) = Wire { noise: 0.0, jitter_us: 0 }.carry(&sent, 60, Draws::new(1, 0));
         assert_eq!((reported, carried), (sent.clone(), Carried { sent: sent.len() as u64, ..Carried::default() }));
-        let (_, jittered) = Wire { noise: 0.1, jitter_us: 1 }.carry(&sent, 156, 60, Draws::new(1, 0));
+        let (_, jittered) = Wire { noise: 0.1, jitter_us: 1 }.carry(&sent, 60, Draws::new(1, 0));
         assert_eq!((jittered.missed, jittered.added), (0, 0));
-        assert_eq!(Wire { noise: 0.0, jitter_us: 0 }.carry(&[], 156, 60, Draws::new(1, 0)).0, []);
+        assert_eq!(Wire { noise: 0.0, jitter_us: 0 }.carry(&[], 60, Draws::new(1, 0)).0, []);
     }
 
     /// The decoder's words of bits against counting every pulse of every signature at every slot.
@@ -243,9 +241,8 @@ mod tests {
 
     #[test]
     fn noise_and_crowds_cost_events() {
-        let carried = |noise: f64, rate: f64| {
-            Wire { noise, jitter_us: 1 }.carry(&events(156, 40, rate), 156, 40, Draws::new(1, 0)).1
-        };
+        let carried =
+            |noise: f64, rate: f64| Wire { noise, jitter_us: 1 }.carry(&events(156, 40, rate), 40, Draws::new(1, 0)).1;
         let errors = |carried: Carried| (carried.missed + carried.added) as f64 / carried.sent as f64;
         let (quiet, noisy, crowded) = (carried(0.1, 0.02), carried(0.4, 0.02), carried(0.1, 0.9));
         assert!(
