@@ -22,10 +22,10 @@ use nsim_ir::neurons::Family;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Quantised};
 use nsim_ir::spikes::Sample;
-use nsim_session::accuracy_when_decided;
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
 use nsim_session::samples::Run;
+use nsim_session::{Outcome, share_right};
 
 /// The deployment of a model, as far as it is known before mapping.
 #[derive(Debug)]
@@ -199,7 +199,8 @@ pub fn evaluate(
     }
     energy.seed = workload.seed;
     energy.input.clone_from(&workload.origin);
-    let right = accuracy_when_decided(&run.outcomes, workload.samples().into_iter().map(Sample::label));
+    let labels = workload.samples().into_iter().map(Sample::label);
+    let right = share_right(&run.outcomes, labels, Outcome::class_when_decided);
     energy.comparison.per_decision = Some(per_decision(rule, &case, &run.outcomes, right));
     energy.job.clone_from(&plan.shipped);
     energy.early_exit = options.early_exit.map(|rule| saved(rule, &case, &run.outcomes));

@@ -298,12 +298,8 @@ pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u3
     share_right(outcomes, labels, Outcome::class)
 }
 
-/// The same of the classes when samples were decided.
-pub fn accuracy_when_decided(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
-    share_right(outcomes, labels, Outcome::class_when_decided)
-}
-
-fn share_right(
+/// The same of these classes.
+pub fn share_right(
     outcomes: &[Outcome],
     labels: impl IntoIterator<Item = Option<u32>>,
     class: impl Fn(&Outcome) -> Option<u32>,
