@@ -31,11 +31,6 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// When the model cannot be read, is one that no command would run, or has parts that NIR has no
-/// form for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let has = |other: &str| args.output.extension().is_some_and(|extension| extension.eq_ignore_ascii_case(other));
     let (kind, parts, path) = match (has("nir"), has("net")) {

@@ -107,11 +107,6 @@ impl Args {
     }
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// When the file cannot be read, is of no kind that is imported, or holds what nsim has no
-/// counterpart for.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
     if !changes::of_process().is_empty() {

@@ -103,11 +103,7 @@ pub struct MapArgs {
     pub output: Option<PathBuf>,
 }
 
-/// Runs `nsim map`.
-///
-/// # Errors
-/// When an input cannot be used, a file cannot be written, or nsim contradicts itself. Not fitting
-/// is an answer.
+/// Not fitting is an answer.
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;

@@ -5,28 +5,28 @@
 //! wrong usage; 3 an input cannot be read or is not supported; 4 a fault of nsim itself; 130 and
 //! 143 ended by SIGINT, SIGTERM.
 
-pub mod agree;
+mod agree;
 pub mod args;
-pub mod bench;
-pub mod compare;
-pub mod context;
-pub mod convert;
-pub mod diagnostics;
-pub mod energy;
-pub mod export;
-pub mod import;
-pub mod inspect;
-pub mod map;
-pub mod output;
-pub mod plot;
-pub mod probes;
-pub mod process;
-pub mod report;
-pub mod run;
-pub mod scene;
-pub mod stress;
-pub mod sweep;
-pub mod train;
+mod bench;
+mod compare;
+mod context;
+mod convert;
+mod diagnostics;
+mod energy;
+mod export;
+mod import;
+mod inspect;
+mod map;
+mod output;
+mod plot;
+mod probes;
+mod process;
+mod report;
+mod run;
+mod scene;
+mod stress;
+mod sweep;
+mod train;
 
 use std::ffi::OsString;
 use std::process::ExitCode;

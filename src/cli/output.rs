@@ -81,9 +81,6 @@ pub fn picture_bytes(path: &Path, svg: &str) -> Result<Vec<u8>, Error> {
 }
 
 /// Writes a picture as what its name says.
-///
-/// # Errors
-/// As [`picture_bytes`]; when the file cannot be written.
 pub fn write_picture(path: &Path, svg: &str, context: Context) -> Result<(), Error> {
     let bytes = picture_bytes(path, svg)?;
     Ok(io::write::file(path, context.force, |out| out.write_all(&bytes))?)
@@ -206,9 +203,6 @@ pub fn warn_of_debug_build(environment: &Environment) {
 
 /// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section
 /// shows, by its name.
-///
-/// # Errors
-/// [`Error`] when the document has no such section or cannot be written.
 pub fn update_section(
     path: &Path,
     mark: &str,

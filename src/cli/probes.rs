@@ -164,9 +164,6 @@ impl ProbeArgs {
 
     /// Writes the recordings, in steps of `dt_ms`, without the last steps, which
     /// drain, under temporary names; returns the files.
-    ///
-    /// # Errors
-    /// When a file cannot be written.
     pub fn write(
         &self,
         probes: &[NamedProbe],

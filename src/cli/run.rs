@@ -100,10 +100,6 @@ pub struct Args {
     neurobench: bool,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if args.early_exit.is_some() && !args.probes.probe.is_empty() {
         let message = "--probe records every step of a sample, --early-exit leaves some off: use one of them";

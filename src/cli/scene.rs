@@ -65,10 +65,6 @@ pub struct Args {
 /// Folds of the manifest's cross-validation, as the paper has them.
 const FOLDS: usize = 5;
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] for an unknown scene or parameter, and when a file cannot be written.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let mut argument = SceneArg::parse(args.name.strip_prefix("scene:").unwrap_or(&args.name))?;
     let given = [("samples", args.samples.map(u64::from)), ("seed", args.seed)];

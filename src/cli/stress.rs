@@ -31,10 +31,7 @@ fn case(name: &str) -> Result<&'static Case, String> {
     })
 }
 
-/// The command; the answer is no when a case fails.
-///
-/// # Errors
-/// [`Error`] when stdout cannot be written.
+/// The answer is no when a case fails.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let cases: Vec<&Case> = if args.case.is_empty() { CASES.iter().collect() } else { args.case.clone() };
     let target = io::target::load_target("loihi1-chip")?;

@@ -94,10 +94,6 @@ struct Done {
     ties: usize,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used or a file cannot be written.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let MappingArgs { relays, prune, copies } = &args.anew;
     let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;

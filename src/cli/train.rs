@@ -61,9 +61,6 @@ pub struct Args {
 }
 
 /// The training samples of a file, and its number of classes.
-///
-/// # Errors
-/// As those of a training.
 #[cfg(feature = "ann")]
 pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
     let samples = job.data(&[], &[])?.train;
@@ -121,10 +118,6 @@ pub(in crate::cli) fn train(
     done
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when the training file or a source cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let source = training_text(&args.config)?;
     let wrong = |text: &String| Error::Usage(format!("--set {text}: write FIELD=VALUE"));

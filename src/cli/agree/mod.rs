@@ -31,10 +31,6 @@ use nsim_session::inputs;
 use nsim_train::convert::next::{Typed, next};
 use nsim_train::convert::staged::is_real;
 
-/// Runs the command; the answer is no when a bound that was asked for is missed.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, args.plot_causes.iter().chain(&args.plot), context)?;
     if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {

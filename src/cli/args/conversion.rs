@@ -48,15 +48,11 @@ pub struct ConversionArgs {
     #[arg(help_heading = "Conversion", long, value_name = "SOURCE")]
     pub calibrate: Vec<String>,
     #[command(flatten)]
-    #[allow(missing_docs)]
     pub copies: CopiesArgs,
 }
 
 impl ConversionArgs {
     /// What stands for each spike response population of a network.
-    ///
-    /// # Errors
-    /// [`Error`] when a source cannot be used.
     pub fn integers(
         &self,
         networks: (&Graph, &Quantised),

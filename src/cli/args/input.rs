@@ -60,9 +60,6 @@ impl InputArgs {
 }
 
 /// Takes the samples that a run asks for, as often as it asks.
-///
-/// # Errors
-/// [`Error::Usage`] when the range holds no sample, or ends behind the last one.
 pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sample>, Error> {
     Ok(select_numbers(samples.len(), args)?.into_iter().map(|number| &samples[number]).collect())
 }

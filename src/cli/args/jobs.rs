@@ -32,7 +32,6 @@ pub struct MappingArgs {
     #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
     pub prune: Vec<String>,
     #[command(flatten)]
-    #[allow(missing_docs)]
     pub copies: CopiesArgs,
 }
 
@@ -49,7 +48,6 @@ pub struct JobArgs {
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
     pub model: String,
     #[command(flatten)]
-    #[allow(missing_docs)]
     pub timestep: TimestepArgs,
     /// A target file or the name of a shipped target [default: the model's own, or nahuku-32]
     #[arg(long)]
@@ -58,7 +56,6 @@ pub struct JobArgs {
     #[arg(help_heading = "Mapping", long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
     #[command(flatten)]
-    #[allow(missing_docs)]
     pub anew: MappingArgs,
     /// Where copies of the model are mapped.
     #[arg(skip)]
@@ -126,9 +123,6 @@ impl Refusal {
 
     /// Prints the reasons on stderr and, as JSON, the command's own object with the keys of a run
     /// left empty.
-    ///
-    /// # Errors
-    /// When stdout cannot be written.
     pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer, Error> {
         let text = report::map::refusal(&self.model, &self.target, &self.reasons);
         diagnostics::say(&text);
@@ -145,9 +139,6 @@ impl Refusal {
 
 /// Loads a model and makes it ready for an engine, with this many copies, else those of the saved
 /// mapping, else 1. Populations that fit the patterns stay whole however much is pruned.
-///
-/// # Errors
-/// [`Error`] when a file cannot be used.
 pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
     let network = args.timestep.load(&args.model)?;
     if args.needs_scene {

@@ -1,11 +1,11 @@
 //! Arguments that several commands share, and what they stand for.
 
 pub(super) mod columns;
-pub mod conversion;
-pub mod input;
-pub mod jobs;
+pub(super) mod conversion;
+pub(super) mod input;
+pub(super) mod jobs;
 pub mod removed;
-pub mod saved;
-pub mod steps;
-pub mod timestep;
-pub mod values;
+pub(super) mod saved;
+pub(super) mod steps;
+pub(super) mod timestep;
+pub(super) mod values;

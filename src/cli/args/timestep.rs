@@ -19,9 +19,6 @@ fn milliseconds(text: &str) -> Result<f64, String> {
 
 impl TimestepArgs {
     /// The model of this path or name.
-    ///
-    /// # Errors
-    /// As [`model::load_model_with`].
     pub fn load(self, argument: &str) -> Result<Network> {
         model::load_model_with(argument, self.dt_ms)
     }

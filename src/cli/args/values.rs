@@ -24,9 +24,6 @@ pub fn one_of<T: Copy + Send + Sync + 'static>(
 }
 
 /// `A..B` of samples.
-///
-/// # Errors
-/// What a range is.
 pub fn sample_range(text: &str) -> Result<Range<usize>, String> {
     let wrong = || format!("'{text}' is not a range of samples such as 0..20");
     let (from, to) = text.split_once("..").ok_or_else(wrong)?;
@@ -36,9 +33,6 @@ pub fn sample_range(text: &str) -> Result<Range<usize>, String> {
 }
 
 /// Seconds as an argument.
-///
-/// # Errors
-/// What seconds are.
 pub fn seconds(text: &str) -> Result<Duration, String> {
     match text.parse::<f64>() {
         Ok(seconds) if (0.0..=3600.0).contains(&seconds) => Ok(Duration::from_secs_f64(seconds)),

@@ -104,11 +104,6 @@ fn rows(file: &TrainingFile, kind: AnnKind, results: &[AnnResult], folds: u32, e
     ]
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when a training file, its samples or the output cannot be used, or memory does not
-/// hold a network.
 pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
     let kinds = if args.network.is_empty() { AnnKind::ALL.to_vec() } else { args.network.clone() };

@@ -133,10 +133,6 @@ fn standard(name: &str) -> Result<StandardNetwork, String> {
     })
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error::Fault`] when a standard network cannot be made.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     match &args.bench {
         Which::Step(args) => step(args, context),

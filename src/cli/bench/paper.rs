@@ -197,11 +197,6 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
     })
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when a file of results cannot be read, a training cannot be kept, or the document
-/// cannot be written.
 pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
     if args.stored && args.train.is_some() {
         return Err(Error::Usage("--stored runs no network, and --train trains some: leave one out".to_string()));

@@ -56,10 +56,7 @@ pub struct ParetoArgs {
 /// Samples that a conversion is searched on.
 const CALIBRATION_SAMPLES: usize = 100;
 
-/// Runs the command; the answer is no when a variant that claims to be exact is not.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used.
+/// The answer is no when a variant that claims to be exact is not.
 pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
     let environment = Environment::here();

@@ -35,10 +35,6 @@ pub struct PublishedArgs {
     plot: Option<PathBuf>,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when no workload has the name, or the chart cannot be written.
 pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
     let constants = io::target::load_constants(CONSTANTS)?;

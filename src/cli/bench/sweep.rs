@@ -23,10 +23,7 @@ pub struct SweepArgs {
     seed: u64,
 }
 
-/// Runs the command; the answer is no when there is a cliff.
-///
-/// # Errors
-/// [`Error::Fault`] when a network cannot be made.
+/// The answer is no when there is a cliff.
 pub fn run(args: &SweepArgs, context: Context) -> Result<Answer, Error> {
     let environment = Environment::here();
     output::warn_of_debug_build(&environment);

@@ -55,10 +55,7 @@ pub struct Args {
     accounting: Accounting,
 }
 
-/// Runs the command. The answer is no if no target can hold the network.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used. That a target cannot hold the network is a row.
+/// The answer is no if no target can hold the network. That one cannot is a row.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let targets = args.targets.iter().map(|name| Ok(io::target::load_target(name)?));
     let targets = targets.collect::<Result<Vec<Target>, Error>>()?;

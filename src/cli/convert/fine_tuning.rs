@@ -36,9 +36,6 @@ pub struct FineTuneArgs {
 
 impl FineTuneArgs {
     /// Whether the network can be trained further, where that is asked for: before it is converted.
-    ///
-    /// # Errors
-    /// `convert.fine-tune`.
     pub fn check(&self, job: &Job) -> Result<(), Error> {
         if self.fine_tune.is_some() {
             trainable(&job.graph)?;
@@ -48,9 +45,6 @@ impl FineTuneArgs {
 
     /// Trains further, where that is asked for; `output` is the file to write and what it says of
     /// its origin.
-    ///
-    /// # Errors
-    /// [`Error`] when the training file or a sample cannot be used.
     pub fn tune(
         &self,
         job: &Job,

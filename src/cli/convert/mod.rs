@@ -66,10 +66,6 @@ pub struct Args {
     update: Option<PathBuf>,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     args.output.iter().try_for_each(|path| NetworkFile::check_name(path))?;
     io::write::check_all_free(&args.output, context.force)?;

@@ -20,9 +20,6 @@ use nsim_session::obtain::Wanted;
 
 /// Runs and prices a job, with a row for each timestep in a file where one is named, and warns of
 /// what stands out; `report` takes the result. What does not fit is said, and the answer is no.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used; those of `report`.
 pub fn evaluate(
     args: &CostArgs,
     steps: Option<&Path>,

@@ -20,10 +20,6 @@ use nsim_files as io;
 use nsim_ir::spikes::Copies;
 use nsim_session::error::Error;
 
-/// The command.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used.
 pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
     io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;

@@ -20,9 +20,6 @@ use nsim_session::samples::{Run, Running};
 use nsim_session::{Keep, inputs};
 
 /// A mapped job, or another mapping of its network, with its input.
-///
-/// # Errors
-/// [`Error`] when the input cannot be used.
 pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs) -> Result<Workload<'j>, Error> {
     let Some((compiled, target)) = job.mapped() else {
         return Err(Error::Fault("energy needs a mapped job".to_string()));
@@ -36,9 +33,6 @@ pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs)
 }
 
 /// Runs all samples under a progress bar.
-///
-/// # Errors
-/// As [`Workload::simulate`].
 pub fn simulate(
     workload: &Workload<'_>,
     settings: MeterSettings,
@@ -52,9 +46,6 @@ pub fn simulate(
 }
 
 /// The same with a row for each timestep in a file.
-///
-/// # Errors
-/// As [`simulate`]; when the file cannot be written.
 pub fn simulate_recorded(
     workload: &Workload<'_>,
     settings: MeterSettings,

@@ -179,9 +179,6 @@ fn extent(path: &Path, format: EventFormat, options: &EventOptions) -> Result<Ex
 }
 
 /// How many events a recording has.
-///
-/// # Errors
-/// As [`recording`].
 pub(super) fn events(path: &Path, format: EventFormat, options: &EventOptions) -> Result<u64, Diagnostic> {
     Ok(extent(path, format, options)?.counts.events)
 }

@@ -24,9 +24,6 @@ pub struct Args {
 }
 
 /// The command, for the commands below `root`.
-///
-/// # Errors
-/// [`Error::Usage`] for a command that there is none of; when pages cannot be written.
 pub fn run(args: &Args, root: Command, context: Context) -> Result<Answer, Error> {
     let mut root = root;
     root.build();

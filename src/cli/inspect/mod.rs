@@ -55,14 +55,9 @@ pub struct Args {
     /// a recording, its options as --input of nsim run takes them
     pub file: String,
     #[command(flatten)]
-    #[allow(missing_docs)]
     pub timestep: TimestepArgs,
 }
 
-/// Says what a file holds.
-///
-/// # Errors
-/// When the file cannot be read, or its kind is not known.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let findings = inspect(&args.file, args.timestep.dt_ms)?;
     let json = || findings.json("nsim.inspect/1", &args.file);

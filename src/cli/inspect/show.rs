@@ -66,11 +66,7 @@ pub struct Args {
     pub output: Option<PathBuf>,
 }
 
-/// The command.
-///
-/// # Errors
-/// [`Error::Usage`] for a name that no shipped file has, or several have; when a model cannot be
-/// used or a file cannot be written. A model that does not fit is an answer.
+/// A model that does not fit is an answer.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let Some(name) = &args.name else {
         let names: Vec<&str> = all().map(without_extension).collect();

@@ -116,10 +116,6 @@ const OF_EACH: usize = 3;
 /// Compartments that are drawn.
 const MOST_TRACED: usize = 11;
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used or the picture cannot be written.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if context.format != Format::Text {
         return Err(Error::Usage("nsim plot draws a picture: --format is for results".to_string()));

@@ -11,9 +11,6 @@ static FIRST: Mutex<Option<String>> = Mutex::new(None);
 
 /// Does some work; a panic in it, or in a thread that it waits for, is returned as
 /// [`Error::Fault`].
-///
-/// # Errors
-/// Those of the work, and [`Error::Fault`].
 pub fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
     std::panic::set_hook(Box::new(|panic| {
         let payload = panic.payload();

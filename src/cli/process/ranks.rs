@@ -47,9 +47,6 @@ pub fn several() -> Option<&'static Ranks> {
 }
 
 /// Refuses what runs in one process.
-///
-/// # Errors
-/// [`Error::Usage`] where there are several.
 pub fn alone(what: &str) -> Result<(), Error> {
     let message = || format!("{what} runs in one process: start it without mpirun or srun, or with one task");
     several().map_or(Ok(()), |_| Err(Error::Usage(message())))

@@ -7,9 +7,6 @@ pub const MOST_THREADS: usize = 1024;
 
 /// Starts the threads that `--threads` asks for, one for each core without it. Where the system
 /// allows fewer, those that it allows: their number changes no result. Returns how many there are.
-///
-/// # Errors
-/// [`Error::Usage`] for none or too many.
 pub fn start(asked: Option<usize>) -> Result<usize, Error> {
     let mut threads = match asked {
         Some(threads) if !(1..=MOST_THREADS).contains(&threads) => {

@@ -42,10 +42,6 @@ pub struct Args {
     output: PathBuf,
 }
 
-/// Runs the command.
-///
-/// # Errors
-/// [`Error`] when an input cannot be used or the page cannot be written.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if context.format != Format::Text {
         return Err(Error::Usage("nsim report writes a page; for data use nsim energy --format json".to_string()));
