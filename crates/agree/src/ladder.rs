@@ -15,20 +15,16 @@ use std::sync::OnceLock;
 
 use petgraph::graph::NodeIndex;
 
-use nsim_dynamics as neuron;
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::falls_on;
 use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::Id;
-use nsim_ir::graph;
-use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind, SrmParameters};
+use nsim_ir::graph::{self, Graph, NeuronParameters, PopulationKind, SrmParameters};
 use nsim_ir::neurons::NeuronKind;
-use nsim_ir::quantised;
-use nsim_ir::quantised::{Quantised, Reset};
+use nsim_ir::quantised::{self, Quantised, Reset};
 use nsim_ir::spikes::Sample;
-use nsim_quantise::analytic;
-use nsim_quantise::analytic::Fit;
+use nsim_quantise::analytic::{self, Fit};
 use nsim_quantise::exponents::Detail;
 use nsim_quantise::quantise::{quantise_with, scales};
 use nsim_reference::synapses::Synapses;
@@ -36,7 +32,7 @@ use nsim_reference::synapses::Synapses;
 use super::causes::{Cause, Rung};
 use super::links::{Link, integer_synapses};
 use super::pipeline::Pipeline;
-use super::state::{Neuron, State};
+use super::state::State;
 use super::trace::{Layer, Trace};
 
 /// What a population was before it was converted.
@@ -243,8 +239,11 @@ impl Ladder {
         network.projections().iter().map(link).collect()
     }
 
-    /// The network in integers without what a search chose.
-    fn rounded(&self) -> &Quantised {
+    /// The network in integers of a rung, without what a search chose unless the rung has it.
+    fn network(&self, rung: Rung) -> &Quantised {
+        if rung.has(Cause::Calibration) {
+            return &self.calibrated;
+        }
         self.rounded.get_or_init(|| {
             let plain = analytic::with_fits(&self.graph, &self.plain);
             quantise_with(&plain, self.detail).unwrap_or_else(|_| self.calibrated.clone())
@@ -317,14 +316,13 @@ impl Ladder {
     }
 
     /// A compartment as a rung has it.
-    fn neuron(&self, (population, origin): (usize, &Origin), index: u32, rung: Rung) -> Neuron {
+    fn neuron(&self, (population, origin): (usize, &Origin), index: u32, rung: Rung) -> RealForm {
         let of = &self.populations[population];
-        let network = if rung.has(Cause::Calibration) { &self.calibrated } else { self.rounded() };
+        let network = self.network(rung);
         let semantics = network.parts().semantics;
         let neurons = network.populations().as_slice()[population].neurons();
         let neuron = neurons.map_or(quantised::Neuron::PLAIN, |neurons| neurons.get(index));
         let integers = RealForm::of_neuron(&neuron, semantics);
-        let clip = if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) };
         match origin {
             Origin::Srm(srm, fit) => {
                 // An alpha kernel has one decay; only current and voltage can have two.
@@ -345,7 +343,7 @@ impl Ladder {
                 let moved = if chosen { fit.threshold / at } else { 1.0 };
                 let real = matched * moved * of.scale;
                 let weights = rung.has(Cause::Weights);
-                Neuron {
+                RealForm {
                     keep_u: keeps.0,
                     keep_v: keeps.1,
                     // The mantissa's own when decays and calibration are the deployed ones.
@@ -354,26 +352,24 @@ impl Ladder {
                         (true, false) => (real / 64.0).round_ties_even() * 64.0,
                         (false, _) => real,
                     },
-                    bias: integers.bias,
                     refractory: u32::from(fit.refractory.get()).max(1),
                     subtracts: false,
-                    clip,
-                    floors: false,
+                    clip: if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) },
+                    ..integers
                 }
             }
             Origin::Loihi { parameters, subtracts } => {
                 // As the reference engine has it; a real threshold has no registers to clip in.
-                let real = neuron::model(parameters, index, self.timestep_ms, semantics);
+                let real = nsim_dynamics::model(parameters, index, self.timestep_ms, semantics);
                 let pick = |cause: Cause, integer: f64, real: f64| if rung.has(cause) { integer } else { real };
-                Neuron {
+                RealForm {
                     keep_u: pick(Cause::Decays, integers.keep_u, real.keep_u),
                     keep_v: pick(Cause::Decays, integers.keep_v, real.keep_v),
                     threshold: pick(Cause::Weights, integers.threshold, real.threshold * of.scale),
                     bias: pick(Cause::Weights, integers.bias, real.bias * of.scale),
-                    refractory: integers.refractory,
                     subtracts: integers.subtracts || *subtracts && !rung.has(Cause::HardReset),
                     clip: if rung.has(Cause::State) { integers.clip } else { real.clip },
-                    floors: rung.has(Cause::Weights) && shift_of(&network.populations().as_slice()[population]) > 0,
+                    ..integers
                 }
             }
         }
@@ -384,16 +380,17 @@ impl Ladder {
         let of = &self.populations[population];
         let origin = of.origin.as_ref()?;
         let neurons = (0..of.count).map(|index| self.neuron((population, origin), index, rung)).collect();
-        let (response, resets_from) = match origin {
-            Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0),
+        let (response, resets_from, floors) = match origin {
+            Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0, false),
             Origin::Loihi { parameters, .. } => {
                 let depth = self.in_step(rung).map_or(0, |pipeline| pipeline.start_step(population));
-                (None, parameters.start_step.max(depth))
+                let is_shifted = shift_of(&self.network(rung).populations().as_slice()[population]) > 0;
+                (None, parameters.start_step.max(depth), is_shifted && rung.has(Cause::Weights))
             }
         };
         // SLAYER's loop starts at step 1; its resets are counted from the step as given.
         let first = u32::from(response.is_none() && self.graph.facts().semantics == Semantics::Slayer);
-        Some(State::new(neurons, response, (resets_from.max(first), resets_from), self.test, rung))
+        Some(State::new((neurons, floors), response, (resets_from.max(first), resets_from), self.test, rung))
     }
 
     /// What the layers of a rung are given that they lack.

@@ -5,30 +5,10 @@
 //! integer state.
 
 use super::causes::{Cause, Rung};
+use nsim_dynamics::RealForm;
 use nsim_ir::arithmetic::ThresholdTest;
 use nsim_ir::graph::SrmParameters;
 use nsim_reference::kernel::{Alpha, EPSILON};
-
-/// A compartment as a rung has it.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Neuron {
-    /// What a step leaves of the current.
-    pub keep_u: f64,
-    /// What it leaves of the voltage.
-    pub keep_v: f64,
-    /// In register units.
-    pub threshold: f64,
-    /// In register units.
-    pub bias: f64,
-    /// Steps.
-    pub refractory: u32,
-    /// Whether a spike takes the threshold from the voltage, not all of it.
-    pub subtracts: bool,
-    /// The least and the greatest voltage.
-    pub clip: (f64, f64),
-    /// Whether what arrives in a step is rounded down to multiples of 64, as lava shifts sums.
-    pub floors: bool,
-}
 
 fn wrapped(x: f64, bits: i32) -> f64 {
     let half = f64::from(1 << bits);
@@ -38,8 +18,10 @@ fn wrapped(x: f64, bits: i32) -> f64 {
 /// A population of a rung while it runs.
 #[derive(Debug)]
 pub(super) struct State {
-    /// Its compartments.
-    pub neurons: Vec<Neuron>,
+    /// Its compartments, in register units.
+    pub neurons: Vec<RealForm>,
+    /// Whether what arrives in a step is rounded down to multiples of 64, as lava shifts sums.
+    floors: bool,
     /// The first step in which it takes part.
     pub start_step: u32,
     /// The step that resets are counted from.
@@ -70,10 +52,10 @@ pub(super) struct State {
 }
 
 impl State {
-    /// At rest, with its first step and the one that resets are counted from; `response` and the
-    /// timestep in ms are those of spike response neurons.
+    /// At rest: its compartments and whether sums are rounded down, its first step and the one that
+    /// resets are counted from; `response` and the timestep in ms are those of spike response neurons.
     pub fn new(
-        neurons: Vec<Neuron>,
+        (neurons, floors): (Vec<RealForm>, bool),
         response: Option<(&SrmParameters, f64)>,
         (start_step, resets_from): (u32, u32),
         test: ThresholdTest,
@@ -122,6 +104,7 @@ impl State {
             now: 0,
             shown: vec![0.0; count],
             neurons,
+            floors,
         }
     }
 
@@ -169,7 +152,7 @@ impl State {
         }
         for (i, &arrived) in arrivals.iter().enumerate() {
             let n = self.neurons[i];
-            let x = if n.floors { 64.0 * (arrived / 64.0).floor() } else { narrow(arrived) };
+            let x = if self.floors { 64.0 * (arrived / 64.0).floor() } else { narrow(arrived) };
             let q = if self.integers { wrapped(x, 21) } else { x };
             let free = if truncated {
                 self.past[self.newest][i] = q;
