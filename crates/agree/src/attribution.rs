@@ -108,11 +108,6 @@ impl LayerLoss {
     pub fn worst(&self) -> Option<(Cause, f64)> {
         worst(self.disagreement, self.alone.iter().copied())
     }
-
-    /// The shares of the causes, where they do not give back what others take.
-    pub fn shares(&self) -> Option<Vec<f64>> {
-        shares(&self.causes.iter().map(|cause| cause.1).collect::<Vec<f64>>())
-    }
 }
 
 /// The whole attribution.

@@ -45,13 +45,10 @@ impl Cause {
 
     /// What makes it cost less, where that is known of every network.
     pub fn remedy(self) -> Option<&'static str> {
-        match self {
-            Cause::Weights => Some(
-                "weights of a layer that are similar in size (decay or clip large ones in training), since 8 bits \
-                 divide the range of the largest",
-            ),
-            _ => None,
-        }
+        (self == Cause::Weights).then_some(
+            "weights of a layer that are similar in size (decay or clip large ones in training), since 8 bits divide \
+             the range of the largest",
+        )
     }
 }
 

@@ -124,11 +124,9 @@ pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
 fn van_rossum(a: &[u32], b: &[u32]) -> f64 {
     let (mut i, mut j, mut height, mut at, mut sum) = (0, 0, 0.0f64, 0u32, 0.0f64);
     loop {
-        let next = match (a.get(i), b.get(j)) {
-            (Some(&x), Some(&y)) => x.min(y),
-            (Some(&x), None) | (None, Some(&x)) => x,
+        let Some(&next) = a.get(i).into_iter().chain(b.get(j)).min() else {
             // What is left decays for ever.
-            (None, None) => return (sum + height * height / 2.0).sqrt(),
+            return (sum + height * height / 2.0).sqrt();
         };
         let decayed = height * libm::exp(-f64::from(next - at) / TAU);
         sum += (height * height - decayed * decayed) / 2.0;

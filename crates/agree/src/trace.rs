@@ -189,11 +189,8 @@ impl Comparison {
             let shifted = b.trains[compartment as usize].iter().filter_map(|&t| t.checked_add_signed(-shift));
             let other: Vec<u32> = shifted.filter(within).collect();
             self.tally.trains(&own, &other, to.saturating_sub(from));
-            if let Some(step) = first_difference(&own, &other)
-                && earliest.is_none_or(|earliest| (step, neuron) < earliest)
-            {
-                earliest = Some((step, neuron));
-            }
+            let parts = first_difference(&own, &other).map(|step| (step, neuron));
+            earliest = earliest.into_iter().chain(parts).min();
             if !a.potentials.is_empty() && !b.potentials.is_empty() {
                 let (mut i, mut j) = (0, 0);
                 for step in from..to {
@@ -236,11 +233,7 @@ impl Comparison {
 
 fn first_difference(a: &[u32], b: &[u32]) -> Option<u32> {
     let same = a.iter().zip(b).take_while(|(x, y)| x == y).count();
-    match (a.get(same), b.get(same)) {
-        (Some(&x), Some(&y)) => Some(x.min(y)),
-        (Some(&x), None) | (None, Some(&x)) => Some(x),
-        (None, None) => None,
-    }
+    a.get(same).into_iter().chain(b.get(same)).min().copied()
 }
 
 /// The constant delay by which the second's spikes of a layer come later, of those within +-4
