@@ -11,7 +11,7 @@ use rayon::prelude::*;
 use super::classes::ClassTally;
 use super::ladder::{Ladder, layer, layers};
 use super::trace::{Comparison, Layer, Trace, measured_shift};
-use nsim_dynamics as neuron;
+use nsim_dynamics::{model_thresholds, thresholds};
 use nsim_golden::Golden;
 use nsim_import::spikes::PopulationSpikes;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -21,10 +21,8 @@ use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
-use nsim_quantise::analytic;
-use nsim_quantise::analytic::Fit;
-use nsim_reference as reference;
-use nsim_reference::{Model, Reference};
+use nsim_quantise::analytic::{self, Fit};
+use nsim_reference::{Model, Options, Reference};
 use nsim_session::samples::Progress;
 
 /// What the deployed network is compared with.
@@ -135,8 +133,7 @@ fn recorded_trace(
 /// `model.no-real-form`.
 pub fn real_trace(graph: &Graph, integers: &Quantised) -> Result<impl Fn(&Sample) -> Trace + Sync + use<>> {
     let recorded = (integers.compartments(), integers.output());
-    let (model, thresholds) =
-        (Model::<f64>::new(graph, reference::Options::default())?, neuron::model_thresholds(graph));
+    let (model, thresholds) = (Model::<f64>::new(graph, Options::default())?, model_thresholds(graph));
     Ok(move |sample: &Sample| {
         let potential = |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
         Trace::record(&mut Reference::new(&model), sample, recorded, potential)
@@ -152,7 +149,7 @@ pub fn machine_trace<'a>(
     program: &'a Arc<Program>,
 ) -> Result<impl Fn(&Sample) -> Trace + Sync + use<'a>> {
     let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
-    let (thresholds, recorded) = (neuron::thresholds(network), (network.compartments(), network.output()));
+    let (thresholds, recorded) = (thresholds(network), (network.compartments(), network.output()));
     Ok(move |sample: &Sample| {
         let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
         Trace::record(&mut machine, sample, recorded, |m, c| relative(m, c, &thresholds))
@@ -189,26 +186,20 @@ pub fn compare_networks(
     let pairs = a.layers.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
     // The second's compartments at the first's places.
     let placed = |trace: Trace| {
-        let (all, row) =
-            (a.layers.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0), trace.steps as usize);
-        let mut out = Trace {
-            steps: trace.steps,
-            trains: vec![Vec::new(); all as usize],
-            potentials: vec![0.0; if trace.potentials.is_empty() { 0 } else { all as usize * row }],
-            decision: trace.decision,
-            deciding: trace.deciding.clone(),
-        };
+        let all = a.layers.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0) as usize;
+        let row = trace.steps as usize;
+        let mut trains = vec![Vec::new(); all];
+        let mut potentials = vec![0.0; if trace.potentials.is_empty() { 0 } else { all * row }];
         for (here, there) in &pairs {
             for i in 0..here.count {
                 let (to, from) = ((here.first + i) as usize, (there.first + i) as usize);
-                out.trains[to].clone_from(&trace.trains[from]);
-                if !out.potentials.is_empty() {
-                    out.potentials[to * row..(to + 1) * row]
-                        .copy_from_slice(&trace.potentials[from * row..(from + 1) * row]);
+                trains[to].clone_from(&trace.trains[from]);
+                if !potentials.is_empty() {
+                    potentials[to * row..][..row].copy_from_slice(&trace.potentials[from * row..][..row]);
                 }
             }
         }
-        out
+        Trace { trains, potentials, ..trace }
     };
     let both = |_, sample: &Sample| ((a.trace)(sample), placed((b.trace)(sample)));
     Ok(agreement(a.layers.to_vec(), output, (samples, steps), &both, &measured_shift, progress))
@@ -298,7 +289,7 @@ pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Prog
     let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
     let network = ladder.deployed();
     let machine = machine_trace(network, program)?;
-    let (thresholds, recorded_of) = (neuron::thresholds(network), (network.compartments(), network.output()));
+    let (thresholds, recorded_of) = (thresholds(network), (network.compartments(), network.output()));
     let counterpart_trace: TraceOf<'_> = match counterpart {
         Counterpart::Srm => {
             let trace = real_trace(graph, network)?;

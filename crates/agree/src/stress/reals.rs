@@ -12,8 +12,7 @@ use nsim_ir::base::rng;
 use nsim_reference::Real;
 use nsim_reference::cuba::Cuba;
 use nsim_reference::kernel::{Alpha, Kernel};
-use nsim_reference::srm;
-use nsim_reference::srm::{Filter, Srm};
+use nsim_reference::srm::{self, Filter, Srm};
 
 const STEPS: u64 = 1_000_000;
 /// Steps between two comparisons: coprime to every period of the inputs.
