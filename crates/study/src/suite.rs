@@ -124,9 +124,7 @@ fn lenet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     layers.pool(2)?;
     layers.convolve(16, 5, 1, 0)?;
     layers.pool(2)?;
-    for units in [120, 84, 10] {
-        layers.dense(units)?;
-    }
+    layers.dense(&[120, 84, 10])?;
     bench(layers.net, "nahuku-32")
 }
 
@@ -135,7 +133,7 @@ fn cifar(name: &'static str) -> Result<BenchNetwork, BuildError> {
     for (channels, kernel, stride) in [(64, 3, 2), (72, 3, 1), (256, 3, 2), (256, 1, 1), (64, 1, 1)] {
         layers.convolve(channels, kernel, stride, 0)?;
     }
-    layers.dense(100)?;
+    layers.dense(&[100])?;
     bench(layers.net, "nahuku-32")
 }
 
@@ -147,17 +145,13 @@ fn pilotnet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     for _ in 0..2 {
         layers.convolve(64, 3, 1, 0)?;
     }
-    for units in [100, 50, 10, 1] {
-        layers.dense(units)?;
-    }
+    layers.dense(&[100, 50, 10, 1])?;
     bench(layers.net, "pohoiki-springs")
 }
 
 fn perceptron(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (784, 1, 1));
-    for units in [1024, 1024, 1024, 10] {
-        layers.dense(units)?;
-    }
+    layers.dense(&[1024, 1024, 1024, 10])?;
     bench(layers.net, "nahuku-32")
 }
 

@@ -84,9 +84,11 @@ impl Layers {
         self.net.connect(ends, 0, Connectivity::SumPool2d { window, weight: 80 })
     }
 
-    /// All to all.
-    pub fn dense(&mut self, units: u32) -> Result<(), OutOfRange> {
-        let ends = self.next((units, 1, 1))?;
-        self.net.dense(ends, (-24, 40), self.seed)
+    /// Layers of these sizes, each all to all from the one before.
+    pub fn dense(&mut self, sizes: &[u32]) -> Result<(), OutOfRange> {
+        sizes.iter().try_for_each(|&units| {
+            let ends = self.next((units, 1, 1))?;
+            self.net.dense(ends, (-24, 40), self.seed)
+        })
     }
 }

@@ -220,9 +220,7 @@ pub(super) fn lava_pilotnet(name: &str) -> Result<Builder, OutOfRange> {
     for (channels, stride) in [(24, 2), (36, 2), (64, 2), (64, 1)] {
         layers.convolve(channels, 3, stride, 0)?;
     }
-    for units in [200, 100, 50, 10, 1] {
-        layers.dense(units)?;
-    }
+    layers.dense(&[200, 100, 50, 10, 1])?;
     Ok(layers.net)
 }
 
@@ -233,7 +231,7 @@ pub(super) fn dvs_gesture(name: &str) -> Result<Builder, OutOfRange> {
     for channels in [32, 64, 11] {
         layers.convolve(channels, 3, 1, 0)?;
     }
-    layers.dense(11)?;
+    layers.dense(&[11])?;
     Ok(layers.net)
 }
 
@@ -245,7 +243,7 @@ pub(super) fn conv_10m(name: &str) -> Result<Builder, OutOfRange> {
         layers.convolve(channels, 3, stride, 1)?;
     }
     layers.pool(16)?;
-    layers.dense(11)?;
+    layers.dense(&[11])?;
     Ok(layers.net)
 }
 
