@@ -5,6 +5,8 @@ use std::time::Duration;
 
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 
+use nsim_study::sweep::variants;
+
 /// On or off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Switch {
@@ -25,11 +27,7 @@ pub fn one_of<T: Copy + Send + Sync + 'static>(
 
 /// `A..B` of samples.
 pub fn sample_range(text: &str) -> Result<Range<usize>, String> {
-    let wrong = || format!("'{text}' is not a range of samples such as 0..20");
-    let (from, to) = text.split_once("..").ok_or_else(wrong)?;
-    let from = if from.is_empty() { 0 } else { from.parse().map_err(|_| wrong())? };
-    let to = if to.is_empty() { usize::MAX } else { to.parse().map_err(|_| wrong())? };
-    if from >= to { Err(wrong()) } else { Ok(from..to) }
+    variants::sample_range(text).ok_or_else(|| format!("'{text}' is not a range of samples such as 0..20"))
 }
 
 /// Seconds as an argument.

@@ -20,6 +20,7 @@ use nsim_cost::estimate::{Case, estimate};
 use nsim_energy::options::priced_by;
 use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
+use nsim_files::table::or_empty;
 use nsim_files::target::load_target;
 use nsim_import::model::{Unchanged, agreeing, load_model_with};
 use nsim_ir::activity::Totals;
@@ -94,10 +95,6 @@ fn ends_all(error: &Error) -> bool {
         || code == "energy.input"
         || ["set.", "import.", "io."].iter().any(|begin| code.starts_with(begin))
         || [".unknown", ".syntax"].iter().any(|end| code.ends_with(end))
-}
-
-fn cell<T: ToString>(value: Option<T>) -> String {
-    value.map_or_else(String::new, |value| value.to_string())
 }
 
 /// The place of a figure among the cells of a row.
@@ -260,7 +257,7 @@ impl Runner {
         };
         let estimate = estimate(&case);
         let total = estimate.rows.iter().find(|row| row.unit == "total");
-        let figure = |name| cell(total.and_then(|row| row.figure(name)));
+        let figure = |name| or_empty(total.and_then(|row| row.figure(name)));
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);
         let copies_run = u64::from(metered.copies_run());
@@ -274,7 +271,7 @@ impl Runner {
             compiled.placement.chips_used().to_string(),
             samples.len().to_string(),
             outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum::<u64>().to_string(),
-            cell(accuracy),
+            or_empty(accuracy),
             digest(&outcomes),
             (totals.spikes / copies_run).to_string(),
             (totals.synaptic_events / copies_run).to_string(),
@@ -284,12 +281,12 @@ impl Runner {
             figure("latency_us"),
             figure("energy_uj"),
             figure("edp_pjs"),
-            cell(estimate.breakdown_pj.is_some().then(|| neuron_dynamic_uj.sum::<f64>())),
+            or_empty(estimate.breakdown_pj.is_some().then(|| neuron_dynamic_uj.sum::<f64>())),
             resource,
             used,
             String::new(),
-            cell(ends.map(|(low, _)| low)),
-            cell(ends.map(|(_, high)| high)),
+            or_empty(ends.map(|(low, _)| low)),
+            or_empty(ends.map(|(_, high)| high)),
         ])
     }
 }

@@ -129,12 +129,12 @@ fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
     value.parse().map_err(|_| "no number of this kind".to_string())
 }
 
-fn range(value: &str) -> Result<Range<usize>, String> {
-    let wrong = || "no range of samples such as 0..20".to_string();
-    let (from, to) = value.split_once("..").ok_or_else(wrong)?;
-    let from = if from.is_empty() { 0 } else { from.parse().map_err(|_| wrong())? };
-    let to = if to.is_empty() { usize::MAX } else { to.parse().map_err(|_| wrong())? };
-    if from < to { Ok(from..to) } else { Err(wrong()) }
+/// `A..B` of samples, either end of which may be missing; `None` for what is no range or an empty one.
+pub fn sample_range(text: &str) -> Option<Range<usize>> {
+    let (from, to) = text.split_once("..")?;
+    let from = if from.is_empty() { 0 } else { from.parse().ok()? };
+    let to = if to.is_empty() { usize::MAX } else { to.parse().ok()? };
+    (from < to).then_some(from..to)
 }
 
 impl Job {
@@ -161,57 +161,17 @@ impl Job {
     /// `sweep.path`, `sweep.value`.
     fn assign(&mut self, path: &str, value: &str) -> Result<()> {
         let (first, rest) = path.split_once('.').filter(|(_, rest)| !rest.is_empty()).unwrap_or((path, ""));
-        let text = |place: &mut String| {
-            *place = value.to_string();
-            Ok(())
-        };
-        let done = match (first, rest) {
-            ("model", "") => text(&mut self.model),
-            ("target", "") => text(&mut self.target),
+        let wrong = |problem: String| Diagnostic::new("sweep.value", format!("{path}: {value} is {problem}"));
+        if self.assign_own((first, rest), value).map_err(wrong)? {
+            return Ok(());
+        }
+        match (first, rest) {
             ("train", field) if !field.is_empty() => {
                 let Some(training) = &mut self.training else {
                     return Err(Diagnostic::new("sweep.path", format!("{path}: this sweep trains nothing"))
                         .help("name a training file with train: \"vtsnn-slip\" in the sweep, instead of a model"));
                 };
                 training.fields.push((field.to_string(), value.to_string()));
-                Ok(())
-            }
-            ("input", "") => {
-                self.input = vec![value.to_string()];
-                Ok(())
-            }
-            ("input", "samples") => range(value).map(|samples| self.samples = Some(samples)),
-            ("input", "seed") => number(value).map(|seed| self.seed = Some(seed)),
-            ("options", "copies") => match number(value) {
-                Ok(0) => Err("less than 1".to_string()),
-                copies => copies.map(|copies| self.options.copies = copies),
-            },
-            ("options", "seed") => number(value).map(|seed| self.options.seed = seed),
-            ("options", "strategy") => {
-                named(&Strategy::ALL, Strategy::name, value).map(|strategy| self.options.strategy = strategy)
-            }
-            ("options", "objective") => {
-                named(&Objective::ALL, Objective::name, value).map(|objective| self.options.objective = objective)
-            }
-            ("options", "deployment") => {
-                named(&CopyPlacement::ALL, CopyPlacement::name, value).map(|copies| self.options.placement = copies)
-            }
-            ("options", "relays") => {
-                let relays = value.parse::<bool>().map_err(|_| "neither true nor false".to_string());
-                relays.map(|relays| self.relays = relays)
-            }
-            ("options", "prune") => {
-                self.prune = vec![value.to_string()];
-                Ok(())
-            }
-            ("options", "host") => named(&Host::ALL, Host::name, value).map(|host| self.host = Some(host)),
-            ("options", "constants") => text(self.constants.get_or_insert_default()),
-            ("options", "mode") => named(&Mode::ALL, Mode::name, value).map(|mode| self.mode = mode),
-            ("options", "convention") => {
-                named(&Convention::ALL, Convention::name, value).map(|convention| self.convention = convention)
-            }
-            ("options", "accounting") => {
-                named(&Accounting::ALL, Accounting::name, value).map(|accounting| self.accounting = accounting)
             }
             ("options" | "input", other) => {
                 let known: &[&str] = if first == "options" { &OPTIONS } else { &INPUTS };
@@ -228,10 +188,41 @@ impl Job {
                 }
                 let changes = if change.is_of_target() { &mut self.of_target } else { &mut self.of_model };
                 changes.push(change);
-                Ok(())
             }
-        };
-        done.map_err(|problem| Diagnostic::new("sweep.value", format!("{path}: {value} is {problem}")))
+        }
+        Ok(())
+    }
+
+    /// Gives a field of the job a value; whether there is one of this path. Errors: what the value is.
+    fn assign_own(&mut self, path: (&str, &str), value: &str) -> Result<bool, String> {
+        match path {
+            ("model", "") => self.model = value.to_string(),
+            ("target", "") => self.target = value.to_string(),
+            ("input", "") => self.input = vec![value.to_string()],
+            ("input", "samples") => {
+                self.samples = Some(sample_range(value).ok_or("no range of samples such as 0..20")?);
+            }
+            ("input", "seed") => self.seed = Some(number(value)?),
+            ("options", "copies") => match number(value)? {
+                0 => return Err("less than 1".to_string()),
+                copies => self.options.copies = copies,
+            },
+            ("options", "seed") => self.options.seed = number(value)?,
+            ("options", "strategy") => self.options.strategy = named(&Strategy::ALL, Strategy::name, value)?,
+            ("options", "objective") => self.options.objective = named(&Objective::ALL, Objective::name, value)?,
+            ("options", "deployment") => {
+                self.options.placement = named(&CopyPlacement::ALL, CopyPlacement::name, value)?;
+            }
+            ("options", "relays") => self.relays = value.parse::<bool>().map_err(|_| "neither true nor false")?,
+            ("options", "prune") => self.prune = vec![value.to_string()],
+            ("options", "host") => self.host = Some(named(&Host::ALL, Host::name, value)?),
+            ("options", "constants") => self.constants = Some(value.to_string()),
+            ("options", "mode") => self.mode = named(&Mode::ALL, Mode::name, value)?,
+            ("options", "convention") => self.convention = named(&Convention::ALL, Convention::name, value)?,
+            ("options", "accounting") => self.accounting = named(&Accounting::ALL, Accounting::name, value)?,
+            _ => return Ok(false),
+        }
+        Ok(true)
     }
 }
 
