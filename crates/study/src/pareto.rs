@@ -20,8 +20,7 @@ use nsim_agree::trace::{Comparison, Layer, Trace};
 use nsim_compile::{Mapping, Options, compile};
 use nsim_cost::meter::{MeterSettings, StepMeter};
 use nsim_cost::transport::{Timing, Transport};
-use nsim_dynamics as neuron;
-use nsim_dynamics::model_thresholds;
+use nsim_dynamics::{model_thresholds, thresholds};
 use nsim_energy::cpu::{Timed, timed};
 use nsim_golden::Golden;
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -32,10 +31,8 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::{Neuron, Parts, Quantised, Units};
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
-use nsim_quantise::analytic;
-use nsim_quantise::analytic::Fit;
+use nsim_quantise::analytic::{self, Fit};
 use nsim_quantise::quantise::quantise;
-use nsim_reference as reference;
 use nsim_reference::{Kernel, Model, Real, Reference};
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
@@ -197,7 +194,7 @@ impl<'a> Subject<'a> {
             budget,
             deployed,
         };
-        let model = Model::<f64>::new(graph, reference::Options { kernel: Kernel::Exact })?;
+        let model = Model::<f64>::new(graph, nsim_reference::Options { kernel: Kernel::Exact })?;
         subject.trained = subject.real_traces(&model);
         subject.golden = subject.traces(&mut Golden::new(&subject.deployed), &subject.deployed, 1);
         Ok(subject)
@@ -213,7 +210,7 @@ impl<'a> Subject<'a> {
 
     /// Traces of an integer engine; with merged steps, spikes at the last step of each group.
     fn traces<E: Engine>(&self, engine: &mut E, network: &Quantised, merged: u32) -> Vec<Trace> {
-        let thresholds = neuron::thresholds(network);
+        let thresholds = thresholds(network);
         let potential = |e: &E, c: CompartmentId| f64::from(e.v(c)) / thresholds[c.0 as usize];
         let recorded = (network.compartments(), network.output());
         let one = |sample: &&Sample| {
@@ -270,7 +267,7 @@ impl<'a> Subject<'a> {
     }
 
     fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> Result<VariantRow, Error> {
-        let model = Model::<F>::new(self.graph, reference::Options { kernel })?;
+        let model = Model::<F>::new(self.graph, nsim_reference::Options { kernel })?;
         let mut engine = Reference::new(&model);
         let times = self.timed(|| self.samples.iter().for_each(|sample| drive(&mut engine, sample)));
         Ok(self.row(variant, &self.real_traces(&model), times))
@@ -351,7 +348,8 @@ impl<'a> Subject<'a> {
                 // A decay of 0 would never forget.
                 let coarse =
                     |d: Decay| Decay::new((f64::from(d.get()) / step).round_ties_even().max(1.0) as i64 * step as i64);
-                self.machine(variant, &with_decays(&self.deployed, coarse)?, 1)
+                let decays = |neuron: Neuron| Ok(Neuron { du: coarse(neuron.du)?, dv: coarse(neuron.dv)?, ..neuron });
+                self.machine(variant, &with_neurons(&self.deployed, decays)?, 1)
             }
             Variant::Merged(steps) => self.machine(variant, &slower(&self.deployed, steps)?, steps),
             Variant::Fast { .. } | Variant::Metered(_) | Variant::Early(_) => self.machine(variant, &self.deployed, 1),
@@ -444,10 +442,6 @@ fn with_neurons(network: &Quantised, f: impl Fn(Neuron) -> Result<Neuron, OutOfR
         }
     }
     Quantised::new(parts).map_err(wrong)
-}
-
-fn with_decays(network: &Quantised, f: impl Fn(Decay) -> Result<Decay, OutOfRange>) -> Result<Quantised, Error> {
-    with_neurons(network, |neuron| Ok(Neuron { du: f(neuron.du)?, dv: f(neuron.dv)?, ..neuron }))
 }
 
 /// The network for steps that are this many times as long: what is kept is kept this many times

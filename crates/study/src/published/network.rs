@@ -146,9 +146,7 @@ pub fn build(file: &WorkloadFile, taken: Taken) -> Result<(Quantised, Sample), B
             net.connect((place(of), place(name)), 0, connectivity)?;
         }
     }
-    let network = net.build()?;
-    let sample = Sample::new(all_steps, &input, None)?;
-    Ok((network, sample))
+    Ok((net.build()?, Sample::new(all_steps, &input, None)?))
 }
 
 #[cfg(test)]
