@@ -29,7 +29,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::picture::FILE;
 use nsim_report::charts::results;
-use nsim_report::charts::sample::{messages, raster, traced, voltage};
+use nsim_report::charts::sample::{raster, traced, traces};
 use nsim_session::Quantity;
 use nsim_session::error::Error;
 use nsim_session::obtain::Wanted;
@@ -174,9 +174,9 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage("there is no sample to draw".to_string()));
     };
     let metered = Metered::new(workload.compiled);
+    let quantity = if args.what == What::Messages { Quantity::Message } else { Quantity::V };
     let drawn = |ids: &[CompartmentId]| {
         let (settings, _) = metered.offline(workload.target)?;
-        let quantity = if args.what == What::Messages { Quantity::Message } else { Quantity::V };
         workload.timeline(settings, sample, (ids, quantity))
     };
     let number = cost.input.samples.as_ref().map_or(0, |range| range.start);
@@ -201,8 +201,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let spikes = |id: CompartmentId| u64::from(counts[id.0 as usize]);
     let (ids, traced) = traced(network, wanted, spikes, MOST_TRACED);
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
-    let draw = if args.what == What::Messages { messages } else { voltage };
-    write(args, &draw(&title, network, &timeline, &traced), taken, context)
+    write(args, &traces(&title, network, &timeline, &traced, quantity), taken, context)
 }
 
 /// The pattern of a probe, and the compartment that it names.

@@ -12,6 +12,7 @@ use nsim_dynamics::thresholds;
 use nsim_files::table::count;
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::quantised::Quantised;
+use nsim_session::Quantity;
 use nsim_session::timeline::Timeline;
 
 /// Between two panels.
@@ -148,41 +149,35 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
     Panels { title, what: String::new(), steps, timestep_ms, onset_ms: None, panels }.svg()
 }
 
-/// Potentials over time in parts of their thresholds, a panel for each compartment; the timeline
-/// holds those of `traced`, in this order.
-pub fn voltage(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced]) -> String {
+/// Potentials over time in parts of their thresholds, or messages in parts of the greatest, which a
+/// label gives: a panel for each compartment; the timeline holds those of `traced`, in this order.
+/// No message is 0.
+pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced], quantity: Quantity) -> String {
+    let is_message = quantity == Quantity::Message;
     let steps = timeline.steps.0;
     let group = (steps as usize).div_ceil(MOST_POINTS).max(1);
     let reduced = if group > 1 { format!(", the largest of {group} steps each") } else { String::new() };
+    let largest = |part: &[i32]| match is_message {
+        true => part.iter().copied().max_by_key(|value| value.unsigned_abs()),
+        false => part.iter().copied().max(),
+    };
     let panel = |(of, trace): (&Traced, &Vec<i32>)| {
-        let largest = trace.chunks(group).filter_map(|part| part.iter().max()).enumerate();
+        let (label, whole) = match is_message {
+            true => {
+                let greatest = trace.iter().map(|value| value.unsigned_abs()).max().unwrap_or(0);
+                (format!("{}: {greatest}", of.name), f64::from(greatest.max(1)))
+            }
+            false => (of.name.clone(), of.threshold),
+        };
         // A point stands at the end of its steps.
         let end = |point: usize| ((point + 1) * group).min(steps as usize);
-        let points = largest.map(|(point, &v)| (end(point), f64::from(v) / of.threshold)).collect();
-        Panel { label: of.name.clone(), share: 1.0, content: Content::Potential(points) }
-    };
-    let panels = traced.iter().zip(&timeline.traces).map(panel).collect();
-    let (title, what) = (title.to_string(), format!("potential (dashed: threshold){reduced}"));
-    Panels { title, what, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
-}
-
-/// Messages over time, a panel for each compartment, in parts of its greatest, which its label
-/// gives; the timeline holds those of `traced`, in this order. No message is 0.
-pub fn messages(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced]) -> String {
-    let steps = timeline.steps.0;
-    let group = (steps as usize).div_ceil(MOST_POINTS).max(1);
-    let reduced = if group > 1 { format!(", the largest of {group} steps each") } else { String::new() };
-    let panel = |(of, trace): (&Traced, &Vec<i32>)| {
-        let greatest = trace.iter().map(|value| value.unsigned_abs()).max().unwrap_or(0);
-        let largest = trace.chunks(group).filter_map(|part| part.iter().max_by_key(|value| value.unsigned_abs()));
-        let end = |point: usize| ((point + 1) * group).min(steps as usize);
-        let share = |value: &i32| f64::from(*value) / f64::from(greatest.max(1));
-        let points = largest.enumerate().map(|(point, value)| (end(point), share(value))).collect();
-        let label = format!("{}: {greatest}", of.name);
+        let points = trace.chunks(group).filter_map(largest).enumerate();
+        let points = points.map(|(point, value)| (end(point), f64::from(value) / whole)).collect();
         Panel { label, share: 1.0, content: Content::Potential(points) }
     };
     let panels = traced.iter().zip(&timeline.traces).map(panel).collect();
-    let (title, what) = (title.to_string(), format!("message (dashed: the greatest){reduced}"));
+    let what = if is_message { "message (dashed: the greatest)" } else { "potential (dashed: threshold)" };
+    let (title, what) = (title.to_string(), format!("{what}{reduced}"));
     Panels { title, what, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
 }
 
