@@ -50,7 +50,7 @@ const LAYERS: [Column<LayerRow>; 4] = [
     ("layer", |layer| layer.name.clone()),
     ("coincidence", |layer| layer.coincidence.map_or("nothing to compare".to_string(), four)),
     ("clipped", |layer| layer.clipped.to_string()),
-    ("exponents", |layer| exponents(layer)),
+    ("exponents", |layer| layer.weight_exp.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")),
 ];
 
 const EPOCHS: [Column<FineTuneRow>; 3] = [
@@ -58,10 +58,6 @@ const EPOCHS: [Column<FineTuneRow>; 3] = [
     ("accuracy", |row| four(row.score.accuracy)),
     ("loss", |row| four(row.score.loss)),
 ];
-
-fn exponents(layer: &LayerRow) -> String {
-    layer.weight_exp.iter().map(ToString::to_string).collect::<Vec<_>>().join(" ")
-}
 
 fn measured(measured: &Measured) -> Value {
     let layer =
@@ -98,10 +94,6 @@ fn tuned_text(tuned: &Tuned) -> String {
         out += &format!("on {} after it: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
     }
     out
-}
-
-fn tuned_markdown(tuned: &Tuned) -> String {
-    format!("\nFine-tuning:\n\n{}\nIt was {}.\n", markdown_of(&tuned.tuned.rows, &EPOCHS), tuned.sentence())
 }
 
 impl ConvertReport<'_> {
@@ -159,7 +151,8 @@ impl ConvertReport<'_> {
             out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), sentence(held));
         }
         if let Some(tuned) = self.tuned {
-            out += &tuned_markdown(tuned);
+            let epochs = markdown_of(&tuned.tuned.rows, &EPOCHS);
+            out += &format!("\nFine-tuning:\n\n{epochs}\nIt was {}.\n", tuned.sentence());
         }
         out
     }

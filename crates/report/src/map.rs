@@ -76,6 +76,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         Outcome::Fits(mapping, ..) => (Some(mapping), &[][..]),
         Outcome::DoesNotFit(reasons) => (None, reasons),
     };
+    let per_copy = |mapping: &Mapping| mapping.partition.cores() as f64 / f64::from(mapping.options.copies);
     let seconds = mapping.map_or(&[][..], |mapping| &mapping.seconds);
     let seconds = seconds.iter().map(|&(stage, seconds)| (stage.to_string(), seconds.into()));
     let mut object = json!({
@@ -93,7 +94,7 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         "fits": mapping.is_some(),
         "cores_used": mapping.map(|mapping| mapping.partition.cores()),
         "chips_used": mapping.map(|mapping| mapping.placement.chips_used()),
-        "cores_per_copy": mapping.map(cores_per_copy),
+        "cores_per_copy": mapping.map(per_copy),
         "checked": mapping.is_some(),
         "checked_how": mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
         "checked_share": mapping.map(|_| 1.0),
@@ -112,19 +113,6 @@ pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
         object["expected"] = json!(score);
     }
     object
-}
-
-/// The estimated cost of a mean step, for people.
-fn expected_text(score: &Score) -> String {
-    let Score { cores, energy_uj, step_us, static_mw, .. } = score;
-    wrapped(&format!(
-        "expected of such a step, all copies and x86 cores: {} uJ, {} us (nsim energy counts the spikes shown); static \
-         power {} mW of {}",
-        three(*energy_uj),
-        three(*step_us),
-        three(*static_mw),
-        count(*cores, "core")
-    ))
 }
 
 /// Candidates of mappings; those of the front are those that no other is better than in everything.
@@ -197,10 +185,6 @@ fn pruned_table(rows: &[PrunedRow]) -> String {
         vec![row.kind.name().replace('_', " "), row.count.to_string(), of.join(", "), row.reason.clone()]
     };
     nsim_files::table::table(&["pruned", "count", "of", "why"], &rows.iter().map(row).collect::<Vec<_>>())
-}
-
-fn cores_per_copy(compiled: &Mapping) -> f64 {
-    compiled.partition.cores() as f64 / f64::from(compiled.options.copies)
 }
 
 /// What is said of a core.
@@ -321,7 +305,14 @@ pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
                 three(traffic.mean_link_load),
                 three(traffic.max_link_load)
             ));
-            text += &expected_text(&score);
+            text += &wrapped(&format!(
+                "expected of such a step, all copies and x86 cores: {} uJ, {} us (nsim energy counts the spikes \
+                 shown); static power {} mW of {}",
+                three(score.energy_uj),
+                three(score.step_us),
+                three(score.static_mw),
+                count(score.cores, "core")
+            ));
         }
     }
     text

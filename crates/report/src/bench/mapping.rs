@@ -64,12 +64,8 @@ pub fn json(environment: &Environment, rows: &[MeasuredMapping]) -> Value {
             "peak_mib": row.peak_mib.map(rounded),
         })
     };
-    json!({
-        "schema": "nsim.bench/1",
-        "name": "map",
-        "environment": environment,
-        "rows": rows.iter().map(row).collect::<Vec<_>>(),
-    })
+    let rows: Vec<Value> = rows.iter().map(row).collect();
+    json!({ "schema": "nsim.bench/1", "name": "map", "environment": environment, "rows": rows })
 }
 
 /// A row each.

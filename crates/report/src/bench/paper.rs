@@ -95,8 +95,7 @@ fn here_and_printed(here: Option<String>, printed: Option<String>) -> String {
 
 /// The grids of what there are rows of: accuracies of each task, hardware, accuracy by time.
 pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
-    let header =
-        |first: &str, rest: &[&str]| [first].iter().chain(rest).map(|name| (*name).to_string()).collect::<Vec<_>>();
+    let header = |names: &[&str]| [""].iter().chain(names).map(|name| (*name).to_string()).collect::<Vec<_>>();
     let found = |table: &str, [task, senses, quantity]: [&str; 3], loss: Option<&str>, note: &str| {
         rows.iter().find(|row| {
             [&*row.table, &row.task, &row.modality, &row.quantity] == [table, task, senses, quantity]
@@ -123,7 +122,7 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
         };
         let rows: Vec<Vec<String>> = NETWORKS.iter().map(network).collect();
         let names: Vec<&str> = SENSES.iter().map(|(_, name)| *name).chain(["epochs"]).collect();
-        Grid::new(&format!("{title}: accuracy here (in the paper)"), &header("", &names), &rows)
+        Grid::new(&format!("{title}: accuracy here (in the paper)"), &header(&names), &rows)
     };
     let hardware = |title: &str, units: &[(&str, &str)], columns: &[(&str, &str)]| {
         let kinds = [("offline", "offline"), ("realtime", "real time")];
@@ -138,7 +137,7 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
         };
         let rows: Vec<Vec<String>> = kinds.iter().flat_map(|kind| units.iter().map(|unit| row(*kind, unit))).collect();
         let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
-        Grid::new(title, &header("", &names), &rows)
+        Grid::new(title, &header(&names), &rows)
     };
     let powers = hardware(
         "One x86 core and one of 32 copies: modelled here (in the paper)",
@@ -175,7 +174,7 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
             .collect();
         let times: Vec<String> = times.iter().map(u32::to_string).collect();
         let names: Vec<&str> = times.iter().map(String::as_str).chain(["for good", "certain"]).collect();
-        Grid::new(&format!("{title}: accuracy here by time (ms), and when it stays"), &header("", &names), &cells)
+        Grid::new(&format!("{title}: accuracy here by time (ms), and when it stays"), &header(&names), &cells)
     };
     TASKS.into_iter().map(accuracy).chain([powers, energies]).chain(TASKS.into_iter().map(early)).flatten().collect()
 }

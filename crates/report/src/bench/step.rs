@@ -61,12 +61,8 @@ pub fn json(environment: &Environment, rows: &[StepRow]) -> Value {
             "steps_per_repeat": row.measured.steps,
         })
     };
-    json!({
-        "schema": "nsim.bench/1",
-        "name": "step",
-        "environment": environment,
-        "rows": rows.iter().map(row).collect::<Vec<_>>(),
-    })
+    let rows: Vec<Value> = rows.iter().map(row).collect();
+    json!({ "schema": "nsim.bench/1", "name": "step", "environment": environment, "rows": rows })
 }
 
 /// A row each.

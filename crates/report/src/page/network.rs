@@ -119,14 +119,10 @@ fn kind(connectivity: &Connectivity) -> &'static str {
 /// How often weights of each size are stored: of a kernel those of the kernel. None for weights
 /// that are drawn from a seed.
 fn histogram(connectivity: &Connectivity) -> Value {
-    let one;
     let weights: &[i16] = match connectivity {
         Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => weights,
         Connectivity::Conv2d { kernel, .. } => kernel,
-        Connectivity::SumPool2d { weight, .. } => {
-            one = [*weight];
-            &one
-        }
+        Connectivity::SumPool2d { weight, .. } => std::slice::from_ref(weight),
         Connectivity::Random { .. } => &[],
     };
     let (Some(&low), Some(&high)) = (weights.iter().min(), weights.iter().max()) else { return Value::Null };
