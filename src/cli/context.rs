@@ -1,5 +1,7 @@
 //! What every command knows, and what it answers.
 
+use nsim_session::error::Error;
+
 /// How results are printed.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
 pub enum Format {
@@ -36,4 +38,9 @@ pub enum Answer {
     Yes,
     /// Does not fit, does not agree, misses its bound.
     No,
+}
+
+/// Refuses what was typed where something is wrong with it.
+pub fn refuse_if(is_wrong: bool, message: impl Into<String>) -> Result<(), Error> {
+    if is_wrong { Err(Error::Usage(message.into())) } else { Ok(()) }
 }

@@ -10,14 +10,13 @@ use serde_json::json;
 
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values::one_of;
-use crate::cli::context::{Answer, Context};
+use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::inspect::network::kind_and_parameters;
 use crate::cli::output;
 use nsim_files::changes;
-use nsim_files::network::{NetworkFile, ProjectionKind};
-use nsim_import::foreign;
+use nsim_files::network::ProjectionKind;
 use nsim_import::foreign::imported::DecayRule;
-use nsim_import::foreign::{Imported, Options, ResetMode};
+use nsim_import::foreign::{self, Imported, Options, ResetMode};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::inspect::{Findings, FindingsTable};
@@ -109,10 +108,8 @@ impl Args {
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
-    if !changes::of_process().is_empty() {
-        let message = "--set: an import writes what the file holds; give --set to the command that uses the model";
-        return Err(Error::Usage(message.to_string()));
-    }
+    let message = "--set: an import writes what the file holds; give --set to the command that uses the model";
+    refuse_if(!changes::of_process().is_empty(), message)?;
     let imported = foreign::read(&args.file, &args.options()?)?;
     if let Some(assumed) = &imported.assumed {
         tracing::warn!("{}: {assumed}", args.file.display());
@@ -138,26 +135,15 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 
 /// What was imported, for people and scripts.
 fn findings(imported: &Imported, files: &[String]) -> Findings {
-    let NetworkFile {
-        name,
-        timestep_ms,
-        populations,
-        projections,
-        output,
-        decision,
-        drain,
-        reset,
-        threshold,
-        semantics,
-        ..
-    } = &imported.model;
-    let every = reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
+    let model = &imported.model;
+    let every =
+        model.reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
     let reset = every.or(imported.reset.map(|reset| reset.name().to_string()));
-    let populations = populations.iter().map(|population| {
+    let populations = model.populations.iter().map(|population| {
         let (kind, parameters) = kind_and_parameters(population);
         json!([population.name, kind, population.shape, population.start_step, parameters])
     });
-    let projections = projections.iter().map(|projection| {
+    let projections = model.projections.iter().map(|projection| {
         let (kind, weights) = match &projection.kind {
             ProjectionKind::Dense(weights) => ("dense", weights.tensor().shape().to_vec()),
             ProjectionKind::Sparse(synapses) => ("sparse", vec![synapses.len()]),
@@ -175,13 +161,13 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
     Findings {
         kind: imported.kind,
         facts: vec![
-            ("name", json!(name)),
-            ("timestep_ms", json!(timestep_ms)),
-            ("semantics", json!(semantics)),
-            ("threshold", json!(threshold)),
-            ("output", json!(output)),
-            ("decision", json!(decision)),
-            ("drain", json!(drain)),
+            ("name", json!(model.name)),
+            ("timestep_ms", json!(model.timestep_ms)),
+            ("semantics", json!(model.semantics)),
+            ("threshold", json!(model.threshold)),
+            ("output", json!(model.output)),
+            ("decision", json!(model.decision)),
+            ("drain", json!(model.drain)),
             ("reset", json!(reset)),
             ("notes", json!(imported.notes)),
             ("written", if files.is_empty() { json!(null) } else { json!(files) }),

@@ -7,8 +7,7 @@ use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_compile::explore;
-use nsim_compile::explore::remedy;
-use nsim_compile::explore::remedy::Refused;
+use nsim_compile::explore::remedy::{self, Refused};
 use nsim_compile::{CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Objective, Options, Strategy};
 use nsim_files as io;
 use nsim_files::changes::{Change, within};
@@ -19,12 +18,10 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::picture::FILE;
-use nsim_report::map as report;
-use nsim_report::map::{Outcome, Question};
+use nsim_report::map::{self as report, Outcome, Question};
 use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
-use nsim_session::obtain;
-use nsim_session::obtain::{Goal, Request};
+use nsim_session::obtain::{self, Goal, Request};
 use nsim_session::samples::firing_rates;
 use nsim_train::convert::prepare::integers;
 
@@ -56,7 +53,6 @@ fn milliseconds(typed: &str) -> Result<u32, String> {
 #[command(after_help = EXAMPLES)]
 pub struct MapArgs {
     #[command(flatten)]
-    /// Model, target and a saved mapping.
     pub job: JobArgs,
     /// Copies of the model; 1 unless a mapping says otherwise
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]

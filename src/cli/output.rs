@@ -5,11 +5,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
-use crate::cli::context::{Context, Format};
+use crate::cli::context::{Context, Format, refuse_if};
 use nsim_energy::environment::Environment;
 use nsim_files as io;
-use nsim_files::table as text;
-use nsim_files::table::replaced;
+use nsim_files::table::{latex, markdown, replaced};
 use nsim_files::write::checksum;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::charts::picture::{ENDINGS, PictureFormat};
@@ -50,12 +49,9 @@ pub fn check_files<'a>(
     }
     let all: Vec<&PathBuf> = files.into_iter().chain(pictures).collect();
     let on_stdout = all.iter().filter(|path| io::text::is_standard_stream(path)).count();
-    if on_stdout > 1 {
-        return Err(Error::Usage("two files cannot both go to stdout".to_string()));
-    }
-    if on_stdout == 1 && context.format != Format::Text {
-        return Err(Error::Usage("stdout carries the result: give the file a name other than -".to_string()));
-    }
+    refuse_if(on_stdout > 1, "two files cannot both go to stdout")?;
+    let both = on_stdout == 1 && context.format != Format::Text;
+    refuse_if(both, "stdout carries the result: give the file a name other than -")?;
     io::write::check_all_free(all, context.force)?;
     Ok(on_stdout == 1)
 }
@@ -100,8 +96,8 @@ pub fn print(
         Format::Text => plain(),
         Format::Json => format!("{:#}\n", checksum::printed(json())),
         Format::Csv => csv(),
-        Format::Markdown => text::markdown(&csv()),
-        Format::Latex => text::latex(&csv()),
+        Format::Markdown => markdown(&csv()),
+        Format::Latex => latex(&csv()),
     };
     Ok(io::write::stdout(&out)?)
 }
@@ -194,11 +190,13 @@ pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBa
     hidden_at_first(Some(length), "{msg} [{bar:40}] {pos}/{len} {eta}", what)
 }
 
-/// Warns that times of a build without optimisation mean nothing.
-pub fn warn_of_debug_build(environment: &Environment) {
+/// The environment of a measurement, with a warning of a build without optimisation.
+pub fn environment() -> Environment {
+    let environment = Environment::here();
     if environment.profile == "debug" {
         tracing::warn!("this nsim was built without --release; its times mean nothing");
     }
+    environment
 }
 
 /// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section

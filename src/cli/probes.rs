@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
+use crate::cli::context::refuse_if;
 use nsim_files as io;
 use nsim_import::probes::Trace;
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -261,12 +262,11 @@ fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
 fn check_room(probes: &[NamedProbe], samples: &[&Sample]) -> Result<()> {
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let rows: u64 = probes.iter().map(|named| u64::from(named.count())).sum();
-    if rows.saturating_mul(steps) > MOST_PROBED {
-        return Err(Error::Usage(format!(
-            "the probes would record {rows} compartments over {steps} steps, more than {MOST_PROBED} numbers; choose \
-             fewer --samples"
-        )));
-    }
+    let message = format!(
+        "the probes would record {rows} compartments over {steps} steps, more than {MOST_PROBED} numbers; choose \
+         fewer --samples"
+    );
+    refuse_if(rows.saturating_mul(steps) > MOST_PROBED, message)?;
     let equal = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
     if !probes.is_empty() && !equal {
         let message = "samples have different numbers of steps, so probes do not fill [samples, compartments, T]";

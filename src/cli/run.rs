@@ -4,17 +4,14 @@ use std::path::PathBuf;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select};
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::Prepared;
-use crate::cli::args::steps;
-use crate::cli::args::steps::recorded;
+use crate::cli::args::steps::{self, recorded};
 use crate::cli::args::values::{Switch, one_of};
-use crate::cli::context::{Answer, Context};
+use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use crate::cli::probes::{NamedProbe, ProbeArgs, Recorded};
 use crate::cli::process::ranks;
 use nsim_files as io;
 use nsim_ir::spikes::Sample;
-use nsim_reference as reference;
 use nsim_reference::{Kernel, Model};
 use nsim_report::run::RunReport;
 use nsim_session::cores::core_rows;
@@ -25,10 +22,9 @@ use nsim_session::neurobench::NeuroBench;
 use nsim_session::obtain::{Job, Wanted};
 use nsim_session::populations::ByPopulation;
 use nsim_session::priced::Metered;
-use nsim_session::samples;
-use nsim_session::samples::{Progress, Run, Running, Traces, fast, golden};
+use nsim_session::samples::{self, Progress, Run, Running, Traces, fast, golden};
 use nsim_session::warnings::{Finished, Ran, warnings};
-use nsim_session::{Keep, Quantity, inputs};
+use nsim_session::{Keep, Probe, Quantity, inputs};
 
 /// Which engine runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -101,18 +97,16 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    if args.early_exit.is_some() && !args.probes.probe.is_empty() {
-        let message = "--probe records every step of a sample, --early-exit leaves some off: use one of them";
-        return Err(Error::Usage(message.to_string()));
-    }
+    let message = "--probe records every step of a sample, --early-exit leaves some off: use one of them";
+    refuse_if(args.early_exit.is_some() && !args.probes.probe.is_empty(), message)?;
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
     if args.steps.is_some() {
         ranks::price();
     }
     let wanted = EngineChoice::wanted(args.engine);
     let job = match jobs::prepare(&args.job, wanted, Some(1), &args.probes.populations())? {
-        Prepared::Ready(job) => job,
-        Prepared::DoesNotFit(refusal) => return refusal.say(nsim_report::run::nothing("fast"), context),
+        Ok(job) => job,
+        Err(refusal) => return refusal.say(nsim_report::run::nothing("fast"), context),
     };
     let network = job.quantised();
     let stimulus = inputs::stimulus(network, &args.input.sources()?, job.scene(), args.input.seed)?;
@@ -211,18 +205,14 @@ fn ran(
     batch: &mut io::write::Batch,
     progress: Progress<'_>,
 ) -> Result<Run<Option<Vec<Traces>>>, Error> {
-    if args.steps.is_some() && job.mapped().is_none() {
-        let message = "--steps says what cores do: it needs --engine fast";
-        return Err(Error::Usage(message.to_string()));
-    }
-    if job.mapped().is_none() {
+    let is_unmapped = job.mapped().is_none();
+    refuse_if(args.steps.is_some() && is_unmapped, "--steps says what cores do: it needs --engine fast")?;
+    if is_unmapped {
         ranks::alone("--engine golden or reference")?;
     }
     if args.neurobench {
-        if matches!(job, Job::Real(..)) {
-            let message = "--neurobench counts what integers do: it needs --engine fast or golden";
-            return Err(Error::Usage(message.to_string()));
-        }
+        let is_real = matches!(job, Job::Real(..));
+        refuse_if(is_real, "--neurobench counts what integers do: it needs --engine fast or golden")?;
         ranks::alone("--neurobench")?;
     }
     Ok(match job {
@@ -241,12 +231,10 @@ fn ran(
         }
         Job::Quantised(quantised, _) => golden(quantised, samples, keep, progress).map_meter(|()| None),
         Job::Real(graph, quantised, _) => {
-            let registers = [Quantity::VRegister, Quantity::Message];
-            if keep.probes.iter().any(|probe| registers.contains(&probe.quantity)) {
-                let message = "--probe .v_register and .message: the reference engine has none; probe .v or .spikes";
-                return Err(Error::Usage(message.to_string()));
-            }
-            let model = Model::<f64>::new(graph, reference::Options { kernel: args.kernel })?;
+            let is_of_chip = |probe: &Probe| [Quantity::VRegister, Quantity::Message].contains(&probe.quantity);
+            let message = "--probe .v_register and .message: the reference engine has none; probe .v or .spikes";
+            refuse_if(keep.probes.iter().any(is_of_chip), message)?;
+            let model = Model::<f64>::new(graph, nsim_reference::Options { kernel: args.kernel })?;
             let units = (quantised.channels(), quantised.compartments());
             samples::reference(&model, units, samples, keep, progress).map_meter(Some)
         }

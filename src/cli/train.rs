@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-use crate::cli::context::{Answer, Context};
+use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use crate::cli::process::signals;
 use nsim_files as io;
@@ -13,8 +13,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::train::{TrainReport, history_csv};
 use nsim_session::error::{Error, Result};
 use nsim_train::fit::{Example, Plan, TrainingState};
-use nsim_train::job;
-use nsim_train::job::{Checkpoint, Data, Job, training_text, with_fields};
+use nsim_train::job::{self, Checkpoint, Job, training_text, with_fields};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -71,17 +70,6 @@ pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
     Ok((samples, job.plan.topology.classes()))
 }
 
-fn data(job: &Job, args: &Args) -> Result<Data> {
-    let data = {
-        let _busy = output::busy("reading or making samples");
-        job.data(&args.train, &args.test)?
-    };
-    if data.train.is_empty() {
-        return Err(Error::Usage("there are no training samples: add --train SOURCE".to_string()));
-    }
-    Ok(data)
-}
-
 /// Keeps the last finished epoch of a training that a signal ends.
 fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs: u32) -> Option<String> {
     let state = finished.lock().ok()?.take()?;
@@ -126,11 +114,14 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let job = Job::new(source, args.seed, args.epochs)?;
     args.output.iter().try_for_each(|path| NetworkFile::check_name(path))?;
     let weights = args.output.as_deref().map(job::weights_path);
-    if args.output.as_deref().is_some_and(io::text::is_standard_stream) {
-        return Err(Error::Usage("-o -: a trained model has weights, which need a file beside it".to_string()));
-    }
+    let on_stdout = args.output.as_deref().is_some_and(io::text::is_standard_stream);
+    refuse_if(on_stdout, "-o -: a trained model has weights, which need a file beside it")?;
     let taken = output::check_files(args.output.iter().chain(&weights).chain(&args.log), None, context)?;
-    let data = data(&job, args)?;
+    let data = {
+        let _busy = output::busy("reading or making samples");
+        job.data(&args.train, &args.test)?
+    };
+    refuse_if(data.train.is_empty(), "there are no training samples: add --train SOURCE")?;
     let state = train(&job.plan, &data.train, args.checkpoint.as_deref(), context)?;
     let each = |plan: &Plan, examples: &[Example]| Ok(train(plan, examples, None, context)?.0);
     let folds = args.folds.map_or_else(Vec::new, |k| Job::folds(&data.train, k));

@@ -13,7 +13,7 @@ use std::path::Path;
 use crate::cli::agree::args::{answer, deployed_warnings, draw};
 use crate::cli::args::input::select;
 use crate::cli::args::values::Switch;
-use crate::cli::context::{Answer, Context};
+use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use nsim_agree::attribution::attribute;
 use nsim_agree::compare::{Counterpart, Deployed, compare, output_layer};
@@ -33,9 +33,8 @@ use nsim_train::convert::staged::is_real;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, args.plot_causes.iter().chain(&args.plot), context)?;
-    if args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share)) {
-        return Err(Error::Usage("--require-class-agreement is a share between 0 and 1".to_string()));
-    }
+    let is_no_share = args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share));
+    refuse_if(is_no_share, "--require-class-agreement is a share between 0 and 1")?;
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
@@ -63,11 +62,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let ladder = integers.ladder(&graph)?;
     let Some(compiled) = models::deployed(&args.model, ladder.deployed(), on)? else { return Ok(Answer::No) };
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
-    if args.plot_causes.is_some() && !attributed {
-        let message =
-            "--plot-causes draws the causes of disagreement, which --against srm or cuba has, with --attribution on";
-        return Err(Error::Usage(message.to_string()));
-    }
+    refuse_if(
+        args.plot_causes.is_some() && !attributed,
+        "--plot-causes draws the causes of disagreement, which --against srm or cuba has, with --attribution on",
+    )?;
     let (fits, program, steps) = (&integers.fits, &compiled.program, args.steps);
     let deployed = Deployed { graph: &graph, fits, ladder: &ladder, program, samples: &samples, steps };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
@@ -121,20 +119,14 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 }
 
 fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Counterpart, Error> {
-    let word = match args.against.as_slice() {
-        [] if graph.has_srm() => "srm",
-        [] => "cuba",
-        [word] => word,
-        _ => "",
-    };
-    match word {
-        "srm" if graph.has_srm() => return Ok(Counterpart::Srm),
-        "srm" => {
+    match args.against.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        [] | ["srm"] if graph.has_srm() => return Ok(Counterpart::Srm),
+        ["srm"] => {
             let message = format!("{} has no spike response neurons", graph.facts().name);
             return Err(Error::Usage(format!("--against srm: {message}; use cuba or golden")));
         }
-        "cuba" => return Ok(Counterpart::Cuba),
-        "golden" => return Ok(Counterpart::Golden),
+        [] | ["cuba"] => return Ok(Counterpart::Cuba),
+        ["golden"] => return Ok(Counterpart::Golden),
         _ => {}
     }
     let layers = layers(network);

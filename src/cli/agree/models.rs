@@ -9,7 +9,7 @@ use std::path::Path;
 
 use crate::cli::agree::args::{Args, answer, deployed_warnings, draw, within_bounds};
 use crate::cli::args::jobs::Refusal;
-use crate::cli::context::{Answer, Context};
+use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use nsim_agree::compare::compare_models;
 use nsim_compile::{CompileError, Form, Mapping, Options, compile};
@@ -41,10 +41,8 @@ pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
         path.exists() && (foreign || model)
     };
     let models: Vec<&str> = against.iter().map(String::as_str).filter(is_model).collect();
-    if !models.is_empty() && models.len() < against.len() {
-        let message = "several --against are all model files, or all recorded spikes";
-        return Err(Error::Usage(message.to_string()));
-    }
+    let is_mixed = !models.is_empty() && models.len() < against.len();
+    refuse_if(is_mixed, "several --against are all model files, or all recorded spikes")?;
     Ok(models)
 }
 
@@ -125,10 +123,8 @@ pub(super) fn with_several(
     (stimulus, samples): (&Stimulus, &[&Sample]),
     (target, context): (&Target, Context),
 ) -> Result<Answer, Error> {
-    if args.plot.is_some() || args.plot_causes.is_some() || args.update.is_some() {
-        let message = "--plot, --plot-causes and --update show one comparison: give one --against";
-        return Err(Error::Usage(message.to_string()));
-    }
+    let shows_one = args.plot.is_some() || args.plot_causes.is_some() || args.update.is_some();
+    refuse_if(shows_one, "--plot, --plot-causes and --update show one comparison: give one --against")?;
     let all = compared(args, (graph, integers), files, samples, (target, context))?;
     let Some(all) = all else { return Ok(Answer::No) };
     let report = SideBySideReport {

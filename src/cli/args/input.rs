@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 use crate::cli::args::values::sample_range;
+use crate::cli::context::refuse_if;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_quantise::prune::check_stimulus;
@@ -41,10 +42,8 @@ impl InputArgs {
     pub fn sources(&self) -> Result<Vec<String>, Error> {
         let mut sources = self.input.clone();
         if let (Some(labels), Some(first)) = (&self.labels, sources.first_mut()) {
-            if labels.contains(['?', '&']) || first.contains("scene:") {
-                let message = "labels are a file beside recordings, without ? and &";
-                return Err(Error::Usage(format!("--labels {labels}: {message}")));
-            }
+            let is_wrong = labels.contains(['?', '&']) || first.contains("scene:");
+            refuse_if(is_wrong, format!("--labels {labels}: labels are a file beside recordings, without ? and &"))?;
             let begun = first.rsplit_once('?').is_some_and(|(_, query)| query.contains('='));
             *first = format!("{first}{}labels={labels}", if begun { '&' } else { '?' });
         }
@@ -70,14 +69,11 @@ pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sam
 /// [`Error::Usage`] when the range holds no sample, `input.too-many`.
 pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Error> {
     let range = args.samples.clone().unwrap_or(0..usize::MAX);
-    if range.end != usize::MAX && range.end > samples {
-        let (start, end, last) = (range.start, range.end, samples.max(1) - 1);
-        return Err(Error::Usage(format!("--samples {start}..{end}: there are {samples} samples, 0 to {last}")));
-    }
-    let chosen = range.start..range.end.min(samples);
-    if chosen.is_empty() {
-        return Err(Error::Usage(format!("--samples {}..: there are {samples} samples", range.start)));
-    }
+    let (start, end, last) = (range.start, range.end, samples.max(1) - 1);
+    let is_beyond = end != usize::MAX && end > samples;
+    refuse_if(is_beyond, format!("--samples {start}..{end}: there are {samples} samples, 0 to {last}"))?;
+    let chosen = start..end.min(samples);
+    refuse_if(chosen.is_empty(), format!("--samples {start}..: there are {samples} samples"))?;
     Ok(repeated(chosen, args.repeat)?)
 }
 

@@ -5,16 +5,14 @@ use std::path::PathBuf;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::context::{Answer, Context};
-use crate::cli::diagnostics;
-use crate::cli::output;
 use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
+use crate::cli::{diagnostics, output};
 use nsim_compile::{CopyPlacement, Options, Reason};
 use nsim_files as io;
 use nsim_files::network::Network;
 use nsim_ir::hardware::Target;
-use nsim_report as report;
-use nsim_session::error::Error;
+use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
 use nsim_session::obtain::{Integers, Job, Request, TargetChoice, Wanted, obtain};
 use nsim_train::convert::copies;
@@ -92,15 +90,6 @@ impl JobArgs {
     }
 }
 
-/// A job, or the answer that there is none.
-#[derive(Debug)]
-pub enum Prepared {
-    /// It can run.
-    Ready(Job),
-    /// It does not fit.
-    DoesNotFit(Refusal),
-}
-
 /// Why something does not fit.
 #[derive(Debug)]
 pub struct Refusal {
@@ -123,8 +112,8 @@ impl Refusal {
 
     /// Prints the reasons on stderr and, as JSON, the command's own object with the keys of a run
     /// left empty.
-    pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer, Error> {
-        let text = report::map::refusal(&self.model, &self.target, &self.reasons);
+    pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer> {
+        let text = nsim_report::map::refusal(&self.model, &self.target, &self.reasons);
         diagnostics::say(&text);
         if context.format == crate::cli::context::Format::Json {
             object["model"] = self.model.as_str().into();
@@ -137,9 +126,9 @@ impl Refusal {
     }
 }
 
-/// Loads a model and makes it ready for an engine, with this many copies, else those of the saved
-/// mapping, else 1. Populations that fit the patterns stay whole however much is pruned.
-pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Prepared, Error> {
+/// Loads a model and makes it ready for an engine, or says why it does not fit, with this many
+/// copies, else those of the saved mapping, else 1. Populations that fit the patterns stay whole however much is pruned.
+pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Result<Job, Refusal>> {
     let network = args.timestep.load(&args.model)?;
     if args.needs_scene {
         let help = "give spikes with --input FILE, or --input scene:noise to try";
@@ -151,8 +140,8 @@ pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&s
     match obtain(&request) {
         Err(Error::DoesNotFit(reasons)) => {
             let target = io::target::load_target(network.file().target_or_usual(args.target.as_deref()))?;
-            Ok(Prepared::DoesNotFit(Refusal::new(&network.file().name, target, reasons)))
+            Ok(Err(Refusal::new(&network.file().name, target, reasons)))
         }
-        job => job.map(Prepared::Ready),
+        job => job.map(Ok),
     }
 }

@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crate::cli::context::refuse_if;
 use crate::cli::process::ranks;
 use nsim_cost::{MeterSettings, StepMeter};
 use nsim_files::steps::{StepFormat, StepWriter};
@@ -44,10 +45,8 @@ pub fn recorded(
 ) -> Result<Run<StepMeter>, Error> {
     let format = form(path)?;
     let ends_early = running.keep.early_exit.as_ref().is_some_and(|exit| exit.ends);
-    if ends_early && format == StepFormat::Npy {
-        let message = "with --early-exit nobody knows the number of rows of an array beforehand: name the file .csv";
-        return Err(Error::Usage(format!("--steps {}: {message}", path.display())));
-    }
+    let message = "with --early-exit nobody knows the number of rows of an array beforehand: name the file .csv";
+    refuse_if(ends_early && format == StepFormat::Npy, format!("--steps {}: {message}", path.display()))?;
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let layout = StepLayout::new(network);
     if ranks::several().is_some_and(|ranks| ranks.rank() > 0) {

@@ -22,7 +22,6 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
 use nsim_compile::{CompileError, Options, compile};
-use nsim_energy::environment::Environment;
 use nsim_energy::measure::{Budget, StepTiming, measure_agreed};
 use nsim_files as io;
 use nsim_ir::activity::Totals;
@@ -37,8 +36,7 @@ use nsim_session::error::Error;
 use nsim_session::ranks::part_of;
 use nsim_study::mapping;
 use nsim_study::networks::{BenchNetwork, StandardNetwork};
-use nsim_study::suite;
-use nsim_study::suite::SuiteCase;
+use nsim_study::suite::{self, SuiteCase};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -152,8 +150,7 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
         [] => suite::cases().into_iter().filter(|case| args.full || !case.large).collect(),
         given => given.to_vec(),
     };
-    let environment = Environment::here();
-    output::warn_of_debug_build(&environment);
+    let environment = output::environment();
     let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
     let rows = output::with_progress(context, cases.len() * ways, "mappings", |done| {
         let mut rows = Vec::new();
@@ -180,8 +177,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         [] => StandardNetwork::ALL.to_vec(),
         given => given.to_vec(),
     };
-    let environment = Environment::here();
-    output::warn_of_debug_build(&environment);
+    let environment = output::environment();
     let budget = args.steps.map_or(Budget::Time(args.seconds), Budget::Steps);
     let bar = output::progress(context, networks.len() as u64, "networks");
     let mut rows = Vec::new();

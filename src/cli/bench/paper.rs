@@ -5,11 +5,10 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use crate::cli::args::jobs;
-use crate::cli::args::jobs::{JobArgs, Prepared};
+use crate::cli::args::jobs::{self, JobArgs};
 use crate::cli::args::values::one_of;
 use crate::cli::bench::scenes::each_cell;
-use crate::cli::context::{Answer, Context, Format};
+use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::workload::simulate;
 use crate::cli::output;
 use crate::cli::train::train;
@@ -93,7 +92,7 @@ const FOLDS: u32 = 5;
 /// no chip's.
 fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) -> Result<Trial> {
     let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
-    let Prepared::Ready(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(1), &[])? else {
+    let Ok(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(1), &[])? else {
         return Err(Error::Usage(format!("{model} does not fit the default target: see nsim map")));
     };
     let Job::Real(graph, quantised, _) = &job else {
@@ -116,7 +115,7 @@ fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) 
 /// Accuracy after each step of a mapped network on its samples, all of one length.
 fn timed(workload: &Workload<'_>, context: Context) -> Result<Trial> {
     let (metered, _) = workload.meter().offline(workload.target)?;
-    let run = simulate(workload, metered, None, true, context)?;
+    let run = simulate(workload, metered, None, true, None, context)?;
     let unequal = || Error::Usage("accuracy over time needs samples of one length".to_string());
     let steps = workload.steps_per_sample().ok_or_else(unequal)?;
     Trial::new(&workload.samples(), &run.outcomes, workload.compiled.one.parts().timestep_ms, steps as usize)
@@ -198,9 +197,8 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
 }
 
 pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
-    if args.stored && args.train.is_some() {
-        return Err(Error::Usage("--stored runs no network, and --train trains some: leave one out".to_string()));
-    }
+    let is_both = args.stored && args.train.is_some();
+    refuse_if(is_both, "--stored runs no network, and --train trains some: leave one out")?;
     let taken = output::check_files(&args.output, None, context)?;
     let mut given = Vec::new();
     if let Some(folder) = &args.train {

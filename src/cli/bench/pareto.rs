@@ -10,7 +10,6 @@ use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_compile::Form;
-use nsim_energy::environment::Environment;
 use nsim_files as io;
 use nsim_report::bench::pareto::ParetoReport;
 use nsim_report::charts::picture::FILE;
@@ -59,8 +58,7 @@ const CALIBRATION_SAMPLES: usize = 100;
 /// The answer is no when a variant that claims to be exact is not.
 pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
-    let environment = Environment::here();
-    output::warn_of_debug_build(&environment);
+    let environment = output::environment();
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;

@@ -2,7 +2,6 @@
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use nsim_energy::environment::Environment;
 use nsim_report::bench::ladders as report;
 use nsim_session::error::Error;
 use nsim_study::ladders::{Rung, mark_cliffs, rungs};
@@ -25,8 +24,7 @@ pub struct SweepArgs {
 
 /// The answer is no when there is a cliff.
 pub fn run(args: &SweepArgs, context: Context) -> Result<Answer, Error> {
-    let environment = Environment::here();
-    output::warn_of_debug_build(&environment);
+    let environment = output::environment();
     let rungs = rungs(args.seed, context.threads);
     let mut rows = output::with_progress(context, rungs.len(), "rungs", |done| {
         rungs.iter().map(Rung::measure).inspect(|_| done()).collect::<Result<Vec<_>, _>>()

@@ -1,8 +1,7 @@
 //! `nsim compare`: one network on several targets side by side.
 
 use crate::cli::args::input::InputArgs;
-use crate::cli::args::jobs;
-use crate::cli::args::jobs::{JobArgs, MappingArgs, Prepared};
+use crate::cli::args::jobs::{self, JobArgs, MappingArgs};
 use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
@@ -10,13 +9,11 @@ use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use nsim_cost::Host;
 use nsim_cost::job::{Accounting, Mode};
-use nsim_energy::evaluate;
-use nsim_energy::evaluate::Plan;
+use nsim_energy::evaluate::{self, Plan};
 use nsim_energy::options::CostOptions;
 use nsim_files as io;
 use nsim_ir::hardware::Target;
-use nsim_report::compare as report;
-use nsim_report::compare::{ComparedTarget, Comparison, Intervals, Priced, Refused};
+use nsim_report::compare::{self as report, ComparedTarget, Comparison, Intervals, Priced, Refused};
 use nsim_session::error::Error;
 use nsim_session::obtain::Wanted;
 
@@ -98,15 +95,15 @@ fn priced(
         ..JobArgs::for_model(&args.model)
     };
     let prepared = match jobs::prepare(&job, Wanted::Mapped, Some(1), &[])? {
-        Prepared::Ready(job) => job,
-        Prepared::DoesNotFit(refusal) => return Ok(Err(refusal.reasons().iter().map(Refused::from).collect())),
+        Ok(job) => job,
+        Err(refusal) => return Ok(Err(refusal.reasons().iter().map(Refused::from).collect())),
     };
     let workload = workload(&prepared, None, &args.input)?;
     let plan = Plan::new(&args.model, None, Some(1))?;
     let options =
         CostOptions { mode: args.mode, host: args.host, accounting: args.accounting, ..CostOptions::usual(Some(&[]))? };
     let evaluated = evaluate::evaluate(&plan, &workload, &options, None, |metered, watched| {
-        simulate(&workload, metered, watched, true, context)
+        simulate(&workload, metered, watched, true, None, context)
     })?;
     output::warn_all(&evaluated.energy.detail.warnings);
     (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);

@@ -7,9 +7,7 @@ use clap::Args;
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::{Switch, one_of};
-use nsim_cost::job::Accounting;
-use nsim_cost::job::Convention;
-use nsim_cost::job::Mode;
+use nsim_cost::job::{Accounting, Convention, Mode};
 use nsim_cost::{Host, Streams, Transport};
 use nsim_energy::options::Watts;
 use nsim_report::charts::picture::FILE;
@@ -36,10 +34,8 @@ EXAMPLES:
 /// What is run, on what, and how it is priced: what `nsim energy` and `nsim report` have in common.
 #[derive(Debug, Clone, Args)]
 pub struct CostArgs {
-    /// The network and the hardware.
     #[command(flatten)]
     pub job: JobArgs,
-    /// What the network is shown.
     #[command(flatten)]
     pub input: InputArgs,
     /// Copies of the model on the target; figures are of one [default: those of --mapping, else 1;
@@ -120,7 +116,6 @@ pub struct CostArgs {
 #[derive(Debug, Clone, Args)]
 #[command(after_help = EXAMPLES)]
 pub struct EnergyArgs {
-    /// What is run and priced.
     #[command(flatten)]
     pub cost: CostArgs,
     /// A chart of power, time and energy of all hardware

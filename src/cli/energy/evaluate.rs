@@ -2,16 +2,14 @@
 
 use std::path::Path;
 
-use crate::cli::args::jobs;
-use crate::cli::args::jobs::{JobArgs, Prepared};
+use crate::cli::args::jobs::{self, JobArgs};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::args::CostArgs;
-use crate::cli::energy::workload::{simulate, simulate_recorded, workload};
+use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use nsim_energy::evaluate;
-use nsim_energy::evaluate::{Evaluated, Plan};
+use nsim_energy::evaluate::{self, Evaluated, Plan};
 use nsim_energy::options::{CostOptions, baselines};
 use nsim_energy::report::table::nothing;
 use nsim_energy::workload::Workload;
@@ -36,8 +34,8 @@ pub fn evaluate(
     let needs_scene = args.input.input.is_empty();
     let mapped_as = JobArgs { placement: plan.placement(), needs_scene, ..args.job.clone() };
     let job = match jobs::prepare(&mapped_as, Wanted::Mapped, copies, &[])? {
-        Prepared::Ready(job) => job,
-        Prepared::DoesNotFit(refusal) => {
+        Ok(job) => job,
+        Err(refusal) => {
             let copies = copies.unwrap_or(1);
             return refusal.say(nothing(copies, args.mode, args.convention), context);
         }
@@ -52,17 +50,14 @@ pub fn evaluate(
     };
     let alone = match &alone {
         None => Some((&workload.compiled.one, &workload.compiled.program)),
-        Some(Prepared::Ready(job)) => job.mapped().map(|(compiled, _)| (&compiled.one, &compiled.program)),
-        Some(Prepared::DoesNotFit(_)) => None,
+        Some(Ok(job)) => job.mapped().map(|(compiled, _)| (&compiled.one, &compiled.program)),
+        Some(Err(_)) => None,
     };
     let skip = args.skip == Switch::On;
-    let mut evaluated = evaluate::evaluate(&plan, &workload, &options, alone, |metered, watched| match steps {
-        Some(steps) => simulate_recorded(&workload, metered, watched, skip, steps, context),
-        None => {
-            let run = simulate(&workload, metered, watched, skip, context)?;
-            ranks::leave_to_first();
-            Ok(run)
-        }
+    let mut evaluated = evaluate::evaluate(&plan, &workload, &options, alone, |metered, watched| {
+        let run = simulate(&workload, metered, watched, skip, steps, context)?;
+        ranks::leave_to_first();
+        Ok(run)
     })?;
     let detail = &mut evaluated.energy.detail;
     detail.ranks = ranks::rows(&detail.ranks, Some(&workload.compiled.program));

@@ -32,33 +32,25 @@ pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs)
     Workload::new(compiled, target, stimulus, order)
 }
 
-/// Runs all samples under a progress bar.
+/// Runs all samples under a progress bar, with a row for each timestep in a file where one is named.
 pub fn simulate(
     workload: &Workload<'_>,
     settings: MeterSettings,
     early_exit: Option<EarlyExit>,
     skip: bool,
+    steps: Option<&Path>,
     context: Context,
 ) -> Result<Run<StepMeter>, Error> {
-    output::with_progress(context, workload.samples().len(), "samples", |progress| {
-        workload.simulate(settings, early_exit, skip, (progress, ranks::several()))
-    })
-}
-
-/// The same with a row for each timestep in a file.
-pub fn simulate_recorded(
-    workload: &Workload<'_>,
-    settings: MeterSettings,
-    early_exit: Option<EarlyExit>,
-    skip: bool,
-    steps: &Path,
-    context: Context,
-) -> Result<Run<StepMeter>, Error> {
-    let samples = workload.samples();
+    let (samples, ranks) = (workload.samples(), ranks::several());
+    let Some(steps) = steps else {
+        return output::with_progress(context, samples.len(), "samples", |progress| {
+            workload.simulate(settings, early_exit, skip, (progress, ranks))
+        });
+    };
     let keep = Keep { early_exit, ..Keep::new(workload.compiled.program.output()) };
     let mut batch = io::write::Batch::new(context.force);
     let run = output::with_progress(context, samples.len(), "samples", |progress| {
-        let running = Running { skip, progress, ranks: ranks::several(), ..Running::new(&keep) };
+        let running = Running { skip, progress, ranks, ..Running::new(&keep) };
         let network = &workload.compiled.one;
         recorded((steps, &mut batch), network, workload.meter(), settings, &samples, running)
     })?;

@@ -9,10 +9,8 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use nsim_import::foreign;
-use nsim_import::foreign::hdf5;
 use nsim_import::foreign::hdf5::{Group, Item};
-use nsim_import::foreign::{Imported, Options, torch};
+use nsim_import::foreign::{self, Imported, Options, hdf5, torch};
 use nsim_import::kind::{EventFormat, FileKind, RECORDINGS};
 use nsim_import::spikes::EventOptions;
 use nsim_import::spikes::events::event::{Counts, Event, Sink};

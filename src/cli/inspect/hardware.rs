@@ -4,7 +4,7 @@
 
 use std::collections::BTreeMap;
 
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 
 use nsim_energy::baseline::Baseline;
 use nsim_energy::published::scenario::ScenarioFile;
@@ -23,10 +23,7 @@ fn limits_table(chip: &Chip, own: &str) -> FindingsTable {
         let from = chip.stated_in.get(name.as_str()).map_or(own, String::as_str);
         json!([name, value, status, source, from])
     };
-    let mut limits = match json!(chip.limits) {
-        Value::Object(limits) => limits,
-        _ => Map::new(),
-    };
+    let mut limits = json!(chip.limits).as_object().cloned().unwrap_or_default();
     let unlimited = limits.remove("unlimited").and_then(|names| names.as_array().cloned()).unwrap_or_default();
     let unlimited = unlimited.iter().filter_map(|name| Some((name.as_str()?.to_string(), "unlimited".into())));
     limits.remove("pools");

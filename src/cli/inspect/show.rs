@@ -9,14 +9,13 @@ use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
-use crate::cli::args::jobs::{JobArgs, Prepared, prepare};
+use crate::cli::args::jobs::{JobArgs, prepare};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use nsim_files as io;
 use nsim_files::mapping::pretty;
-use nsim_files::shipped;
-use nsim_files::shipped::Shipped;
+use nsim_files::shipped::{self, Shipped};
 use nsim_ir::base::names::named_variants;
 use nsim_session::error::Error;
 use nsim_session::obtain::Wanted;
@@ -87,8 +86,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(name) };
             let wanted = if stage == Stage::Quantised { Wanted::Quantised } else { Wanted::Mapped };
             let job = match prepare(&job, wanted, args.copies.or(Some(1)), &[])? {
-                Prepared::Ready(job) => job,
-                Prepared::DoesNotFit(why) => return why.say(json!({ "schema": "nsim.show/1", "name": name }), context),
+                Ok(job) => job,
+                Err(why) => return why.say(json!({ "schema": "nsim.show/1", "name": name }), context),
             };
             // So deep that an entry of a table takes a line.
             let text = match (stage, job.mapped()) {

@@ -12,9 +12,8 @@ use clap::ValueEnum;
 use serde_json::Value;
 
 use crate::cli::args::jobs;
-use crate::cli::args::jobs::Prepared;
 use crate::cli::args::saved;
-use crate::cli::context::{Answer, Context, Format};
+use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::energy::workload::workload;
@@ -26,10 +25,9 @@ use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::base::names::fits_pattern;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
-use nsim_report::charts::board;
 use nsim_report::charts::picture::FILE;
-use nsim_report::charts::results;
 use nsim_report::charts::sample::{raster, traced, traces};
+use nsim_report::charts::{board, results};
 use nsim_session::Quantity;
 use nsim_session::error::Error;
 use nsim_session::obtain::Wanted;
@@ -117,14 +115,11 @@ const OF_EACH: usize = 3;
 const MOST_TRACED: usize = 11;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    if context.format != Format::Text {
-        return Err(Error::Usage("nsim plot draws a picture: --format is for results".to_string()));
-    }
+    refuse_if(context.format != Format::Text, "nsim plot draws a picture: --format is for results")?;
     let taken = output::check_files(None, [&args.output], context)?;
     let (what, name) = (args.what, args.what.name());
-    if !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage | What::Messages) {
-        return Err(Error::Usage(format!("nsim plot {name}: --probe is for raster, voltage and messages")));
-    }
+    let is_probed = !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage | What::Messages);
+    refuse_if(is_probed, format!("nsim plot {name}: --probe is for raster, voltage and messages"))?;
     let (model, of_result) = (&args.cost.job.model, what.of_result());
     if saved::is_result(model) {
         let Some((schemas, command, draw)) = of_result else {
@@ -157,8 +152,8 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let copies = if args.what == What::Map { cost.copies } else { cost.copies.or(Some(1)) };
     let names: Vec<&str> = args.probe.iter().map(|text| pattern(text).0).collect();
     let job = match jobs::prepare(&cost.job, Wanted::Mapped, copies, &names)? {
-        Prepared::Ready(job) => job,
-        Prepared::DoesNotFit(refusal) => return refusal.say(Value::Null, context),
+        Ok(job) => job,
+        Err(refusal) => return refusal.say(Value::Null, context),
     };
     if args.what == What::Map {
         let Some((compiled, target)) = job.mapped() else {

@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 #[cfg(feature = "mpi")]
 use std::time::{Duration, Instant};
 
+use crate::cli::context::refuse_if;
 use nsim_ir::dealt::Share;
 use nsim_ir::program::Program;
 use nsim_machine::ranks::transport::Ranks;
@@ -48,8 +49,8 @@ pub fn several() -> Option<&'static Ranks> {
 
 /// Refuses what runs in one process.
 pub fn alone(what: &str) -> Result<(), Error> {
-    let message = || format!("{what} runs in one process: start it without mpirun or srun, or with one task");
-    several().map_or(Ok(()), |_| Err(Error::Usage(message())))
+    let message = format!("{what} runs in one process: start it without mpirun or srun, or with one task");
+    refuse_if(several().is_some(), message)
 }
 
 /// Lets rank 0 hold the whole program, which prices it.

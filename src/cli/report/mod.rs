@@ -7,7 +7,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::cli::args::saved;
-use crate::cli::context::{Answer, Context, Format};
+use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::output;
@@ -43,14 +43,12 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    if context.format != Format::Text {
-        return Err(Error::Usage("nsim report writes a page; for data use nsim energy --format json".to_string()));
-    }
+    let is_data = context.format != Format::Text;
+    refuse_if(is_data, "nsim report writes a page; for data use nsim energy --format json")?;
     let is_page =
         |path: &Path| path.extension().is_some_and(|end| ["html", "htm"].iter().any(|e| end.eq_ignore_ascii_case(e)));
-    if !is_page(&args.output) && !io::text::is_standard_stream(&args.output) {
-        return Err(Error::Usage(format!("{}: a page is HTML; name it .html", args.output.display())));
-    }
+    let is_other = !is_page(&args.output) && !io::text::is_standard_stream(&args.output);
+    refuse_if(is_other, format!("{}: a page is HTML; name it .html", args.output.display()))?;
     io::write::check_all_free([&args.output], context.force)?;
     if saved::is_result(&args.cost.job.model) {
         return saved_results(args, context);
