@@ -141,10 +141,7 @@ pub fn real_trace(graph: &Graph, integers: &Quantised) -> Result<impl Fn(&Sample
 }
 
 /// What a mapped network does in a sample.
-///
-/// # Errors
-/// `run.too-large`.
-pub fn machine_trace<'a>(
+fn machine_trace<'a>(
     network: &Quantised,
     program: &'a Arc<Program>,
 ) -> Result<impl Fn(&Sample) -> Trace + Sync + use<'a>> {
@@ -156,37 +153,34 @@ pub fn machine_trace<'a>(
     })
 }
 
-/// One of two networks: its layers, and what it does in a sample.
-#[derive(Clone, Copy)]
-pub struct Side<'a> {
-    /// The populations of compartments.
-    pub layers: &'a [Layer],
-    /// What it does.
-    pub trace: &'a (dyn Fn(&Sample) -> Trace + Sync),
-}
-
-/// Compares two networks whose populations of compartments have the same names and sizes, in
+/// Compares a network with another that is mapped: as it was trained, or on cores of its own where
+/// `mapped` is its program. Their populations of compartments have the same names and sizes, in
 /// whatever order. The shift of each layer is measured on the first samples.
 ///
 /// # Errors
-/// `agree.populations` when the second lacks a population of the first or has it in another size.
-pub fn compare_networks(
-    (a, b): (Side<'_>, Side<'_>),
-    output: &Layer,
+/// `agree.populations` when the second lacks a population of the first or has it in another size;
+/// as [`real_trace`]; `run.too-large`.
+pub fn compare_models(
+    (graph, integers, mapped): (&Graph, &Quantised, Option<&Arc<Program>>),
+    (other, program): (&Quantised, &Arc<Program>),
     samples: &[&Sample],
     steps: Option<u32>,
     progress: Progress<'_>,
 ) -> Result<Agreement> {
+    let trained = real_trace(graph, integers)?;
+    let machine = mapped.map(|program| machine_trace(integers, program)).transpose()?;
+    let trace = machine_trace(other, program)?;
+    let (own, others) = (layers(integers), layers(other));
     let there = |layer: &Layer| {
-        b.layers.iter().find(|other| other.name == layer.name && other.count == layer.count).ok_or_else(|| {
+        others.iter().find(|other| other.name == layer.name && other.count == layer.count).ok_or_else(|| {
             let message = format!("the second network has no population '{}' of {}", layer.name, layer.count);
             Diagnostic::new("agree.populations", message).help("compare networks of the same layers")
         })
     };
-    let pairs = a.layers.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
+    let pairs = own.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
     // The second's compartments at the first's places.
     let placed = |trace: Trace| {
-        let all = a.layers.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0) as usize;
+        let all = own.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0) as usize;
         let row = trace.steps as usize;
         let mut trains = vec![Vec::new(); all];
         let mut potentials = vec![0.0; if trace.potentials.is_empty() { 0 } else { all * row }];
@@ -201,32 +195,11 @@ pub fn compare_networks(
         }
         Trace { trains, potentials, ..trace }
     };
-    let both = |_, sample: &Sample| ((a.trace)(sample), placed((b.trace)(sample)));
-    Ok(agreement(a.layers.to_vec(), output, (samples, steps), &both, &measured_shift, progress))
-}
-
-/// Compares a network with another of the same populations that is mapped: as it was trained, or
-/// on cores of its own where `mapped` is its program.
-///
-/// # Errors
-/// As [`compare_networks`], [`real_trace`] and [`machine_trace`].
-pub fn compare_models(
-    (graph, integers, mapped): (&Graph, &Quantised, Option<&Arc<Program>>),
-    (other, program): (&Quantised, &Arc<Program>),
-    samples: &[&Sample],
-    steps: Option<u32>,
-    progress: Progress<'_>,
-) -> Result<Agreement> {
-    let trained = real_trace(graph, integers)?;
-    let machine = mapped.map(|program| machine_trace(integers, program)).transpose()?;
-    let trace = machine_trace(other, program)?;
-    let a: &(dyn Fn(&Sample) -> Trace + Sync) = match &machine {
-        Some(machine) => machine,
-        None => &trained,
+    let both = |_, sample: &Sample| {
+        let first = machine.as_ref().map_or_else(|| trained(sample), |machine| machine(sample));
+        (first, placed(trace(sample)))
     };
-    let (here, there) = (layers(integers), layers(other));
-    let sides = (Side { layers: &here, trace: a }, Side { layers: &there, trace: &trace });
-    compare_networks(sides, &output_layer(integers), samples, steps, progress)
+    Ok(agreement(own.clone(), &output_layer(integers), (samples, steps), &both, &measured_shift, progress))
 }
 
 /// The shift of a layer, from the first traces.

@@ -9,8 +9,7 @@ use serde_json::Value;
 use crate::agree::AgreeReport;
 use crate::charts::sample::{Traced, traced};
 use crate::page::{Sections, fit, network, sample};
-use nsim_agree::compare::{Side, compare_networks, machine_trace, output_layer, real_trace};
-use nsim_agree::ladder::layers;
+use nsim_agree::compare::compare_models;
 use nsim_compile::{Options, compile};
 use nsim_cost::Transport;
 use nsim_energy::evaluate::Evaluated;
@@ -83,7 +82,7 @@ pub fn compared(workload: &Workload<'_>) -> usize {
 /// trained network has no such populations.
 ///
 /// # Errors
-/// As [`compile()`] and [`compare_networks`].
+/// As [`compile()`] and [`compare_models`].
 pub fn agreement(
     workload: &Workload<'_>,
     (trained, network): &(Graph, Quantised),
@@ -92,10 +91,7 @@ pub fn agreement(
     let samples = workload.samples();
     let some = &samples[..compared(workload)];
     let one = compile(network.clone(), workload.target, &Options::default())?;
-    let (real, machine) = (real_trace(trained, network)?, machine_trace(network, &one.program)?);
-    let of_both = layers(network);
-    let sides = (Side { layers: &of_both, trace: &real }, Side { layers: &of_both, trace: &machine });
-    let agreement = compare_networks(sides, &output_layer(network), some, None, progress)?;
+    let agreement = compare_models((trained, network, None), (network, &one.program), some, None, progress)?;
     let shown = (workload.origin.as_slice(), workload.seed, some.len());
     let report = AgreeReport::of_two([(&network.parts().name, ""), ("the trained network", "")], shown, &agreement);
     Ok(report.json())
