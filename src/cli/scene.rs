@@ -88,8 +88,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         };
         let [touch, vision] = files.map(Spanned::from);
         let files = [(TOUCH.0.to_string(), touch), (VISION.0.to_string(), vision)].into();
-        let entry = SampleEntry { files, label: Some(recording.label), onset_ms: recording.onset_ms };
-        Ok((Facts::from_recording(&recording), entry))
+        let spikes = [recording.touch.len(), recording.vision.len()];
+        let Recording { label, onset_ms, annotated, wire, .. } = recording;
+        Ok((Facts { label, onset_ms, annotated, spikes, wire }, SampleEntry { files, label: Some(label), onset_ms }))
     };
     let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> =
         output::with_progress(context, scene.samples as usize, "scenes", |done| {
@@ -153,14 +154,6 @@ struct Facts {
     annotated: Option<Annotated>,
     spikes: [usize; 2],
     wire: Option<Carried>,
-}
-
-impl Facts {
-    fn from_recording(recording: &Recording) -> Facts {
-        let spikes = [recording.touch.len(), recording.vision.len()];
-        let Recording { label, onset_ms, annotated, wire, .. } = *recording;
-        Facts { label, onset_ms, annotated, spikes, wire }
-    }
 }
 
 /// Says when recordings of an earlier scene lie beside those of this one: a run on the folder would

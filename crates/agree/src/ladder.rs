@@ -100,7 +100,11 @@ impl Ladder {
             .populations()
             .zip(fits)
             .map(|((_, population), fit)| match (&population.kind, fit) {
-                (PopulationKind::Srm(srm), Some(fit)) => Some(uncalibrated(srm, fit, timestep_ms)),
+                // Without what only a search would choose: the peaks matched, no synapse onto itself.
+                (PopulationKind::Srm(srm), Some(fit)) => {
+                    let threshold = analytic::matched_threshold_of(srm, timestep_ms, fit);
+                    Some(Fit { threshold, own: Vec::new(), ..fit.clone() })
+                }
                 _ => None,
             })
             .collect();
@@ -490,9 +494,4 @@ pub(super) fn layer(population: &quantised::Population) -> Option<Layer> {
 /// Bits by which lava shifts what arrives at a population.
 fn shift_of(population: &quantised::Population) -> u8 {
     population.neurons().map_or(0, |neurons| neurons.get(0).shift)
-}
-
-/// A fit without what only a search would choose: the peaks matched, no synapse onto itself.
-fn uncalibrated(srm: &SrmParameters, fit: &Fit, timestep_ms: f64) -> Fit {
-    Fit { threshold: analytic::matched_threshold_of(srm, timestep_ms, fit), own: Vec::new(), ..fit.clone() }
 }

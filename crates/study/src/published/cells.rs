@@ -242,7 +242,7 @@ pub fn leads(rows: &[PaperRow]) -> Vec<String> {
 mod tests {
     use super::*;
     use nsim_ir::base::diagnostic::SourceText;
-    use nsim_train::job::Job;
+    use nsim_train::job::{Job, with_fields};
 
     fn trial(accuracy: Vec<f64>, samples: usize) -> Trial {
         Trial { timestep_ms: 1.0, accuracy, decided_ms: vec![Some(7.0); samples] }
@@ -258,16 +258,13 @@ mod tests {
             let both = cells().find(|other| other.task == cell.task && other.modality == "both").unwrap();
             let scenes = Job::new(SourceText::new("both", both.training.text), None, None).unwrap().file.train;
             assert_eq!(job.file.train, scenes, "{}", cell.name());
-            for loss in cell.losses(&job.file).unwrap() {
-                let fields = [("loss", loss.as_str())];
+            let changed = |field, value: &str| {
                 let source = SourceText::new("changed", cell.training.text);
-                let changed = nsim_train::job::with_fields(&source, &fields).unwrap();
-                Job::new(changed, None, None).unwrap();
-            }
+                Job::new(with_fields(&source, &[(field, value)]).unwrap(), None, None).unwrap()
+            };
+            cell.losses(&job.file).unwrap().iter().for_each(|loss| drop(changed("loss", loss)));
             assert_eq!(Neurons::Loihi.field(&job.file), None);
-            let srm = Neurons::Srm.field(&job.file).unwrap();
-            let source = SourceText::new("changed", cell.training.text);
-            Job::new(nsim_train::job::with_fields(&source, &[("neuron", &srm)]).unwrap(), None, None).unwrap();
+            changed("neuron", &Neurons::Srm.field(&job.file).unwrap());
         }
     }
 
