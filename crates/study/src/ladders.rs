@@ -170,7 +170,7 @@ impl Rung {
             layers.threshold = NEVER;
             match depthwise {
                 true => layers.convolve_each(kernel, kernel / 2)?,
-                false => layers.convolve(size, kernel, 1, kernel / 2)?,
+                false => layers.convolve(&[(size, kernel, 1, kernel / 2)])?,
             }
             layers.net.neurons_of_last(Neuron::PLAIN);
             return Ok(layers.net.build()?);

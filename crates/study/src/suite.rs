@@ -120,9 +120,9 @@ fn container(name: &'static str) -> Result<BenchNetwork, BuildError> {
 
 fn lenet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (1, 28, 28));
-    layers.convolve(6, 5, 1, 2)?;
+    layers.convolve(&[(6, 5, 1, 2)])?;
     layers.pool(2)?;
-    layers.convolve(16, 5, 1, 0)?;
+    layers.convolve(&[(16, 5, 1, 0)])?;
     layers.pool(2)?;
     layers.dense(&[120, 84, 10])?;
     bench(layers.net, "nahuku-32")
@@ -130,21 +130,14 @@ fn lenet(name: &'static str) -> Result<BenchNetwork, BuildError> {
 
 fn cifar(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (4, 32, 32));
-    for (channels, kernel, stride) in [(64, 3, 2), (72, 3, 1), (256, 3, 2), (256, 1, 1), (64, 1, 1)] {
-        layers.convolve(channels, kernel, stride, 0)?;
-    }
+    layers.convolve(&[(64, 3, 2, 0), (72, 3, 1, 0), (256, 3, 2, 0), (256, 1, 1, 0), (64, 1, 1, 0)])?;
     layers.dense(&[100])?;
     bench(layers.net, "nahuku-32")
 }
 
 fn pilotnet(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let mut layers = Layers::new(name, (3, 66, 200));
-    for channels in [24, 36, 48] {
-        layers.convolve(channels, 5, 2, 0)?;
-    }
-    for _ in 0..2 {
-        layers.convolve(64, 3, 1, 0)?;
-    }
+    layers.convolve(&[(24, 5, 2, 0), (36, 5, 2, 0), (48, 5, 2, 0), (64, 3, 1, 0), (64, 3, 1, 0)])?;
     layers.dense(&[100, 50, 10, 1])?;
     bench(layers.net, "pohoiki-springs")
 }

@@ -92,7 +92,7 @@ fn convolution(channels: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("convolution to {channels}");
     let mut layers = Layers::new(&name, (2, 24, 24));
     layers.threshold = NEVER;
-    layers.convolve(channels, 3, 1, 1)?;
+    layers.convolve(&[(channels, 3, 1, 1)])?;
     layers.net.neurons_of_last(Neuron::PLAIN);
     Ok(DeliveryNetwork { name, network: layers.net.build()?, spikes: every(9, 128), period: 1 })
 }

@@ -57,9 +57,11 @@ impl Layers {
         }
     }
 
-    /// A convolution with random weights, to this many channels.
-    pub fn convolve(&mut self, channels: u32, kernel: u32, stride: u32, padding: u32) -> Result<(), OutOfRange> {
-        self.convolve_window(self.window(channels, kernel, stride, padding, 1))
+    /// Convolutions with random weights, each of the layer before: channels, kernel, stride, padding.
+    pub fn convolve(&mut self, layers: &[(u32, u32, u32, u32)]) -> Result<(), OutOfRange> {
+        layers.iter().try_for_each(|&(channels, kernel, stride, padding)| {
+            self.convolve_window(self.window(channels, kernel, stride, padding, 1))
+        })
     }
 
     /// A convolution of each channel to its own.

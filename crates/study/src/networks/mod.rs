@@ -217,9 +217,7 @@ const LAYERS_STEPS: u32 = 64;
 /// The PilotNet of lava-dl (`tutorials/lava/lib/dl/netx/pilotnet_snn`).
 pub(super) fn lava_pilotnet(name: &str) -> Result<Builder, OutOfRange> {
     let mut layers = Layers::new(name, (3, 33, 100));
-    for (channels, stride) in [(24, 2), (36, 2), (64, 2), (64, 1)] {
-        layers.convolve(channels, 3, stride, 0)?;
-    }
+    layers.convolve(&[(24, 3, 2, 0), (36, 3, 2, 0), (64, 3, 2, 0), (64, 3, 1, 0)])?;
     layers.dense(&[200, 100, 50, 10, 1])?;
     Ok(layers.net)
 }
@@ -227,10 +225,7 @@ pub(super) fn lava_pilotnet(name: &str) -> Result<Builder, OutOfRange> {
 /// The gesture network of SANA-FE.
 pub(super) fn dvs_gesture(name: &str) -> Result<Builder, OutOfRange> {
     let mut layers = Layers::new(name, (1, 32, 32));
-    layers.convolve(16, 3, 2, 0)?;
-    for channels in [32, 64, 11] {
-        layers.convolve(channels, 3, 1, 0)?;
-    }
+    layers.convolve(&[(16, 3, 2, 0), (32, 3, 1, 0), (64, 3, 1, 0), (11, 3, 1, 0)])?;
     layers.dense(&[11])?;
     Ok(layers.net)
 }
@@ -239,9 +234,7 @@ pub(super) fn dvs_gesture(name: &str) -> Result<Builder, OutOfRange> {
 pub(super) fn conv_10m(name: &str) -> Result<Builder, OutOfRange> {
     let mut layers = Layers::new(name, (2, 512, 512));
     layers.threshold = 650;
-    for (channels, stride) in [(16, 1), (32, 2), (32, 1), (64, 2), (64, 1), (128, 2)] {
-        layers.convolve(channels, 3, stride, 1)?;
-    }
+    layers.convolve(&[(16, 3, 1, 1), (32, 3, 2, 1), (32, 3, 1, 1), (64, 3, 2, 1), (64, 3, 1, 1), (128, 3, 2, 1)])?;
     layers.pool(16)?;
     layers.dense(&[11])?;
     Ok(layers.net)
@@ -250,8 +243,7 @@ pub(super) fn conv_10m(name: &str) -> Result<Builder, OutOfRange> {
 fn conv_98k(name: &str) -> Result<Builder, OutOfRange> {
     let mut layers = Layers::new(name, (2, 128, 128));
     layers.threshold = 800;
-    layers.convolve(4, 3, 1, 1)?;
-    layers.convolve(8, 3, 2, 1)?;
+    layers.convolve(&[(4, 3, 1, 1), (8, 3, 2, 1)])?;
     Ok(layers.net)
 }
 
