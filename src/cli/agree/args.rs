@@ -83,14 +83,20 @@ pub struct Args {
     pub(super) require_exact: bool,
 }
 
-/// Whether the bounds that were asked for are kept; layers that never fire agree in nothing.
-pub(super) fn answer(args: &Args, report: &AgreeReport<'_>) -> Answer {
+/// Prints a comparison unless a file took its place; whether the bounds that were asked for are
+/// kept. Layers that never fire agree in nothing.
+pub(super) fn answer(args: &Args, report: &AgreeReport<'_>, taken: bool, context: Context) -> Result<Answer, Error> {
+    report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
+    if !taken {
+        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    }
     let fired = report.layers.iter().any(|row| row.comparison.tally.spikes_a > 0);
     let exact = fired && report.layers.iter().all(|row| row.comparison.first_divergence.is_none());
-    within_bounds(args, report.class_agreement(), exact)
+    Ok(within_bounds(args, report.class_agreement(), exact))
 }
 
-/// The same, of the share of samples of the same class and of whether every spike is the same.
+/// Whether the bounds are kept, of the share of samples of the same class and of whether every
+/// spike is the same.
 pub(super) fn within_bounds(args: &Args, class_agreement: Option<f64>, exact: bool) -> Answer {
     let enough = args.require_class_agreement.is_none_or(|share| class_agreement.is_some_and(|is| is >= share));
     if enough && (exact || !args.require_exact) { Answer::Yes } else { Answer::No }

@@ -24,7 +24,7 @@ use nsim_import::spikes::read_source;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::stimulus::{InputArg, InputSource};
-use nsim_report::agree::{AgreeReport, converted_from, named_fits};
+use nsim_report::agree::{AgreeReport, bars, converted_from, named_fits};
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::inputs;
@@ -85,11 +85,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         closer,
     };
     let next = attribution.as_ref().and_then(|attribution| next(&typed, (&graph, &ladder), attribution, some));
-    if let (Some(path), Some(attribution)) = (&args.plot_causes, &attribution) {
-        let svg = nsim_report::agree::bars(&graph.facts().name, attribution);
-        output::write_picture(path, &svg, context)?;
+    let name = &graph.facts().name;
+    let bars = attribution.as_ref().map(|attribution| bars(name, attribution));
+    if let (Some(path), Some(svg)) = (&args.plot_causes, &bars) {
+        output::write_picture(path, svg, context)?;
     }
-    let mut files = draw(args, &graph.facts().name, &agreement.layers, context)?;
+    let mut files = draw(args, name, &agreement.layers, context)?;
     files.extend(args.plot_causes.iter().map(|path| path.display().to_string()));
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
     let report = AgreeReport {
@@ -103,19 +104,13 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         source: converted_from(&graph)
             .filter(|_| matches!(against, Counterpart::Cuba))
             .map(|trained| (trained, format!("nsim agree {trained} --against {}", args.model))),
-        ..AgreeReport::of_one((&graph.facts().name, against.name()), shown, &agreement)
+        ..AgreeReport::of_one((name, against.name()), shown, &agreement)
     };
-    if let (Some(path), Some(attribution)) = (&args.update, &attribution) {
-        let name = &graph.facts().name;
+    if let (Some(path), Some(svg)) = (&args.update, &bars) {
         let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));
-        let svg = nsim_report::agree::bars(name, attribution);
-        output::update_section(path, &mark, &report.markdown(&picture), Some((&picture, &svg)), context)?;
+        output::update_section(path, &mark, &report.markdown(&picture), Some((&picture, svg)), context)?;
     }
-    report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
-    if !taken {
-        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
-    }
-    Ok(answer(args, &report))
+    answer(args, &report, taken, context)
 }
 
 fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Counterpart, Error> {

@@ -108,11 +108,7 @@ pub(super) fn with_one(
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
     let two = AgreeReport::of_two([(&graph.facts().name, role(graph)), (&name, second)], shown, &agreement);
     let report = AgreeReport { files: &files, target: Some(target.name()), ..two };
-    report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
-    if args.plot.as_deref().is_none_or(|path| !io::text::is_standard_stream(path)) {
-        output::print(context.format, || report.text(), || report.json(), || report.csv())?;
-    }
-    Ok(answer(args, &report))
+    answer(args, &report, args.plot.as_deref().is_some_and(io::text::is_standard_stream), context)
 }
 
 /// A network as it was trained beside several model files.
