@@ -100,7 +100,8 @@ impl Ladder {
             .populations()
             .zip(fits)
             .map(|((_, population), fit)| match (&population.kind, fit) {
-                // Without what only a search would choose: the peaks matched, no synapse onto itself.
+                // Peaks match and no synapse leads to its own source: only a search would choose
+                // otherwise.
                 (PopulationKind::Srm(srm), Some(fit)) => {
                     let threshold = analytic::matched_threshold_of(srm, timestep_ms, fit);
                     Some(Fit { threshold, own: Vec::new(), ..fit.clone() })

@@ -53,7 +53,8 @@ pub(super) struct State {
 
 impl State {
     /// At rest: its compartments and whether sums are rounded down, its first step and the one that
-    /// resets are counted from; `response` and the timestep in ms are those of spike response neurons.
+    /// resets are counted from; `response` and the timestep in ms are those of spike response
+    /// neurons.
     pub fn new(
         (neurons, floors): (Vec<RealForm>, bool),
         response: Option<(&SrmParameters, f64)>,

@@ -127,7 +127,8 @@ impl Refusal {
 }
 
 /// Loads a model and makes it ready for an engine, or says why it does not fit, with this many
-/// copies, else those of the saved mapping, else 1. Populations that fit the patterns stay whole however much is pruned.
+/// copies, else those of the saved mapping, else 1. Populations that fit the patterns stay whole
+/// however much is pruned.
 pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Result<Job, Refusal>> {
     let network = args.timestep.load(&args.model)?;
     if args.needs_scene {

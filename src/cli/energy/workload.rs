@@ -32,7 +32,8 @@ pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs)
     Workload::new(compiled, target, stimulus, order)
 }
 
-/// Runs all samples under a progress bar, with a row for each timestep in a file where one is named.
+/// Runs all samples under a progress bar, with a row for each timestep in a file where one is
+/// named.
 pub fn simulate(
     workload: &Workload<'_>,
     settings: MeterSettings,

@@ -57,7 +57,8 @@ impl Layers {
         }
     }
 
-    /// Convolutions with random weights, each of the layer before: channels, kernel, stride, padding.
+    /// Convolutions with random weights, each of the layer before: channels, kernel, stride,
+    /// padding.
     pub fn convolve(&mut self, layers: &[(u32, u32, u32, u32)]) -> Result<(), OutOfRange> {
         layers.iter().try_for_each(|&(channels, kernel, stride, padding)| {
             self.convolve_window(self.window(channels, kernel, stride, padding, 1))

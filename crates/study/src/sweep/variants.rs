@@ -129,7 +129,8 @@ fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
     value.parse().map_err(|_| "no number of this kind".to_string())
 }
 
-/// `A..B` of samples, either end of which may be missing; `None` for what is no range or an empty one.
+/// `A..B` of samples, either end of which may be missing; `None` for what is no range or an empty
+/// one.
 pub fn sample_range(text: &str) -> Option<Range<usize>> {
     let (from, to) = text.split_once("..")?;
     let from = if from.is_empty() { 0 } else { from.parse().ok()? };
@@ -193,7 +194,8 @@ impl Job {
         Ok(())
     }
 
-    /// Gives a field of the job a value; whether there is one of this path. Errors: what the value is.
+    /// Gives a field of the job a value; whether there is one of this path. Errors: what the value
+    /// is.
     fn assign_own(&mut self, path: (&str, &str), value: &str) -> Result<bool, String> {
         match path {
             ("model", "") => self.model = value.to_string(),
