@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use nsim::agree::attribution::attribute;
 use nsim::agree::compare::{Counterpart, Deployed, LayerRow, compare, compare_models, output_layer};
-use nsim::compile::{CompileError, Form, Options, compile};
+use nsim::compile::{CompileError, Options, compile, refuse_large};
 use nsim::files::network::Network;
 use nsim::files::shipped;
 use nsim::files::target::target_with_neurons;
@@ -60,7 +60,7 @@ impl Agreement {
         in_memory: InMemory,
     ) -> PyResult<Self> {
         let (graph, written) = tried(py, || real_and_integers(network))?;
-        Form::require_written("agree", &written, 1).map_err(|problem| raised(py, problem))?;
+        refuse_large("agree", &written, 1).map_err(|problem| raised(py, problem))?;
         let against: Option<Bound<'_, PyAny>> = keywords.take("against")?;
         let other = against.as_ref().map(|given| model(py, given, in_memory)).transpose()?.flatten();
         // A network in real numbers is not mapped: what it is compared with is.
@@ -127,7 +127,7 @@ impl Agreement {
                 Ok((report.json(), report.text(), report.falls()))
             };
             if let Some((_, kind, other)) = &other {
-                Form::require_written("agree", other, 1)?;
+                refuse_large("agree", other, 1)?;
                 let own = match is_real(&graph) {
                     true => None,
                     false => Some(mapped(&written)?.program),

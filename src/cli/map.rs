@@ -8,7 +8,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_compile::explore;
 use nsim_compile::explore::remedy::{self, Refused};
-use nsim_compile::{CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Objective, Options, Strategy};
+use nsim_compile::{CompileError, CopyPlacement, DEFAULT_RATE, Effort, Objective, Options, Strategy, refuse_large};
 use nsim_files as io;
 use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
@@ -122,10 +122,10 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         begun => begun?,
     };
     let Goal { target, options, .. } = &goal;
-    let form = front.form(options.copies);
+    let in_boxes = front.in_boxes(options.copies);
     let relays = front.relays().cloned();
     if !args.profile.is_empty() {
-        Form::require_written("--profile", front.quantised(), options.copies)?;
+        refuse_large("--profile", front.quantised(), options.copies)?;
     }
     let rates = match args.profile.as_slice() {
         [] => Rates::assumed(DEFAULT_RATE),
@@ -146,7 +146,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     drop(busy);
     if let Err(reasons) = &mapped
         && goal.saved.is_none()
-        && form == Form::Written
+        && !in_boxes
     {
         let file = network.file();
         let weight_bits: Vec<_> = file.projections.iter().map(|p| (p.to.clone(), p.weight_bits)).collect();

@@ -15,7 +15,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::{Path, PathBuf};
 
-use nsim::compile::{Options, compile};
+use nsim::compile::{Effort, Options, compile};
 use nsim::golden::Golden;
 use nsim::import::spikes::read_source;
 use nsim::ir::base::fixed::{BiasExponent, BiasMantissa, Decay, Refractory, SignMode, ThresholdMantissa};
@@ -26,11 +26,16 @@ use nsim::ir::quantised::{Neuron, Quantised};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 
+/// How networks are compiled whose programs are run alone: nothing is searched for.
+pub fn unsearched() -> Options {
+    Options { place: false, effort: Effort::Work(0), ..Options::default() }
+}
+
 /// Every engine that must give the same answers, ready to begin: the interpreter, and the machine
 /// on as few cores as possible, with every core limit but the number of compartments out of the
 /// way.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
-    let compiled = compile(network.clone(), &compare::roomy("oheo-gulch"), &Options::default()).unwrap();
+    let compiled = compile(network.clone(), &compare::roomy("oheo-gulch"), &unsearched()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
     let machine = |skip| Box::new(Machine::new(&image, Settings { skip, per_step: false }));
     vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]

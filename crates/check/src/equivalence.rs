@@ -26,9 +26,9 @@
 //! slot, the compartments of f to those of m, and axon by axon the sources of f to those of m, and
 //!
 //! - h adds this many copies, where N is equal copies that share nothing; or
-//! - the compartments are of one population, h adds this many rows and columns to each, and to each
-//!   source these times the stride of every projection from its population, all of which are
-//!   windows.
+//! - the compartments of f are of one population, h adds this many rows and columns to each, and to
+//!   each source these times the stride of every projection from its population, all of which are
+//!   windows; and then adds this many copies.
 //!
 //! In both cases N has between h(s) and h(n) the synapses that it has between s and n. So if 2
 //! holds of the synapses of f, each synapse of m is one of N. Shifts are therefore not compared. If

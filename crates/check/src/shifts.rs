@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use rayon::prelude::*;
 
-use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, IdVec, PopulationId, ProjectionId};
+use nsim_ir::base::id::{ClassId, CoreId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::messages::Messages;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::connectivity::Connectivity;
@@ -46,11 +46,11 @@ impl Sizes {
 
 /// How a core differs from the first of its class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-enum Shift {
+struct Shift {
     /// Everything is this many copies later.
-    Copies(i64),
-    /// All compartments are of this population, this many rows and columns further on.
-    Positions(PopulationId, (i64, i64)),
+    copies: i64,
+    /// And all compartments are of this population, this many rows and columns further on.
+    positions: Option<(PopulationId, (i64, i64))>,
 }
 
 /// Rows and columns between two indices of a volume so wide and high; `None` where they are of
@@ -62,8 +62,8 @@ fn distance(from: u32, to: u32, height: u32, width: u32) -> Option<(i64, i64)> {
     (from / plane == to / plane).then_some((to_row - row, to_column - column))
 }
 
-/// Sources, and what is added to their numbers.
-type Added = (Range<u32>, i64);
+/// Sources, the numbers that they may have once something is added to theirs, and what that is.
+type Added = (Range<u32>, Range<i64>, i64);
 
 /// The rows and columns of a population between which sources are.
 struct Bounds {
@@ -124,56 +124,58 @@ impl Shifts<'_> {
     fn between(&self, first: CoreId, core: CoreId) -> Option<Shift> {
         let [from, to] = [first, core].map(|core| &self.program.cores()[core].ids);
         let (one, other) = (from.first()?, to.first()?);
-        let pairs = || from.iter().zip(&**to);
-        if let Some(sizes) = self.sizes {
-            let later = i64::from(other.0 / sizes.compartments) - i64::from(one.0 / sizes.compartments);
-            let more = later * i64::from(sizes.compartments);
-            if pairs().all(|(a, b)| i64::from(b.0) - i64::from(a.0) == more) {
-                return Some(Shift::Copies(later));
-            }
+        let size = self.sizes.map_or(u32::MAX, |sizes| sizes.compartments);
+        let copies = i64::from(other.0 / size) - i64::from(one.0 / size);
+        let more = copies * i64::from(size);
+        let pairs = || from.iter().zip(&**to).map(|(a, b)| (a.0, i64::from(b.0) - more));
+        if copies != 0 && pairs().all(|(a, b)| i64::from(a) == b) {
+            return Some(Shift { copies, positions: None });
         }
         let (id, _) = self.network.population_of(*one);
         let population = &self.network.populations()[id];
-        let (first, (_, height, width)) = (population.first_compartment()?, population.shape.volume()?);
-        let index = |id: CompartmentId| id.0.checked_sub(first.0).filter(|&index| index < population.shape.len());
-        let apart = |(&a, &b): (&CompartmentId, &CompartmentId)| distance(index(a)?, index(b)?, height, width);
-        let shift = apart((one, other))?;
-        pairs().all(|pair| apart(pair) == Some(shift)).then_some(Shift::Positions(id, shift))
+        let (first, (_, height, width)) = (population.first_compartment()?.0, population.shape.volume()?);
+        let index = |id: i64| {
+            let index = u32::try_from(id).ok()?.checked_sub(first)?;
+            (index < population.shape.len()).then_some(index)
+        };
+        let apart = |(a, b): (u32, i64)| distance(index(a.into())?, index(b)?, height, width);
+        let by = apart(pairs().next()?)?;
+        pairs().all(|pair| apart(pair) == Some(by)).then_some(Shift { copies, positions: Some((id, by)) })
     }
 
     /// What a shift adds to the numbers of sources of the first core of a class; `None` where it
     /// takes some of them out of their population, or the network is not the same there.
-    fn added(&self, class: ClassId, shift: Shift) -> Option<Vec<Added>> {
-        let network = self.network;
-        match shift {
-            Shift::Copies(later) => {
-                let (sizes, channels) = (self.sizes?, network.channels());
-                let added = |range, size: u32| (range, later * i64::from(size));
-                let all = channels + network.compartments();
-                Some(vec![added(0..channels, sizes.channels), added(channels..all, sizes.compartments)])
-            }
-            Shift::Positions(target, (rows, columns)) => {
-                let of_source = |bounds: &Bounds| {
-                    let population = &network.populations()[bounds.population];
-                    let into = network.outgoing(bounds.population).iter().map(|&id| &network.projections()[id]);
-                    let mut by = into.filter(|projection| projection.target == target).map(|projection| {
-                        let (Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. }) =
-                            &projection.connectivity
-                        else {
-                            return None;
-                        };
-                        let volumes = [&network.populations()[target], population].map(|p| p.shape.volume());
-                        let (down, right) = (rows * i64::from(window.stride.0), columns * i64::from(window.stride.1));
-                        let same = volumes == [Some(window.target), Some(window.source)];
-                        (same && bounds.hold(down, right, window.source))
-                            .then_some(down * i64::from(window.source.2) + right)
-                    });
-                    let (first, one) = (network.first_source(population), by.next()??);
-                    by.all(|other| other == Some(one)).then_some((first..first + population.shape.len(), one))
+    fn added(&self, class: ClassId, Shift { copies, positions }: Shift) -> Option<Vec<Added>> {
+        let (network, channels) = (self.network, self.network.channels());
+        let of_copies = |is_channel: bool| {
+            let size = self.sizes.map_or(0, |sizes| if is_channel { sizes.channels } else { sizes.compartments });
+            copies * i64::from(size)
+        };
+        let within = |range: Range<u32>, more: i64| i64::from(range.start) + more..i64::from(range.end) + more;
+        let Some((target, (rows, columns))) = positions else {
+            let added = |range: Range<u32>, is_channel| (range.clone(), within(range, 0), of_copies(is_channel));
+            let all = channels + network.compartments();
+            return Some(vec![added(0..channels, true), added(channels..all, false)]);
+        };
+        let of_source = |bounds: &Bounds| {
+            let population = &network.populations()[bounds.population];
+            let into = network.outgoing(bounds.population).iter().map(|&id| &network.projections()[id]);
+            let mut by = into.filter(|projection| projection.target == target).map(|projection| {
+                let (Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. }) =
+                    &projection.connectivity
+                else {
+                    return None;
                 };
-                self.bounds[class].as_ref()?.iter().map(of_source).collect()
-            }
-        }
+                let volumes = [&network.populations()[target], population].map(|p| p.shape.volume());
+                let (down, right) = (rows * i64::from(window.stride.0), columns * i64::from(window.stride.1));
+                let same = volumes == [Some(window.target), Some(window.source)];
+                (same && bounds.hold(down, right, window.source)).then_some(down * i64::from(window.source.2) + right)
+            });
+            let (first, one) = (network.first_source(population), by.next()??);
+            let (range, later) = (first..first + population.shape.len(), of_copies(first < channels));
+            by.all(|other| other == Some(one)).then(|| (range.clone(), within(range, later), later + one))
+        };
+        self.bounds[class].as_ref()?.iter().map(of_source).collect()
     }
 }
 
@@ -211,8 +213,9 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
         for message in messages {
             let Some(added) = &found[message.core] else { continue };
             let of_first = sources[class(message.core)][usize::from(message.axon)];
-            let leads = |(range, by): &Added| {
-                range.contains(&of_first) && range.contains(&source) && i64::from(of_first) + by == i64::from(source)
+            let leads = |(range, within, by): &Added| {
+                let source = i64::from(source);
+                range.contains(&of_first) && within.contains(&source) && i64::from(of_first) + by == source
             };
             if !added.iter().any(leads) {
                 compared[message.core].store(true, Ordering::Relaxed);

@@ -26,7 +26,7 @@ use nsim_ir::mapping::MappingFile;
 
 pub use mapping::Mapping;
 pub use nsim_partition::error::CompileError;
-pub use nsim_partition::form::Form;
+pub use nsim_partition::large::{is_large, refuse_large, refuse_to_run};
 pub use nsim_partition::options::{
     CopyPlacement, DEFAULT_EFFORT_S, DEFAULT_RATE, Effort, Objective, Options, Strategy,
 };
@@ -73,6 +73,6 @@ pub fn load(
 /// [`CompileError`].
 pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Mapping, CompileError> {
     let front = front.into();
-    front.form(options.copies).require_program(front.quantised(), options.copies)?;
+    refuse_to_run(front.quantised(), options.copies)?;
     map(front, target, options, &Rates::assumed(DEFAULT_RATE))
 }

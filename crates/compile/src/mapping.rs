@@ -3,14 +3,16 @@
 //! A [`Mapping`] exists only once its limits have been verified and its synapses compared with the
 //! network's.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 
 use nsim_ir::firing_rates::Rates;
+use nsim_ir::hardware::Target;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::Placement;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
-use nsim_partition::form::Form;
+use nsim_partition::large::counted_in_boxes;
 use nsim_partition::options::Options;
 use nsim_partition::strategy::boxes::Lattices;
 
@@ -25,7 +27,7 @@ pub struct Mapping {
     pub partition: Partition,
     /// Cores on the board.
     pub placement: Placement,
-    /// Where layers are cut, of a network that is mapped by its kernels.
+    /// Where layers are cut, of a network that is cut into boxes.
     pub lattices: Option<Lattices>,
     /// Tables and messages.
     pub program: Arc<Program>,
@@ -45,8 +47,8 @@ pub struct Mapping {
 }
 
 impl Mapping {
-    /// How it was mapped.
-    pub fn form(&self) -> Form {
-        if self.lattices.is_some() { Form::Symbolic } else { Form::Written }
+    /// The target as its cores are counted on it.
+    pub(crate) fn counted_on<'t>(&self, target: &'t Target) -> Cow<'t, Target> {
+        counted_in_boxes(self.lattices.is_some(), &self.one, target)
     }
 }

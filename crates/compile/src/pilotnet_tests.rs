@@ -74,7 +74,7 @@ fn stripes_of_the_greatest_width_that_fits_are_those_of_intel_s_compiler() {
     let board = nsim_files::target::load_target("oheo-gulch").unwrap();
     let (formats, limits) = (Formats::for_network(&network), board.limits());
     let places = Places::for_network(&network, limits);
-    let front = Front::from(network.clone()).by_kernels();
+    let front = Front::from(network.clone()).cut();
     let mapped = map(front, &board, &Options::default(), &Rates::assumed(0.01)).unwrap();
     let is_dense = |held: &Vec<CompartmentId>| network.population_of(held[0]).0.index() > SPATIAL.len();
     let own = mapped.partition.cores() as u32;

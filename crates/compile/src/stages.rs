@@ -3,10 +3,10 @@
 //! A [`Front`] is partitioned, a [`Partitioned`] network placed, a [`Placed`] one emitted, an
 //! [`Unchecked`] mapping checked. Comparing mappings begins again at any of them.
 
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use crate::emit::boxes::route_boxes;
 use crate::emit::route::route;
 use crate::mapping::Mapping;
 use crate::mapping_file;
@@ -26,7 +26,7 @@ use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::{Inconsistent, Note, Parts, Quantised, Units};
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
-use nsim_partition::form::Form;
+use nsim_partition::large::{counted_in_boxes, is_large};
 use nsim_partition::options::{DEFAULT_RATE, Effort, Options};
 use nsim_partition::resources::axon_sharing::Places;
 use nsim_partition::resources::even_draws;
@@ -62,7 +62,7 @@ pub struct Front {
     one: Quantised,
     clock: Clock,
     relays: Option<AddedRelays>,
-    by_kernels: bool,
+    cuts: bool,
 }
 
 /// Relays that were added to a network.
@@ -85,18 +85,18 @@ impl From<Quantised> for Front {
 impl Front {
     /// A network in integers, made in stages that took this many seconds each.
     pub fn measured(one: Quantised, seconds: Vec<(&'static str, f64)>) -> Self {
-        Front { one, clock: Clock(seconds), relays: None, by_kernels: false }
+        Front { one, clock: Clock(seconds), relays: None, cuts: false }
     }
 
-    /// The network, to be mapped by its kernels however small it is.
+    /// The network, to be cut into boxes however small it is.
     #[must_use]
-    pub fn by_kernels(self) -> Self {
-        Front { by_kernels: true, ..self }
+    pub fn cut(self) -> Self {
+        Front { cuts: true, ..self }
     }
 
-    /// How this many copies of it are mapped.
-    pub fn form(&self, copies: u32) -> Form {
-        if self.by_kernels { Form::Symbolic } else { Form::for_network(&self.one, copies) }
+    /// Whether this many copies of it are cut into boxes.
+    pub fn in_boxes(&self, copies: u32) -> bool {
+        self.cuts || is_large(&self.one, copies)
     }
 
     /// The network.
@@ -200,13 +200,13 @@ impl Front {
     /// [`CompileError`].
     pub fn partition(self, target: &Target, options: &Options, rates: &Rates) -> Result<Partitioned> {
         let search = strategy::Search::new(options, rates);
-        let form = self.form(options.copies);
-        let target = &*form.counted_on(&self.one, target);
+        let in_boxes = self.in_boxes(options.copies);
+        let target = &*counted_in_boxes(in_boxes, &self.one, target);
         let (front, all) = self.copied(target, options, search)?;
         let Front { one, mut clock, .. } = front;
-        let (partition, boxes) = clock.stage("partition", || match form {
-            Form::Written => Ok((partition(&one, &all, target, search)?, None)),
-            Form::Symbolic => boxes::partition(&all, target, options),
+        let (partition, boxes) = clock.stage("partition", || match in_boxes {
+            true => boxes::partition(&all, target, options),
+            false => Ok((partition(&one, &all, target, search)?, None)),
         })?;
         let lattices = boxes.as_ref().map(Boxes::lattices);
         Ok(Partitioned { one, all, partition, lattices, boxes, rates: rates.copies(options.copies), clock })
@@ -220,15 +220,12 @@ impl Front {
     /// [`CompileError::DoesNotFit`] when a core exceeds a limit.
     pub fn place_as(self, target: &Target, options: &Options, file: &MappingFile) -> Result<Placed> {
         mapping_file::of_copies(file, options.copies)?;
-        let (form, rates) = (self.form(options.copies), Rates::assumed(DEFAULT_RATE));
-        let pruned = match form {
-            Form::Written => self.prune_as(file)?,
-            Form::Symbolic => self,
-        };
-        let target = &*form.counted_on(&pruned.one, target);
+        let (in_boxes, rates) = (self.in_boxes(options.copies), Rates::assumed(DEFAULT_RATE));
+        let pruned = if in_boxes { self } else { self.prune_as(file)? };
+        let target = &*counted_in_boxes(in_boxes, &pruned.one, target);
         let (front, all) = pruned.copied(target, options, strategy::Search::new(options, &rates))?;
         let Front { one, mut clock, .. } = front;
-        let load = || mapping_file::load(file, &all, target, form);
+        let load = || mapping_file::load(file, &all, target, in_boxes);
         let (partition, placement, lattices) = clock.stage("mapping", load)?;
         let partitioned = Partitioned { one, all, partition, lattices, boxes: None, rates, clock };
         Ok(Placed { partitioned, placement, name: place::SAVED })
@@ -260,10 +257,10 @@ impl Front {
 
     /// All copies, if their sizes alone do not exceed the target.
     fn copied(mut self, target: &Target, options: &Options, search: strategy::Search<'_>) -> Result<(Self, Quantised)> {
-        let form = self.form(options.copies);
+        let in_boxes = self.in_boxes(options.copies);
         let (one, clock) = (&self.one, &mut self.clock);
         has_kinds_and_messages(one, target)?;
-        clock.stage("bounds", || within_bounds(one, target, options.copies, form, search))?;
+        clock.stage("bounds", || within_bounds(one, target, options.copies, in_boxes, search))?;
         let all = clock.stage("copies", || copies(one, options.copies));
         let all = all.map_err(|error| Diagnostic::new("map.copies", error.to_string()))?;
         Ok((self, all))
@@ -334,7 +331,7 @@ pub struct Partitioned {
     pub all: Quantised,
     /// Compartments on cores.
     pub partition: Partition,
-    /// Where layers are cut, of a network that is mapped by its kernels.
+    /// Where layers are cut, of a network that is cut into boxes.
     pub lattices: Option<Lattices>,
     /// What their boxes send, where they are still to be placed.
     pub boxes: Option<Boxes>,
@@ -343,9 +340,9 @@ pub struct Partitioned {
 }
 
 impl Partitioned {
-    /// How it is mapped.
-    pub fn form(&self) -> Form {
-        if self.lattices.is_some() { Form::Symbolic } else { Form::Written }
+    /// The target as its cores are counted on it.
+    fn counted_on<'t>(&self, target: &'t Target) -> Cow<'t, Target> {
+        counted_in_boxes(self.lattices.is_some(), &self.one, target)
     }
 
     /// The same for a target with other limits than it was made for.
@@ -353,7 +350,7 @@ impl Partitioned {
     /// # Errors
     /// [`CompileError::Fault`] when a core exceeds them.
     pub fn within(mut self, target: &Target) -> Result<Self> {
-        let target = &*self.form().counted_on(&self.one, target);
+        let target = &*self.counted_on(target);
         self.partition = self.partition.within(target.limits()).map_err(CompileError::fault)?;
         Ok(self)
     }
@@ -402,20 +399,16 @@ impl Placed {
     /// [`CompileError::Fault`].
     pub fn emit(self, target: &Target, options: &Options) -> Result<Unchecked> {
         let Placed { partitioned, placement, name: placed } = self;
-        let form = partitioned.form();
+        let limits = partitioned.counted_on(target).limits().clone();
         let Partitioned { one, all: quantised, partition, lattices, boxes, rates, mut clock } = partitioned;
         drop(boxes);
-        let limits = form.counted_on(&one, target).limits().clone();
         let Share { rank, ranks, whole } = options.share;
         let dealt = (ranks > 1).then(|| {
             let owners = deal(&quantised, &partition, &placement, ranks).into();
             Dealt { ranks, owners, held: (!whole).then_some(rank) }
         });
         let places = (&placement, dealt);
-        let route = || match form {
-            Form::Written => route(&quantised, &partition, places, options.copies, &limits),
-            Form::Symbolic => route_boxes(&quantised, &partition, places, &limits),
-        };
+        let route = || route(&quantised, &partition, places, options.copies, &limits);
         let program = clock.stage("route", route).map_err(CompileError::Fault)?.into();
         let (seconds, target, options) = (clock.0, target.name().to_string(), *options);
         Ok(Unchecked(Mapping {
@@ -454,7 +447,7 @@ impl Unchecked {
         let mut mapping = self.0;
         let mut clock = Clock(std::mem::take(&mut mapping.seconds));
         let Mapping { quantised: network, partition, program, options, .. } = &mapping;
-        let target = &*mapping.form().counted_on(&mapping.one, target);
+        let target = &*mapping.counted_on(target);
         let used = clock.stage("verify", || verify::used(program, target)).map_err(CompileError::fault)?;
         if program.held_rank().is_none() {
             verify::confirm(partition, &used).map_err(CompileError::Fault)?;

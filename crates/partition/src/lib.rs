@@ -4,7 +4,7 @@
 //! [`reason::Reason`] for which there is none. [`resources`] counts, [`strategy`] searches.
 
 pub mod error;
-pub mod form;
+pub mod large;
 pub mod options;
 pub mod reason;
 pub mod resources;

@@ -8,7 +8,10 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use nsim_compile::{CompileError, DEFAULT_RATE, Form, Front, Mapping, Options, Strategy, explore, load, mapping_file};
+use nsim_compile::{
+    CompileError, DEFAULT_RATE, Front, Mapping, Options, Strategy, explore, load, mapping_file, refuse_large,
+    refuse_to_run,
+};
 use nsim_files::mapping::load_mapping;
 use nsim_files::network::Network;
 use nsim_files::target::load_target;
@@ -122,7 +125,7 @@ impl<'a> Request<'a> {
     fn front(&self) -> Result<Front, Error> {
         let front = (self.integers)(self.network)?;
         let Some(plan) = self.plan(front.quantised())? else { return Ok(front) };
-        Form::require_written("--prune", front.quantised(), 1)?;
+        refuse_large("--prune", front.quantised(), 1)?;
         Ok(front.prune(&plan)?)
     }
 
@@ -201,7 +204,7 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
     }
     if wanted == Wanted::Quantised {
         let quantised = request.front()?.into_quantised();
-        Form::require_written("--engine golden", &quantised, 1)?;
+        refuse_large("--engine golden", &quantised, 1)?;
         say_notes(&quantised);
         return Ok(Job::Quantised(Box::new(quantised), scene));
     }
@@ -276,7 +279,7 @@ impl Goal {
     /// # Errors
     /// As [`Goal::mapped`], and for a network of too many synapses.
     pub fn compiled(&self, front: Front) -> Result<Mapping, Error> {
-        front.form(self.options.copies).require_program(front.quantised(), self.options.copies)?;
+        refuse_to_run(front.quantised(), self.options.copies)?;
         Ok(self.mapped(front, &Rates::assumed(DEFAULT_RATE))?)
     }
 }

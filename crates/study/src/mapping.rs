@@ -13,7 +13,7 @@ use crate::networks::BenchNetwork;
 use crate::suite::{STEPS, SuiteCase};
 use nsim_compile::explore::traffic::Traffic;
 use nsim_compile::{
-    CompileError, CopyPlacement, DEFAULT_RATE, Effort, Form, Front, Mapping, Objective, Options, Strategy, explore,
+    CompileError, CopyPlacement, DEFAULT_RATE, Effort, Front, Mapping, Objective, Options, Strategy, explore, is_large,
 };
 use nsim_cost::{MessageRoutes, MeterSettings, StepMeter};
 use nsim_golden::Golden;
@@ -80,7 +80,7 @@ pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
 ];
 
 /// The ways in which a network is mapped whose synapses are not written out.
-const BY_KERNELS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
+const IN_BOXES: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
 
 /// Every way of mapping a case; `row` gets each as soon as it is there.
 ///
@@ -93,17 +93,14 @@ pub fn map_all(
     effort_s: u32,
     mut row: impl FnMut(MeasuredMapping),
 ) -> Result<(), Error> {
-    let form = Form::for_network(&bench.network, case.copies);
-    let ways = match form {
-        Form::Written => &WAYS[..],
-        Form::Symbolic => &BY_KERNELS[..],
-    };
+    let in_boxes = is_large(&bench.network, case.copies);
+    let ways = if in_boxes { &IN_BOXES[..] } else { &WAYS[..] };
     let rates = &Rates::assumed(DEFAULT_RATE);
     let front = || {
         let front = Front::from(bench.network.clone());
         if case.relays { front.relay(target) } else { Ok(front) }
     };
-    let expected = (form == Form::Written)
+    let expected = (!in_boxes)
         .then(|| (golden(&bench.network, &bench.period), bench.period.copies(case.copies, bench.network.channels())));
     for &(strategy, objective, places) in ways {
         let failed = |error: CompileError| fault(case, strategy, error);
@@ -118,19 +115,18 @@ pub fn map_all(
         reset_peak();
         let begin = Instant::now();
         // Both placements share one partition, unless a second copy of it takes gigabytes.
-        let partitioned = match (form, objective) {
-            (Form::Written, Objective::Cores) => {
-                match front().and_then(|front| front.partition(target, &options, rates)) {
-                    // Layers that only fit in tiles have no row in the order of the file.
-                    Err(CompileError::DoesNotFit(_)) if strategy == Strategy::Sequential => continue,
-                    partitioned => Some(partitioned.map_err(failed)?),
-                }
+        let partitioned = if !in_boxes && objective == Objective::Cores {
+            match front().and_then(|front| front.partition(target, &options, rates)) {
+                // Layers that only fit in tiles have no row in the order of the file.
+                Err(CompileError::DoesNotFit(_)) if strategy == Strategy::Sequential => continue,
+                partitioned => Some(partitioned.map_err(failed)?),
             }
-            _ => None,
+        } else {
+            None
         };
         let gathered = begin.elapsed().as_secs_f64();
         for &place in places {
-            if form == Form::Symbolic {
+            if in_boxes {
                 reset_peak();
             }
             let (begin, options) = (Instant::now(), Options { place, ..options });

@@ -36,6 +36,11 @@ pub fn graph(text: impl AsRef<str>) -> Graph {
     lower(&model(text)).unwrap()
 }
 
+/// How many cases a test takes: all where `NSIM_LONG` is 1, as in `.ci/nightly`, or else a part.
+pub fn cases(part: u64, all: u64) -> u64 {
+    if std::env::var_os("NSIM_LONG").is_some_and(|long| long == "1") { all } else { part }
+}
+
 /// The limits of a Loihi core as the shipped chip has them, with one synapse format more.
 pub fn limits() -> Limits {
     static LIMITS: LazyLock<Limits> = LazyLock::new(|| {

@@ -18,7 +18,7 @@ use crate::cli::output;
 use nsim_agree::attribution::attribute;
 use nsim_agree::compare::{Counterpart, Deployed, compare, output_layer};
 use nsim_agree::ladder::layers;
-use nsim_compile::Form;
+use nsim_compile::refuse_large;
 use nsim_files::target::target_with_neurons;
 use nsim_import::spikes::read_source;
 use nsim_ir::graph::Graph;
@@ -38,7 +38,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
-    Form::require_written("nsim agree", &analytic, 1)?;
+    refuse_large("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let models = models::named(&args.against)?;

@@ -12,7 +12,7 @@ use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use nsim_agree::compare::compare_models;
-use nsim_compile::{CompileError, Form, Mapping, Options, compile};
+use nsim_compile::{CompileError, Mapping, Options, compile, refuse_large};
 use nsim_files as io;
 use nsim_import::kind::FileKind;
 use nsim_ir::graph::Graph;
@@ -79,7 +79,7 @@ fn compared(
     let mut all = Vec::new();
     for file in files {
         let (trained, second) = real_and_integers(&args.timestep.load(file)?)?;
-        Form::require_written("nsim agree", &second, 1)?;
+        refuse_large("nsim agree", &second, 1)?;
         let Some(compiled) = deployed(file, &second, (target, context))? else { return Ok(None) };
         let first = (graph, integers, mapped.as_ref().map(|mapped| &mapped.program));
         let agreement = output::with_progress(context, samples.len(), "samples", |done| {

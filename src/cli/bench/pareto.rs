@@ -9,7 +9,7 @@ use crate::cli::args::timestep::TimestepArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use nsim_compile::Form;
+use nsim_compile::refuse_large;
 use nsim_files as io;
 use nsim_report::bench::pareto::ParetoReport;
 use nsim_report::charts::picture::FILE;
@@ -62,7 +62,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let network = args.timestep.load(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
-    Form::require_written("nsim bench pareto", &analytic, 1)?;
+    refuse_large("nsim bench pareto", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();

@@ -16,6 +16,7 @@ use std::sync::Arc;
 use self::kinds::{Expected, KINDS};
 use crate::common::compare::small_cores;
 use crate::common::random::{self, Draw};
+use crate::common::unsearched;
 use nsim::check::equivalence::{Difference, check_copies};
 use nsim::check::verify::{Violation, used, verify};
 use nsim::compile::{DEFAULT_RATE, Front, Mapping, Options, compile, map};
@@ -208,7 +209,7 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
             // A mutation draws the places of cores; none are searched for. The tables of one copy
             // are those of all, until a mutation gives a core tables of its own.
             let copies = if network.compartments() < 100 { 3 } else { 1 };
-            let options = Options { place: false, copies, ..Options::default() };
+            let options = Options { copies, ..unsearched() };
             let mut tallies = vec![Tally::default(); KINDS.len()];
             for target in &targets {
                 mutate(compile(network.clone(), target, &options).unwrap(), target, seed, &mut tallies);
@@ -216,7 +217,7 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
             // Cores in classes: copies, and boxes of kernels.
             let copies = Options { copies: 2, ..options };
             mutate(compile(network, &copies_on, &copies).unwrap(), &copies_on, seed, &mut tallies);
-            let boxes = Front::from(random::convolutional(seed)).by_kernels();
+            let boxes = Front::from(random::convolutional(seed)).cut();
             if let Ok(boxes) = map(boxes, &boxes_of, &options, &Rates::assumed(DEFAULT_RATE)) {
                 mutate(boxes, &boxes_of, seed, &mut tallies);
             }

@@ -1,12 +1,26 @@
 //! Cores in classes.
 //!
-//! Input: a key of each core, equal for cores that store the same. Output: the class of each core,
-//! and the first core of each class. Classes are numbered by their first cores.
+//! Input: a network of equal copies that share nothing, and its partition. Output: the class of
+//! each core, and how far the sources of its input axons lie from those of the first core of its
+//! class. Cores of a class store the same. They hold the same compartments of other copies, or of
+//! one population into which windows alone lead the same ones some rows and columns further on
+//! ([`crate::emit::windows`]), or both. Classes are numbered by their first cores.
 
 use std::collections::HashMap;
 use std::hash::Hash;
 
-use nsim_ir::base::id::{ClassId, CoreId, IdVec};
+use rayon::prelude::*;
+
+use crate::emit::windows::{Origin, Pattern, Windows};
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, IdVec};
+use nsim_ir::partition::Partition;
+use nsim_ir::quantised::Quantised;
+use nsim_partition::resources::by_core::Key;
+use nsim_partition::resources::formats::Formats;
+
+/// Cores whose keys are found side by side: the keys of all take the memory of their compartments.
+const TOGETHER: usize = 1 << 10;
 
 /// Which core is of which class.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -32,4 +46,110 @@ impl Classes {
     pub fn first(&self, core: CoreId) -> CoreId {
         self.firsts[self.of[core]]
     }
+}
+
+/// What cores of a class have in common.
+#[derive(PartialEq, Eq, Hash)]
+enum Common {
+    /// Compartments in slot order, counted from the first of the first copy that they are of.
+    Members(Vec<u32>),
+    /// Compartments of one population into which windows lead.
+    Pattern(Pattern),
+}
+
+/// Where a core is: the copy that it begins with, and where windows into it begin.
+#[derive(Debug, Clone)]
+struct Place {
+    copy: u32,
+    origins: Option<Box<[Origin]>>,
+}
+
+/// Sources of these numbers, below the second, and how far they lie from those of another core.
+pub type Shift = (u32, u32, i64);
+
+/// The cores of a network in classes.
+#[derive(Debug)]
+pub struct CoreClasses<'n> {
+    /// Which core is of which.
+    pub classes: Classes,
+    windows: Windows<'n>,
+    places: IdVec<CoreId, Place>,
+    /// All input channels; those of one copy, and its compartments.
+    channels: u32,
+    of_copy: [u32; 2],
+}
+
+impl<'n> CoreClasses<'n> {
+    /// The classes of the cores of this many copies. Cores that `holds` says are written are of
+    /// other classes than the rest.
+    pub fn new(network: &'n Quantised, partition: &Partition, copies: u32, holds: impl Fn(CoreId) -> bool) -> Self {
+        let of_copy = [network.channels(), network.compartments()].map(|units| units / copies.max(1));
+        let windows = Windows::new(network, copies);
+        let found = |&core: &CoreId| {
+            let held = &partition.members()[core];
+            let copy = copy_of(held, of_copy[1]);
+            match windows.pattern(held, copy * of_copy[1]) {
+                Some((pattern, origins)) => (Common::Pattern(pattern), Place { copy, origins: Some(origins) }),
+                None => {
+                    let first = copy * of_copy[1];
+                    (Common::Members(held.iter().map(|id| id.0 - first).collect()), Place { copy, origins: None })
+                }
+            }
+        };
+        let all: Vec<CoreId> = partition.members().ids().collect();
+        let mut places = IdVec::new();
+        let some = all.chunks(TOGETHER).flat_map(|some| some.par_iter().map(found).collect::<Vec<_>>());
+        let classes = Classes::by_key(all.iter().zip(some).map(|(&core, (key, place))| {
+            places.push(place);
+            (holds(core), key)
+        }));
+        CoreClasses { classes, windows, places, channels: network.channels(), of_copy }
+    }
+
+    /// Each core as a class of its own.
+    #[cfg(test)]
+    pub fn apart(network: &'n Quantised, partition: &Partition) -> Self {
+        let place = |_| Place { copy: 0, origins: None };
+        CoreClasses {
+            classes: Classes::by_key(0..partition.cores()),
+            windows: Windows::new(network, 1),
+            places: partition.members().ids().map(place).collect(),
+            channels: network.channels(),
+            of_copy: [network.channels(), network.compartments()],
+        }
+    }
+
+    /// The synapses of a core with these compartments in the order of its lists, and the longest of
+    /// their delays; `None` where something else than windows leads into it.
+    pub fn keys(&self, core: CoreId, held: &[CompartmentId], formats: &Formats) -> Option<(Vec<Key>, Delay)> {
+        let Place { copy, origins } = &self.places[core];
+        origins.as_ref().and_then(|_| self.windows.keys(held, self.of_copy.map(|units| copy * units), formats))
+    }
+
+    /// How far the sources of a core lie from those of the first of its class, ascending.
+    pub fn shifts(&self, core: CoreId) -> Vec<Shift> {
+        let [from, to] = [self.classes.first(core), core].map(|core| &self.places[core]);
+        let later = i64::from(to.copy) - i64::from(from.copy);
+        let all = u32::MAX;
+        let [of_channels, of_compartments] = self.of_copy.map(|units| later * i64::from(units));
+        let (Some(begin), Some(end)) = (&from.origins, &to.origins) else {
+            return vec![(0, self.channels, of_channels), (self.channels, all, of_compartments)];
+        };
+        let shift = |(begin, end): (&Origin, &Origin)| {
+            let (of_copy, more) = match begin.first < self.channels {
+                true => (self.of_copy[0], of_channels),
+                false => (self.of_copy[1], of_compartments),
+            };
+            let first = begin.first + from.copy * of_copy;
+            (first, first + begin.sources, end.at - begin.at + more)
+        };
+        let mut shifts: Vec<Shift> = begin.iter().zip(end).map(shift).collect();
+        shifts.sort_unstable();
+        shifts
+    }
+}
+
+/// The first copy, of this many compartments each, that these are of.
+fn copy_of(held: &[CompartmentId], compartments: u32) -> u32 {
+    held.iter().map(|id| id.0 / compartments.max(1)).min().unwrap_or(0)
 }

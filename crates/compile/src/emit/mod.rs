@@ -1,7 +1,8 @@
 //! A program written out: routes, axon tables, synapse words.
 
-pub mod boxes;
 pub mod classes;
 pub mod route;
+pub mod tables;
 #[cfg(test)]
 pub(crate) mod testing;
+pub mod windows;

@@ -17,26 +17,18 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::emit::classes::Classes;
+use crate::emit::classes::{Classes, CoreClasses, Shift};
+use crate::emit::tables::Tables;
 use nsim_ir::base::csr::Csr;
-use nsim_ir::base::fixed::Delay;
-use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
+use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::dealt::Dealt;
 use nsim_ir::messages::{AxonTarget, AxonsOut, Reached};
 use nsim_ir::partition::{Partition, Seat};
 use nsim_ir::placement::Placement;
-use nsim_ir::program::{
-    Compartment, Compartments, CoreClass, CoreFormat, CoreImage, Graded, InputAxon, Parts, PopulationAxon, Program,
-    Stored, Synapse,
-};
-use nsim_ir::quantised::{Population, Quantised, Units};
+use nsim_ir::program::{Compartments, CoreClass, CoreImage, Graded, Parts, Program};
+use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::resource::Limits;
 use nsim_ir::spikes::Message;
-use nsim_partition::resources::axon_sharing::{EqualPlace, Places};
-use nsim_partition::resources::by_core::{self, Key};
-use nsim_partition::resources::exact::{StoredLists, group_of, longest_delays};
-use nsim_partition::resources::formats::Formats;
-use nsim_partition::resources::packing::{Compression, Group, Widths, stored};
 
 /// The program of a network, this many equal copies that share nothing, on its places. What equal
 /// cores store is written once. Of a program that is dealt out and held in part,
@@ -48,79 +40,32 @@ use nsim_partition::resources::packing::{Compression, Group, Widths, stored};
 pub fn route(
     network: &Quantised,
     partition: &Partition,
-    (placement, dealt): (&Placement, Option<Dealt>),
+    places: (&Placement, Option<Dealt>),
     copies: u32,
     limits: &Limits,
 ) -> Result<Program, String> {
-    let tables = Tables::new(network, partition, limits);
-    let (channels, compartments) = (network.channels(), network.compartments());
-    let of_copy = |units: usize| (units as u32 / copies.max(1)).max(1);
-    let copy_size = of_copy(compartments as usize);
-    let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
-    // Copies are equal and share nothing. So cores with the same compartments, of other copies, are
-    // of one class, and their sources are as many copies apart. A rank writes the classes that it
-    // holds.
-    let members = |core: CoreId| &partition.members()[core];
-    let copy_of = |core: CoreId| members(core).iter().map(|id| id.0 / copy_size).min().unwrap_or(0);
-    let key = |core: CoreId| {
-        let first = copy_of(core) * copy_size;
-        (holds(core), members(core).iter().map(|id| id.0 - first).collect::<Vec<u32>>())
-    };
-    let classes = Classes::by_key(partition.members().ids().map(key));
-    // The copies that the first cores of classes hold.
-    let mut written_down = vec![false; copies as usize];
-    for &core in classes.firsts.iter().filter(|core| holds(**core)) {
-        members(core).iter().for_each(|id| written_down[(id.0 / copy_size) as usize] = true);
-    }
-    let populations = of_copy(network.populations().len());
-    let counts = |id: PopulationId| written_down.get((id.0 / populations) as usize).copied().unwrap_or(true);
-    let (seats, cores) = (partition.seats(), partition.cores());
-    let longest = longest_delays(network, seats, cores, counts);
-    let written = by_core::by_core(network, &tables.formats, seats, cores, (counts, holds), |core, keys| {
-        (classes.first(core) == core).then(|| match holds(core) {
-            true => tables.class(core, keys, longest[core]),
-            false => Ok((CoreClass::without_tables(parameters(network, members(core))), Vec::new())),
-        })
-    });
-    let written: Vec<(CoreClass, Vec<u32>)> = written.into_iter().flatten().collect::<Result<_, String>>()?;
-    let shifts = |first: CoreId, core: CoreId| {
-        let later = i64::from(copy_of(core)) - i64::from(copy_of(first));
-        let by = |units: u32| later * i64::from(of_copy(units as usize));
-        vec![(0, channels, by(channels)), (channels, channels + compartments, by(compartments))]
-    };
-    assemble(network, partition, (placement, dealt), (written, &classes, shifts))
+    let holds = |core: CoreId| places.1.as_ref().is_none_or(|dealt| dealt.holds(core));
+    let classes = CoreClasses::new(network, partition, copies, holds);
+    route_classes(network, partition, places, &classes, limits)
 }
 
-/// Sources of these numbers, below the second, and how far they lie from those of another core.
-pub(super) type Shift = (u32, u32, i64);
-
-/// Ascending sources, each shifted as those of its range.
-fn shifted(sources: &[u32], shifts: Vec<Shift>) -> impl Iterator<Item = u32> {
-    let mut shifts = shifts.into_iter().peekable();
-    sources.iter().map(move |&source| {
-        while shifts.next_if(|(_, end, _)| *end <= source).is_some() {}
-        shifts.peek().map_or(source, |(_, _, by)| (i64::from(source) + by) as u32)
-    })
-}
-
-/// The program of these classes: of each its tables and the sources of its first core's input
-/// axons; and how far those of another core lie from them.
-///
-/// # Errors
-/// As [`route`].
-pub(super) fn assemble(
+/// The same, of cores in these classes.
+pub(crate) fn route_classes(
     network: &Quantised,
     partition: &Partition,
     (placement, dealt): (&Placement, Option<Dealt>),
-    (written, classes, shifts): (Vec<(CoreClass, Vec<u32>)>, &Classes, impl Fn(CoreId, CoreId) -> Vec<Shift> + Sync),
+    found: &CoreClasses<'_>,
+    limits: &Limits,
 ) -> Result<Program, String> {
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
-    let channels = network.channels();
+    let (channels, classes) = (network.channels(), &found.classes);
+    let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
+    let written = Tables::new(network, partition, limits).of_classes(found, holds)?;
     let (written, of_first): (Vec<CoreClass>, Vec<Vec<u32>>) = written.into_iter().unzip();
     let all: Vec<CoreId> = partition.members().ids().collect();
-    let sources = |core: CoreId| shifted(&of_first[classes.of[core].index()], shifts(classes.first(core), core));
+    let sources = |core: CoreId| shifted(&of_first[classes.of[core].index()], found.shifts(core));
     let axons = |core: CoreId| (0..=u16::MAX).zip(sources(core));
     let of_channels = Csr::by_row(channels as usize, |put| {
         for &core in &all {
@@ -162,6 +107,15 @@ pub(super) fn assemble(
     .map_err(|error| error.to_string())
 }
 
+/// Ascending sources, each shifted as those of its range.
+fn shifted(sources: &[u32], shifts: Vec<Shift>) -> impl Iterator<Item = u32> {
+    let mut shifts = shifts.into_iter().peekable();
+    sources.iter().map(move |&source| {
+        while shifts.next_if(|(_, end, _)| *end <= source).is_some() {}
+        shifts.peek().map_or(source, |(_, _, by)| (i64::from(source) + by) as u32)
+    })
+}
+
 /// The populations of graded spikes, channels first.
 fn graded(network: &Quantised) -> Vec<Graded> {
     let of = |population: &Population| {
@@ -172,157 +126,6 @@ fn graded(network: &Quantised) -> Vec<Graded> {
     let mut graded: Vec<Graded> = network.populations().iter().filter_map(of).collect();
     graded.sort_unstable_by_key(|graded| graded.sources.start);
     graded
-}
-
-/// What the tables of every core are written from.
-pub(super) struct Tables<'a> {
-    network: &'a Quantised,
-    partition: &'a Partition,
-    limits: &'a Limits,
-    pub(super) formats: Formats,
-    places: Places,
-}
-
-impl<'a> Tables<'a> {
-    pub(super) fn new(network: &'a Quantised, partition: &'a Partition, limits: &'a Limits) -> Self {
-        let (formats, places) = (Formats::for_network(network), Places::for_network(network, limits));
-        Tables { network, partition, limits, formats, places }
-    }
-
-    /// What a core with these synapses stores, and the source of each input axon.
-    pub(super) fn class(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<(CoreClass, Vec<u32>), String> {
-        let held = &self.partition.members()[core];
-        let widths = Widths::for_core(held.len() as u32, longest, self.limits.packing);
-        let lists = StoredLists::new(keys, &self.formats, widths, self.limits, &self.places);
-        let (formats, inputs, sources) = write_lists(keys, &self.formats, widths, &lists, self.limits)
-            .ok_or_else(|| format!("{core} has too many input axons or synapse formats"))?;
-        Ok((CoreClass { compartments: parameters(self.network, held), formats, inputs }, sources))
-    }
-}
-
-/// Parameters of compartments in slot order.
-pub(super) fn parameters(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
-    let mut known = None;
-    held.iter()
-        .filter_map(|&id| {
-            // Neighbours mostly are of one population.
-            let inside = |population: &PopulationId| {
-                let population = &network.populations()[*population];
-                population
-                    .first_compartment()
-                    .is_some_and(|first| id.0.checked_sub(first.0).is_some_and(|index| index < population.shape.len()))
-            };
-            let population = known.filter(inside).unwrap_or_else(|| network.population_of(id).0);
-            known = Some(population);
-            let Units::Compartments { first, neurons, start_step } = &network.populations()[population].units else {
-                return None;
-            };
-            Some(Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step })
-        })
-        .collect()
-}
-
-/// The formats of a core, its input axons with their lists, and the source of each input axon.
-type Written = (Vec<CoreFormat>, Stored, Vec<u32>);
-
-/// Writes the lists of a core's image.
-struct Writer<'a> {
-    formats: &'a Formats,
-    widths: Widths,
-    limits: &'a Limits,
-    runs: bool,
-    known: Vec<CoreFormat>,
-    /// The last group's make-up and the number of its format.
-    last: Option<((u16, Group), u8)>,
-    lists: Csr<Synapse>,
-}
-
-impl Writer<'_> {
-    /// The number of the format of a group of this make-up, a new one where the core has none.
-    fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
-        if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
-            return Some(number);
-        }
-        let [_, (compression, _)] = stored(made, self.widths, self.limits);
-        let stored = CoreFormat {
-            synapse: self.formats.get(format),
-            delay_bits: if made.delayed { self.widths.delay } else { 0 },
-            index_bits: (!made.dense).then_some(self.widths.index),
-            skip_bits: match compression {
-                Compression::RunLength(bits) if self.runs => Some(bits),
-                _ => None,
-            },
-        };
-        let number = self.known.iter().position(|&known| known == stored).unwrap_or_else(|| {
-            self.known.push(stored);
-            self.known.len() - 1
-        });
-        let number = u8::try_from(number).ok()?;
-        self.last = Some(((format, made), number));
-        Some(number)
-    }
-
-    /// Writes a list, its slots counted from a base.
-    fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
-        for group in by_core::groups(list) {
-            let number = self.number(group_of(group, self.formats))?;
-            for key in group {
-                let delay = Delay::new(key.delay().into()).ok()?;
-                let synapse = Synapse { slot: key.slot() - base, weight: key.weight(), format: number, delay };
-                self.lists.extend_last([synapse]);
-            }
-        }
-        self.lists.end();
-        Some(())
-    }
-}
-
-/// What a core keeps of its synapses; `None` when it has more input axons or formats than can be
-/// numbered.
-fn write_lists(
-    keys: &[Key],
-    formats: &Formats,
-    widths: Widths,
-    stored: &StoredLists,
-    limits: &Limits,
-) -> Option<Written> {
-    let (runs, lists) = (stored.stores_runs(limits), Csr::with_capacity(0, keys.len()));
-    let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
-    let shared: Vec<_> = stored.shared(limits).filter(|&(_, places)| places > 0).collect();
-    let sources: Vec<u32> = by_core::lists(keys).map(|list| list[0].source()).collect();
-    u16::try_from(sources.len().saturating_sub(1)).ok()?;
-    if shared.is_empty() {
-        by_core::lists(keys).try_for_each(|list| writer.list(list, 0))?;
-        writer.lists.shrink_to_fit();
-        return Some((writer.known, Stored::discrete(writer.lists), sources));
-    }
-    let all: Vec<&[Key]> = by_core::lists(keys).collect();
-    let (mut populations, mut members) = (Vec::new(), vec![None; all.len()]);
-    for (alike, places) in shared {
-        let (first, table) = (&alike[0], writer.lists.len() as u32);
-        let atoms = first.atoms();
-        let mut of_atoms = first.lists.iter().peekable();
-        for atom in 0..atoms {
-            match of_atoms.next_if(|(of, _)| *of == atom) {
-                Some((_, number)) => writer.list(all[*number as usize], first.base)?,
-                None => writer.lists.end(),
-            }
-        }
-        for EqualPlace { base, lists, .. } in &alike[..places as usize] {
-            let axon = u16::try_from(populations.len()).ok()?;
-            populations.push(PopulationAxon { table, atoms, base: *base });
-            lists.iter().for_each(|&(atom, number)| members[number as usize] = Some(InputAxon::Member { axon, atom }));
-        }
-    }
-    let mut axons = Vec::with_capacity(all.len());
-    for (list, member) in all.into_iter().zip(members) {
-        axons.push(member.unwrap_or(InputAxon::Discrete { list: writer.lists.len() as u32 }));
-        if member.is_none() {
-            writer.list(list, 0)?;
-        }
-    }
-    writer.lists.shrink_to_fit();
-    Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
 }
 
 /// Parts of the senders that each thread takes one after the other.

@@ -26,7 +26,7 @@ use nsim_ir::placement::Placement;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
-use nsim_partition::form::Form;
+use nsim_partition::large::counted_in_boxes;
 use nsim_partition::options::{Effort, Objective, Options, Strategy};
 use nsim_partition::reason::Reason;
 use nsim_partition::strategy::box_fan_out::{PopulationRates, everywhere};
@@ -85,11 +85,11 @@ fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
 /// What is kept of a candidate until one is taken.
 enum Kept {
     /// The mapping, which has not been checked.
-    Written(Box<Unchecked>),
-    /// Of a symbolic mapping, which takes much memory, only where its boxes are: it is made again
-    /// from there. With the name of the placement, and steps in which sources spike at once when
-    /// they are needed.
-    Symbolic { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
+    Whole(Box<Unchecked>),
+    /// Of a mapping in boxes, which takes much memory, only where they are: it is made again from
+    /// there. With the name of the placement, and steps in which sources spike at once when they
+    /// are needed.
+    Boxes { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
 }
 
 /// Messages of a step that are followed to compare candidates.
@@ -108,18 +108,18 @@ struct KeptBursts<'a> {
 impl Bursts<Kept> for KeptBursts<'_> {
     fn expected(&mut self, kept: &Kept) -> Result<Vec<Score>> {
         match kept {
-            Kept::Written(unchecked) => {
+            Kept::Whole(unchecked) => {
                 let Mapping { quantised, placement, program, .. } = unchecked.mapping();
                 let bursts = self.rates.get_or_insert_with(|| bursts(quantised));
                 let score = |rates: &Rates| score_at(program, placement, self.copies, rates, self.target);
                 Ok(bursts.iter().map(score).collect::<Result<_, _>>()?)
             }
-            Kept::Symbolic { bursts, .. } => Ok(bursts.clone()),
+            Kept::Boxes { bursts, .. } => Ok(bursts.clone()),
         }
     }
 
     fn followed_us(&mut self, kept: &Kept) -> Result<Option<f64>> {
-        let Kept::Written(unchecked) = kept else { return Ok(None) };
+        let Kept::Whole(unchecked) = kept else { return Ok(None) };
         let Mapping { placement, program, .. } = unchecked.mapping();
         let affordable = || (FOLLOWED / messages(program).max(1) as f64).min(1.0);
         let chance = *self.chance.get_or_insert_with(affordable);
@@ -161,8 +161,8 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> R
         taken = choice.best_of(search.all(&[way], ways.len())?)?;
     }
     let mut best = match taken.unwrap_or(plain.kept) {
-        Kept::Written(unchecked) => unchecked.check(target)?,
-        Kept::Symbolic { file, placed, .. } => {
+        Kept::Whole(unchecked) => unchecked.check(target)?,
+        Kept::Boxes { file, placed, .. } => {
             let compared = ("compare", begin.elapsed().as_secs_f64());
             let mut again = compile::load(front, target, options, &file)?;
             again.placed = placed;
@@ -219,7 +219,7 @@ pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rat
 /// What candidates are made of.
 struct Search<'a> {
     front: &'a Front,
-    form: Form,
+    in_boxes: bool,
     target: &'a Target,
     options: &'a Options,
     rates: &'a Rates,
@@ -227,7 +227,7 @@ struct Search<'a> {
 
 impl<'a> Search<'a> {
     fn new(front: &'a Front, target: &'a Target, options: &'a Options, rates: &'a Rates) -> Self {
-        Search { form: front.form(options.copies), front, target, options, rates }
+        Search { in_boxes: front.in_boxes(options.copies), front, target, options, rates }
     }
 
     /// Strategies, and the part of a core that each may fill, for as many as the effort allows.
@@ -235,8 +235,8 @@ impl<'a> Search<'a> {
         let Search { front, target, options, .. } = self;
         let (one, copies) = (front.quantised(), u64::from(options.copies));
         let affordable = |each_second: u64, size: u64| options.effort.work(each_second) / size.max(1);
-        if self.form == Form::Symbolic {
-            let (layers, target) = (Layers::new(one)?, self.form.counted_on(one, target));
+        if self.in_boxes {
+            let (layers, target) = (Layers::new(one)?, counted_in_boxes(true, one, target));
             let most = affordable(COMPARTMENTS_PER_SECOND, u64::from(one.compartments()) * copies).max(1);
             let may_fit = |&divisor: &u32| {
                 divisor == 1 || {
@@ -263,7 +263,7 @@ impl<'a> Search<'a> {
     /// taken: cores filled to a half, unless a quarter of a core takes no more cores than a whole
     /// one.
     fn further(&self, ways: &[(Strategy, u32)], found: &[Found]) -> Option<(Strategy, u32)> {
-        let Search { form, options, .. } = self;
+        let Search { in_boxes, options, .. } = self;
         let way = (options.strategy, HALF);
         let cores = |divisor| {
             let of =
@@ -272,7 +272,7 @@ impl<'a> Search<'a> {
         };
         let wanted = options.objective == Objective::Latency
             && options.effort.end().is_none()
-            && *form == Form::Written
+            && !in_boxes
             && !ways.contains(&way)
             && cores(1) != cores(SHORTEST[0]);
         wanted.then_some(way)
@@ -292,20 +292,19 @@ impl<'a> Search<'a> {
             made
         };
         let ways = ways.iter().enumerate();
-        let made: Vec<Result<Vec<Made<Kept>>>> = match self.form {
-            Form::Written if self.options.effort.end().is_none() => {
-                ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect()
-            }
+        let made: Vec<Result<Vec<Made<Kept>>>> = if self.in_boxes || self.options.effort.end().is_some() {
             // One after the other: each takes as much memory as a mapping, and uses all threads.
             // By the clock, those that there is time for.
-            Form::Written | Form::Symbolic => self.in_turn(ways, one_way),
+            self.in_turn(ways, one_way)
+        } else {
+            ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect()
         };
         let fits = made.iter().any(Result::is_ok);
         let mut found = Vec::new();
         for (number, made) in made.into_iter().enumerate() {
             match made {
                 Ok(made) => found.extend(made),
-                Err(error) if number + behind == 0 && (!fits || self.form == Form::Symbolic) => return Err(error),
+                Err(error) if number + behind == 0 && (!fits || self.in_boxes) => return Err(error),
                 Err(_) => {}
             }
         }
@@ -329,11 +328,11 @@ impl<'a> Search<'a> {
 
     /// One partition, in these ways of placing it.
     fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>> {
-        let Search { front, form, target, rates, .. } = *self;
+        let Search { front, in_boxes, target, rates, .. } = *self;
         let options = &Options { most_synapses: most_synapses(target, divisor), ..*options };
         let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates);
-        let partitioned = match (partitioned(0), form) {
-            (Err(error), Form::Written) => match words_for_one(&error, target) {
+        let partitioned = match (partitioned(0), in_boxes) {
+            (Err(error), false) => match words_for_one(&error, target) {
                 Some(words) => partitioned(words)?,
                 None => return Err(error),
             },
@@ -347,9 +346,9 @@ impl<'a> Search<'a> {
                 None => {
                     let unchecked = partitioned.clone().place(target, options)?.emit(target, options)?;
                     let mapping = unchecked.mapping();
-                    (mapping.score(&mapping.traffic(), target)?, Kept::Written(Box::new(unchecked)))
+                    (mapping.score(&mapping.traffic(), target)?, Kept::Whole(Box::new(unchecked)))
                 }
-                Some(boxes) => self.symbolic(&partitioned.all, boxes, partitioned.placement(target, options)?)?,
+                Some(boxes) => self.of_boxes(&partitioned.all, boxes, partitioned.placement(target, options)?)?,
             };
             let found = Found { candidate, score };
             tracing::debug!(?found, "candidate");
@@ -359,7 +358,7 @@ impl<'a> Search<'a> {
     }
 
     /// What is kept of boxes at these places, and what they cost.
-    fn symbolic(
+    fn of_boxes(
         &self,
         all: &Quantised,
         boxes: &Boxes,
@@ -375,6 +374,6 @@ impl<'a> Search<'a> {
         let bursts = bursts.iter().map(score).collect::<Result<_, _>>()?;
         let score = score(&everywhere(all, rates))?;
         let file = Box::new(file_of_boxes(all, &boxes.lattices(), &placement, target.name(), options));
-        Ok((score, Kept::Symbolic { file, placed, bursts }))
+        Ok((score, Kept::Boxes { file, placed, bursts }))
     }
 }

@@ -1,7 +1,7 @@
 //! Networks mapped by their kernels, against the same mappings written synapse by synapse.
 
-use crate::emit::boxes::route_boxes;
-use crate::emit::route::route;
+use crate::emit::classes::CoreClasses;
+use crate::emit::route::{route, route_classes};
 use crate::explore::box_costs::PlacedBoxes;
 use crate::explore::bursts::bursts;
 use crate::mapping_file::one_copy;
@@ -20,7 +20,7 @@ use nsim_ir::resource::{Limits, OutputAxons, Packing, Resource};
 use nsim_partition::strategy::box_fan_out::{everywhere, only};
 use nsim_partition::strategy::lattice;
 use nsim_partition::strategy::members::row_of_chips;
-use nsim_testing::{Builder, format, neurons, plain_format, target, without_classes};
+use nsim_testing::{Builder, cases, format, neurons, plain_format, target, without_classes};
 
 /// Limits with which output axons are counted by compartment.
 fn limits() -> Limits {
@@ -29,7 +29,7 @@ fn limits() -> Limits {
 
 /// A network of any size, to be mapped by its kernels.
 fn front(network: Quantised) -> Front {
-    Front::from(network).by_kernels()
+    Front::from(network).cut()
 }
 
 fn by_kernels(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
@@ -191,8 +191,7 @@ fn what_cannot_be_mapped_by_kernels_is_refused() {
     let sequential = Options { strategy: Strategy::Sequential, ..Options::default() };
     let said = by_kernels(layered(1), &board, &sequential).unwrap_err().to_string();
     assert!(said.contains("no sequential mapping"), "{said}");
-    assert_eq!(Form::for_network(&layered(1), 1), Form::Written);
-    assert_eq!(Form::for_network(&layered(1), u32::MAX), Form::Symbolic);
+    assert!(!is_large(&layered(1), 1) && is_large(&layered(1), u32::MAX));
 }
 
 #[test]
@@ -398,21 +397,28 @@ fn profiles_make_boxes_smaller() {
 #[test]
 fn programs_of_boxes_are_those_written_synapse_by_synapse() {
     let (mut alike, mut cores) = (0, 0);
-    for seed in 0..120 {
+    let networks = cases(48, 120);
+    for seed in 0..networks {
         let network = layered(seed);
         let most = [12, 40, 1024][seed as usize % 3];
         let counted = if seed.is_multiple_of(2) { nsim_testing::limits() } else { limits() };
         let board = target(8, 8, counted.with(Resource::Compartments, most));
-        let Ok(mapping) = by_kernels(network, &board, &Options::default()) else { continue };
+        let copies = 1 + (seed % 4) as u32 / 2;
+        let options = Options { copies, ..Options::default() };
+        let Ok(mapping) = by_kernels(network, &board, &options) else { continue };
         let Mapping { quantised: all, partition, placement, .. } = &mapping;
-        let meant = route(all, partition, (placement, None), 1, board.limits()).unwrap();
-        let written = route_boxes(all, partition, (placement, None), board.limits()).unwrap();
+        let apart = CoreClasses::apart(all, partition);
+        let meant = route_classes(all, partition, (placement, None), &apart, board.limits()).unwrap();
+        let written = route(all, partition, (placement, None), copies, board.limits()).unwrap();
         assert!(without_classes(&written) == without_classes(&meant), "seed {seed}");
         // Every core is the first of its class or a shift of it.
-        let proven = check_copies(all, &written, 1).unwrap();
+        let proven = check_copies(all, &written, copies).unwrap();
         assert_eq!(proven as usize, written.cores().len() - written.classes().len(), "seed {seed}");
         (alike, cores) = (alike + proven as usize, cores + partition.cores());
         assert!(*mapping.program == written, "seed {seed}");
     }
-    assert!(alike > 1_000 && cores > 2_000, "{alike} of {cores} cores are written as others are");
+    assert!(
+        alike as u64 > 8 * networks && cores as u64 > 16 * networks,
+        "{alike} of {cores} cores are written as others are"
+    );
 }

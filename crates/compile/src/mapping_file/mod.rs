@@ -23,7 +23,6 @@ use nsim_ir::partition::{Partition, Seat, seats};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::Quantised;
 use nsim_partition::error::CompileError;
-use nsim_partition::form::Form;
 use nsim_partition::options::Options;
 use nsim_partition::resources::exact::usage;
 use nsim_partition::resources::packing::MOST_SLOTS;
@@ -95,22 +94,19 @@ pub fn load(
     file: &MappingFile,
     all: &Quantised,
     target: &Target,
-    form: Form,
+    in_boxes: bool,
 ) -> Result<(Partition, Placement, Option<Lattices>), CompileError> {
     let limits = target.limits();
-    let loaded = match form {
-        Form::Symbolic => {
-            belongs(file, all, target)?;
-            let layers = Layers::new(all)?;
-            let (lattices, placement) = layers::outline(file, all, &layers.layers, target)?;
-            let boxes = Boxes::of_lattices(&layers, &lattices, limits);
-            let (partition, _) = boxes.into_partition(all, &chips_of(placement.sites()), limits)?;
-            (partition, placement, Some(lattices))
-        }
-        Form::Written => {
-            let (members, placement) = membership(file, all, target)?;
-            (partition_on(all, members, placement.sites(), target)?, placement, None)
-        }
+    let loaded = if in_boxes {
+        belongs(file, all, target)?;
+        let layers = Layers::new(all)?;
+        let (lattices, placement) = layers::outline(file, all, &layers.layers, target)?;
+        let boxes = Boxes::of_lattices(&layers, &lattices, limits);
+        let (partition, _) = boxes.into_partition(all, &chips_of(placement.sites()), limits)?;
+        (partition, placement, Some(lattices))
+    } else {
+        let (members, placement) = membership(file, all, target)?;
+        (partition_on(all, members, placement.sites(), target)?, placement, None)
     };
     check_unchanged(file)?;
     Ok(loaded)

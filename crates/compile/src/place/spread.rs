@@ -3,8 +3,8 @@
 //! Input: a network, how one copy of it is mapped, and the number of copies. Output: all copies on
 //! their cores, each like the first. A copy takes a *slot*: the whole chips that it needs. Copy k
 //! goes to slot k modulo their number; where a copy needs one chip, further copies fill the chip's
-//! next cores. Nothing comes out where copies are to be packed, where the network is mapped by its
-//! kernels, or where they do not fit so: then copies are packed as tightly as they fit.
+//! next cores. Nothing comes out where copies are to be packed, where the network is cut into
+//! boxes, or where they do not fit so: then copies are packed as tightly as they fit.
 //!
 //! Invariant: no two copies share a core, so that what one copy costs does not depend on the
 //! others.
@@ -15,7 +15,6 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_partition::error::Result;
-use nsim_partition::form::Form;
 use nsim_partition::options::{CopyPlacement, Options};
 use nsim_partition::strategy::copies::Pattern;
 use nsim_partition::strategy::members::Members;
@@ -32,7 +31,7 @@ pub fn spread(
     one: impl FnOnce(Front, &Options) -> Result<(Members, Placement, &'static str)>,
 ) -> Result<Option<Placed>> {
     let Options { copies, placement, .. } = *options;
-    if copies < 2 || placement == CopyPlacement::Packed || front.form(copies) == Form::Symbolic {
+    if copies < 2 || placement == CopyPlacement::Packed || front.in_boxes(copies) {
         return Ok(None);
     }
     // No chip has room for more cores than there are: which reason to give is for packing to say.

@@ -39,7 +39,6 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use crate::error::{CompileError, Result};
-use crate::form::Form;
 use crate::options::{Objective, Options, Strategy, is_over};
 use crate::reason::{Reason, Tightest};
 use crate::resources::axon_sharing::Places;
@@ -128,18 +127,18 @@ const SHAKE_SEED: u64 = 0x5ba4e;
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`].
-pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, form: Form, search: Search<'_>) -> Result<()> {
+pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, in_boxes: bool, search: Search<'_>) -> Result<()> {
     let (limits, compartments) = (target.limits(), u64::from(one.compartments()));
     let (all, room) =
         (compartments * u64::from(copies), u64::from(target.cores()) * u64::from(limits[Resource::Compartments]));
     let too_many = (all > room).then(|| Reason::of_compartments(target, limits, copies, all));
-    let bound = match form {
-        Form::Symbolic => return too_many.map_or(Ok(()), |reason| Err(reason.into())),
-        Form::Written => too_many.or_else(|| {
-            let cores = least_cores(one, copies, limits);
-            (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
-        }),
-    };
+    if in_boxes {
+        return too_many.map_or(Ok(()), |reason| Err(reason.into()));
+    }
+    let bound = too_many.or_else(|| {
+        let cores = least_cores(one, copies, limits);
+        (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
+    });
     // What a compartment needs is found by placing one copy, unless that would take long.
     let quick = one.synapses() <= FEW_SYNAPSES || bound.is_some() && compartments <= room;
     let mut reasons = match bound {

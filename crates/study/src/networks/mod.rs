@@ -26,7 +26,7 @@
 //! - `conv-10m`: 2 @ 512 x 512, 3 x 3 convolutions to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32
 //!   @ 256 x 256, 64 @ 128 x 128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x
 //!   16, 11: 11,012,107 compartments, whose 2.2 thousand million synapses are never written out
-//!   ([`nsim_compile::Form::Symbolic`]); made up, to be as large.
+//!   ([`nsim_compile::is_large`]); made up, to be as large.
 //! - `delays-32k`: the neurons and the drive of `random-32k`, whose 64 synapses each have eight
 //!   delays: eight with each of 0, 3, 9, 17, 25, 38, 50 and 62.
 //! - `delays-busy`: 32,768 channels, of which 70 % spike in each step, with 64 synapses of those

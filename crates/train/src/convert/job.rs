@@ -13,7 +13,7 @@ use crate::convert::staged::{self, Converted, Measured};
 use crate::convert::{model_file, resets};
 use crate::fit::Example;
 use crate::plan::plan;
-use nsim_compile::Form;
+use nsim_compile::refuse_large;
 use nsim_files::network::{Network, NetworkFile};
 use nsim_files::text::sha256;
 use nsim_files::training::TrainingFile;
@@ -105,7 +105,7 @@ impl Job {
             let message = format!("{} has no real numbers to convert", graph.facts().name);
             return Err(Diagnostic::new("convert.integers", message).help("it runs as it is").into());
         }
-        Form::require_written("nsim convert", &integers, 1)?;
+        refuse_large("nsim convert", &integers, 1)?;
         Ok(Job { graph, integers, hash: sha256(network.source().text().as_bytes()), soft_reset })
     }
 

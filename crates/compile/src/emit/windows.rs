@@ -1,0 +1,221 @@
+//! Cores that windows alone lead into.
+//!
+//! Input: a network of equal copies, and the compartments of a core. Output: the core's
+//! [`Pattern`], if all its compartments are of one population and convolutions or pools alone lead
+//! into it; and the synapses of such a core. Cores of one pattern have the same sources, some rows
+//! and columns further on.
+//!
+//! Why it is right: a window reaches rows and columns independently of each other, and what a
+//! source reaches of a core depends on its field in both, which [`WindowAxis::pattern`] lists in
+//! order. A test holds tables made so against those of all synapses.
+
+use std::ops::Range;
+
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{CompartmentId, Id, IdVec, PopulationId, ProjectionId};
+use nsim_ir::graph::{PerCompartment, Window};
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_ir::quantised::{Neuron, Quantised, Units};
+use nsim_partition::resources::by_core::Key;
+use nsim_partition::resources::formats::Formats;
+use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
+
+/// What of a core decides what it stores.
+#[derive(Debug, PartialEq, Eq, Hash)]
+pub struct Pattern {
+    /// The population, of the first copy.
+    population: PopulationId,
+    /// Compartments in slot order, counted from the first row and column that is held.
+    held: Vec<u32>,
+    /// By window: which rows and columns reach which of the core's, counted from the first that
+    /// does.
+    reached: Vec<[Vec<(u32, ReceptiveField)>; 2]>,
+    /// Their neurons, where each has parameters of its own.
+    neurons: Vec<Neuron>,
+}
+
+/// Where the sources of a window begin.
+#[derive(Debug, Clone, Copy)]
+pub struct Origin {
+    /// The number of the population's first source, in the first copy.
+    pub first: u32,
+    /// How many sources it has.
+    pub sources: u32,
+    /// The source at the first row and column that reach a core.
+    pub at: i64,
+}
+
+/// A window into a population.
+#[derive(Debug, Clone, Copy)]
+struct Incoming<'n> {
+    projection: ProjectionId,
+    /// The number of the first source.
+    first: u32,
+    window: Window,
+    /// Channels into which one channel of sources leads, and channels that lead into one.
+    of_group: (u32, u32),
+    weights: Weights<'n>,
+}
+
+/// The weights of a window.
+#[derive(Debug, Clone, Copy)]
+enum Weights<'n> {
+    Kernel(&'n [i16]),
+    Same(i16),
+}
+
+impl Incoming<'_> {
+    /// The channels into which a channel of sources leads.
+    fn reached(&self, channel: u32) -> Range<u32> {
+        let (outgoing, ingoing) = self.of_group;
+        let group = channel / ingoing;
+        group * outgoing..(group + 1) * outgoing
+    }
+
+    /// The weight between two channels at a place of the kernel.
+    fn weight(&self, from: u32, to: u32, (y, x): (u32, u32)) -> i16 {
+        match self.weights {
+            Weights::Kernel(kernel) => {
+                let of_pair = to * self.of_group.1 + from % self.of_group.1;
+                kernel[((of_pair * self.window.kernel.0 + y) * self.window.kernel.1 + x) as usize]
+            }
+            Weights::Same(weight) => weight,
+        }
+    }
+}
+
+/// By population of the first copy, the windows into it in the order of their sources; `None` where
+/// something else leads into it too, or two from the same population.
+#[derive(Debug)]
+pub struct Windows<'n> {
+    network: &'n Quantised,
+    into: IdVec<PopulationId, Option<Vec<Incoming<'n>>>>,
+}
+
+/// Where compartments of a population are.
+struct Held {
+    population: PopulationId,
+    indices: Vec<u32>,
+    rows: Range<u32>,
+    columns: Range<u32>,
+    width: u32,
+    height: u32,
+}
+
+impl<'n> Windows<'n> {
+    /// The windows of a network of this many equal copies.
+    pub fn new(network: &'n Quantised, copies: u32) -> Self {
+        let ids = network.populations().ids().take(network.populations().len() / copies.max(1) as usize);
+        let into = ids.map(|id| windows_into(network, id)).collect();
+        Windows { network, into }
+    }
+
+    /// These compartments, this many compartments later than in the first copy; `None` where they
+    /// are of several populations, or something else than windows leads into theirs.
+    fn held(&self, held: &[CompartmentId], later: u32) -> Option<(Held, &[Incoming<'n>])> {
+        let (id, _) = self.network.population_of(CompartmentId(held.first()?.0 - later));
+        let incoming = self.into[id].as_ref()?;
+        let population = &self.network.populations()[id];
+        let (first, (_, height, width)) = (population.first_compartment()?.0 + later, population.shape.volume()?);
+        let index = |id: &CompartmentId| id.0.checked_sub(first).filter(|index| *index < population.shape.len());
+        let indices: Vec<u32> = held.iter().map(index).collect::<Option<_>>()?;
+        let around = |places: &mut dyn Iterator<Item = u32>| {
+            let (first, end) = places.fold((u32::MAX, 0), |(first, end), at| (first.min(at), end.max(at + 1)));
+            first..end
+        };
+        let rows = around(&mut indices.iter().map(|index| index / width % height));
+        let columns = around(&mut indices.iter().map(|index| index % width));
+        Some((Held { population: id, indices, rows, columns, width, height }, incoming))
+    }
+
+    /// The pattern of these compartments, and by window where its sources begin.
+    pub fn pattern(&self, held: &[CompartmentId], later: u32) -> Option<(Pattern, Box<[Origin]>)> {
+        let (Held { population, indices, rows, columns, width, .. }, incoming) = self.held(held, later)?;
+        let (mut reached, mut origins) = (Vec::new(), Vec::new());
+        for Incoming { first, window, .. } in incoming {
+            let (row, of_rows) = WindowAxis::rows(window).pattern(&rows);
+            let (column, of_columns) = WindowAxis::columns(window).pattern(&columns);
+            reached.push([of_rows, of_columns]);
+            let (channels, high, wide) = window.source;
+            let at = i64::from(row) * i64::from(wide) + i64::from(column);
+            origins.push(Origin { first: *first, sources: channels * high * wide, at });
+        }
+        let neurons = match &self.network.populations()[population].units {
+            Units::Compartments { neurons: PerCompartment::Each(each), .. } => {
+                indices.iter().map(|&index| each[index as usize]).collect()
+            }
+            _ => Vec::new(),
+        };
+        let corner = rows.start * width + columns.start;
+        let held = indices.into_iter().map(|index| index - corner).collect();
+        Some((Pattern { population, held, reached, neurons }, origins.into()))
+    }
+
+    /// The synapses of a core of windows in the order of its lists, and the longest of their
+    /// delays. `before` are the channels and the compartments of the copies before the core's.
+    pub fn keys(&self, held: &[CompartmentId], before: [u32; 2], formats: &Formats) -> Option<(Vec<Key>, Delay)> {
+        let (Held { indices, rows, columns, width, height, .. }, incoming) = self.held(held, before[1])?;
+        let (mut keys, mut longest) = (Vec::new(), Delay::MIN);
+        let channel = |index: u32| index / (width * height);
+        let channels = indices.iter().map(|&index| channel(index));
+        let (least, most) = (channels.clone().min()?, channels.max()?);
+        let (high, wide) = (rows.end - rows.start, columns.end - columns.start);
+        let place = |c: u32, y: u32, x: u32| (((c - least) * high + y) * wide + x) as usize;
+        let mut slots: Vec<Option<u16>> = vec![None; place(most + 1, 0, 0)];
+        for (slot, &index) in (0..).zip(&indices) {
+            let (y, x) = (index / width % height, index % width);
+            slots[place(channel(index), y - rows.start, x - columns.start)] = Some(slot);
+        }
+        for incoming in incoming {
+            let (window, copies) = (&incoming.window, usize::from(incoming.first >= self.network.channels()));
+            let (first, delay) =
+                (incoming.first + before[copies], self.network.projections()[incoming.projection].delay);
+            let format = formats.by_projection()[incoming.projection.index()];
+            let (row, of_rows) = WindowAxis::rows(window).pattern(&rows);
+            let (column, of_columns) = WindowAxis::columns(window).pattern(&columns);
+            let sources = (0..window.source.0).flat_map(|from| of_rows.iter().map(move |of_row| (from, of_row)));
+            for (from, (down, fields)) in sources {
+                let of_row = first + (from * window.source.1 + row + down) * window.source.2 + column;
+                let reached = incoming.reached(from);
+                for (right, across) in &of_columns {
+                    let begin = keys.len();
+                    for to in reached.start.max(least)..reached.end.min(most + 1) {
+                        let targets = fields.iter().flat_map(|y| across.iter().map(move |x| (y, x)));
+                        keys.extend(targets.filter_map(|(&(y, ky), &(x, kx))| {
+                            let slot = slots[place(to, y.into(), x.into())]?;
+                            let weight = incoming.weight(from, to, (ky, kx));
+                            Some(Key::new(of_row + right, format, slot, delay.get(), weight))
+                        }));
+                    }
+                    if !keys[begin..].is_sorted() {
+                        keys[begin..].sort_unstable();
+                    }
+                    longest = if keys.len() > begin { longest.max(delay) } else { longest };
+                }
+            }
+        }
+        Some((keys, longest))
+    }
+}
+
+/// The windows into a population.
+fn windows_into(network: &Quantised, id: PopulationId) -> Option<Vec<Incoming<'_>>> {
+    let mut windows: Vec<Incoming<'_>> = Vec::new();
+    for (projection, of) in network.incoming(id) {
+        let (window, of_group, weights) = match &of.connectivity {
+            Connectivity::Conv2d { window, kernel } => {
+                let channels = (window.target.0 / window.groups, window.source.0 / window.groups);
+                (*window, channels, Weights::Kernel(kernel))
+            }
+            Connectivity::SumPool2d { window, weight } => (*window, (1, 1), Weights::Same(*weight)),
+            _ => return None,
+        };
+        let first = network.first_source(&network.populations()[of.source]);
+        if windows.iter().any(|other| other.first == first) {
+            return None;
+        }
+        windows.push(Incoming { projection, first, window, of_group, weights });
+    }
+    windows.sort_unstable_by_key(|incoming| incoming.first);
+    Some(windows)
+}

@@ -1,0 +1,73 @@
+//! Networks of layers that are too large to be counted synapse by synapse.
+//!
+//! They are cut into boxes ([`crate::strategy::boxes`]), which are counted from the geometry of
+//! kernels. Everything after that is the same for all networks.
+
+use std::borrow::Cow;
+
+use crate::strategy::lattice::layers;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::hardware::Target;
+use nsim_ir::quantised::Quantised;
+use nsim_ir::resource::{Limits, OutputAxons};
+
+/// Synapses, of all copies, above which a network of layers is cut into boxes: eight bytes for each
+/// of them, as counting takes, are two gigabytes.
+pub const MOST_COUNTED: u64 = 1 << 28;
+
+/// Synapses, of all copies, above which a network is not run: its messages and rows of weights take
+/// a byte or two for each.
+pub const MOST_RUN: u64 = 1 << 32;
+
+fn synapses(one: &Quantised, copies: u32) -> u64 {
+    one.synapses().saturating_mul(u64::from(copies))
+}
+
+/// Whether this many copies of a network are cut into boxes.
+pub fn is_large(one: &Quantised, copies: u32) -> bool {
+    synapses(one, copies) > MOST_COUNTED && layers(one).is_some()
+}
+
+/// The target as boxes are counted on it: where sources without places are gathered in population
+/// axons, boxes have an output axon for each compartment, because geometry tells of windows only
+/// which positions share a table.
+#[must_use]
+pub fn counted_in_boxes<'t>(in_boxes: bool, network: &Quantised, target: &'t Target) -> Cow<'t, Target> {
+    if !in_boxes || !network.parts().gathers {
+        return Cow::Borrowed(target);
+    }
+    let limits = Limits { output_axons: OutputAxons::PerCompartment, ..target.limits().clone() };
+    Cow::Owned(target.clone().with_limits(limits))
+}
+
+/// Refuses `what`, which needs every synapse, for a network that is cut into boxes.
+///
+/// # Errors
+/// `map.described`.
+pub fn refuse_large(what: &str, one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
+    match is_large(one, copies) {
+        false => Ok(()),
+        true => Err(too_many(&format!("{what} needs every synapse"), one, copies, MOST_COUNTED)),
+    }
+}
+
+/// Refuses to run a network of layers whose program would take too much memory even where its
+/// kernels are written once.
+///
+/// # Errors
+/// `map.described`.
+pub fn refuse_to_run(one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
+    match synapses(one, copies) > MOST_RUN && is_large(one, copies) {
+        true => Err(too_many("running it on cores needs the program", one, copies, MOST_RUN)),
+        false => Ok(()),
+    }
+}
+
+fn too_many(what: &str, one: &Quantised, copies: u32, most: u64) -> Diagnostic {
+    let synapses = synapses(one, copies);
+    let message = format!("{what} of {} written out: {synapses} synapses, more than {most}", one.parts().name);
+    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy run \
+                it up to 2^32 synapses, nsim run --engine reference one copy of it in real numbers; for all else make \
+                it smaller, or map fewer copies";
+    Diagnostic::new("map.described", message).help(help)
+}
