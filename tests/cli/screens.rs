@@ -35,8 +35,8 @@ const AGREEMENT: [(&str, bool); 5] = [
 const STUDY: [(&str, bool); 6] = [
     ("bench step --network vtsnn-1pct --steps 2", true),
     ("bench pareto m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --seconds 0.01", true),
-    ("bench published", false),
-    ("bench paper", false),
+    ("bench published --only vt-snn", false),
+    ("bench paper --cell slip-tactile", false),
     ("bench paper --full --stored", false),
     ("sweep sweep.ron -o table.csv --force", true),
 ];

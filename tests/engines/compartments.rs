@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use crate::common::compare::{assert_on_machine, roomy, small_cores, trace};
 use crate::common::random;
-use crate::common::{Builder, engines, neuron};
+use crate::common::{Builder, engines, neuron, unsearched};
 use crate::pruning::assert_same;
 use nsim::check::equivalence::{Difference, check_copies};
 use nsim::check::verify::{Violation, verify};
@@ -73,7 +73,7 @@ fn random_neurons_of_several_compartments_are_the_same_in_both_engines() {
         let expected = trace(&mut Golden::new(&network), &network, &sample);
         let targets = [roomy("loihi1-chip"), small_cores("loihi1-chip", 40), small_cores("loihi1-chip", 13)];
         for (target, strategy) in targets.into_iter().zip(Strategy::ALL) {
-            let options = Options { strategy, place: false, ..Options::default() };
+            let options = Options { strategy, ..unsearched() };
             let program = compile(network.clone(), &target, &options).unwrap().program;
             assert_on_machine(&network, &program, &sample, &expected, &format!("network {seed}, {strategy:?}"));
         }

@@ -5,7 +5,8 @@ use std::path::Path;
 
 use crate::common::compare::{assert_on_machine, roomy, trace, with_neurons};
 use crate::common::random;
-use nsim::compile::{Options, compile};
+use crate::common::unsearched;
+use nsim::compile::compile;
 use nsim::files::lower::lower;
 use nsim::files::shipped::Origin;
 use nsim::golden::Golden;
@@ -39,7 +40,7 @@ fn it_equals_a_loihi_compartment_that_forgets_all_current_and_no_voltage() {
         let expected = trace(&mut Golden::new(&loihi), &loihi, &sample);
         spikes += expected.totals.spikes;
         expected.assert_same(&trace(&mut Golden::new(&simple), &simple, &sample), &format!("network {seed}, golden"));
-        let program = compile(simple.clone(), &chip, &Options::default()).unwrap().program;
+        let program = compile(simple.clone(), &chip, &unsearched()).unwrap().program;
         assert_on_machine(&simple, &program, &sample, &expected, &format!("network {seed}"));
     }
     assert!(spikes > 10_000, "{spikes}");

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use crate::common::compare::small_cores;
 use crate::common::random::Draw;
+use crate::common::unsearched;
 use crate::plastic::{BETWEEN, IN, MOST_RANKS, Writes, chain, plastic, sample, schedule, session, trace, write};
 use crate::ranks::{on_ranks, share};
 use nsim::compile::{Options, compile};
@@ -84,7 +85,7 @@ fn learned_weights_act_alike_in_both_engines() {
             let unlearned = trace(&mut golden, case.shown(), writes, Golden::write_weights);
             golden.set_rule(rule.clone());
             let expected = trace(&mut golden, case.shown(), writes, Golden::write_weights);
-            let options = Options { place: false, ..Options::default() };
+            let options = unsearched();
             let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
             for shards in [1, 2, 8] {
                 let image = Image::new(&compiled.program, shards).unwrap();
@@ -123,7 +124,7 @@ fn ranks_learn_the_same() {
             for count in 2..=MOST_RANKS {
                 on_ranks(count, |rank, ranks| {
                     let what = format!("network {seed}, rank {rank} of {count}");
-                    let options = Options { place: false, share: share(rank, count, false), ..Options::default() };
+                    let options = Options { share: share(rank, count, false), ..unsearched() };
                     let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
                     let image = Image::new(&compiled.program, 1).unwrap();
                     let projections = PlasticProjection::all(&image, network, 1);

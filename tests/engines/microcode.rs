@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 
 use crate::common::compare::{assert_on_machine, roomy, small_cores, trace, with_neurons};
 use crate::common::random::{self, Draw};
+use crate::common::unsearched;
 use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
 use nsim::files::mapping::pretty;
@@ -20,13 +21,15 @@ use nsim::ir::spanned::parse;
 use nsim::ir::spikes::Sample;
 use nsim::quantise::integers;
 use nsim::session::Probe;
+use nsim_testing::cases;
 use nsim_testing::kinds::stated;
 use rayon::prelude::*;
 
 #[test]
 fn stated_kinds_are_the_same_as_those_that_nsim_has() {
     let targets = [("roomy", roomy("oheo-gulch")), ("small cores", small_cores("oheo-gulch", 7))];
-    let seen: Vec<(bool, bool, bool)> = (0..400u64)
+    let networks = cases(160, 400);
+    let seen: Vec<(bool, bool, bool)> = (0..networks)
         .into_par_iter()
         .map(|seed| {
             let network = random::mixed(seed);
@@ -43,7 +46,7 @@ fn stated_kinds_are_the_same_as_those_that_nsim_has() {
             let sample = Sample::with_values(bare.steps(), &valued, None).unwrap();
             let golden = trace(&mut Golden::new(&own), &own, &sample);
             trace(&mut Golden::new(&network), &network, &sample).assert_same(&golden, &format!("network {seed}"));
-            let options = Options { place: false, ..Options::default() };
+            let options = unsearched();
             for (what, target) in &targets {
                 let program = compile(own.clone(), target, &options).unwrap().program;
                 assert_on_machine(&own, &program, &sample, &golden, &format!("network {seed}, {what}"));
@@ -52,8 +55,9 @@ fn stated_kinds_are_the_same_as_those_that_nsim_has() {
             (true, skipped, golden.overflow != Overflow::default())
         })
         .collect();
-    let count = |of: fn(&&(bool, bool, bool)) -> bool| seen.iter().filter(of).count();
-    assert!(count(|seen| seen.0) > 100 && count(|seen| seen.1) > 50 && count(|seen| seen.2) > 20);
+    let count = |of: fn(&&(bool, bool, bool)) -> bool| seen.iter().filter(of).count() as u64;
+    let parts = [4, 8, 20].map(|part| networks / part);
+    assert!(count(|seen| seen.0) > parts[0] && count(|seen| seen.1) > parts[1] && count(|seen| seen.2) > parts[2]);
 }
 
 const MODEL: &str = r#"Network(

@@ -3,6 +3,7 @@
 
 use crate::common::compare::small_cores;
 use crate::common::random;
+use crate::common::unsearched;
 use nsim::compile::{Mapping, Options, compile};
 use nsim::cost::model::{core_time, energy};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
@@ -59,7 +60,7 @@ fn populations_and_cores_sum_to_the_totals() {
         let network = if seed < 200 { random::network(seed) } else { random::joined(seed) };
         let given: Vec<Sample> = (0..5).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
-        let compiled = compile(network.clone(), &target, &Options { place: false, ..Options::default() }).unwrap();
+        let compiled = compile(network.clone(), &target, &unsearched()).unwrap();
         let keep = Keep::new(compiled.program.output());
         let expected = pools[1].install(|| golden(&network, &samples, &keep, &|| ()));
         let rows = ByPopulation::new(&network, &expected.counts);
@@ -122,7 +123,7 @@ fn copies_count_together() {
     let samples = [&sample, &sample];
     let target = target();
     let rows = |copies: u32| {
-        let options = Options { copies, place: false, ..Options::default() };
+        let options = Options { copies, ..unsearched() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
         let keep = Keep::new(compiled.program.output());
         let copies = Copies { copies, channels: network.channels() };
@@ -210,7 +211,7 @@ fn rows_of_steps_sum_to_the_totals() {
         let given: Vec<Sample> = (0..4).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
         let copies = [1, 1, 3][seed as usize % 3];
-        let options = Options { copies, place: false, ..Options::default() };
+        let options = Options { copies, ..unsearched() };
         let compiled = compile(network, &target, &options).unwrap();
         let files = pools.iter().map(|pool| {
             pool.install(|| {
@@ -233,6 +234,6 @@ fn rows_of_a_long_sample_sum_to_its_totals() {
     let long = Sample::new(steps, &[&events[..], &late].concat(), None).unwrap();
     let short = random::sample(&network, 5);
     let target = target();
-    let compiled = compile(network, &target, &Options { place: false, ..Options::default() }).unwrap();
+    let compiled = compile(network, &target, &unsearched()).unwrap();
     assert_rows_add_up(&compiled, &target, &[&short, &long, &short], "a long sample between short ones");
 }

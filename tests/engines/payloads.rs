@@ -4,8 +4,8 @@
 
 use crate::common::compare::{Shown, Trace, assert_on_machine, roomy, trace};
 use crate::common::random::{self, Draw};
-use crate::common::{Builder, format, neuron};
-use nsim::compile::{Options, compile};
+use crate::common::{Builder, format, neuron, unsearched};
+use nsim::compile::compile;
 use nsim::dynamics;
 use nsim::dynamics::synapses::Enumerate;
 use nsim::golden::Golden;
@@ -21,7 +21,7 @@ use rayon::prelude::*;
 
 /// What the machine shows, held to what the interpreter shows; returns that.
 fn compared(network: &Quantised, sample: &Sample, what: &str) -> Trace {
-    let compiled = compile(network.clone(), &roomy("oheo-gulch"), &Options::default()).unwrap();
+    let compiled = compile(network.clone(), &roomy("oheo-gulch"), &unsearched()).unwrap();
     let expected = trace(&mut Golden::new(network), network, sample);
     assert_on_machine(network, &compiled.program, sample, &expected, what);
     expected

@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use crate::common::compare::{Trace, roomy, shown, small_cores};
 use crate::common::random::{self, Draw};
-use crate::common::{Builder, format, neuron};
+use crate::common::{Builder, format, neuron, unsearched};
 use crate::ranks::{on_ranks, share};
 use nsim::compile::{CompileError, Front, Options, compile};
 use nsim::dynamics;
@@ -132,7 +132,7 @@ fn assert_on_machine(
     expected: &Trace,
     what: &str,
 ) -> Activity {
-    let options = Options { place: false, ..Options::default() };
+    let options = unsearched();
     let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
     let mut counts: Option<Activity> = None;
     for shards in [1, 2, 8] {
@@ -227,7 +227,7 @@ fn written_weights_act_alike_on_any_number_of_ranks() {
                 let what = format!("network {seed} on {count} ranks");
                 let sum = Mutex::new(Totals::default());
                 on_ranks(count, |rank, ranks| {
-                    let options = Options { place: false, share: share(rank, count, false), ..Options::default() };
+                    let options = Options { share: share(rank, count, false), ..unsearched() };
                     let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
                     let image = Image::new(&compiled.program, 1).unwrap();
                     let projections = PlasticProjection::all(&image, &network, 1);

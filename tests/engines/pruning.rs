@@ -25,9 +25,8 @@ use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::bound::may_fire;
 use nsim::quantise::prune::{Plan, check_stimulus, prune};
 use nsim::session::{Keep, digest, run_sample};
+use nsim_testing::cases;
 use rayon::prelude::*;
-
-const NETWORKS: u64 = 1500;
 
 /// A random network in which there is something to prune: thresholds raised, weights taken, another
 /// output.
@@ -232,26 +231,27 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
 fn pruned_random_networks_spike_as_the_whole_ones() {
     let chip = chip();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
-    let results: Vec<_> = pool.install(|| (0..NETWORKS).into_par_iter().map(|seed| compare(seed, &chip)).collect());
+    let networks = cases(600, 1_500);
+    let results: Vec<_> = pool.install(|| (0..networks).into_par_iter().map(|seed| compare(seed, &chip)).collect());
     let audible = results.iter().filter(|(.., [_, output])| *output > 0).count();
-    println!("{NETWORKS} networks, {audible} of them with output spikes");
+    println!("{networks} networks, {audible} of them with output spikes");
     for (name, pick) in [("static", 0), ("scene", 1)] {
         let mut sums = Counts::new();
-        let mut networks: BTreeMap<Kind, usize> = BTreeMap::new();
+        let mut pruned_in: BTreeMap<Kind, usize> = BTreeMap::new();
         for result in &results {
             for (&kind, &(pruned, all)) in if pick == 0 { &result.0 } else { &result.1 } {
                 let sum = sums.entry(kind).or_default();
                 *sum = (sum.0 + pruned, sum.1 + all);
-                *networks.entry(kind).or_default() += usize::from(pruned > 0);
+                *pruned_in.entry(kind).or_default() += usize::from(pruned > 0);
             }
         }
         for (kind, (pruned, all)) in &sums {
-            println!("{name}: {} {pruned} of {all}, in {} networks", kind.name(), networks[kind]);
-            assert!(networks[kind] > NETWORKS as usize / 20, "{}: pruned too rarely to be tested", kind.name());
+            println!("{name}: {} {pruned} of {all}, in {} networks", kind.name(), pruned_in[kind]);
+            assert!(pruned_in[kind] > networks as usize / 20, "{}: pruned too rarely to be tested", kind.name());
         }
         assert_eq!(sums.len(), 4 + pick);
     }
-    assert!(audible > NETWORKS as usize / 4, "{audible} networks have output spikes: they test too little");
+    assert!(audible > networks as usize / 4, "{audible} networks have output spikes: they test too little");
 }
 
 #[test]

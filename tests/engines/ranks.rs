@@ -4,6 +4,7 @@
 
 use crate::common::compare::small_cores;
 use crate::common::random;
+use crate::common::unsearched;
 use nsim::compile::{Mapping, Options, compile};
 use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Transport};
 use nsim::files::target::load_target;
@@ -72,7 +73,7 @@ impl Case {
     }
 
     fn compiled(&self, share: Share) -> Mapping {
-        let options = Options { copies: self.copies, place: false, share, ..Options::default() };
+        let options = Options { copies: self.copies, share, ..unsearched() };
         compile(self.network.clone(), &self.target, &options).unwrap_or_else(|e| panic!("{}: {e}", self.what))
     }
 
@@ -191,7 +192,7 @@ fn threads_of_a_rank_change_nothing() {
         let pool = |_| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         on_ranks(count, |rank, ranks| {
             pool(rank).install(|| {
-                let options = Options { share: share(rank, count, false), ..Options::default() };
+                let options = Options { share: share(rank, count, false), ..unsearched() };
                 let compiled = compile(bench.network.clone(), &target, &options).unwrap();
                 let keep = Keep::new(compiled.program.output());
                 fast(&compiled.program, &samples, Running { ranks, ..Running::new(&keep) }, || ()).unwrap()

@@ -6,8 +6,9 @@ use std::collections::BTreeSet;
 
 use crate::common::compare::small_cores;
 use crate::common::random::{self, Draw};
+use crate::common::unsearched;
 use nsim::check::relays::check;
-use nsim::compile::{Options, compile};
+use nsim::compile::compile;
 use nsim::golden::Golden;
 use nsim::ir::base::fixed::{Decay, Delay, Payload, Refractory};
 use nsim::ir::base::id::{CompartmentId, Id, PopulationId, ProjectionId};
@@ -62,7 +63,7 @@ fn original_compartments_spike_as_without_relays() {
     for (seed, network, most, Relayed { network: with, later, .. }) in with_relays() {
         check(&network, &with, &later).unwrap_or_else(|error| panic!("{seed}: {error}"));
         let limits = chip.limits().clone().with(Resource::AxonsOutPerCompartment, most);
-        let options = Options { place: false, ..Options::default() };
+        let options = unsearched();
         let compiled = compile(with.clone(), &chip.clone().with_limits(limits), &options);
         let compiled = compiled.unwrap_or_else(|error| panic!("{seed}, {most} axons: {error}"));
         let sample = random::sample(&network, seed);

@@ -2,6 +2,7 @@
 
 use crate::common::compare::roomy;
 use crate::common::random;
+use crate::common::unsearched;
 use nsim::compile::{Options, compile};
 use nsim::files::network::Network;
 use nsim::files::target::load_target;
@@ -57,7 +58,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
         let network = graded_if(seed.is_multiple_of(4), &random);
         let sample = random::sample(&network, seed);
         let copies = 1 + seed as u32 % 3;
-        let Ok(mapped) = compile(network.clone(), &chip, &Options { copies, ..Options::default() }) else { continue };
+        let Ok(mapped) = compile(network.clone(), &chip, &Options { copies, ..unsearched() }) else { continue };
         let image = Image::new(&mapped.program, 1 + seed as usize % 2).unwrap();
         // The obvious way: a run with probes.
         let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
