@@ -54,7 +54,7 @@ pub fn plastic(seed: u64) -> Quantised {
         let listed = synapses(&parts, &parts.projections[id]);
         let projection = &mut parts.projections[id];
         projection.format.plastic = draw.chance(70);
-        if projection.format.plastic && projection.connectivity.shares_weights() {
+        if projection.format.plastic && projection.connectivity.window().is_some() {
             projection.connectivity = sparse(listed);
         }
         network = Quantised::new(parts).unwrap_or(network);

@@ -14,7 +14,6 @@ use rayon::prelude::*;
 use nsim_ir::base::id::{ClassId, CoreId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::messages::Messages;
 use nsim_ir::program::Program;
-use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Population, Projection, Quantised, Units};
 
 /// Sizes of one copy.
@@ -161,11 +160,7 @@ impl Shifts<'_> {
             let population = &network.populations()[bounds.population];
             let into = network.outgoing(bounds.population).iter().map(|&id| &network.projections()[id]);
             let mut by = into.filter(|projection| projection.target == target).map(|projection| {
-                let (Connectivity::Conv2d { window, .. } | Connectivity::SumPool2d { window, .. }) =
-                    &projection.connectivity
-                else {
-                    return None;
-                };
+                let window = projection.connectivity.window()?;
                 let volumes = [&network.populations()[target], population].map(|p| p.shape.volume());
                 let (down, right) = (rows * i64::from(window.stride.0), columns * i64::from(window.stride.1));
                 let same = volumes == [Some(window.target), Some(window.source)];

@@ -20,6 +20,9 @@ use nsim_partition::resources::by_core::Key;
 use nsim_partition::resources::formats::Formats;
 use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
 
+/// The sources of an axis that reach a core, counted from the first, and what each reaches.
+type Reached = Vec<(u32, ReceptiveField)>;
+
 /// What of a core decides what it stores.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct Pattern {
@@ -29,7 +32,7 @@ pub struct Pattern {
     held: Vec<u32>,
     /// By window: which rows and columns reach which of the core's, counted from the first that
     /// does.
-    reached: Vec<[Vec<(u32, ReceptiveField)>; 2]>,
+    reached: Vec<[Reached; 2]>,
     /// Their neurons, where each has parameters of its own.
     neurons: Vec<Neuron>,
 }
@@ -52,8 +55,6 @@ struct Incoming<'n> {
     /// The number of the first source.
     first: u32,
     window: Window,
-    /// Channels into which one channel of sources leads, and channels that lead into one.
-    of_group: (u32, u32),
     weights: Weights<'n>,
 }
 
@@ -67,16 +68,21 @@ enum Weights<'n> {
 impl Incoming<'_> {
     /// The channels into which a channel of sources leads.
     fn reached(&self, channel: u32) -> Range<u32> {
-        let (outgoing, ingoing) = self.of_group;
-        let group = channel / ingoing;
+        let outgoing = self.window.target.0 / self.window.groups;
+        let group = channel / self.ingoing();
         group * outgoing..(group + 1) * outgoing
+    }
+
+    /// Channels that lead into one.
+    fn ingoing(&self) -> u32 {
+        self.window.source.0 / self.window.groups
     }
 
     /// The weight between two channels at a place of the kernel.
     fn weight(&self, from: u32, to: u32, (y, x): (u32, u32)) -> i16 {
         match self.weights {
             Weights::Kernel(kernel) => {
-                let of_pair = to * self.of_group.1 + from % self.of_group.1;
+                let of_pair = to * self.ingoing() + from % self.ingoing();
                 kernel[((of_pair * self.window.kernel.0 + y) * self.window.kernel.1 + x) as usize]
             }
             Weights::Same(weight) => weight,
@@ -100,6 +106,8 @@ struct Held {
     columns: Range<u32>,
     width: u32,
     height: u32,
+    /// By window into it: the first row and column that reach these, and which of them each reaches.
+    reached: Vec<[(u32, Reached); 2]>,
 }
 
 impl<'n> Windows<'n> {
@@ -125,21 +133,21 @@ impl<'n> Windows<'n> {
         };
         let rows = around(&mut indices.iter().map(|index| index / width % height));
         let columns = around(&mut indices.iter().map(|index| index % width));
-        Some((Held { population: id, indices, rows, columns, width, height }, incoming))
+        let axes = |window| [WindowAxis::rows(window).pattern(&rows), WindowAxis::columns(window).pattern(&columns)];
+        let reached = incoming.iter().map(|incoming| axes(&incoming.window)).collect();
+        Some((Held { population: id, indices, rows, columns, width, height, reached }, incoming))
     }
 
     /// The pattern of these compartments, and by window where its sources begin.
     pub fn pattern(&self, held: &[CompartmentId], later: u32) -> Option<(Pattern, Box<[Origin]>)> {
-        let (Held { population, indices, rows, columns, width, .. }, incoming) = self.held(held, later)?;
-        let (mut reached, mut origins) = (Vec::new(), Vec::new());
-        for Incoming { first, window, .. } in incoming {
-            let (row, of_rows) = WindowAxis::rows(window).pattern(&rows);
-            let (column, of_columns) = WindowAxis::columns(window).pattern(&columns);
-            reached.push([of_rows, of_columns]);
-            let (channels, high, wide) = window.source;
-            let at = i64::from(row) * i64::from(wide) + i64::from(column);
-            origins.push(Origin { first: *first, sources: channels * high * wide, at });
-        }
+        let (Held { population, indices, rows, columns, width, reached, .. }, incoming) = self.held(held, later)?;
+        let origin = |(incoming, [(row, _), (column, _)]): (&Incoming<'_>, &[(u32, _); 2])| {
+            let (channels, high, wide) = incoming.window.source;
+            let at = i64::from(*row) * i64::from(wide) + i64::from(*column);
+            Origin { first: incoming.first, sources: channels * high * wide, at }
+        };
+        let origins = incoming.iter().zip(&reached).map(origin).collect();
+        let reached = reached.into_iter().map(|axes| axes.map(|(_, fields)| fields)).collect();
         let neurons = match &self.network.populations()[population].units {
             Units::Compartments { neurons: PerCompartment::Each(each), .. } => {
                 indices.iter().map(|&index| each[index as usize]).collect()
@@ -148,13 +156,13 @@ impl<'n> Windows<'n> {
         };
         let corner = rows.start * width + columns.start;
         let held = indices.into_iter().map(|index| index - corner).collect();
-        Some((Pattern { population, held, reached, neurons }, origins.into()))
+        Some((Pattern { population, held, reached, neurons }, origins))
     }
 
     /// The synapses of a core of windows in the order of its lists, and the longest of their
     /// delays. `before` are the channels and the compartments of the copies before the core's.
     pub fn keys(&self, held: &[CompartmentId], before: [u32; 2], formats: &Formats) -> Option<(Vec<Key>, Delay)> {
-        let (Held { indices, rows, columns, width, height, .. }, incoming) = self.held(held, before[1])?;
+        let (Held { indices, rows, columns, width, height, reached, .. }, incoming) = self.held(held, before[1])?;
         let (mut keys, mut longest) = (Vec::new(), Delay::MIN);
         let channel = |index: u32| index / (width * height);
         let channels = indices.iter().map(|&index| channel(index));
@@ -166,18 +174,16 @@ impl<'n> Windows<'n> {
             let (y, x) = (index / width % height, index % width);
             slots[place(channel(index), y - rows.start, x - columns.start)] = Some(slot);
         }
-        for incoming in incoming {
-            let (window, copies) = (&incoming.window, usize::from(incoming.first >= self.network.channels()));
-            let (first, delay) =
-                (incoming.first + before[copies], self.network.projections()[incoming.projection].delay);
+        for (incoming, [(row, of_rows), (column, of_columns)]) in incoming.iter().zip(&reached) {
+            let window = &incoming.window;
+            let first = incoming.first + before[usize::from(incoming.first >= self.network.channels())];
+            let delay = self.network.projections()[incoming.projection].delay;
             let format = formats.by_projection()[incoming.projection.index()];
-            let (row, of_rows) = WindowAxis::rows(window).pattern(&rows);
-            let (column, of_columns) = WindowAxis::columns(window).pattern(&columns);
             let sources = (0..window.source.0).flat_map(|from| of_rows.iter().map(move |of_row| (from, of_row)));
             for (from, (down, fields)) in sources {
                 let of_row = first + (from * window.source.1 + row + down) * window.source.2 + column;
                 let reached = incoming.reached(from);
-                for (right, across) in &of_columns {
+                for (right, across) in of_columns {
                     let begin = keys.len();
                     for to in reached.start.max(least)..reached.end.min(most + 1) {
                         let targets = fields.iter().flat_map(|y| across.iter().map(move |x| (y, x)));
@@ -202,19 +208,17 @@ impl<'n> Windows<'n> {
 fn windows_into(network: &Quantised, id: PopulationId) -> Option<Vec<Incoming<'_>>> {
     let mut windows: Vec<Incoming<'_>> = Vec::new();
     for (projection, of) in network.incoming(id) {
-        let (window, of_group, weights) = match &of.connectivity {
-            Connectivity::Conv2d { window, kernel } => {
-                let channels = (window.target.0 / window.groups, window.source.0 / window.groups);
-                (*window, channels, Weights::Kernel(kernel))
-            }
-            Connectivity::SumPool2d { window, weight } => (*window, (1, 1), Weights::Same(*weight)),
+        let window = of.connectivity.window()?;
+        let weights = match &of.connectivity {
+            Connectivity::Conv2d { kernel, .. } => Weights::Kernel(kernel),
+            Connectivity::SumPool2d { weight, .. } => Weights::Same(*weight),
             _ => return None,
         };
         let first = network.first_source(&network.populations()[of.source]);
         if windows.iter().any(|other| other.first == first) {
             return None;
         }
-        windows.push(Incoming { projection, first, window, of_group, weights });
+        windows.push(Incoming { projection, first, window, weights });
     }
     windows.sort_unstable_by_key(|incoming| incoming.first);
     Some(windows)

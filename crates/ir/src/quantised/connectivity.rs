@@ -126,9 +126,13 @@ impl Connectivity {
         }
     }
 
-    /// Whether several synapses have one weight, that of a kernel.
-    pub fn shares_weights(&self) -> bool {
-        matches!(self, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
+    /// The window of a convolution or pool; each channel of a pool is a group of its own.
+    pub fn window(&self) -> Option<Window> {
+        match self {
+            Connectivity::Conv2d { window, .. } => Some(*window),
+            Connectivity::SumPool2d { window, .. } => Some(Window { groups: window.source.0, ..*window }),
+            _ => None,
+        }
     }
 
     /// Number of synapses of this many sources together.

@@ -759,7 +759,7 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
     {
         return Err(wrong("weights lose bits on their way to neurons that sum them as they are"));
     }
-    if projection.format.plastic && projection.connectivity.shares_weights() {
+    if projection.format.plastic && projection.connectivity.window().is_some() {
         return Err(wrong("plastic weights of a kernel would be those of many synapses; list the synapses one by one"));
     }
     projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)

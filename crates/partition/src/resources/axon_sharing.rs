@@ -163,10 +163,7 @@ impl Places {
         let mut places = Places::default();
         let mut next = 0;
         for (id, population) in network.populations().enumerate() {
-            let is_window = |connectivity: &Connectivity| {
-                matches!(connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
-            };
-            let sends = network.outgoing(id).iter().any(|&p| is_window(&network.projections()[p].connectivity));
+            let sends = network.outgoing(id).iter().any(|&p| network.projections()[p].connectivity.window().is_some());
             let positions = match population.shape.volume() {
                 Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => height * width,
                 _ if limits.is_some_and(|limits| gathers(network, id, limits)) => {

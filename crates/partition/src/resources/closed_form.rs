@@ -79,10 +79,9 @@ impl Layer {
         let (mut incoming, mut joined): (Vec<Incoming>, _) = (Vec::new(), false);
         for (id, projection) in network.incoming(population) {
             let source = projection.source;
-            let (window, all_to_all) = match &projection.connectivity {
-                Connectivity::Conv2d { window, .. } => (*window, false),
-                Connectivity::SumPool2d { window, .. } => (Window { groups: window.source.0, ..*window }, false),
-                Connectivity::Dense { targets, .. } if (shape.1, shape.2) == (1, 1) => {
+            let (window, all_to_all) = match (projection.connectivity.window(), &projection.connectivity) {
+                (Some(window), _) => (window, false),
+                (None, Connectivity::Dense { targets, .. }) if (shape.1, shape.2) == (1, 1) => {
                     let (source, target, once) = ((shape_of(source).len(), 1, 1), (*targets, 1, 1), (1, 1));
                     let (kernel, stride, dilation) = (once, once, once);
                     (Window { source, target, kernel, stride, padding: (0, 0), dilation, groups: 1 }, true)

@@ -50,7 +50,7 @@ pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
     let mut into = network.incoming(population).map(|(_, p)| p).peekable();
     network.populations()[population].shape.volume().is_some()
         && into.peek().is_some()
-        && into.all(|p| matches!(p.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. }))
+        && into.all(|p| p.connectivity.window().is_some())
 }
 
 /// By population, the compartments that a core may hold: as many as its limits say, or fewer where
