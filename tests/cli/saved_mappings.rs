@@ -52,7 +52,7 @@ fn mapped(name: &str) -> Vec<MeasuredMapping> {
 
 #[test]
 fn no_mapping_of_the_suite_has_more_hops_or_cores_or_longer_steps_than_the_sequential_one() {
-    for name in SMALL.into_iter().take(nsim_testing::cases(5, 9) as usize) {
+    for name in SMALL.into_iter().take(nsim_testing::cases(9) as usize) {
         let rows = mapped(name);
         let sequential = rows.iter().find(|row| row.strategy == Strategy::Sequential && !row.placed).unwrap();
         for row in &rows {
@@ -281,7 +281,7 @@ fn nets_of(compiled: &Mapping) -> Vec<Told> {
 
 #[test]
 fn places_of_small_networks_are_the_best_or_nearly() {
-    for seed in 0..nsim_testing::cases(4, 8) {
+    for seed in 0..nsim_testing::cases(8) {
         // One core a tile and two compartments a core: eight or nine blocks on a mesh of four by
         // three.
         let network = small(16 + 2 * (seed as u32 % 2), seed);

@@ -91,7 +91,7 @@ fn random_convolutions_are_the_same_in_both_engines() {
         }
         (golden.totals.spikes, compare_on(&golden, &network, &sample, mapped, seed), boxes)
     };
-    let networks = cases(200, 500);
+    let networks = cases(500);
     let found: Vec<_> = pool.install(|| (0..networks).into_par_iter().map(compare).collect());
     let (spiking, shared) = (found.iter().filter(|found| found.0 > 0), found.iter().filter(|found| found.1 > 0));
     let (spiking, shared, boxes) = (spiking.count(), shared.count(), found.iter().map(|found| found.2).sum::<u64>());
@@ -105,7 +105,7 @@ fn random_convolutions_are_the_same_in_both_engines() {
 #[test]
 fn random_networks_are_the_same_in_both_engines() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
-    let networks = cases(400, 1_000);
+    let networks = cases(1_000);
     let spikes: Vec<u64> = pool.install(|| (0..networks).into_par_iter().map(compare).collect());
     let silent = spikes.iter().filter(|&&spikes| spikes == 0).count();
     assert!(silent < networks as usize / 3, "{silent} of {networks} networks never spike: they test too little");

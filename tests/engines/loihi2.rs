@@ -655,7 +655,7 @@ fn a_neuron_is_reset_after_a_silence() {
 #[test]
 fn mixed_networks_are_the_same_in_both_engines() {
     let targets = [("roomy", roomy("oheo-gulch")), ("small cores", small_cores("oheo-gulch", 7))];
-    let networks = cases(400, 1_000);
+    let networks = cases(1_000);
     let seen: Vec<(u64, bool)> = (0..networks)
         .into_par_iter()
         .map(|seed| {

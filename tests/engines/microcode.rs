@@ -28,7 +28,7 @@ use rayon::prelude::*;
 #[test]
 fn stated_kinds_are_the_same_as_those_that_nsim_has() {
     let targets = [("roomy", roomy("oheo-gulch")), ("small cores", small_cores("oheo-gulch", 7))];
-    let networks = cases(160, 400);
+    let networks = cases(400);
     let seen: Vec<(bool, bool, bool)> = (0..networks)
         .into_par_iter()
         .map(|seed| {

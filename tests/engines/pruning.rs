@@ -231,7 +231,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
 fn pruned_random_networks_spike_as_the_whole_ones() {
     let chip = chip();
     let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
-    let networks = cases(600, 1_500);
+    let networks = cases(1_500);
     let results: Vec<_> = pool.install(|| (0..networks).into_par_iter().map(|seed| compare(seed, &chip)).collect());
     let audible = results.iter().filter(|(.., [_, output])| *output > 0).count();
     println!("{networks} networks, {audible} of them with output spikes");

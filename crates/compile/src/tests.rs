@@ -155,7 +155,7 @@ fn drawn_limits(seed: u64) -> Limits {
 #[test]
 fn every_limit_is_kept_on_hundreds_of_random_networks() {
     let (mut fitted, mut split, mut refused) = (0, 0, 0);
-    let networks = cases(200, 500);
+    let networks = cases(500);
     for seed in 0..networks {
         let limits = drawn_limits(seed);
         // Searching for places takes most of the time and changes no limit but slots off chip.

@@ -397,7 +397,7 @@ fn profiles_make_boxes_smaller() {
 #[test]
 fn programs_of_boxes_are_those_written_synapse_by_synapse() {
     let (mut alike, mut cores) = (0, 0);
-    let networks = cases(48, 120);
+    let networks = cases(120);
     for seed in 0..networks {
         let network = layered(seed);
         let most = [12, 40, 1024][seed as usize % 3];
