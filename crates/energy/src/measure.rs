@@ -3,7 +3,7 @@
 //! Input: an engine, a period of input, and how long it may take. Output: the median time of a
 //! step, the spread of the repeats, and what a step did. The input is repeated without a break, so
 //! the network stays in the state that it settles in; nothing but steps is timed. Every step is a
-//! call of [`Engine::step`]: steps that a run would jump over as a whole (`drive::run_sample`) are
+//! call of [`Engine::step`]: steps that a run would jump over as a whole (`nsim_session::run_sample`) are
 //! computed here, since a jump costs the same however long it is.
 
 use std::hint::black_box;

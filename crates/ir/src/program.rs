@@ -10,7 +10,7 @@
 //! select one stored list ([`PopulationAxon`]). True of every
 //! [`Program`]: every table is closed (each message meets an existing axon, each synapse an existing compartment), no axon
 //! is reached by two sources, every stored list is selected, and every class has a core.
-//! That it equals its `Quantised` network is for `compile::check::equivalence` to prove.
+//! That it equals its `Quantised` network is for `nsim_check::equivalence` to prove.
 
 use std::collections::HashMap;
 use std::ops::Range;

@@ -2,7 +2,7 @@
 //! (`mapping/chips`).
 //!
 //! A [`Target`] is a board with its chip and presets of constants ([`Constants`]) resolved and
-//! every number checked; `io::target` makes it.
+//! every number checked; `nsim_files::target` makes it.
 
 pub mod constants;
 

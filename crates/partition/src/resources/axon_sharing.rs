@@ -43,7 +43,7 @@
 //!
 //! The rule: a class shares when that takes no more words than lists of its own for each source,
 //! and fewer words or fewer input axons; those that save most come first while there are numbers
-//! for population axons. [`crate::resources::exact`] counts so, `nsim_compile::emit::route` writes
+//! for population axons. [`crate::resources::exact`] counts so, `nsim_compile::emit::tables` writes
 //! so, [`crate::resources::incremental`] asks so for whole tiles, and
 //! [`crate::resources::closed_form`] counts classes from geometry.
 //!

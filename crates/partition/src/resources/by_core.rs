@@ -2,7 +2,7 @@
 //!
 //! In come a network and the seats of its compartments; out goes, core by core, what a function
 //! makes of the core's synapses in the order of their lists: by source, then format, slot, delay
-//! and weight. [`crate::resources::exact`] counts them and `nsim_compile::emit::route` writes them
+//! and weight. [`crate::resources::exact`] counts them and `nsim_compile::emit::tables` writes them
 //! down; both therefore mean the same lists.
 //!
 //! Sources are enumerated in pieces of a fixed size, on any number of threads; each piece sorts its

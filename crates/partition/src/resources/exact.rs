@@ -2,7 +2,7 @@
 //!
 //! Input: a network, the compartments of each core in slot order and the chip of each core. Output:
 //! a [`CoreUsage`] each, by the rules of [`counter`](crate::resources::counter), which is what
-//! `nsim_compile::emit::route` writes. Limits are not looked at.
+//! `nsim_compile::emit::tables` writes. Limits are not looked at.
 
 use crate::resources::axon_sharing::{self, Class, EqualPlace, EqualPlaces, Places};
 use crate::resources::by_core::{self, Key};

@@ -20,7 +20,7 @@
 //!
 //! *Why a network of its own.* A mask beside the whole network would have to be obeyed by the
 //! partitioner, the router, the checker, the interpreter and the machine, and each could forget it.
-//! A smaller network needs none of them to know: `compile::check::equivalence` proves the program
+//! A smaller network needs none of them to know: `nsim_check::equivalence` proves the program
 //! equal to it, synapse by synapse, and the interpreter runs it as any other. What people see keeps
 //! the model's names and numbers through the record: populations keep their order and names,
 //! channels and outputs their numbers, and mappings, probes and messages count compartments as the
