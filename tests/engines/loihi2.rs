@@ -7,7 +7,7 @@ use std::path::Path;
 use crate::common::compare::{assert_on_machine, roomy, small_cores, trace};
 use crate::common::random::{self, Draw};
 use crate::common::{Array, Builder, data, engines, format, unsearched};
-use nsim::compile::{Options, compile};
+use nsim::compile::{CompileError, Options, compile};
 use nsim::dynamics;
 use nsim::files::network::Network;
 use nsim::files::shipped::Origin;
@@ -16,9 +16,10 @@ use nsim::golden::Golden;
 use nsim::import::{foreign, model};
 use nsim::ir::activity::Overflow;
 use nsim::ir::base::diagnostic::SourceText;
-use nsim::ir::base::fixed::{MessageBits, SignMode};
+use nsim::ir::base::fixed::{MessageBits, Payload, SignMode};
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
+use nsim::ir::hardware::Chip;
 use nsim::ir::neurons::{Emits, NeuronKind, Port};
 use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim::ir::quantised::{Neuron, Quantised, Units};
@@ -653,28 +654,45 @@ fn a_neuron_is_reset_after_a_silence() {
 }
 
 #[test]
+fn a_target_whose_messages_carry_nothing_refuses_a_payload_by_name() {
+    let mut builder = Builder::new();
+    let (input, out) = (builder.input("touch", 2), builder.loihi("out", 2));
+    builder.dense(input, out, |_, _| 2);
+    let mut parts = builder.build().parts().clone();
+    parts.populations.iter_mut().for_each(|population| population.message = Message::Payload(Payload::new(3).unwrap()));
+    let (network, loihi1) = (Quantised::new(parts).unwrap(), load_target("loihi1-chip").unwrap());
+    let refused = compile(network.clone(), &loihi1, &unsearched()).unwrap_err();
+    let said = "messages of population 'touch' carry integers of 3 bits, those of loihi1-chip carry no integers";
+    assert!(refused.to_string().contains(said), "{refused}");
+    let CompileError::Input(diagnostic) = refused else { panic!("{refused}") };
+    assert!(diagnostic.help.is_some_and(|help| help.starts_with("set message_bits: 3 in a chip of your own")));
+    // The remedy.
+    let chip = Chip { message_bits: 3, ..loihi1.chip().clone() };
+    compile(network, &loihi1.with_chip(chip), &unsearched()).unwrap();
+}
+
+#[test]
 fn mixed_networks_are_the_same_in_both_engines() {
     let targets = [("roomy", roomy("oheo-gulch")), ("small cores", small_cores("oheo-gulch", 7))];
     let networks = cases(1_000);
-    let seen: Vec<(u64, bool)> = (0..networks)
-        .into_par_iter()
-        .map(|seed| {
-            let network = random::mixed(seed);
-            let draw = &mut Draw::new(seed ^ 0x77);
-            let bare = random::sample(&network, seed);
-            let events = (0..bare.steps()).flat_map(|t| bare.at(t).iter().map(move |&channel| (t, channel)));
-            let valued: Vec<_> = events.map(|(t, channel)| (t, channel, draw.from(-3_000, 3_000) as i32)).collect();
-            let sample = Sample::with_values(bare.steps(), &valued, None).unwrap();
-            let golden = trace(&mut Golden::new(&network), &network, &sample);
-            let options = unsearched();
-            for (what, target) in &targets {
-                let program = compile(network.clone(), target, &options).unwrap().program;
-                assert_on_machine(&network, &program, &sample, &golden, &format!("network {seed}, {what}"));
-            }
-            let skipped = golden.totals.active_updates < golden.totals.compartment_updates;
-            (golden.totals.spikes, skipped && golden.overflow != Overflow::default())
-        })
-        .collect();
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
+    let compare = |seed| {
+        let network = random::mixed(seed);
+        let draw = &mut Draw::new(seed ^ 0x77);
+        let bare = random::sample(&network, seed);
+        let events = (0..bare.steps()).flat_map(|t| bare.at(t).iter().map(move |&channel| (t, channel)));
+        let valued: Vec<_> = events.map(|(t, channel)| (t, channel, draw.from(-3_000, 3_000) as i32)).collect();
+        let sample = Sample::with_values(bare.steps(), &valued, None).unwrap();
+        let golden = trace(&mut Golden::new(&network), &network, &sample);
+        let options = unsearched();
+        for (what, target) in &targets {
+            let program = compile(network.clone(), target, &options).unwrap().program;
+            assert_on_machine(&network, &program, &sample, &golden, &format!("network {seed}, {what}"));
+        }
+        let skipped = golden.totals.active_updates < golden.totals.compartment_updates;
+        (golden.totals.spikes, skipped && golden.overflow != Overflow::default())
+    };
+    let seen: Vec<(u64, bool)> = pool.install(|| (0..networks).into_par_iter().map(compare).collect());
     let spikes: u64 = seen.iter().map(|(spikes, _)| spikes).sum();
     assert!(spikes > 100 * networks, "{spikes}");
     let both = seen.iter().filter(|(_, both)| *both).count() as u64;

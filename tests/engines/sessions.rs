@@ -143,8 +143,10 @@ fn stepping_is_running_for_every_shipped_model_and_a_snapshot_goes_on_as_before(
         let mut spikes = outputs(&mut session, sample, output, 0..50);
         let middle = session.clone();
         let rest = outputs(&mut session, sample, output, 50..sample.steps());
+        let end = seen(&session, &mapped.one);
         session = middle;
         assert_eq!(outputs(&mut session, sample, output, 50..sample.steps()), rest, "{}: after going back", model.name);
+        assert!(seen(&session, &mapped.one) == end, "{}: spikes, u and v after going back", model.name);
         spikes.extend(rest);
         fired += usize::from(!spikes.is_empty());
         let stepped = Outcome { spikes, ..Outcome::default() };

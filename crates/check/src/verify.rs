@@ -11,6 +11,8 @@
 //! - population axons have atoms, bases and numbers that messages and tables can hold, tables are
 //!   the same or apart, no two sources are the same atom of one, and a source is the same atom on
 //!   every core (`Population`);
+//! - neurons are of kinds that the chip has (`Kind`), and no message is wider than its messages
+//!   (`Message`);
 //! - a compartment that pops follows one that pushes, and only such a one does (`Neuron`);
 //! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the
 //!   core's index and delay widths or none (`Format`);
@@ -34,7 +36,7 @@ use rayon::prelude::*;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::hardware::Target;
-use nsim_ir::neurons::Stack;
+use nsim_ir::neurons::{Family, Stack};
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
@@ -85,6 +87,24 @@ pub enum Violation {
         place: String,
         /// What is wrong.
         what: &'static str,
+    },
+    /// Neurons of a kind that the chip does not have.
+    #[error("{core} has {kind} neurons, which the chip does not have")]
+    Kind {
+        /// The core.
+        core: CoreId,
+        /// The kind.
+        kind: &'static str,
+    },
+    /// Integers that the chip's messages cannot carry.
+    #[error("source {source_number} sends integers of {bits} bits, messages of the chip carry {limit}")]
+    Message {
+        /// The first of the sources.
+        source_number: u32,
+        /// The bits that it sends.
+        bits: u32,
+        /// The bits that there are.
+        limit: u32,
     },
     /// A compartment without its child or its parent.
     #[error("{core}: what slot {slot} pushes or pops has no compartment next to it")]
@@ -165,7 +185,7 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
 /// # Errors
 /// The first [`Violation`], by core.
 pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsage>, Violation> {
-    let limits = target.limits();
+    let (limits, chip) = (target.limits(), target.chip());
     if *program.mesh() != Mesh::for_target(target) {
         return Err(Violation::Mesh);
     }
@@ -173,13 +193,21 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
     if let Some(core) = program.cores().ids().find(|&core| !taken.insert(program.cores()[core].site)) {
         return Err(Violation::Site { core });
     }
+    let limit = chip.message_bits;
+    if let Some(wide) = program.parts().graded.iter().find(|graded| graded.message.bits() > limit) {
+        return Err(Violation::Message { source_number: wide.sources.start, bits: wide.message.bits(), limit });
+    }
     let populations = program.classes().iter().any(|class| !class.inputs.populations.is_empty());
     for channel in 0..program.channels() {
         let name = || format!("input channel {channel}");
         verify_messages(program, program.messages(channel), populations, name)?;
     }
     let firsts = program.first_cores();
-    let tables = firsts.as_slice().par_iter().map(|&core| verify_tables(program, core, limits));
+    let of_core = |&core| {
+        verify_kinds(program, core, &chip.neuron_kinds)?;
+        verify_tables(program, core, limits)
+    };
+    let tables = firsts.as_slice().par_iter().map(of_core);
     let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
     // Cores whose messages go in the same way to cores of the same classes, on the same chip or not.
     let (mut known, mut firsts) = (HashMap::new(), Vec::new());
@@ -226,6 +254,14 @@ pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result
             let core = CoreId::new(core);
             Err(format!("{core} was counted to use {:?} and uses {:?}", partition.usage()[core], used[core]))
         }
+        None => Ok(()),
+    }
+}
+
+fn verify_kinds(program: &Program, core: CoreId, kinds: &[Family]) -> Result<(), Violation> {
+    let mut of_core = program.class_of(core).compartments.iter().map(|compartment| compartment.neuron.kind);
+    match of_core.find(|kind| !kinds.contains(&kind.family())) {
+        Some(kind) => Err(Violation::Kind { core, kind: kind.name() }),
         None => Ok(()),
     }
 }

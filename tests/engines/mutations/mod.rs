@@ -23,7 +23,7 @@ use nsim::compile::{DEFAULT_RATE, Front, Mapping, Options, compile, map};
 use nsim::ir::base::fixed::Delay;
 use nsim::ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim::ir::firing_rates::Rates;
-use nsim::ir::hardware::Target;
+use nsim::ir::hardware::{Chip, Target};
 use nsim::ir::partition::CoreUsage;
 use nsim::ir::program::{Compartment, CoreImage, Messages, Parts, Program};
 use nsim::ir::quantised::connectivity::SynapseFormat;
@@ -153,6 +153,17 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
         let tight = target.clone().with_limits(target.limits().clone().with(resource, less as u32));
         let found = verify(&program, &tight);
         assert!(matches!(&found, Err(Violation::Excess { capacity, .. }) if *capacity == resource), "{found:?}");
+    }
+    // So are a chip that lacks a kind, and one whose messages are a bit too narrow.
+    let kind = program.classes()[ClassId(0)].compartments[0].neuron.kind;
+    let mut chip = target.chip().clone();
+    chip.neuron_kinds.retain(|&family| family != kind.family());
+    let found = verify(&program, &target.clone().with_chip(chip));
+    assert!(matches!(&found, Err(Violation::Kind { kind: of, .. }) if *of == kind.name()), "seed {seed}: {found:?}");
+    if let Some(widest) = program.parts().graded.iter().map(|graded| graded.message.bits()).max() {
+        let narrow = Chip { message_bits: widest - 1, ..target.chip().clone() };
+        let found = verify(&program, &target.clone().with_chip(narrow));
+        assert!(matches!(found, Err(Violation::Message { bits, .. }) if bits == widest), "seed {seed}: {found:?}");
     }
     let good = Arc::unwrap_or_clone(program).into_parts();
     let meant = Meaning::decoded(&good);
