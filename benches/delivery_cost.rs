@@ -1,4 +1,4 @@
-//! Measures what the parts of a delivery take, and prints it beside the table by which the machine
+//! Measures what the parts of a delivery take, and prints it next to the table by which the machine
 //! chooses forms of synapses (`crates/machine/src/layout/delivery_cost.rs`):
 //! `cargo bench --bench delivery_cost`, on a quiet machine.
 
@@ -32,7 +32,7 @@ fn measured(one: DeliveryNetwork) -> (String, [f64; 7], f64) {
         let at = |step| spikes.iter().map(move |spike| (step, ChannelId(spike.0 + step)));
         let events: Vec<_> = (0..one.period).flat_map(at).collect();
         let period = Sample::new(one.period, &events, None).unwrap();
-        // Compartments at rest are updated too: the update is the same, whatever spikes.
+        // Idle compartments are updated too: the update is the same for any spikes.
         let mut machine = Machine::new(&image, Settings { skip: false, per_step: false });
         1e3 * measure(&mut machine, &period, BUDGET).fastest
     };

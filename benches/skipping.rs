@@ -3,7 +3,7 @@
 //!
 //! Scenes: recorded tactile samples (in `NSIM_DATA` or `../shared/data`) on the shipped tactile
 //! network, slip scenes and silence on the shipped slip network. Each row runs all samples
-//! repeatedly on one thread. Rows alternate, so that other load of the machine affects all alike.
+//! repeatedly on one thread. Rows alternate, so that other load of the machine affects all equally.
 //! Prints a table of times and counts.
 
 // A bench that cannot go on has failed.

@@ -1,4 +1,4 @@
-//! Tells the program which compiler built it: a measured time means little without.
+//! Gives the program the name of its compiler: a measured time means little without.
 
 use std::process::Command;
 

@@ -2,8 +2,8 @@
 //! labels.
 //!
 //! Input: what NumPy makes an array of, and what messages call it. Output: its shape and its
-//! numbers in C order, whatever its layout, byte order and type. Invariants: every number that is
-//! passed on is finite and stands in the array; a `bool` is 0 or 1, whatever its byte. Errors:
+//! numbers in C order, for any layout, byte order and type. Invariants: every number that is
+//! passed on is finite and stands in the array; a `bool` is 0 or 1, for any byte. Errors:
 //! `input.array` with the argument, the index, the value and a remedy.
 //!
 //! Numbers are read in parts of bounded size by `numpy.nditer`, and a converted copy of the whole
@@ -291,7 +291,7 @@ fn is_masked(value: &Bound<'_, PyAny>, masked: &Bound<'_, PyAny>, depth: usize) 
 pub struct Counted {
     /// What one is, in the singular.
     pub what: &'static str,
-    /// Of how many, at most 2^32.
+    /// Number of these, at most 2^32.
     pub limit: u64,
     /// What the array holds.
     pub help: &'static str,

@@ -127,7 +127,7 @@ impl Conversion {
         to_python(py, &self.json["layers"])
     }
 
-    /// Writes the model file that `nsim convert -o` writes, and its arrays beside it; with `force`
+    /// Writes the model file that `nsim convert -o` writes, and its arrays next to it; with `force`
     /// in the place of files that are there.
     ///
     /// Gives the names of the files.

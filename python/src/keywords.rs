@@ -21,7 +21,7 @@ impl<'py> Keywords<'py> {
         Ok(Keywords(given.map(|given| given.copy()).transpose()?))
     }
 
-    /// The value of an argument, unless it is left out or `None`.
+    /// The value of an argument, unless it is omitted or `None`.
     pub fn take<T: FromPyObjectOwned<'py>>(&self, name: &str) -> PyResult<Option<T>> {
         let Some(given) = &self.0 else { return Ok(None) };
         let Some(value) = given.get_item(name)? else { return Ok(None) };

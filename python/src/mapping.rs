@@ -240,8 +240,8 @@ impl Mapping {
     ///
     /// Gives a dictionary: `us_per_timestep` (the median of the repeats), `fastest_us`, `spread_us`
     /// (between the quartiles), `repeats`, `steps` of each, and `spikes_in`, `spikes`,
-    /// `synaptic_events`, `compartment_updates` of a timestep. With `skip=False` no work is left
-    /// out.
+    /// `synaptic_events`, `compartment_updates` of a timestep. With `skip=False` no work is
+    /// skipped.
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, seconds=1.0, skip=True, labels=None, samples=None, repeat=1, \

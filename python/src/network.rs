@@ -82,8 +82,8 @@ pub fn from_nodes(
     Network::checked(py, network, [conventions, notes].concat())
 }
 
-/// The spikes of each population of a network in real numbers, rows (sample, step, neuron); its first step is the one in
-/// which the population starts.
+/// The spikes of each population of a network in real numbers, rows (sample, step, neuron); its
+/// first step is the one in which the population starts.
 #[pyfunction]
 pub fn real_spikes<'py>(
     py: Python<'py>,
@@ -322,9 +322,9 @@ impl Network {
     ///
     /// The search takes `calibration_samples` (60) of `calibrate`, spikes as `spikes` are: by
     /// default the scene with another seed, or the first half of `spikes`. `fine_tune` then trains
-    /// for this many epochs as the training file `training` says (by default the one that ships under the model's
-    /// name), on the sources `train`. `spikes`, on which the result is judged, and its keywords are
-    /// those of `Mapping.run`.
+    /// for this many epochs as the training file `training` says (by default the one that ships
+    /// under the model's name), on the sources `train`. `spikes`, on which the result is judged,
+    /// and its keywords are those of `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', calibrate=None, calibration_samples=60, \
@@ -343,7 +343,7 @@ impl Network {
         Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?, built)
     }
 
-    /// Writes the network as a model file, and its arrays beside it; with `force` in the place of
+    /// Writes the network as a model file, and its arrays next to it; with `force` in the place of
     /// files that are there.
     ///
     /// Gives the names of the files.

@@ -155,7 +155,7 @@ impl Session {
     /// `inputs` is a dictionary from input populations to the numbers of the channels that spike,
     /// or to an array with a truth value for each channel; of a network with one input population
     /// it may be the channels alone. An input population that sends integers takes an array with
-    /// one for each channel. Populations that are left out are silent, and all are in `step()`.
+    /// one for each channel. Populations without an entry are silent, and all are in `step()`.
     #[pyo3(signature = (inputs=None))]
     fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut spiking = Vec::new();

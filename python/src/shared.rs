@@ -50,7 +50,7 @@ impl Shared {
         &self.compiled
     }
 
-    /// Whether nobody has been warned of what this network does; after the first call somebody has.
+    /// Whether no caller has been warned of what this network does; after the first call one has.
     pub fn warns(&self) -> bool {
         !self.warned.swap(true, Ordering::Relaxed)
     }

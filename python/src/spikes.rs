@@ -3,9 +3,9 @@
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a
 //! dictionary from populations to arrays, text, or nothing. 1 is a spike, as is a greater whole
-//! number, of which a warning tells. Output: samples and the order in which they run. Contiguous
-//! arrays of `uint8` and `bool` are read in place. Invariant: what samples take is bounded before
-//! they are made. Errors: `input.*`, `usage`.
+//! number, for which there is a warning. Output: samples and the order in which they run.
+//! Contiguous arrays of `uint8` and `bool` are read in place. Invariant: what samples take is
+//! bounded before they are made. Errors: `input.*`, `usage`.
 
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::PopulationSpikes;
@@ -48,7 +48,7 @@ impl Shown {
         Shown::of_classes(outputs.into(), network, scene, spikes, keywords)
     }
 
-    /// The same with this many classes.
+    /// As [`Shown::new`], with this many classes.
     pub fn of_classes(
         classes: u64,
         network: &Quantised,

@@ -1,7 +1,7 @@
 //! Trains networks: `nsim train`.
 //!
 //! Input: a training file, labelled spikes. Output: a [`Training`], whose figures, digest and model
-//! are those of the command line. Left out on purpose: studies, of which each training is a call.
+//! are those of the command line. Omitted on purpose: studies, of which each training is a call.
 
 use std::path::PathBuf;
 
@@ -160,7 +160,7 @@ impl Training {
         self.trained.test_accuracy
     }
 
-    /// Accuracy on each fold left out of the training samples.
+    /// Accuracy on each held-out fold of the training samples.
     #[getter]
     fn folds(&self) -> Vec<f64> {
         self.trained.folds.clone()
@@ -184,7 +184,7 @@ impl Training {
         history_csv(&self.trained.state.history)
     }
 
-    /// Writes the model file that `nsim train -o` writes, and its weights beside it; with `force`
+    /// Writes the model file that `nsim train -o` writes, and its weights next to it; with `force`
     /// in the place of files that are there.
     ///
     /// Gives the names of the files.

@@ -99,7 +99,7 @@ fn watched<T: Send>(
         }
     };
     std::thread::scope(|scope| {
-        // Whatever ends the worker closes the channel.
+        // The end of the worker, also by a panic, closes the channel.
         let (open, closed) = channel::<()>();
         let after_sample = &after_sample;
         let worker = scope.spawn(move || {

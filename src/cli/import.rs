@@ -1,8 +1,8 @@
 //! `nsim import FILE`: a model of another tool, described and written as one of nsim's own.
 //!
 //! Input: a file and what it does not say. Output: what was read and by which conventions, and with
-//! `-o` the model as RON with its arrays beside it. The model is lowered before it is written: what
-//! cannot be one is refused here.
+//! `-o` the model as RON with its arrays next to it. The model is lowered before it is written:
+//! what cannot be one is refused here.
 
 use std::path::PathBuf;
 
@@ -78,7 +78,7 @@ pub struct Args {
     /// Bits of the fraction of their state below that [default: 6]
     #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u8).range(..=7))]
     state_exp: Option<u8>,
-    /// The model file to write; its arrays go beside it as .safetensors
+    /// The model file to write; its arrays go next to it as .safetensors
     #[arg(short, long, value_name = "MODEL.ron")]
     output: Option<PathBuf>,
 }

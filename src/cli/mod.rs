@@ -48,7 +48,7 @@ EXAMPLES:
 EXIT STATUS:
   0 done   1 the answer is no   2 wrong usage   3 an input cannot be used   4 a fault of nsim";
 
-/// What options that every command has stand under in help, behind its own.
+/// What options that every command has stand under in help, after its own.
 const EVERYWHERE: &str = "Options of every command";
 
 /// Maps trained spiking networks onto simulated Loihi cores, runs them bit for bit, and reports
@@ -187,7 +187,7 @@ fn with_shipped_names(command: clap::Command) -> clap::Command {
 
 /// The script of completions for a shell. Bash, zsh and fish complete shipped names and names of
 /// files; what is generated for the others completes nothing else where it knows names, so that
-/// they are not told any.
+/// they are not given any.
 fn completions(shell: clap_complete::Shell) -> String {
     use clap_complete::Shell::{Bash, Fish, Zsh};
     let mut command = match shell {

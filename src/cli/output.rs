@@ -16,7 +16,7 @@ use nsim_session::error::Error;
 use nsim_session::samples::Progress;
 use nsim_session::warnings::Warning;
 
-/// The words behind `nsim` on the command line, without the number of threads, on which no result
+/// The words after `nsim` on the command line, without the number of threads, on which no result
 /// depends.
 pub fn typed() -> Vec<String> {
     let mut words = std::env::args().skip(1);
@@ -36,7 +36,7 @@ pub fn typed() -> Vec<String> {
 /// one of the files, and not the result.
 ///
 /// # Errors
-/// [`Error::Usage`] for a picture of another kind, `-` beside JSON or CSV, and two files on stdout;
+/// [`Error::Usage`] for a picture of another kind, `-` with JSON or CSV, and two files on stdout;
 /// `write.*`.
 pub fn check_files<'a>(
     files: impl IntoIterator<Item = &'a PathBuf>,
@@ -199,7 +199,7 @@ pub fn environment() -> Environment {
     environment
 }
 
-/// Replaces the section `<!-- MARK -->` of a document, and the picture beside it that the section
+/// Replaces the section `<!-- MARK -->` of a document, and the picture next to it that the section
 /// shows, by its name.
 pub fn update_section(
     path: &Path,

@@ -156,8 +156,8 @@ struct Facts {
     wire: Option<Carried>,
 }
 
-/// Says when recordings of an earlier scene lie beside those of this one: a run on the folder would
-/// take them for samples.
+/// Says when recordings of an earlier scene lie next to those of this one: a run on the folder
+/// would take them for samples.
 fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
     let written: BTreeSet<PathBuf> =
         entries.iter().flat_map(|entry| entry.files.values()).map(|file| folder.join(&file.value)).collect();

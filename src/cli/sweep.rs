@@ -1,7 +1,7 @@
 //! `nsim sweep`: many variants of a run in one table.
 //!
-//! A table that is written to a file has a journal beside it until it is finished: a sweep that was
-//! ended goes on where it was.
+//! A table that is written to a file has a journal next to it until it is finished: a sweep that
+//! was ended goes on where it was.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -109,7 +109,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         name.push(".journal");
         PathBuf::from(name)
     });
-    // A table beside its journal is one whose sweep was ended while it cleaned up.
+    // A table next to its journal is one whose sweep was ended while it cleaned up.
     let goes_on = journal_path.as_deref().is_some_and(|path| io::disk::exists(path).unwrap_or(false));
     let all = Context { force: context.force || goes_on, ..context };
     output::check_files(args.output.as_ref().filter(|_| file.is_some()), &args.plot, all)?;
@@ -198,7 +198,7 @@ fn typed(args: &Args) -> impl std::fmt::Debug {
 }
 
 /// What identifies a journal: the program's version, the part, the sweep, and its files by size and
-/// time, which are read at once.
+/// time, which are read immediately.
 fn head(args: &Args, sweep: &Sweep) -> String {
     let of_file = |name: &String| {
         let found = std::fs::metadata(name).ok().filter(std::fs::Metadata::is_file);

@@ -36,7 +36,7 @@ pub struct Args {
     /// Test samples, never used to choose anything [default: what the training file names]
     #[arg(long, value_name = "SOURCE")]
     test: Vec<String>,
-    /// Write the model here, its weights beside it as NAME.safetensors
+    /// Write the model here, its weights next to it as NAME.safetensors
     #[arg(short, long, value_name = "MODEL.ron")]
     output: Option<PathBuf>,
     /// Seed, instead of the training file's
@@ -115,7 +115,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     args.output.iter().try_for_each(|path| NetworkFile::check_name(path))?;
     let weights = args.output.as_deref().map(job::weights_path);
     let on_stdout = args.output.as_deref().is_some_and(io::text::is_standard_stream);
-    refuse_if(on_stdout, "-o -: a trained model has weights, which need a file beside it")?;
+    refuse_if(on_stdout, "-o -: a trained model has weights, which need a file next to it")?;
     let taken = output::check_files(args.output.iter().chain(&weights).chain(&args.log), None, context)?;
     let data = {
         let _busy = output::busy("reading or making samples");

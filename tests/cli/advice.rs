@@ -61,7 +61,7 @@ fn every_command_that_reads_models_takes_the_timestep_that_a_file_lacks() {
         assert!(code == 3 && stderr.contains("help: say how long a timestep is: --dt MS"), "{line:?}: {code} {stderr}");
         succeeds(&[line, &["--dt", "0.1"]].concat());
     }
-    // What has no other way to say so tells it by the import it would need.
+    // A file with no other way to say so reports it by the import it would need.
     let import = |more: &[&str]| object(&[&["inspect", &net], more].concat(), 0)["import"].to_string();
     assert!(import(&[]).contains("--dt MS") && import(&["--dt", "0.1"]).contains("timestep 0.1 ms"));
     // Where the nodes imply one, the note names what they have.
@@ -115,11 +115,11 @@ fn fractions_are_spikes_where_that_is_asked_for() {
     assert!(error["help"].as_str().unwrap().ends_with(&advised), "{error}");
     let spikes = |source: &str| object(&["run", &model, "--input", source], 0)["activity"]["spikes_in"].clone();
     assert_eq!(spikes(&advised), 3);
-    // Whole numbers are spikes as they are, whatever their type.
+    // Whole numbers are spikes as they are, regardless of their type.
     assert_eq!(spikes(&array(folder.path(), "whole.npy", &[3, 2], &[0.0, 2.0, -1.0, 0.0, 1.0, 0.0])), 3);
 }
 
-/// Remedies of a network that does not fit, each typed behind the command.
+/// Remedies of a network that does not fit, each typed after the command.
 #[test]
 fn each_remedy_of_a_mapping_makes_it_fit() {
     let folder = tempfile::tempdir().unwrap();

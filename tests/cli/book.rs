@@ -3,7 +3,7 @@
 //!
 //! In a tutorial, a block ````
 //! ```sh ```` is run by a shell in the page's own folder, and ends with status 0 or the one that `exit=` names; a block ```` ```text
-//! ```` behind it is what the last one printed, `...` standing for any lines; ````
+//! ```` after it is what the last one printed, `...` standing for any lines; ````
 //! ```ron NAME ```` and ```` ```csv NAME ```` are files; ````
 //! ```python run ```` is run where a Python with the package `nir` is found, and said to be skipped where not. `NSIM_BLESS=1`
 //! writes the pages of commands anew.
@@ -24,7 +24,7 @@ fn pages(folder: &str) -> Vec<PathBuf> {
     found
 }
 
-/// A fenced block: its line number, the words behind the fence, its lines.
+/// A fenced block: its line number, the words after the fence, its lines.
 struct Block {
     line: usize,
     words: Vec<String>,

@@ -243,7 +243,7 @@ fn an_imported_recurrent_network_coincides_without_an_exponent_by_hand() {
     };
     assert_eq!(agreed["class_agreement"], 1.0);
     assert!(coincidence(&agreed, "lif1_lif") >= 0.9 && coincidence(&agreed, "lif2") >= 0.7, "{agreed:#}");
-    // What is kept is compared as it is, and answers the same.
+    // The stored network is compared as it is, and answers the same.
     let converted = run(&format!("convert {network} -o kept.ron"));
     assert_eq!(converted["schema"], "nsim.convert/1");
     assert!(converted["stages"].as_array().unwrap().len() >= 2, "{converted:#}");

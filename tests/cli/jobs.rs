@@ -1,5 +1,5 @@
 //! Jobs of several processes, started by `mpirun`: results of one process, files of the first rank,
-//! and ends with one message within two seconds, whatever fails. With the feature `mpi` only; says
+//! and ends with one message within two seconds, for any failure. With the feature `mpi` only; says
 //! so where `mpirun` is absent.
 
 // A test that cannot go on has failed.
@@ -203,7 +203,7 @@ fn kernel() -> String {
 }
 
 #[test]
-fn every_kind_of_projection_is_dealt_out() {
+fn every_kind_of_projection_is_distributed() {
     let Some((folder, _alone)) = ready() else { return };
     std::fs::write(folder.path().join("mixed.ron"), mixed()).unwrap();
     let limit = "--set target.limits.compartments=16";

@@ -1,4 +1,4 @@
-//! `nsim map`: what fits, what does not, what is kept and pruned.
+//! `nsim map`: what fits, what does not, what is stored and pruned.
 
 use std::path::Path;
 

@@ -182,7 +182,7 @@ fn a_constant_in_another_unit_is_refused_with_its_value_in_the_right_one() {
     assert_eq!(refused["help"], "write value: 0.05, unit: us", "{refused}");
 }
 
-/// More cores in tiles that nobody sized make larger ones, which is said.
+/// More cores in tiles of no stated size make larger ones, which is said.
 #[test]
 fn more_cores_make_larger_tiles_and_say_so() {
     let (_folder, board) = board();

@@ -2,7 +2,7 @@
 //!
 //! Chromium draws every section of five pages, a pointer moves over each chart, each zoom is set,
 //! each button of choices is pressed; what the page says of errors and of loads from a network is
-//! collected. Without Chromium that test says `skipped`, and what can be told from the text of a
+//! collected. Without Chromium that test says `skipped`, and what can be seen from the text of a
 //! page is still tested.
 
 use crate::common;
@@ -50,7 +50,7 @@ fn convolutions() -> String {
     )
 }
 
-/// Four pages: the shipped network with 32 copies, a trained one beside its integers, convolutions
+/// Four pages: the shipped network with 32 copies, a trained one next to its integers, convolutions
 /// from another format, and 1,024 copies.
 fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
     let slip = page(folder, "slip.html", &["vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti"]);
@@ -211,7 +211,7 @@ fn a_model_comes_through_a_pipe() {
     assert_eq!((&data["network"]["name"], data["origins"].as_array().unwrap().len()), (&"slip-tactile".into(), 0));
 }
 
-/// What a page's own script cannot say of itself: put behind it, it moves the pointer over every
+/// What a page's own script cannot say of itself: put after it, this moves the pointer over every
 /// chart, turns the wheel, sets its zoom, takes the focus to every control as the tabulator key
 /// does, reads what is drawn, and leaves the findings in the document.
 const OBSERVER: &str = r#"<script>

@@ -121,7 +121,7 @@ fn done(phrase: &str, net: &Net, silent: &str) -> Option<(Net, Vec<String>)> {
     }
 }
 
-/// Phrases that explain, and what stands for more than one remedy.
+/// Phrases that explain, and those that represent more than one remedy.
 const EXPLAIN: [&str; 13] = [
     "and cores",
     "that carry spikes on",
@@ -280,7 +280,7 @@ fn single(neuron: &str, projection: &str) -> String {
     )
 }
 
-/// The number behind some words of a text.
+/// The number after some words of a text.
 fn number(text: &str, before: &str) -> i64 {
     let (_, behind) = text.split_once(before).unwrap_or_else(|| panic!("{before:?} is not in {text:?}"));
     let digits: String = behind.chars().take_while(char::is_ascii_digit).collect();

@@ -163,7 +163,7 @@ fn threads_shards_and_kills_change_nothing() {
     }
     assert!(std::fs::read(folder.join("k.csv")).unwrap() == whole, "after {kills} kills");
     assert!(!folder.join("k.csv.journal").exists());
-    // A journal whose last line is cut goes on behind the one before.
+    // A journal whose last line is cut goes on after the one before.
     for shard in 1..=3 {
         ran(folder, &format!("sweep s.ron -o {shard}.csv --shard {shard}/3"));
     }

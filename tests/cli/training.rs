@@ -83,7 +83,7 @@ fn threads_and_interruptions_change_nothing() {
     assert_eq!(weights(folder, "one.ron"), weights(folder, "three.ron"));
     assert_eq!(std::fs::read_to_string(folder.join("one.csv")).unwrap().lines().count(), 13);
 
-    // The state after ten epochs is kept; a run that begins with it ends where the others did.
+    // The state after ten epochs is stored; a run that begins with it ends where the others did.
     nsim(folder, &["train", "config.ron", "-o", "whole.ron", "--checkpoint", "state"]);
     assert_eq!(weights(folder, "one.ron"), weights(folder, "whole.ron"));
     let again = nsim(folder, &["train", "config.ron", "-o", "again.ron", "--checkpoint", "state"]);

@@ -2,7 +2,7 @@
 //! synapses.
 //!
 //! A number is written in binary: one channel for each of the bits 0 to 13, and seven channels that
-//! each stand for 2^14, of which as many spike as are needed. Each compartment has such channels
+//! each represent 2^14, of which as many spike as are needed. Each compartment has such channels
 //! for positive and for negative numbers. Bits 0 to 6 are weights 1, 2, .., 64 with exponent 0;
 //! bits 7 to 13 the same with exponent 7; a unit of 2^14 is the weight 128 with exponent 7.
 //! Positive weights are excitatory, negative ones inhibitory, since mixed weights are even. By

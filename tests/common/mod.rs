@@ -41,8 +41,8 @@ pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
 }
 
-/// A folder of recorded data, in `$NSIM_DATA` or `../shared/data` beside the repository; without it
-/// a message and nothing, or a failure where `NSIM_REQUIRE_DATA` is 1.
+/// A folder of recorded data, in `$NSIM_DATA` or `../shared/data` next to the repository; without
+/// it a message and nothing, or a failure where `NSIM_REQUIRE_DATA` is 1.
 pub fn data(folder: &str) -> Option<PathBuf> {
     let root = std::env::var_os("NSIM_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
@@ -130,7 +130,7 @@ pub fn neuron(du: i64, dv: i64, vth_mant: i64, refractory: i64) -> Neuron {
     }
 }
 
-/// The same with a bias.
+/// The compartment with a bias.
 pub fn biased(neuron: Neuron, mantissa: i64, exponent: i64) -> Neuron {
     Neuron { bias_mant: BiasMantissa::new(mantissa).unwrap(), bias_exp: BiasExponent::new(exponent).unwrap(), ..neuron }
 }

@@ -138,7 +138,7 @@ pub fn network(seed: u64) -> Quantised {
     drawn(seed, 1)
 }
 
-/// The same with neurons of one to three compartments, each of which receives spikes.
+/// A network with neurons of one to three compartments, each of which receives spikes.
 pub fn joined(seed: u64) -> Quantised {
     drawn(seed ^ 0x0c41d, 3)
 }

@@ -1,4 +1,4 @@
-//! The ladder from a trained network to the machine: both ends are what they claim, and every rung
+//! The stages from a trained network to the machine: both ends are what they claim, and every stage
 //! is real.
 
 use std::process::Command;
@@ -34,7 +34,7 @@ const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
         Dense(from: ["h"], to: "o", weights: Uniform(low: -2, high: 3, seed: 2))],
     output: "o")"#;
 
-/// A network of spike response neurons that tells the classes of [`samples`] apart: each hidden
+/// A network of spike response neurons that distinguishes the classes of [`samples`]: each hidden
 /// neuron has a class's channels of its own, each output a class's hidden neurons.
 fn decided() -> String {
     let row = |own: u32, columns: u32, strong: f64, seed: u64| {
@@ -82,7 +82,7 @@ fn borrowed(samples: &[Sample]) -> Vec<&Sample> {
     samples.iter().collect()
 }
 
-/// How far a rung of a ladder is from another.
+/// How far a comparison stage is from another.
 fn distance(ladder: &Ladder, (from, to): (Rung, Rung), output: &Layer, samples: &[&Sample]) -> Distance {
     measured((ladder, from), &[(ladder, to)], output, samples)[0].distance
 }
@@ -191,7 +191,7 @@ fn it_begins_where_the_reference_engine_ends() {
     assert!(spikes > 500, "{spikes} spikes show little");
 }
 
-/// The last rung against the golden interpreter and the machine, in every spike and every voltage.
+/// The last stage against the golden interpreter and the machine, in every spike and every voltage.
 fn is_the_machine(graph: &Graph, fits: &[Option<Fit>], samples: &[Sample], some: usize) {
     let ladder = Ladder::new(graph, fits).unwrap();
     let network = ladder.deployed();
@@ -252,7 +252,7 @@ fn every_rung_is_real() {
     for cause in of_srm() {
         let next = rung.with(cause);
         let away = distance(&ladder, (rung, next), &output, &samples);
-        // With equal decays the kernel is the alpha kernel itself: that rung shows in time alone.
+        // With equal decays the kernel is the alpha kernel itself: that stage shows in time alone.
         match cause {
             Cause::Kernel => {
                 let traces = [rung, next].map(|rung| ladder.run(rung, samples[0], false));
@@ -458,7 +458,7 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
         text.replace("vth_mant: 20", "vth_mant: 160").replace("exp: -2", "exp: 1").replace("exp: -3", "exp: 0");
     lower_and_quantise(&raised).unwrap();
 
-    // A loop that loses no bits beside the projection that does.
+    // A loop that loses no bits next to the projection that does.
     let network = lower_and_quantise(&text.replace("exp: -2", "exp: 1")).unwrap();
     let graph = graph(text.replace("exp: -2", "exp: 1"));
     let matrix = |text: &str| -> Vec<Vec<i64>> { serde_json::from_str(text).unwrap() };

@@ -59,7 +59,7 @@ fn a_parent_adds_what_its_child_pushes_in_the_same_step() {
                 assert_eq!([spiked, engine.u(id), engine.v(id)], expected, "{name}, step {step}, compartment {id}");
             }
         }
-        // Both compartments are at rest in no step but the child in the last.
+        // Both compartments are idle in no step, except the child in the last.
         assert_eq!(engine.totals().active_updates, 9, "{name}");
     }
 }
@@ -125,7 +125,7 @@ fn compartments_of_a_neuron_that_are_apart_are_found() {
     let swapped = Program::new(parts).unwrap();
     assert_eq!(verify(&swapped, &target), Ok(()));
     assert_eq!(check_copies(&network, &swapped, 1), Err(Difference::Neuron(a)));
-    // What a parent pops nobody pushes.
+    // No compartment pushes what a parent pops.
     for slot in [0, 1] {
         let mut parts = (*compiled.program).clone().into_parts();
         let class = parts.classes.iter_mut().next().unwrap();

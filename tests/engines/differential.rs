@@ -31,26 +31,26 @@ use rayon::prelude::*;
 
 static CHIP: LazyLock<Target> = LazyLock::new(|| roomy("loihi1-chip"));
 
-/// Three partitions: as few cores as possible, at most this many compartments a core, dealt out at
+/// Three partitions: as few cores as possible, at most this many compartments a core, assigned at
 /// random.
 fn partitions(network: &Quantised, few: u32, seed: u64) -> Vec<(&'static str, Mapping)> {
-    // Searching for places takes most of the time and decides nothing here; dealt out, cores stand
-    // anywhere.
+    // Searching for places takes most of the time and decides nothing here; assigned at random,
+    // cores stand anywhere.
     let options = Options { place: seed.is_multiple_of(8), ..unsearched() };
     let few = CHIP.limits().clone().with(Resource::Compartments, few);
     let mut compiled = vec![
         ("sequential", compile(network.clone(), &CHIP, &options)),
         ("small cores", compile(network.clone(), &CHIP.clone().with_limits(few), &options)),
     ];
-    // More might be dealt to one core than it holds.
+    // More might be assigned to one core than it holds.
     if network.compartments() <= CHIP.limits()[Resource::Compartments] {
         let mapping = random::mapping(network, &Mesh::for_target(&CHIP), seed);
-        compiled.push(("dealt out", load(network.clone(), &CHIP, &options, &mapping)));
+        compiled.push(("distributed", load(network.clone(), &CHIP, &options, &mapping)));
     }
     compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
 }
 
-/// One network on every partition and setting; returns how many spikes it made.
+/// One network on every partition and setting; returns its number of spikes.
 fn compare(seed: u64) -> u64 {
     let network = random::network(seed);
     let sample = random::sample(&network, seed);
@@ -59,8 +59,8 @@ fn compare(seed: u64) -> u64 {
     golden.totals.spikes
 }
 
-/// A golden trace against the machine's on every mapping and setting; returns how many chunks of
-/// shared weights it added.
+/// A golden trace against the machine's on every mapping and setting; returns the number of chunks
+/// of shared weights it added.
 fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<(&str, Mapping)>, seed: u64) -> usize {
     let compared = |(name, compiled): (&str, Mapping)| {
         assert_on_machine(network, &compiled.program, sample, golden, &format!("network {seed}, {name}")).1
@@ -69,7 +69,7 @@ fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<
 }
 
 /// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles,
-/// compartments dealt out, and the program that is written box by box where kernels stay kernels.
+/// random places, and the program that is written box by box where kernels stay kernels.
 #[test]
 fn random_convolutions_are_the_same_in_both_engines() {
     let board = load_target("nahuku-32").unwrap();

@@ -212,7 +212,7 @@ fn the_energy_saved_is_that_of_the_steps_left_off() {
         let always_mw = total(&whole, "total_mw") - whole["rows"][1]["dynamic_mw"].as_f64().unwrap();
         assert!(uj > always_mw * us / 1e3 && uj < 1.5 * always_mw * us / 1e3 + all_uj * 0.5, "{uj} uJ in {us} us");
     }
-    // In real time each step lasts 20 ms, whatever happens in it.
+    // In real time each step lasts 20 ms, regardless of what happens in it.
     let paced = &energy(&["--early-exit", "3", "--mode", "realtime"])["early_exit"];
     let (us, steps) = (paced["time_saved_us"].as_f64().unwrap(), paced["steps_saved"].as_f64().unwrap());
     assert!((us - 20_000.0 * steps).abs() < 1e-3 * us, "{us} us for {steps} steps");

@@ -241,7 +241,7 @@ fn epochs_end_in_skipped_steps() {
         golden.set_rule(rule.clone());
         golden.begin(u32::MAX);
         for step in 0u32..30 {
-            // At rest since step 12, with notes of the epoch that ends with step 14.
+            // Idle since step 12, with notes of the epoch that ends with step 14.
             if step == 12 && session.skip(skipped) {
                 (0..skipped).for_each(|_| golden.step(Spikes::default()));
             } else {

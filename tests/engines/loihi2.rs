@@ -277,7 +277,7 @@ fn recorded_neurons_of_lava_dl_match_bit_for_bit() {
     assert!(compared > 50_000, "{compared} numbers");
 }
 
-/// Resonators of lava-dl's recorded networks: driven directly, and behind two matrices.
+/// Resonators of lava-dl's recorded networks: driven directly, and after two matrices.
 #[test]
 fn recorded_layers_of_resonators_match_bit_for_bit() {
     let Some(folder) = data("loihi2/rf_blocks") else { return };
@@ -585,7 +585,7 @@ fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     let network = front(&network).unwrap().into_quantised();
     let board = load_target("oheo-gulch").unwrap();
     let compiled = compile(network.clone(), &board, &Options::default()).unwrap();
-    // It fits one chip with every limit kept, by the compiler's count and by the checker's.
+    // It fits one chip within every limit, by the compiler's count and by the checker's.
     let used = nsim::check::verify::used(&compiled.program, &board).unwrap();
     assert!(used.len() <= 128 && used.len() == compiled.partition.cores(), "{} cores", used.len());
     for used in compiled.partition.usage().iter().chain(&used) {
@@ -633,7 +633,7 @@ fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     }
 }
 
-/// Without a leak the voltage stays as it is, so that the neuron would be at rest but for its reset.
+/// Without a leak the voltage stays as it is, so that the neuron would be idle but for its reset.
 #[test]
 fn a_neuron_is_reset_after_a_silence() {
     let network = alone(NeuronKind::LifReset, &[vec![4096, 0, 131_071, 0, 0, 9, 0]]);

@@ -1,5 +1,5 @@
 //! Neurons whose rule a model file states: the kinds of Loihi 2 stated so are those that nsim has,
-//! on random networks; and what a model states is kept by every text.
+//! on random networks; and what a model states is preserved by every text.
 
 use std::collections::BTreeMap;
 

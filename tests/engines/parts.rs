@@ -173,7 +173,7 @@ fn assert_rows_add_up(compiled: &Mapping, target: &Target, samples: &[&Sample], 
     let mut places =
         samples.iter().zip(0u64..).flat_map(|(sample, n)| (0..u64::from(sample.steps())).map(move |t| (n, t)));
     for record in reader.records() {
-        // Every figure is an integer of its finest unit: what is behind the point has a fixed
+        // Every figure is an integer of its finest unit: what is after the point has a fixed
         // number of digits.
         let cells: Vec<u64> = record.unwrap().iter().map(|cell| cell.replace('.', "").parse().unwrap()).collect();
         assert_eq!(places.next(), Some((cells[0], cells[1])), "{what}: rows are in run order");
@@ -224,7 +224,7 @@ fn rows_of_steps_sum_to_the_totals() {
     }
 }
 
-/// A sample with more numbers than are kept writes its rows as they come.
+/// A sample with more numbers than are stored writes its rows as they come.
 #[test]
 fn rows_of_a_long_sample_sum_to_its_totals() {
     let network = random::network(5);

@@ -76,7 +76,7 @@ fn network(seed: u64) -> Quantised {
     Quantised::new(parts).unwrap()
 }
 
-/// A sample in which only some channels ever spike, and those at every rate up to all at once.
+/// A sample in which only some channels ever spike, and those at every rate up to all in one step.
 fn sample(network: &Quantised, seed: u64) -> Sample {
     let draw = &mut Draw::new(seed ^ 0x71f3);
     let living: Vec<bool> = (0..network.channels()).map(|_| draw.chance(50)).collect();
@@ -139,7 +139,7 @@ pub fn assert_same(
     }
 }
 
-/// Shares of a network, and whether what rests is left out: what pruning has to be right under.
+/// Shares of a network, and whether idle compartments are skipped, for which pruning is right.
 const SETTINGS: [(usize, bool); 6] = [(1, true), (1, false), (2, true), (2, false), (8, true), (8, false)];
 
 type Counts = BTreeMap<Kind, (u64, u64)>;
@@ -180,7 +180,7 @@ fn plain() -> Options {
 fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
     let whole = network(seed);
     let shown = sample(&whole, seed);
-    // What is pruned for any input is shown all channels at once, in every step, too.
+    // What is pruned for any input is shown all channels together, in every step, too.
     let all: Vec<_> = (0..60).flat_map(|step| (0..whole.channels()).map(move |c| (step, ChannelId(c)))).collect();
     let loud = Sample::new(60, &all, None).unwrap();
     let (mut fixed, mut scene) = (Counts::new(), Counts::new());

@@ -10,9 +10,9 @@ use nsim::cost::{CostTable, Deployment, HostWork, MeterSettings, StepMeter, Tran
 use nsim::files::target::load_target;
 use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::units::Picoseconds;
-use nsim::ir::dealt::Share;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::{Output, Parts, Quantised};
+use nsim::ir::ranks::Share;
 use nsim::ir::spikes::{Copies, Sample};
 use nsim::machine::ranks::threads::ranks;
 use nsim::machine::ranks::transport::Ranks;
@@ -46,7 +46,7 @@ pub fn on_ranks<T: Send>(count: u32, run: impl Fn(u32, Option<&Ranks>) -> T + Sy
     all.into_iter().next().unwrap()
 }
 
-/// A network with what it is shown and what is kept of it.
+/// A network with its input and what is stored of its run.
 struct Case {
     network: Quantised,
     target: Target,

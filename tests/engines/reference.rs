@@ -122,7 +122,7 @@ fn in_the_arithmetic_of_other_tools_too_it_is_the_golden_interpreter() {
     }
 }
 
-/// How many spikes they have, which are the same.
+/// Number of spikes, which are the same in both.
 fn agrees_with_golden(text: &str) -> usize {
     let network = network(text);
     let (graph, quantised): (Graph, _) = real_and_integers(&network).unwrap();

@@ -188,7 +188,7 @@ fn what_relays_cannot_do_is_said() {
     let refused = relayed(&net.build(), 4).unwrap_err();
     assert_eq!(refused.code, "map.relays");
     assert!(refused.message.contains("(delay 0) needs a delay of 1"), "{}", refused.message);
-    // The same with a step of delay.
+    // The network with a step of delay.
     let mut net = common::Builder::new();
     let all = net.each("all", Shape::Line(8), &[neuron; 8], 0);
     net.matrix(all, all, 1, &[2; 64]);

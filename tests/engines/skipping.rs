@@ -33,8 +33,8 @@ fn keep(network: &Quantised) -> Keep {
     }
 }
 
-/// An outcome without what skipping may change, its traces as a number, and how many steps were
-/// skipped.
+/// An outcome without what skipping may change, its traces as a number, and the number of skipped
+/// steps.
 fn essence(outcome: Outcome) -> (Outcome, u64, u64) {
     let mut hasher = DefaultHasher::new();
     outcome.probes.hash(&mut hasher);
@@ -232,7 +232,7 @@ fn a_spike_in_flight_is_waited_for() {
 
 #[test]
 fn a_refractory_period_is_no_rest() {
-    // It spikes in step 2 and is free again in step 12: steps 0, 1 and 12 on are at rest. A counter
+    // It spikes in step 2 and is free again in step 12: steps 0, 1 and 12 on are idle. A counter
     // that runs out in the update of step 12 may take that step too.
     let (outcome, skipped) = agreed(&one(neuron(4096, 4096, 5, 10), 0, 0).build(), &spikes_at(50, &[2]));
     assert_eq!(outcome.counts[0], 1);
@@ -253,7 +253,7 @@ fn a_reset_brings_rest_and_comes_in_time_after_it() {
     let mut net = one(neuron(0, 0, 100_000, 1), 0, 0);
     net.reset(10, 0);
     let network = net.build();
-    // Not at rest from step 3 to step 10, whose update finds zero; again from 27 to 30.
+    // Not idle from step 3 to step 10, whose update finds zero; again from 27 to 30.
     let (_, skipped) = agreed(&network, &spikes_at(100, &[3, 27]));
     assert_eq!(skipped, 3 + (27 - 11) + (100 - 31));
     // A reset in the step of an arrival, after a long rest: what arrives in step 50 counts from

@@ -54,7 +54,7 @@ fn integrators_lose_nothing_and_equal_the_real_ones() {
         }
     }
     assert!(spiked.iter().sum::<i64>() > 20, "{spiked:?}");
-    // The last rung of the ladder too.
+    // The last comparison stage too.
     let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
     let trains = ladder.run(Rung::MACHINE, &sample, false).trains;
     let spikes: usize = trains.iter().map(Vec::len).sum();

@@ -80,7 +80,7 @@ fn the_oxford_network_of_lava_dl_gives_its_recorded_spikes() {
     let input = of_rows(&npy::read(&data.join("input.npy")).unwrap(), 0, 2, 0);
     let recorded = of_rows(&npy::read(&data.join("ground_truth.npy")).unwrap(), 0, 2, 0);
     assert_eq!(recorded.len(), 10_178);
-    // Recorded behind the delay of the output layer.
+    // Recorded after the delay of the output layer.
     let run = |options: &Options| -> Spikes {
         let network = import(&data.join("network.net"), options);
         spikes(&network, "layer1", 2000, input.clone()).into_iter().map(|(step, unit)| (step + 1, unit)).collect()
@@ -139,7 +139,7 @@ fn the_oxford_checkpoint_of_slayer_gives_its_recorded_spikes() {
     let spikes: Spikes =
         spikes(&network, "fc2", 1900, input).into_iter().map(|(step, unit)| (step + 1, unit)).collect();
     assert_eq!(spikes.symmetric_difference(&recorded).count(), 0);
-    // Its quantised weights are those that were published beside it.
+    // Its quantised weights are those that were published with it.
     for (layer, file) in [("fc1", "weights_1.npy"), ("fc2", "weights_2.npy")] {
         let theirs = npy::read(&data.join(file)).unwrap();
         let imported = foreign::read(&data.join("oxfordNet.pt"), &options).unwrap();

@@ -57,7 +57,7 @@ fn lif(axes: &[usize]) -> Group {
     node("LIF", axes, &[("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)])
 }
 
-/// The same with a current of which a step takes a quarter.
+/// Leaky neurons with a current of which a step takes a quarter.
 fn cuba(axes: &[usize]) -> Group {
     let fields =
         [("tau_syn", 0.004), ("w_in", 4.0), ("tau_mem", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)];
@@ -109,7 +109,7 @@ fn same_padding_of_even_kernels_puts_the_greater_half_behind() {
             let at = |y: usize, x: usize| -> f64 {
                 let mut sum = 0.0;
                 for (ky, kx) in (0..kh).flat_map(|ky| (0..kw).map(move |kx| (ky, kx))) {
-                    // torch: one of three columns is before, two behind; the row is behind.
+                    // torch: one of three columns is before, two after; the row is after.
                     let (Some(sy), Some(sx)) = ((y + ky).checked_sub(0), (x + kx).checked_sub(1)) else { continue };
                     if sy < height && sx < width && input(step, sy * width + sx) {
                         sum += kernel[ky * kw + kx];

@@ -1,6 +1,6 @@
 //! What decides a sample: spikes of the output, or its potential. Every engine, every command and
-//! every reader by the same rule. And how many steps it has, so that the last layer answers to the
-//! last step of the input.
+//! every reader by the same rule. And the number of its steps, so that the last layer answers to
+//! the last step of the input.
 
 use crate::common;
 use crate::common::command::{object, said as nsim, succeeds};
@@ -142,7 +142,7 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
     for (node, output, decision, name) in [
         (Some(LEAKY), ("own", 0), ReadOut::GreatestV, "greatest_v"),
         (Some(integrator), ("own", 0), ReadOut::LastV, "last_v"),
-        // A layer behind the first: a step more, from step 1 on.
+        // A layer after the first: a step more, from step 1 on.
         (None, ("output", 1), ReadOut::SumOfV, "sum_of_v"),
     ] {
         write_nir(folder, node);
@@ -314,7 +314,7 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
         let counts: Vec<Vec<u64>> = serde_json::from_value(run["output_counts"].clone()).unwrap();
         assert_eq!(counts, counted(&input, &ways), "{ways:?}");
         assert!(counts.iter().flatten().sum::<u64>() > 30, "{counts:?}");
-        // Two layers behind the first: two steps more, counted everywhere and printed.
+        // Two layers after the first: two steps more, counted everywhere and printed.
         let steps = (SAMPLES * (STEPS + 2)) as u64;
         assert_eq!((&run["drain"], &run["timesteps"]), (&2.into(), &steps.into()), "{ways:?}");
         let mapped = object(folder, "run m.ron --input in.npy", 0);
@@ -327,8 +327,8 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
         // Without them the last answers are missing, or the layers differ in time.
         let cut = object(folder, "run m.ron --input in.npy --engine reference --set drain=0", 0);
         assert_ne!(cut["output_counts"], run["output_counts"], "{ways:?}");
-        // Trained means as the file says: the decays are rounded on the chip alone, and the ladder
-        // says so.
+        // Trained means as the file says: the decays are rounded on the chip alone, and the stages
+        // say so.
         let agree = object(folder, "agree m.ron --input in.npy", 0);
         let causes: Vec<&str> =
             agree["attribution"].as_array().unwrap().iter().map(|c| c["cause"].as_str().unwrap()).collect();

@@ -321,7 +321,7 @@ fn formats() -> Vec<Format> {
         bytes
     };
     let zipped = npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &silent)]);
-    // The method of compression stands before each array and in the list behind them.
+    // The method of compression stands before each array and in the list after them.
     let mut bzip2 = zipped.clone();
     for (mark, method) in [(*b"PK\x03\x04", 8), (*b"PK\x01\x02", 10)] {
         let places: Vec<usize> = (0..bzip2.len() - 4).filter(|&at| bzip2[at..at + 4] == mark).collect();
@@ -501,7 +501,7 @@ fn clocks_step_back_and_turn_as_their_formats_say() {
         (events.iter().map(|event| event.0).collect::<Vec<_>>(), counts.clock_turns, counts.disordered)
     };
     // A low half that is 5 us less stays as written; a fall over half the range is a high half that
-    // was left out.
+    // was omitted.
     assert_eq!(steps(&evt3(&[0x8001, 0x6400, 1, 0x2801, 0x63fb, 0x2802])), (vec![5, 5], 0, 1));
     assert_eq!(steps(&evt3(&[0x8001, 0x6fff, 1, 0x2801, 0x6000, 0x2802])), (vec![8, 8], 1, 0));
     assert_eq!(steps(&evt3(&[0x8fff, 0x6fff, 0x8000, 0x6000, 1, 0x2802])), (vec![16_777], 1, 0));

@@ -344,7 +344,7 @@ fn what_the_network_may_depend_on_is_used_or_refused() {
         let said = format!("{} {}", error.message, error.help.unwrap_or_default());
         assert!(said.contains(says), "{}: {said}", entry.0);
     }
-    // Small weights beside large ones may vanish, all of them may not.
+    // Small weights next to large ones may vanish, all of them may not.
     let sparse: Entry = ("fc1.weight", vec![1, 4], vec![0.1, -0.2, 0.3, 90.0]);
     assert!((import(&[sparse], &loihi).unwrap().layers[0].zeroed - 0.75).abs() < 1e-12);
     let lost: Entry = ("fc1.weight", vec![1, 4], vec![0.1, -0.2, 0.9, 1.1]);

@@ -1,11 +1,11 @@
-//! The whole command line on generated and mutated input: whatever it is given, it ends with a
-//! status of its contract.
+//! The whole command line on generated and mutated input: for any input it ends with a status of
+//! its contract.
 //!
-//! Input: the number of a case, from which files and arguments are drawn. A model, a training file
-//! or a data set is made by a grammar whose numbers are often at or beyond a limit; or a stored
-//! file of any kind has bytes, digits or pieces of it changed. Output: a status of 0 to 3 within a
-//! bound on time and a bound on memory, without a panic. `NSIM_FUZZ=A..B` runs other cases than the
-//! default ones; a failure names the number of its case and leaves its files.
+//! Input: the number of a case, from which files and arguments are generated. A model, a training
+//! file or a data set is made by a grammar whose numbers are often at or beyond a limit; or a
+//! stored file of any kind has bytes, digits or pieces of it changed. Output: a status of 0 to 3
+//! within a bound on time and a bound on memory, without a panic. `NSIM_FUZZ=A..B` runs other cases
+//! than the default ones; a failure names the number of its case and leaves its files.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,12 +18,12 @@ use rayon::prelude::*;
 
 /// Cases of the normal tests; `.ci/nightly` runs ten times as many.
 const CASES: u64 = 1_000;
-/// What one may take of a processor, and by the clock: machines that run tests beside other work
+/// What one may take of a processor, and by the clock: machines that run tests next to other work
 /// are slow.
 const LONGEST: Duration = Duration::from_secs(20);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
 /// Memory that one may take: so much, this many times its input, and this many bytes a weight that
-/// its model draws from a seed.
+/// its model generates from a seed.
 const MOST_KIB: u64 = 256 << 10;
 const MOST_TIMES: u64 = 32;
 const MOST_DRAWN: u64 = 48;
@@ -424,8 +424,8 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     arguments
 }
 
-/// How many weights the models of a folder draw from seeds: what they cost follows from shapes, not
-/// from the file's size.
+/// Number of weights that the models of a folder generate from seeds: their cost follows from
+/// shapes, not from the file's size.
 fn drawn(folder: &Path) -> u64 {
     use nsim::files::network::{ProjectionDesc, ProjectionKind, Source, Weights};
     let weights = |name: &str| {

@@ -1,4 +1,4 @@
-//! Energies beside published work and other tools, and the memory that commands take.
+//! Energies compared with published work and other tools, and the memory that commands take.
 
 // A test that cannot go on has failed.
 #![allow(clippy::unwrap_used)]

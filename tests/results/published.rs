@@ -173,8 +173,8 @@ fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() 
         assert!(row.cause.is_some(), "{} {}: {}", row.workload, row.quantity.name(), row.factor());
     }
     let of_works: Vec<_> = rows.iter().filter(|row| row.left_out && row.first_hand && row.interval.is_some()).collect();
-    // Intervals as they would be without the figure's own work: of the same rates, with the factor that
-    // the errors of the other works give.
+    // Intervals as they would be without the figure's own work: of the same rates, with the factor
+    // that the errors of the other works give.
     let within =
         |errors: &[ClassError], class| errors.iter().find(|error| error.class == class).unwrap().within_80.ln();
     let inside = of_works.iter().filter(|row| {

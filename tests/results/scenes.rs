@@ -27,8 +27,8 @@ fn made(network: &Quantised, argument: &str, threads: usize) -> String {
 #[test]
 fn scenes_are_the_same_at_any_number_of_threads_and_as_recorded() {
     let network = nsim::front(&load_model("vtsnn-slip").unwrap()).unwrap().into_quantised();
-    // Recorded with version 0.1.0; a change of a scene's physics or draws changes them, and every
-    // accuracy in the documents with them.
+    // Recorded with version 0.1.0; a change of a scene's physics or random numbers changes them,
+    // and every accuracy in the documents with them.
     let recorded = [
         ("slip?samples=5&seed=11", "2eb2dd759862e524fb2a9d7d694fab5e1759a16fbadcc86ead093689115e0e42"),
         ("container?samples=5&seed=11", "b1cf2bff7ef16d39395f54f5534a25490703b34a74d56d78bd32bd581fe35611"),

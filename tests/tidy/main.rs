@@ -52,7 +52,7 @@ fn sources() -> impl Iterator<Item = (String, &'static SourceFile)> {
     })
 }
 
-/// The crates of the workspace that a crate names in its manifest, those for tests only left out.
+/// The crates of the workspace that a crate names in its manifest, without those for tests only.
 fn uses(name: &str) -> BTreeSet<String> {
     let manifest = fs::read_to_string(root().join(format!("crates/{name}/Cargo.toml"))).unwrap();
     let dependencies = manifest.split("[dependencies]").nth(1).unwrap().split("\n[").next().unwrap().to_string();
@@ -94,7 +94,7 @@ fn hold(rule: &str, violations: impl IntoIterator<Item = String>) {
     assert!(violations.is_empty(), "{rule}:\n{}", violations.join("\n"));
 }
 
-/// The lines of code, tests left out, of some crates that something is true of.
+/// The lines of code, without tests, of some crates that something is true of.
 fn lines_with(within: impl Fn(&str) -> bool, wrong: impl Fn(&str) -> bool) -> Vec<String> {
     let files = sources().filter(|(path, _)| within(path));
     let lines = files.flat_map(|(path, file)| file.product_lines().map(move |(line, text)| (path.clone(), line, text)));
@@ -272,6 +272,13 @@ const MOST_WORDS: (usize, usize) = (4_100, 35_600);
 const DIALECT: &str = "alike, at once, beside, comes to, dealt, for want of, foretold, handed, hears, in turn, \
                        leads nowhere, left out, nobody, so many, stands for, told, twins, whoever";
 
+/// Words of no field that a text has.
+fn dialect(text: &str) -> impl Iterator<Item = &'static str> {
+    let word = |word: &str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_lowercase();
+    let text = format!(" {} ", text.split_whitespace().map(word).collect::<Vec<_>>().join(" "));
+    DIALECT.split(", ").filter(move |term| text.contains(&format!(" {term} ")))
+}
+
 /// The pages that people write, by their path.
 fn pages() -> Vec<(String, String)> {
     let mut paths: Vec<PathBuf> = ["README.md", "CONTRIBUTING.md"].map(|name| root().join(name)).into();
@@ -285,22 +292,28 @@ fn pages() -> Vec<(String, String)> {
 fn pages_are_short_and_in_words_of_the_field() {
     let (mut wrong, mut all) = (Vec::new(), 0);
     for (path, text) in pages() {
-        let words: Vec<String> = text
-            .split_whitespace()
-            .map(|word| word.trim_matches(|c: char| !c.is_alphanumeric()).to_lowercase())
-            .collect();
-        all += words.len();
-        if words.len() > MOST_WORDS.0 {
-            wrong.push(format!("{path}: {} words, at most {}", words.len(), MOST_WORDS.0));
+        let words = text.split_whitespace().count();
+        all += words;
+        if words > MOST_WORDS.0 {
+            wrong.push(format!("{path}: {words} words, at most {}", MOST_WORDS.0));
         }
-        let text = format!(" {} ", words.join(" "));
-        let found = DIALECT.split(", ").filter(|term| text.contains(&format!(" {term} ")));
-        wrong.extend(found.map(|term| format!("{path}: '{term}' is no term of the field")));
+        wrong.extend(dialect(&text).map(|term| format!("{path}: '{term}' is no term of the field")));
     }
     if all > MOST_WORDS.1 {
         wrong.push(format!("{all} words in all pages, at most {}", MOST_WORDS.1));
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn comments_are_in_words_of_the_field() {
+    let comment =
+        |line: &'static str| line.trim_start().strip_prefix("//").map(|rest| rest.trim_start_matches(['/', '!']));
+    let wrong = sources().flat_map(|(path, file)| {
+        let comments: Vec<&str> = file.text.lines().filter_map(comment).collect();
+        dialect(&comments.join("\n")).map(move |term| format!("{path}: '{term}' is no term of the field"))
+    });
+    hold("comments are in words of the field", wrong);
 }
 
 /// The names by which links reach the headings of a page.

@@ -92,7 +92,7 @@ impl Sources {
         (0..=most).rev().find_map(|n| self.by_module.get(&import.path[..n])).copied().expect("lib.rs is the root")
     }
 
-    /// Of each file, the files that its code names, with what and where; test code left out.
+    /// Of each file, the files that its code names, with what and where; without test code.
     pub fn graph(&self) -> Vec<BTreeMap<usize, Vec<String>>> {
         let edges = |(index, file): (usize, &SourceFile)| {
             let mut edges: BTreeMap<usize, Vec<String>> = BTreeMap::new();

@@ -1,6 +1,6 @@
 //! Which cause takes what share of a disagreement.
 //!
-//! The ladder begins at the network as its tool runs it ([`as_trained`]) and is climbed twice:
+//! The stages begin at the network as its tool runs it ([`as_trained`]) and are run through twice:
 //! *forward*, one cause after the other; and *reversed*, the last cause first. What a cause adds to
 //! the disagreement depends on what was switched on before it; its share is the mean of the two,
 //! and their difference the interaction. Where causes give back what others take, means are
@@ -18,7 +18,7 @@ use super::metrics::TrainSums;
 use super::trace::{Comparison, Layer, Trace};
 use nsim_ir::spikes::Sample;
 
-/// How far a rung is from the trained network.
+/// How far a stage is from the trained network.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Distance {
     /// Share of samples with the same class, of those that both decide; `None` when there are none.
@@ -39,7 +39,7 @@ impl Distance {
 pub struct Share {
     /// The cause.
     pub cause: Cause,
-    /// The forward ladder once it is switched on.
+    /// The forward stage that switches it on.
     pub rung: Distance,
     /// The disagreement that it adds forward.
     pub forward: f64,
@@ -119,9 +119,9 @@ pub struct Attribution {
     pub samples: usize,
     /// How far the machine is from the trained network.
     pub machine: Distance,
-    /// A row for each cause, in the order of the forward ladder.
+    /// A row for each cause, in the order of the forward stages.
     pub shares: Vec<Share>,
-    /// What each layer loses, in the order of the ladder's layers.
+    /// The loss of each layer, in the order of the network's layers.
     pub layers: Vec<LayerLoss>,
 }
 
@@ -141,12 +141,12 @@ impl Attribution {
     }
 }
 
-/// How far a rung is from the trained network, in all and layer by layer.
+/// How far a stage is from the trained network, in all and layer by layer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
     /// Over all layers.
     pub distance: Distance,
-    /// In the order of the ladder's layers.
+    /// In the order of the network's layers.
     pub layers: Vec<TrainSums>,
     /// The classes of the samples.
     pub classes: ClassTally,
@@ -192,7 +192,7 @@ impl Measured {
     }
 }
 
-/// Compares rungs, perhaps of several ladders of one network, with one of them over samples.
+/// Compares stages, perhaps of several sequences for one network, with one of them over samples.
 pub fn measured(
     (first, from): (&Ladder, Rung),
     to: &[(&Ladder, Rung)],
@@ -236,12 +236,12 @@ pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung 
     if matters { in_step } else { as_it_is }
 }
 
-/// Climbs the ladder both ways, and leaves out each cause alone.
+/// Goes through the stages both ways, and omits each cause alone.
 pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attribution {
     attribute_from(ladder, as_trained(ladder, output, samples), output, samples)
 }
 
-/// The same from a rung that is known.
+/// The attribution from a known stage.
 pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &[&Sample]) -> Attribution {
     let causes: Vec<Cause> = ladder.causes().iter().copied().filter(|&cause| !trained.has(cause)).collect();
     let climb = |causes: &[Cause]| {
@@ -258,7 +258,7 @@ pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &
     rungs.extend(causes.iter().map(|&cause| Rung::MACHINE.without(cause)));
     let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
     let found = measured((ladder, trained), &to, output, samples);
-    // Losses of the rungs, by a measure; the first loss of a ladder is counted from none.
+    // Losses of the stages, by a measure; the first loss of a sequence is counted from none.
     let added = |lost: &dyn Fn(usize) -> f64, place: usize| {
         let step = |first: usize, place: usize| {
             lost(first + place) - place.checked_sub(1).map_or(0.0, |below| lost(first + below))

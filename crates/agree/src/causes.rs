@@ -67,14 +67,14 @@ impl Rung {
         self.0[cause as usize]
     }
 
-    /// The same with one less.
+    /// The stage with one cause less.
     #[must_use]
     pub fn without(mut self, cause: Cause) -> Rung {
         self.0[cause as usize] = false;
         self
     }
 
-    /// The same with one more.
+    /// The stage with one cause more.
     #[must_use]
     pub fn with(mut self, cause: Cause) -> Rung {
         self.0[cause as usize] = true;

@@ -1,4 +1,4 @@
-//! How often two networks decide alike.
+//! How often two networks decide identically.
 //!
 //! Input: the classes of samples by both. Output: shares of the samples that both decide. A sample
 //! that either leaves undecided is not compared, so networks that decide nothing agree in nothing.
@@ -37,7 +37,7 @@ impl ClassTally {
         (self.compared > 0).then(|| self.same as f64 / self.compared as f64)
     }
 
-    /// Share of the first's decided samples that the second decides alike; 1 without any.
+    /// Share of the first's decided samples that the second decides identically; 1 without any.
     pub fn kept(&self) -> f64 {
         let decided = self.compared + self.only_a;
         if decided == 0 { 1.0 } else { self.same as f64 / decided as f64 }

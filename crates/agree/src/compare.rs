@@ -1,4 +1,4 @@
-//! The deployed network beside its counterpart, layer by layer.
+//! The deployed network compared with its counterpart, layer by layer.
 //!
 //! Input: both networks, samples. Output: spikes and potentials compared per layer, classes
 //! compared per sample. Errors: recordings of another number of samples, a program whose sums could
@@ -60,7 +60,7 @@ impl Counterpart {
 pub struct Deployed<'a> {
     /// The network in real numbers.
     pub graph: &'a Graph,
-    /// What stands for each spike response population.
+    /// The converted form of each spike response population.
     pub fits: &'a [Option<Fit>],
     /// The steps from real numbers to integers.
     pub ladder: &'a Ladder,
@@ -94,7 +94,7 @@ pub struct Agreement {
     pub accuracy: Option<(f64, f64)>,
 }
 
-/// Samples that are run and compared at once: bounds the traces in memory.
+/// Samples that are run and compared in one batch: bounds the traces in memory.
 const BATCH: usize = 64;
 
 /// The output population as a layer.
@@ -154,8 +154,8 @@ fn machine_trace<'a>(
 }
 
 /// Compares a network with another that is mapped: as it was trained, or on cores of its own where
-/// `mapped` is its program. Their populations of compartments have the same names and sizes, in
-/// whatever order. The shift of each layer is measured on the first samples.
+/// `mapped` is its program. Their populations of compartments have the same names and sizes, in any
+/// order. The shift of each layer is measured on the first samples.
 ///
 /// # Errors
 /// `agree.populations` when the second lacks a population of the first or has it in another size;

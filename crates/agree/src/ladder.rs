@@ -1,10 +1,10 @@
-//! A ladder of networks from the trained one to the machine, each differing from the last in one
-//! thing.
+//! Comparison stages: networks from the trained one to the machine, each differing from the last in
+//! one thing.
 //!
 //! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output:
 //! [`Trace`]s of the network with any set of the [`Cause`]s switched on. One simulation (`state`,
-//! `links`) serves all rungs: potentials and thresholds are in register units throughout, so that
-//! two rungs differ in their causes alone. Tests hold both ends: with no cause it spikes as
+//! `links`) serves all stages: potentials and thresholds are in register units throughout, so that
+//! two stages differ in their causes alone. Tests hold both ends: with no cause it spikes as
 //! `reference` does (spike response kernels cut), with all causes it equals the machine bit for
 //! bit.
 //!
@@ -55,18 +55,18 @@ struct Population {
     scale: f64,
 }
 
-/// A network in every form at once.
+/// A network in all its stages.
 #[derive(Debug)]
 pub struct Ladder {
     populations: Vec<Population>,
-    /// What the rungs are made from.
+    /// The graph that the stages are made from.
     graph: Graph,
     fits: Vec<Option<Fit>>,
     plain: Vec<Option<Fit>>,
     detail: Detail,
     /// Register units for a real unit of each population whose scale is chosen.
     units: Vec<Option<f64>>,
-    /// By `links`: made when a rung first needs them.
+    /// By `links`: made when a stage first needs them.
     links: [OnceLock<Vec<Link>>; 8],
     compartments: u32,
     slots: usize,
@@ -82,7 +82,7 @@ pub struct Ladder {
 }
 
 impl Ladder {
-    /// The ladder of a network; `fits` are in the order of its populations.
+    /// The stages of a network; `fits` are in the order of its populations.
     ///
     /// # Errors
     /// As [`quantise`](nsim_quantise::quantise::quantise).
@@ -90,7 +90,7 @@ impl Ladder {
         Ladder::with_exponents(graph, fits, Detail::default())
     }
 
-    /// The same with exponents chosen this finely.
+    /// The stages of a network with exponents chosen this finely.
     ///
     /// # Errors
     /// As [`quantise`](nsim_quantise::quantise::quantise).
@@ -159,7 +159,7 @@ impl Ladder {
         Ok(ladder)
     }
 
-    /// The ladder that begins at another network, whose resets by subtraction became those to zero.
+    /// The stages that begin at another network, whose resets by subtraction became those to zero.
     #[must_use]
     pub fn from_subtraction(mut self, given: &Graph) -> Ladder {
         for (population, (_, before)) in self.populations.iter_mut().zip(given.populations()) {
@@ -179,7 +179,7 @@ impl Ladder {
         single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)
     }
 
-    /// The synapses of a rung.
+    /// The synapses of a stage.
     fn links(&self, rung: Rung) -> &[Link] {
         let (weights, chosen) = (rung.has(Cause::Weights), rung.has(Cause::Calibration));
         let copied = self.copied(rung);
@@ -244,7 +244,7 @@ impl Ladder {
         network.projections().iter().map(link).collect()
     }
 
-    /// The network in integers of a rung, without what a search chose unless the rung has it.
+    /// The network in integers of a stage, without what a search chose unless the stage has it.
     fn network(&self, rung: Rung) -> &Quantised {
         if rung.has(Cause::Calibration) {
             return &self.calibrated;
@@ -260,7 +260,7 @@ impl Ladder {
         &self.units
     }
 
-    /// The causes that tell this network from its trained form.
+    /// The causes that distinguish this network from its trained form.
     fn present(&self) -> Vec<Cause> {
         let srm = self.graph.has_srm();
         let given = |names: &[&str]| {
@@ -290,17 +290,17 @@ impl Ladder {
         Cause::ALL.into_iter().filter(holds).collect()
     }
 
-    /// The trained network: what tells nothing apart here counts as switched on.
+    /// The trained network: a cause without effect here counts as switched on.
     pub fn trained(&self) -> Rung {
         Cause::ALL.into_iter().filter(|cause| !self.causes.contains(cause)).fold(Rung::TRAINED, Rung::with)
     }
 
-    /// The causes that tell this network from its trained form, in the order of the ladder.
+    /// The causes that distinguish this network from its trained form, in order of stages.
     pub fn causes(&self) -> &[Cause] {
         &self.causes
     }
 
-    /// Steps by which a rung answers later than the trained network; negative, earlier.
+    /// Steps by which a stage answers later than the trained network; negative, earlier.
     pub fn shift(&self, rung: Rung) -> i32 {
         -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
     }
@@ -310,7 +310,7 @@ impl Ladder {
         self.pipeline.as_ref()
     }
 
-    /// The network that the last rung is.
+    /// The network of the last stage.
     pub fn deployed(&self) -> &Quantised {
         &self.calibrated
     }
@@ -320,7 +320,7 @@ impl Ladder {
         layers(&self.calibrated)
     }
 
-    /// A compartment as a rung has it.
+    /// A compartment as a stage has it.
     fn neuron(&self, (population, origin): (usize, &Origin), index: u32, rung: Rung) -> RealForm {
         let of = &self.populations[population];
         let network = self.network(rung);
@@ -380,7 +380,7 @@ impl Ladder {
         }
     }
 
-    /// A population of a rung at rest; none for inputs.
+    /// A population of a stage before its first step; none for inputs.
     fn state(&self, population: usize, rung: Rung) -> Option<State> {
         let of = &self.populations[population];
         let origin = of.origin.as_ref()?;
@@ -398,12 +398,12 @@ impl Ladder {
         Some(State::new((neurons, floors), response, (resets_from.max(first), resets_from), self.test, rung))
     }
 
-    /// What the layers of a rung are given that they lack.
+    /// The missing steps that the layers of a stage are given.
     fn in_step(&self, rung: Rung) -> Option<&Pipeline> {
         self.pipeline.as_ref().filter(|_| !rung.has(Cause::Pipeline))
     }
 
-    /// What the network of a rung does in a sample.
+    /// The trace of a stage's network in a sample.
     pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
         let Some(pipeline) = self.in_step(rung) else { return self.run_as_it_is(rung, sample, potentials) };
         let mut trace = self.run_as_it_is(rung, &sample.clone().followed_by(pipeline.more_steps()), potentials);

@@ -1,4 +1,4 @@
-//! Synapses of a rung of the ladder: who spikes, what that adds, and when.
+//! Synapses of a comparison stage: who spikes, what that adds, and when.
 //!
 //! Input: spikes of a population. Output: weights added to what arrives at another. Delayed copies
 //! between the same two populations are one link, whose weights from one source follow one another,
@@ -18,7 +18,7 @@ pub(super) struct Link {
     pub target: usize,
     /// Several: of delayed copies, whose weights from one source then follow one another.
     pub delays: Vec<u32>,
-    /// Whether it stands for what a hard reset takes.
+    /// Whether it represents what a hard reset takes.
     pub restores: bool,
     /// In register units.
     pub synapses: Synapses<f64>,

@@ -1,4 +1,4 @@
-//! How far two networks' spikes and potentials lie apart.
+//! The distance between two networks' spikes and potentials.
 //!
 //! Input: spike trains as ascending steps, potentials relative to their thresholds. Output: sums
 //! that can be added over neurons and samples in any grouping that keeps their order, and from them

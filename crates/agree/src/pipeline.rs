@@ -29,7 +29,7 @@ pub struct Pipeline {
 }
 
 impl Pipeline {
-    /// What a network lacks; `None` where its samples have a step for each layer behind the first,
+    /// What a network lacks; `None` where its samples have a step for each layer after the first,
     /// where a layer's step is part of training (spike response neurons; integers that a tool of
     /// the chip wrote), or where there is one layer.
     pub fn missing(graph: &Graph) -> Option<Pipeline> {
@@ -44,7 +44,7 @@ impl Pipeline {
         let order = reached(&inputs, &ways);
         let mut place = vec![0; order.len()];
         order.iter().enumerate().for_each(|(at, &population)| place[population] = at);
-        // What no input reaches, such as a compartment that stands for a bias, is no layer.
+        // What no input reaches, such as a compartment that represents a bias, is no layer.
         let layers = driven(&inputs, &ways);
         let mut sources = vec![Vec::new(); order.len()];
         let between = ways.iter().filter(|(from, _)| layers[*from]);

@@ -1,7 +1,7 @@
-//! A population of a rung of the ladder while it runs.
+//! A population of a comparison stage while it runs.
 //!
 //! Input: what arrives in a step, in register units. Output: spikes and potentials. Arithmetic is
-//! in doubles, with the rounding, wrapping and clipping of the chip's registers where the rung has
+//! in doubles, with the rounding, wrapping and clipping of the chip's registers where the stage has
 //! integer state.
 
 use super::causes::{Cause, Rung};
@@ -15,7 +15,7 @@ fn wrapped(x: f64, bits: i32) -> f64 {
     if x >= -half && x < half { x } else { (x + half).rem_euclid(2.0 * half) - half }
 }
 
-/// A population of a rung while it runs.
+/// A population of a stage while it runs.
 #[derive(Debug)]
 pub(super) struct State {
     /// Its compartments, in register units.
@@ -52,9 +52,9 @@ pub(super) struct State {
 }
 
 impl State {
-    /// At rest: its compartments and whether sums are rounded down, its first step and the one that
-    /// resets are counted from; `response` and the timestep in ms are those of spike response
-    /// neurons.
+    /// Before its first step: its compartments and whether sums are rounded down, its first step
+    /// and the one that resets are counted from; `response` and the timestep in ms are those of
+    /// spike response neurons.
     pub fn new(
         (neurons, floors): (Vec<RealForm>, bool),
         response: Option<(&SrmParameters, f64)>,

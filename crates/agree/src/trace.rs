@@ -14,7 +14,7 @@ pub struct Layer {
     pub name: String,
     /// The first compartment.
     pub first: u32,
-    /// How many.
+    /// Number of compartments.
     pub count: u32,
 }
 
@@ -145,7 +145,7 @@ pub struct Around {
     pub spikes_b: Vec<u32>,
 }
 
-/// Steps before and after a divergence that are kept.
+/// Steps before and after a divergence that are stored.
 const AROUND: u32 = 25;
 
 impl Around {

@@ -1,4 +1,4 @@
-//! Layers whose weights a seed draws.
+//! Layers with random weights from a seed.
 //!
 //! Input: sizes, a seed, activations. Output: activations. Weights and offsets begin uniformly
 //! within 1 / sqrt(fan-in), as PyTorch's layers do.
@@ -12,7 +12,7 @@ use nsim_ir::base::rng;
 /// column.
 const REACH: usize = 3;
 
-/// Draws weights by the order in which they are asked for.
+/// Random weights, by the order in which they are asked for.
 pub struct Weights {
     /// All of them, by name.
     pub all: VarMap,
@@ -51,7 +51,7 @@ pub struct Dense {
 }
 
 impl Dense {
-    /// With drawn weights.
+    /// A layer with random weights.
     ///
     /// # Errors
     /// Those of the crate.
@@ -89,7 +89,7 @@ pub fn kernel_of(places: usize) -> usize {
 }
 
 impl Convolution {
-    /// With drawn weights, for planes of this many rows and columns.
+    /// A layer with random weights, for planes of this many rows and columns.
     ///
     /// # Errors
     /// Those of the crate.
@@ -119,7 +119,7 @@ impl Convolution {
         let half = halved(steps);
         let padded = x.pad_with_zeros(1, 1, 2 * half - steps + 1)?;
         let taps = (0..REACH).map(|tap| {
-            // Every second step from this one on: the one behind the last is not looked at.
+            // Every second step from this one on: the one after the last is not looked at.
             let places: Vec<u32> = (0..half).map(|step| (2 * step + tap) as u32).collect();
             padded.index_select(&Tensor::from_vec(places, half, x.device())?, 1)
         });

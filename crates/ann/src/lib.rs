@@ -26,7 +26,7 @@ use self::networks::Ann;
 use nsim_ir::base::rng;
 use nsim_train::fit::Example;
 
-/// Samples that are classified at once when nothing is timed.
+/// Samples that are classified in one batch when nothing is timed.
 const AT_ONCE: usize = 32;
 
 /// How a network is trained.

@@ -13,7 +13,7 @@ use super::layers::{Convolution, Dense, Weights, halved, kernel_of, tensor};
 use nsim_ir::base::names::named_variants;
 use nsim_train::fit::Example;
 
-/// Units of each encoder, and of the layer behind them.
+/// Units of each encoder, and of the layer after them.
 pub const HIDDEN: usize = 32;
 /// Bins of time of a CNN-3D.
 pub const BINS: usize = 32;
@@ -64,7 +64,7 @@ fn sizes((rows, columns): (usize, usize)) -> [(usize, usize, usize); 2] {
 }
 
 impl Ann {
-    /// With drawn weights.
+    /// A network with random weights.
     ///
     /// # Errors
     /// Those of the crate.

@@ -17,9 +17,9 @@
 //! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold
 //!    test and reset agree.
 //!
-//! *Parts.* P may be held in part, by one of several processes that run it together. Then N stands
-//! for its synapses to compartments whose cores are held, and the parts of all processes together
-//! are proven by each proving its own.
+//! *Parts.* P may be held in part, by one of several processes that run it together. Then N is
+//! limited to its synapses to compartments whose cores are held, and the parts of all processes
+//! together are proven by each proving its own.
 //!
 //! *Classes.* Cores of one class hold the same tables. Let f be the first core of a class and m
 //! another core of it. m is a *shift* of f when a map h of compartments and channels takes, slot by
@@ -55,9 +55,9 @@ use nsim_ir::spikes::Message;
 /// Sources that are decoded together at most: their numbers within a piece have 16 bits.
 const MOST_SOURCES: u64 = 1 << 16;
 
-/// Synapses of the sources that are decoded together, on average. On each core they are to be so
-/// many that what is loaded of its tables is read from end to end; beyond that they should stay in
-/// a processor's cache.
+/// Synapses of the sources that are decoded together, on average. They should be enough that what
+/// is loaded of each core's tables is read from end to end, and few enough to stay in a processor's
+/// cache.
 fn synapses_of_piece(cores: usize) -> u64 {
     (64 * cores as u64).clamp(1 << 16, 1 << 19)
 }
@@ -87,8 +87,8 @@ pub enum Difference {
 }
 
 /// One synapse as both sides encode it, in one number, so that sorting is quick: plastic (1 bit),
-/// sum apart (8), port (1), target (27), exponent (5), sign mode (2), bits (4), delay (6), weight
-/// (10).
+/// separate sum (8), port (1), target (27), exponent (5), sign mode (2), bits (4), delay (6),
+/// weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct SynapseCode(u64);
 
@@ -115,7 +115,7 @@ impl SynapseCode {
     }
 }
 
-/// Checks that a program equals its network of this many equal copies; returns how many cores were
+/// Checks that a program equals its network of this many equal copies; returns the number of cores
 /// proven from the first of their class.
 ///
 /// # Errors
@@ -209,7 +209,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
     let (first, graded) = (network.first_source(population), &program.parts().graded);
     let mut source = first;
-    // Up to where the next payload begins or this one ends, all sources send the same.
+    // Up to where the next payload begins or this one ends, all sources send equal messages.
     while source < first + population.shape.len() {
         let here = graded.iter().find(|graded| graded.sources.contains(&source));
         if here.map_or(Message::Spike, |graded| graded.message) != population.message {
@@ -393,8 +393,8 @@ impl Decoder {
         }
     }
 
-    /// The first source of the piece for which they are not equal, and how many synapses the
-    /// network gives it.
+    /// The first source of the piece for which they are not equal, and the number of synapses that
+    /// the network gives it.
     fn first_that_differs(&mut self) -> Option<(u32, usize)> {
         for (source, &next) in self.next.iter().enumerate() {
             let range = self.first[source]..self.first[source + 1];

@@ -6,7 +6,7 @@
 //! 1. *Frame.* M begins with the populations of N: names, shapes, units and payloads are the same,
 //!    but for start steps, which are L(p) later; L is 0 for inputs. Output, semantics (the chip's),
 //!    threshold test and reset agree.
-//! 2. *Relays.* The compartments behind these forget everything in a step, have no bias and no
+//! 2. *Relays.* The compartments after these forget everything in a step, have no bias and no
 //!    payload, and start no later than what reaches them. Exactly one synapse leads to each; its
 //!    scaled weight is above the relay's threshold and below the 2^21 at which an accumulator
 //!    wraps, and its source sends no graded spikes. So a relay spikes in the step in which its
@@ -205,7 +205,7 @@ impl Walk<'_> {
         let (weight, threshold) = (i64::from(weight), i64::from(neuron.vth.get()) * 64);
         let fires = match self.relayed.parts().threshold {
             ThresholdTest::Strict => weight > threshold,
-            // A relay at rest must not reach a threshold of zero.
+            // An idle relay must not reach a threshold of zero.
             ThresholdTest::Inclusive => weight >= threshold && threshold > 0,
         };
         neuron == (Neuron { vth: neuron.vth, ..Neuron::PLAIN })

@@ -9,8 +9,8 @@
 //! - an output axon table names each destination core once, in ascending order (`Multicast`);
 //! - a list that is selected is not empty, one that is not is (`EmptyAxon`);
 //! - population axons have atoms, bases and numbers that messages and tables can hold, tables are
-//!   the same or apart, no two sources are the same atom of one, and a source is the same atom on
-//!   every core (`Population`);
+//!   the same or disjoint, no two sources are the same atom of one, and a source is the same atom
+//!   on every core (`Population`);
 //! - neurons are of kinds that the chip has (`Kind`), and no message is wider than its messages
 //!   (`Message`);
 //! - a compartment that pops follows one that pushes, and only such a one does (`Neuron`);
@@ -19,7 +19,7 @@
 //! - in a list the synapses of one format are consecutive, and two groups do not differ in density
 //!   or delay alone (`Scattered`);
 //! - the slots of a dense group follow each other; those of a sparse group ascend and fit its
-//!   index, and a group with runs leaves out no more slots than they hold (`Slots`);
+//!   index, and a group with runs skips no more slots than they hold (`Slots`);
 //! - a group with delay bits has a delay, and each delay fits (`Delay`);
 //! - weights are multiples of their format's least step, in its range (`Weight`);
 //! - every resource of [`CoreUsage`] is within its limit (`Excess`).
@@ -209,7 +209,8 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
     };
     let tables = firsts.as_slice().par_iter().map(of_core);
     let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
-    // Cores whose messages go in the same way to cores of the same classes, on the same chip or not.
+    // Cores whose messages go in the same way to cores of the same classes, on the same chip or
+    // not.
     let (mut known, mut firsts) = (HashMap::new(), Vec::new());
     let alike = |(core, image): (CoreId, &CoreImage)| {
         let reached = image.axons_out.cores();
@@ -523,7 +524,7 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
                 && group.iter().all(|s| u32::from(s.slot) < 1 << bits)
         }
     };
-    // A run holds the number of slots left out, so no slot occurs twice and no gap is wider than a
+    // A run holds the number of skipped slots, so no slot occurs twice and no gap is wider than a
     // run can hold.
     let holds = |bits: u8| {
         group.windows(2).all(|pair| {

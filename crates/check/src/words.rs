@@ -8,7 +8,7 @@
 //! An entry holds up to this many synapses: a header of 4 bits for the format and 6 for the count
 //! (nengo-loihi e564f66 `builder/validate.py`, `bits_per_axon`), then perhaps the index of its
 //! first slot, then the synapses. A synapse has its weight, its delay where its group has one, and
-//! its slot: nothing where slots follow each other, the slots left out where they ascend, an index
+//! its slot: nothing where slots follow each other, the slots skipped where they ascend, an index
 //! otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first slot
 //! wherever there is no index, and a word more where the last one has 0 or at least 59 bits.
 
@@ -20,7 +20,7 @@ use nsim_ir::resource::{Limits, Packing};
 const WORD: u32 = 64;
 /// Bits of a format's number and of a count of synapses.
 const HEADER: u32 = 4 + 6;
-/// Widths of a run: slots left out before a synapse.
+/// Widths of a run: slots skipped before a synapse.
 pub(crate) const RUNS: std::ops::RangeInclusive<u8> = 2..=5;
 /// The narrowest and the widest index of a slot.
 const INDEX: (u8, u8) = (6, 12);

@@ -40,7 +40,7 @@ impl Mapping {
         groups
     }
 
-    /// The groups of its cores; `None` of a single copy, and where no two groups are alike.
+    /// The groups of its cores; `None` of a single copy, and where no two groups are of one kind.
     pub fn core_groups(&self) -> Option<CoreGroups> {
         if self.options.copies < 2 {
             return None;

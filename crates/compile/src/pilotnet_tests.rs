@@ -3,7 +3,7 @@
 //!
 //! The notebook of lava-dl d825ac5 (`netx/pilotnet_snn`) prints compartments a core and cores for
 //! each layer, 74 cores together. All convolutions are cut into stripes of the whole height and all
-//! channels, whose width is a power of two. Weights are drawn: a tenth of those of kernels are not
+//! channels, whose width is a power of two. Weights are random: a tenth of those of kernels are not
 //! 0, and 35 % of those of the dense layer (7,253 of 20,480 on its first core).
 
 use crate::{Front, Options, map};

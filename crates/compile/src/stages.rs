@@ -11,12 +11,11 @@ use crate::emit::route::route;
 use crate::mapping::Mapping;
 use crate::mapping_file;
 use crate::mapping_file::pruned::plan;
-use crate::place::deal::deal;
+use crate::place::ranks::assign;
 use crate::place::{self, anneal};
 use nsim_check::{equivalence, relays, verify};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CoreId, IdVec};
-use nsim_ir::dealt::{Dealt, Share};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
@@ -24,6 +23,7 @@ use nsim_ir::neurons::NeuronKind;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::{Inconsistent, Note, Parts, Quantised, Units};
+use nsim_ir::ranks::{RankAssignment, Share};
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
 use nsim_partition::large::{counted_in_boxes, is_large};
@@ -68,7 +68,7 @@ pub struct Front {
 /// Relays that were added to a network.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct AddedRelays {
-    /// How many.
+    /// Number of relays.
     pub relays: u32,
     /// Levels of the deepest tree of them.
     pub levels: u32,
@@ -131,8 +131,8 @@ impl Front {
     }
 
     /// The network with relays where compartments have more targets than output axons, unless it
-    /// maps without; proved to spike alike. Populations then have notes that say how many relays,
-    /// and how many steps later their spikes come.
+    /// maps without; proved to spike identically. Populations then have notes that say how many
+    /// relays, and how many steps later their spikes come.
     ///
     /// # Errors
     /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned;
@@ -164,7 +164,7 @@ impl Front {
         Ok(self)
     }
 
-    /// Lets sources be gathered in population axons where a compartment has more of them than a
+    /// Lets sources be grouped into population axons where a compartment has more of them than a
     /// core has input axons.
     fn gather(&mut self, target: &Target) -> Result<()> {
         let mut parts = Parts { gathers: true, ..self.one.parts().clone() };
@@ -345,7 +345,7 @@ impl Partitioned {
         counted_in_boxes(self.lattices.is_some(), &self.one, target)
     }
 
-    /// The same for a target with other limits than it was made for.
+    /// This partition for a target with other limits than it was made for.
     ///
     /// # Errors
     /// [`CompileError::Fault`] when a core exceeds them.
@@ -403,11 +403,11 @@ impl Placed {
         let Partitioned { one, all: quantised, partition, lattices, boxes, rates, mut clock } = partitioned;
         drop(boxes);
         let Share { rank, ranks, whole } = options.share;
-        let dealt = (ranks > 1).then(|| {
-            let owners = deal(&quantised, &partition, &placement, ranks).into();
-            Dealt { ranks, owners, held: (!whole).then_some(rank) }
+        let assignment = (ranks > 1).then(|| {
+            let owners = assign(&quantised, &partition, &placement, ranks).into();
+            RankAssignment { ranks, owners, held: (!whole).then_some(rank) }
         });
-        let places = (&placement, dealt);
+        let places = (&placement, assignment);
         let route = || route(&quantised, &partition, places, options.copies, &limits);
         let program = clock.stage("route", route).map_err(CompileError::Fault)?.into();
         let (seconds, target, options) = (clock.0, target.name().to_string(), *options);

@@ -60,7 +60,7 @@ fn sources_are_gathered_in_population_axons_where_input_axons_are_too_few() {
     assert_eq!(both.shifts, 0);
     let used: Vec<_> = both.partition.usage().iter().map(|used| used[Resource::AxonsIn]).collect();
     assert!(used.iter().sum::<u64>() < 400, "{used:?}");
-    // Hidden compartments, of which there are 60, are gathered too.
+    // Hidden compartments, of which there are 60, are grouped too.
     let all = mapped(40, 3_150).unwrap();
     assert!(all.partition.usage().iter().all(|used| used[Resource::AxonsIn] <= 40));
     // Words do not suffice.
@@ -131,7 +131,7 @@ fn a_kernel_is_stored_once_on_each_core_and_weights_of_zero_are_not() {
     assert!(all.iter().any(|&n| has_kernels(n)) && all.iter().sum::<u64>() % dense % kernels == 0, "{all:?}");
 }
 
-/// Limits drawn small enough to split and large enough to be met.
+/// Random limits, small enough to split and large enough to be met.
 fn drawn_limits(seed: u64) -> Limits {
     let draw = |k, low: u64, high: u64| (low + rng::below(high - low + 1, seed, 99, k)) as u32;
     let of = |resource| match resource {

@@ -37,7 +37,7 @@ impl HostWork {
         HostWork { host, ..HostWork::default() }
     }
 
-    /// The same with the host that was asked for, if one was.
+    /// The usual work with the host that was asked for, if one was.
     ///
     /// # Errors
     /// Why a target has no such host: its chips keep no x86 core busy.

@@ -77,7 +77,7 @@ pub struct StatusShare {
     pub assumed: f64,
 }
 
-/// The same of each column.
+/// These shares of each column.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Shares {
     /// Of static power.
@@ -117,7 +117,7 @@ pub struct EnergyRow {
     pub share: Option<StatusShare>,
     /// Of its other columns.
     pub shares: Shares,
-    /// Processors that other programs kept busy while it was measured, where they were many.
+    /// Processors that other programs used while it was measured, where they were many.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub busy: Option<f64>,
     /// Where it comes from.
@@ -360,8 +360,8 @@ pub struct Spent {
     pub energy_uj: f64,
 }
 
-/// What the `total` row spends in these steps of the meter, summed under the case's preset,
-/// whatever the convention: for the whole run, the mean of a step (13) times the steps.
+/// What the `total` row spends in these steps of the meter, summed under the case's preset, for any
+/// convention: for the whole run, the mean of a step (13) times the steps.
 ///
 /// # Panics
 /// When the meter has no such preset: a mistake of the caller.
@@ -812,9 +812,9 @@ pub(crate) mod tests {
         near(slow.rows[1].latency_us.unwrap(), 1000.0);
         near(slow.rows[1].dynamic_mw.unwrap(), (quiet_fj + busy_fj) / 2e9);
         near(slow.rows[0].dynamic_mw.unwrap(), 21.0);
-        // The distribution was kept for another price.
+        // The distribution was stored for another price.
         assert_eq!(slow.per_timestep_uj, None);
-        // Counted for both copies at once, one copy is half.
+        // Counted for both copies together, one copy is half.
         let halved = estimate(&Case { copies_counted: 2, ..offline });
         near(halved.rows[1].dynamic_mw.unwrap(), neuron.dynamic_mw.unwrap() / 2.0);
     }

@@ -45,7 +45,7 @@ pub enum Host {
 
 named_variants!(Host { Stream = "stream", Memory = "memory", None = "none" });
 
-/// How many input streams a chip is fed.
+/// Number of input streams that feed a chip.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Streams {

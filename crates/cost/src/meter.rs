@@ -1,11 +1,11 @@
-//! Energy and time of the steps of a run, for every preset at once, in memory that does not grow
-//! with the run.
+//! Energy and time of the steps of a run, for every preset simultaneously, in memory that does not
+//! grow with the run.
 //!
 //! Input: the counts of each timestep, and whether its sample was decided before. Output: exact
 //! sums of energy and time, over all steps and over those until the decision; where asked for, the
 //! distribution of a step's energy. Invariant: a meter is a function of the multiset of its
-//! samples, so that meters of samples that ran in parallel give the same figures whatever the order
-//! in which they are merged.
+//! samples, so that meters of samples that ran in parallel give the same figures in any order of
+//! merging.
 //!
 //! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known before.
 
@@ -70,7 +70,7 @@ pub struct Lane {
 pub struct StepPrice {
     /// Factor of counted events: one over the copies counted, for the energy of one copy.
     pub events: f64,
-    /// Energy that each step takes, whatever its length, in fJ.
+    /// Energy that each step takes, regardless of its length, in fJ.
     pub step_fj: f64,
     /// Power that is drawn all the time.
     pub always_mw: f64,
@@ -96,8 +96,8 @@ pub struct StepMeter {
     hops: HopCounts,
     /// Steps in which each core was the slowest, under the first preset.
     slowest: Vec<u64>,
-    /// Time of the slowest core of each step by constant, as [`core_time_by_constant`], in ps, under
-    /// the first preset.
+    /// Time of the slowest core of each step by constant, as [`core_time_by_constant`], in ps,
+    /// under the first preset.
     core_time: [u128; 7],
     /// The time of the last step under the first preset.
     last_time: StepTime,
@@ -163,7 +163,7 @@ impl StepMeter {
         self.add_timed((step, times, decided), &step_times);
     }
 
-    /// The same of each of these steps in turn; threads follow their messages at the same time,
+    /// Adds each of these steps, one after another; threads follow their messages at the same time,
     /// each step in memory of its own.
     pub fn add_all(&mut self, steps: &[(StepActivity, u32, bool)]) {
         self.memory.resize_with(self.memory.len().max(steps.len()), QueueMemory::default);
@@ -244,8 +244,8 @@ impl StepMeter {
         &self.lanes
     }
 
-    /// Which share of the slowest core's time each of [`CORE_TIMES`] has, under the first preset; all 0
-    /// where no core takes time.
+    /// Which share of the slowest core's time each of [`CORE_TIMES`] has, under the first preset;
+    /// all 0 where no core takes time.
     ///
     /// [`CORE_TIMES`]: crate::model::CORE_TIMES
     pub fn core_time_shares(&self) -> [f64; 7] {

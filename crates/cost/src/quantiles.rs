@@ -6,7 +6,7 @@
 //! adding nor that of merging changes a figure.
 //!
 //! A bucket holds the numbers that share the exponent and the upper `BITS` bits of the mantissa:
-//! 512 buckets an octave, each at most 2^-9 of its lower end wide. Its middle stands for all of
+//! 512 buckets an octave, each at most 2^-9 of its lower end wide. Its middle represents all of
 //! them, which is at most 2^-10 away. The bucket is cut out of the number's bits, so that no
 //! logarithm can round differently on another machine. Buckets that are in use cost some 20 bytes
 //! each; numbers within a factor of 1000 of each other fall into 5,100 buckets at most.
@@ -32,7 +32,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Each figure changed alike, by a function that keeps their order.
+    /// Each figure changed by one function, which keeps their order.
     #[must_use]
     pub fn map(self, change: impl Fn(f64) -> f64) -> Spread {
         Spread { min: change(self.min), p50: change(self.p50), p99: change(self.p99), max: change(self.max) }

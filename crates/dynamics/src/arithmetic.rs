@@ -53,7 +53,7 @@ pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
 }
 
 /// Equation (1): what a spike over a weight of this format adds to the accumulator. A negative
-/// exponent of a sum apart shifts the sum ([`sum_shift`]).
+/// exponent of a separate sum shifts the sum ([`sum_shift`]).
 #[inline]
 pub fn scaled(format: SynapseFormat, weight: i16) -> i32 {
     let exponent = if format.apart.is_some() { format.exponent.max(WeightExponent::ZERO) } else { format.exponent };

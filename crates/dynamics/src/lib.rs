@@ -3,7 +3,7 @@
 //!
 //! The names and ranges of a kind's parameters and its words of state are in
 //! [`nsim_ir::neurons`]. Kinds with the registers of Loihi 1 share one form ([`Kind`], [`Fields`]),
-//! which the machine has as vectors too; a file states the scalar update, when it is at rest, the
+//! which the machine has as vectors too; a file states the scalar update, when it is idle, the
 //! bounds on its state that pruning and early exit need, and the same dynamics in real numbers. All
 //! other kinds are in [`kinds`]. `golden` computes each again from the equations in `docs`.
 

@@ -26,7 +26,7 @@
 //!
 //! - *Hardware*: no claim when L or H leaves the 22 bits of the accumulator (2), a bound on u the
 //!   24 bits of u (4), or that bound with the bias the 24 bits of (5). v is clipped to vmin and
-//!   vmax (6), which bounds it whatever wraps before.
+//!   vmax (6), which bounds it regardless of wraps before.
 //! - *Lava*: no claim when a bound on u reaches -2^23 or 2^23, where u wraps. v is clipped to the
 //!   whole field.
 //! - *Slayer*: no claim when the magnitude of a bound times its decay factor reaches 2^32, where

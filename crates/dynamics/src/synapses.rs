@@ -69,7 +69,7 @@ impl Enumerate for Connectivity {
                 let levels = ((i32::from(*high) - i32::from(*low)) / i32::from(*step) + 1) as u64;
                 for k in 0..u64::from(*fan_out) {
                     let target = rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32;
-                    // Weights of the others, half of their work, are not drawn.
+                    // Weights of the others, half of their work, are not computed.
                     if wanted(target) {
                         f(target, low + step * rng::below(levels, *seed, entity, 2 * k + 1) as i16);
                     }

@@ -119,7 +119,7 @@ pub struct Figures {
 }
 
 impl Figures {
-    /// The same held to real time, as (19): hardware that takes a whole window waits for it and
+    /// The figures held to real time, as (19): hardware that takes a whole window waits for it and
     /// then computes; else each step is taken as it comes. Dynamic power is drawn while it
     /// computes, or all the time when it does not fall idle.
     pub fn in_real_time(self, timestep_us: f64, window: bool, falls_idle: bool) -> Figures {

@@ -4,7 +4,7 @@
 //! timestep with the spread of the repeats. *Dense* does what a framework on a CPU or GPU does with
 //! a window of binned spikes: one f32 matrix product for each projection and whole sample, then the
 //! neurons step by step, without the chip's truncation. *Event-driven* is nsim's own machine, one
-//! copy, one thread, which is exact and leaves out what is at rest.
+//! copy, one thread, which is exact and skips what is idle.
 //!
 //! One thread and one sample at a time (batch 1), as a robot's controller would run it; loading
 //! files is not timed.
@@ -56,7 +56,7 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
         pass();
         begin.elapsed().max(Duration::from_nanos(1))
     };
-    // The first pass warms caches and predictors up, and says how many fit.
+    // The first pass warms caches and predictors up, and gives the number that fits.
     let first = once(&mut pass);
     let repeats = (budget.as_secs_f64() / first.as_secs_f64()) as usize;
     let repeats = repeats.clamp(LEAST_REPEATS, MOST_REPEATS);

@@ -9,7 +9,7 @@ use nsim_machine::update::width;
 pub struct Environment {
     /// The processor, as it names itself.
     pub cpu: String,
-    /// Threads that can run at once.
+    /// Threads that can run simultaneously.
     pub cores: usize,
     /// Operating system and architecture.
     pub os: String,
@@ -52,7 +52,7 @@ fn cpu() -> Option<String> {
         let line = text.lines().find(|line| line.split(':').next().map(str::trim) == Some(name))?;
         line.split_once(':').map(|(_, value)| value.trim().to_string())
     };
-    // Virtual machines give a family of processors one name; family and model tell them apart.
+    // Virtual machines give a family of processors one name; family and model distinguish them.
     let name = field("model name")?;
     Some(match (field("cpu family"), field("model")) {
         (Some(family), Some(model)) => format!("{name} (family {family}, model {model})"),

@@ -1,7 +1,7 @@
 //! From a mapped network and its samples to a priced run and its report.
 //!
 //! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A
-//! plan comes first, because a published job says how many copies of it there were.
+//! plan comes first, because a published job gives the number of its copies.
 
 use std::sync::Arc;
 

@@ -50,7 +50,7 @@ pub fn measure(
         std::thread::sleep(EVERY.min(idle));
     }
     let idle_mw = sum / f64::from(count);
-    // To a file: a pipe that nobody empties would stop the command.
+    // To a file: a pipe that no one empties would stop the command.
     let mut output = tempfile::tempfile().map_err(|error| error.to_string())?;
     let to = output.try_clone().map_err(|error| error.to_string())?;
     let begin = Instant::now();

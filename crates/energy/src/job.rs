@@ -55,7 +55,7 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy:
     }
 }
 
-/// What a reader has to know of the constants behind the `total` row, a sentence each: whose they
+/// What a reader has to know of the constants of the `total` row, a sentence each: whose they
 /// are, which are absent, which were set in vain, and which figures have no interval, and why.
 pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<String> {
     let preset = &target.constants()[case.preset];
@@ -98,7 +98,7 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
 /// Constants of a kind that are named of those that a base of other hardware gives.
 const NAMED: usize = 3;
 
-/// How many constants of a preset that is not shipped are of other hardware, and which of them
+/// Number of constants of other hardware in a preset that is not shipped, and which of them
 /// energy, time and power are owed to most.
 fn borrowed(preset: &Constants, case: &Case<'_>) -> Option<String> {
     if preset.borrowed.is_empty() || Shipped::find(CONSTANTS, &preset.name).is_some() {

@@ -3,8 +3,8 @@
 //! Input: an engine, a period of input, and how long it may take. Output: the median time of a
 //! step, the spread of the repeats, and what a step did. The input is repeated without a break, so
 //! the network stays in the state that it settles in; nothing but steps is timed. Every step is a
-//! call of [`Engine::step`]: steps that a run would jump over as a whole (`nsim_session::run_sample`) are
-//! computed here, since a jump costs the same however long it is.
+//! call of [`Engine::step`]: steps that a run would jump over as a whole
+//! (`nsim_session::run_sample`) are computed here, since a jump costs the same however long it is.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -76,7 +76,7 @@ pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> St
     measure_agreed(engine, period, budget, |number| number)
 }
 
-/// The same for an engine of which several processes each run a part: they agree on the number of
+/// Measures an engine of which several processes each run a part: they agree on the number of
 /// steps before they run them. `agreed` makes one number of those that they propose.
 pub fn measure_agreed<E: Engine>(
     engine: &mut E,
@@ -127,7 +127,7 @@ fn difference(after: Totals, before: Totals) -> Totals {
     }
 }
 
-/// The median, the least, and how far the quartiles are apart.
+/// The median, the least, and the distance of the quartiles.
 pub(crate) fn median_least_and_spread(mut numbers: Vec<f64>) -> [f64; 3] {
     numbers.sort_unstable_by(f64::total_cmp);
     let [least, first, median, third] = [0.0, 0.25, 0.5, 0.75].map(|q| quantile(&numbers, q));

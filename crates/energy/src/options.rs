@@ -1,4 +1,4 @@
-//! What options of `nsim energy` stand for: deployments, presets, baselines.
+//! Meanings of options of `nsim energy`: deployments, presets, baselines.
 
 use std::path::{Path, PathBuf};
 
@@ -40,7 +40,7 @@ pub struct CostOptions {
     /// A command that passes the same samples through a GPU.
     #[cfg(feature = "nvml")]
     pub gpu_command: Option<String>,
-    /// A preset of the target, by name, or a file; its first when left out.
+    /// A preset of the target, by name, or a file; its first when omitted.
     pub constants: Option<String>,
     /// Which power counts.
     pub accounting: Accounting,

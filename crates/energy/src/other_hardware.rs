@@ -26,7 +26,7 @@ const TIMESTEPS: u64 = 1_500;
 /// Above this share of the processors in use a measurement says that the machine was busy.
 const BUSY_SHARE: f64 = 0.5;
 
-/// How many processors were in use over the last minute, where Linux says so.
+/// Number of processors in use over the last minute, where Linux says so.
 fn load() -> Option<f64> {
     std::fs::read_to_string("/proc/loadavg").ok()?.split_whitespace().next()?.parse().ok()
 }

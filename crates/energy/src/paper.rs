@@ -1,4 +1,4 @@
-//! A published job of a shipped model: mapped as it was, priced by the same constants, beside what
+//! A published job of a shipped model: mapped as it was, priced by the same constants, next to what
 //! was printed.
 //!
 //! Input: a scenario, the network, samples. Output: rows of the energy table. Errors: a job that

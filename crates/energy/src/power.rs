@@ -4,8 +4,8 @@
 //! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start
 //! again at `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole
 //! packages: what else runs is counted too. Root alone may read them since Linux 5.10; why they
-//! could not be read is kept. Where nothing is stated either, a package is assumed, of which each
-//! thread stands for its share.
+//! could not be read is stored. Where nothing is stated either, a package is assumed, of which each
+//! thread represents its share.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -88,7 +88,7 @@ impl Rapl {
     }
 }
 
-/// What a whole package is assumed to draw, and how many threads share it when it is busy.
+/// Assumed power of a whole package, and the number of threads that share it when it is busy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PackagePower {
     /// At idle.
@@ -130,7 +130,7 @@ pub enum PowerMeter {
         /// Power while computing.
         busy_mw: f64,
     },
-    /// As nobody stated: the share of one thread is taken.
+    /// Not stated: the share of one thread is taken.
     Assumed {
         /// The package.
         package: PackagePower,

@@ -2,13 +2,13 @@
 //! of its own size.
 //!
 //! Input: the size, then each claim of bytes and items before they are made. Output: nothing, or
-//! [`Exceeded`]. Files name the same bytes many times, compress them, or name a place far behind
+//! [`Exceeded`]. Files name the same bytes many times, compress them, or name a place far after
 //! all others: what they claim bears no relation to what they are. A budget is taken from before
 //! anything of a claimed size is allocated, and never given back.
 
 /// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while
 /// it is read, since each entry keeps its place for messages: this keeps the largest well within a
-/// gibibyte. Larger arrays belong beside the file.
+/// gibibyte. Larger arrays belong in files of their own.
 pub const MOST_TEXT: u64 = 32 << 20;
 /// The most bytes of an event list in text.
 pub const MOST_EVENT_TEXT: u64 = 256 << 20;

@@ -26,7 +26,7 @@ use nsim_ir::spanned::Spanned;
 use nsim_ir::spikes::Message;
 use nsim_ir::tensor::{Numbers, Tensor};
 
-/// The most numbers that a `Uniform` source may stand for: 2^28, half a gigabyte once quantised.
+/// The most numbers that a `Uniform` source may represent: 2^28, half a gigabyte once quantised.
 const MOST_UNIFORM: u64 = 1 << 28;
 
 /// The most steps that a sample may have after its last input step.

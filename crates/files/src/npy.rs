@@ -296,7 +296,7 @@ impl Array {
     /// Recordings are sparse, so zeros are skipped eight bytes at a time.
     ///
     /// # Errors
-    /// As [`Array::tensor`], and whatever `f` says.
+    /// As [`Array::tensor`], and the errors of `f`.
     pub fn each_non_zero(&self, mut f: impl FnMut(usize, f64) -> Result<()>) -> Result<()> {
         let size = self.element.bytes();
         let big = self.is_big_endian();

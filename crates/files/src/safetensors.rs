@@ -1,7 +1,7 @@
 //! One tensor of a safetensors file.
 //!
-//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are left out.
-//! What all keys together may take is bounded by the file's size ([`Budget`]).
+//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are omitted. What
+//! all keys together may take is bounded by the file's size ([`Budget`]).
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -26,7 +26,7 @@ pub struct Entry {
     pub shape: Vec<usize>,
 }
 
-/// The bytes of a safetensors file, kept so that several tensors can be taken from one reading.
+/// The bytes of a safetensors file, stored so that several tensors can be taken from one reading.
 pub struct TensorFile {
     path: PathBuf,
     bytes: Vec<u8>,

@@ -25,7 +25,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// Of what is counted, how many make a unit of what is written.
+    /// Number of counted units in a unit of what is written.
     pub fn divisor(self) -> u64 {
         match self {
             Unit::Count => 1,
@@ -35,7 +35,7 @@ impl Unit {
     }
 }
 
-/// A column behind `sample` and `timestep`.
+/// A column after `sample` and `timestep`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Column {
     /// Its name.

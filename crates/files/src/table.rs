@@ -161,7 +161,7 @@ pub fn csv_text(header: Vec<String>, rows: impl Iterator<Item = Vec<String>>) ->
     String::from_utf8_lossy(&out.into_inner().unwrap_or_default()).into_owned()
 }
 
-/// The same in Markdown.
+/// The same table in Markdown.
 pub fn markdown_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
     let mut out = line(columns.iter().map(|(heading, _)| (*heading).to_string()).collect());

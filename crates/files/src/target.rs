@@ -1,7 +1,7 @@
 //! Target files with the chip and the constants that they name.
 //!
-//! Comes in: a path or the name of a shipped target. Goes out: a [`Target`]. Parts of a target that
-//! is a file are looked for beside it, then in the folders that the project keeps them in relative
+//! Input: a path or the name of a shipped target. Output: a [`Target`]. Parts of a target that is a
+//! file are looked for in its folder, then in the folders that the project keeps them in relative
 //! to it (`../chips`, `../constants`), then among the shipped ones.
 
 use std::collections::BTreeSet;
@@ -353,7 +353,7 @@ mod tests {
         let classes = |of: &Constants| of.errors.iter().map(|error| error.class).collect::<Vec<_>>();
         let kept: Vec<_> = classes(&base).into_iter().filter(|class| *class != FigureClass::Static).collect();
         assert_eq!(classes(&mine), kept);
-        // A copy is not the preset itself, and nobody has measured it.
+        // A copy is not the preset itself, and no one has measured it.
         let copy = read(Shipped::find(shipped::CONSTANTS, "loihi1-evidence").unwrap().text).unwrap();
         assert_eq!((copy.name.as_str(), copy.errors.len()), ("mine", 0));
         assert_eq!(read("Constants(base: \"loihi2\")").unwrap_err().code, "target.part");

@@ -51,7 +51,7 @@ pub fn not_regular(path: &Path) -> Diagnostic {
     Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file").in_file(path)
 }
 
-/// Opens a regular file, or a descriptor: nobody may ever write to a named pipe, and a device may
+/// Opens a regular file, or a descriptor: no one may ever write to a named pipe, and a device may
 /// have no end.
 ///
 /// # Errors

@@ -50,9 +50,9 @@ fn ten() -> f64 {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum TimesDesc {
-    /// The same for all.
+    /// The same time constant for all.
     Same(f64),
-    /// This many values from one to another in a geometric series, assigned to the neurons in turn.
+    /// This many values from one to another in a geometric series, cyclically over the neurons.
     Spread(f64, f64, u32),
 }
 
@@ -208,7 +208,7 @@ pub struct AugmentDesc {
     pub stretch: f64,
     /// Share of channels that are silenced.
     pub drop_channel: f64,
-    /// Share of spikes that are left out.
+    /// Share of spikes that are dropped.
     pub drop_spike: f64,
     /// Probability of an additional spike for each channel and step.
     pub noise: f64,
@@ -220,7 +220,7 @@ pub struct AugmentDesc {
 pub struct TrainingFile {
     /// The model's name.
     pub name: String,
-    /// Milliseconds that a timestep stands for.
+    /// Milliseconds that a timestep represents.
     pub timestep_ms: Spanned<f64>,
     /// Input populations.
     pub inputs: Vec<Spanned<InputDesc>>,
@@ -239,7 +239,7 @@ pub struct TrainingFile {
     /// Added to the gradient with the sign of each weight (l1).
     #[serde(default)]
     pub l1: f64,
-    /// Probability with which a unit of a hidden layer is left out of a sample; what is left counts
+    /// Probability with which a unit of a hidden layer is dropped from a sample; the others count
     /// the more.
     #[serde(default)]
     pub dropout: f64,

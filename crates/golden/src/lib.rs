@@ -62,7 +62,7 @@ impl Plastic {
 struct Arrivals {
     /// The sums of its ports.
     plain: [i64; 2],
-    /// The sums apart and their ports.
+    /// The separate sums and their ports.
     apart: Vec<(Port, Sum, i64)>,
     /// Synapses that it arrives over.
     events: u64,

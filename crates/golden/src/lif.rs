@@ -72,7 +72,8 @@ pub(crate) fn graded(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
     sent(std::mem::take(&mut words[1]), wrapped)
 }
 
-/// Equation (32): the adaptive threshold, in `words[2]` and `words[3]`; whether `tested` reaches it.
+/// Equation (32): the adaptive threshold, in `words[2]` and `words[3]`; whether `tested` reaches
+/// it.
 pub(crate) fn adapt(
     [dtheta, dr, rest, step]: [i32; 4],
     words: &mut [i64; 4],
@@ -99,7 +100,7 @@ pub(crate) fn adaptive_lava(row: &Row, words: &mut [i64; 4], arrived: i64) -> Ou
     Outcome { spiked, u_wrapped, v_clipped, ..Outcome::default() }
 }
 
-/// The same in lava-dl's.
+/// A step of a LIF neuron with an adaptive threshold in lava-dl's integers.
 pub(crate) fn adaptive_lava_dl(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
     let Row([du, dv, dtheta, dr, rest, step, ..]) = *row;
     let mut u_wrapped = integrate_wide(words, [du, dv], arrived);

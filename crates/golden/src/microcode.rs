@@ -7,7 +7,7 @@ use nsim_ir::neurons::Row;
 
 use crate::outcome::Outcome;
 
-/// What names stand for in a step.
+/// The values of names in a step.
 struct Names<'s> {
     row: &'s Row,
     arrived: [i64; 2],

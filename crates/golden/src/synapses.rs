@@ -73,8 +73,8 @@ pub fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
     all
 }
 
-/// The exponent of a projection's weights, and of their sum. Rule (39): of a sum apart a negative
-/// exponent is the sum's.
+/// The exponent of a projection's weights, and of their sum. Rule (39): with a separate sum, a
+/// negative exponent is the sum's.
 pub fn exponents(SynapseFormat { apart, exponent, .. }: SynapseFormat) -> (i8, i8) {
     let of_sum = if apart.is_some() { exponent.get().min(0) } else { 0 };
     (exponent.get() - of_sum, of_sum)

@@ -64,7 +64,7 @@ pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
         .help(format!("leave --dt out, or change the model: --set timestep_ms={dt}")))
 }
 
-/// Loads a model from its text; arrays are looked for beside the path of `source`, or among the
+/// Loads a model from its text; arrays are looked for in the folder of `source`, or among the
 /// shipped ones.
 ///
 /// # Errors

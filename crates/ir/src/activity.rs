@@ -1,9 +1,9 @@
 //! What happened in a run, as counts. Energy and time are pure functions of these and a target
 //! (`cost`).
 //!
-//! Counts are of the mapped program, whatever the simulator skipped. True of every [`Activity`]:
-//! copies of messages sent equal copies received; merging is addition, so neither order nor threads
-//! can change a total.
+//! Counts are of the mapped program, regardless of what the simulator skipped. True of every
+//! [`Activity`]: copies of messages sent equal copies received; merging is addition, so neither
+//! order nor threads can change a total.
 
 use std::ops::AddAssign;
 
@@ -16,7 +16,7 @@ use crate::placement::Route;
 macro_rules! counts {
     ($counts:ident: $($field:ident),*) => {
         impl $counts {
-            /// The same, this many times over.
+            /// The same counts, this many times over.
             #[must_use]
             pub fn times(self, times: u64) -> Self {
                 $counts { $($field: self.$field * times,)* }
@@ -47,7 +47,7 @@ pub struct Totals {
     pub synaptic_events: u64,
     /// Compartments times steps.
     pub compartment_updates: u64,
-    /// Of those, the ones not at rest: u, v, the accumulator or the bias was not zero, or a
+    /// Of those, the ones not idle: u, v, the accumulator or the bias was not zero, or a
     /// refractory period ran.
     pub active_updates: u64,
 }
@@ -99,7 +99,7 @@ pub struct CoreCounts {
     pub events_sparse: u64,
     /// Compartments visited.
     pub visited: u64,
-    /// Of those, not at rest.
+    /// Of those, not idle.
     pub active: u64,
     /// Compartments that fired.
     pub spikes: u64,
@@ -182,7 +182,7 @@ impl StepActivity {
         self.fired.clear();
     }
 
-    /// Adds what other messages and compartments of the same step did, spikes by name left out.
+    /// Adds what other messages and compartments of the same step did, without spikes by name.
     ///
     /// # Panics
     /// When it is of a program with another number of cores.

@@ -16,7 +16,7 @@ const LEAST: u64 = 1;
 /// Rates of all sources: channels first, then compartments.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Rates {
-    /// The same for all.
+    /// The same rate for all.
     Assumed(u64),
     /// From a run.
     Profile {
@@ -39,8 +39,8 @@ impl Rates {
         Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
     }
 
-    /// From what was counted in this many steps of one network, or of several copies that all did
-    /// the same.
+    /// From what was counted in this many steps of one network, or of several copies with equal
+    /// spikes.
     ///
     /// # Panics
     /// When the counts are of fewer channels or compartments than the network has.
@@ -59,7 +59,7 @@ impl Rates {
         }
     }
 
-    /// The same for this many copies of the network: channels of all copies first, then their
+    /// The rates of this many copies of the network: channels of all copies first, then their
     /// compartments.
     pub fn copies(&self, copies: u32) -> Rates {
         match self {

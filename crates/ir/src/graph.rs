@@ -93,7 +93,7 @@ impl fmt::Display for Shape {
 /// One value for all compartments of a population, or one for each.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub enum PerCompartment<T> {
-    /// The same for all.
+    /// The same value for all.
     Same(T),
     /// One each, as many as the population has.
     Each(Vec<T>),
@@ -307,8 +307,8 @@ impl ProjectionKind {
         matches!(self, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })
     }
 
-    /// The same with other weights; `f` gets each with its target, or with its output channel where
-    /// a kernel is shared. A pool's weight and random ones stay.
+    /// This kind with other weights; `f` gets each with its target, or with its output channel
+    /// where a kernel is shared. A pool's weight and random ones stay.
     pub fn map_weights(&self, f: impl Fn(usize, f64) -> f64) -> ProjectionKind {
         let tensor = |weights: &Arc<Tensor>| {
             let per_row = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
@@ -374,7 +374,7 @@ pub struct NetworkFacts {
     pub name: String,
     /// Its file, for messages.
     pub source: SourceText,
-    /// Milliseconds that a timestep stands for.
+    /// Milliseconds that a timestep represents.
     pub timestep_ms: f64,
     /// What of the output population decides.
     pub decision: ReadOut,

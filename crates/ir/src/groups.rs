@@ -12,10 +12,10 @@ use std::sync::Arc;
 
 use crate::base::csr::Csr;
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::dealt::Dealt;
 use crate::partition::Seat;
 use crate::placement::Site;
 use crate::program::{AxonTarget, Compartments, CoreImage, Graded, NotClosed, Parts, Program};
+use crate::ranks::RankAssignment;
 
 /// What of a program is one group.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -94,7 +94,7 @@ impl CoreGroups {
         CoreGroups::of_alike(program, one, together, &first_alike(program, one, together))
     }
 
-    /// The same, with each group a kind of its own.
+    /// The groups of such a program, each a kind of its own.
     ///
     /// # Errors
     /// As [`CoreGroups::new`].
@@ -155,9 +155,9 @@ impl CoreGroups {
             seats: Arc::new(seats.into()),
             populations: populations.into(),
             graded,
-            dealt: whole.dealt.as_ref().map(|dealt| {
-                let owners: Vec<u32> = kept_cores.clone().map(|&core| dealt.owners[core]).collect();
-                Dealt { owners: IdVec::from(owners).into(), ..dealt.clone() }
+            assignment: whole.assignment.as_ref().map(|assignment| {
+                let owners: Vec<u32> = kept_cores.clone().map(|&core| assignment.owners[core]).collect();
+                RankAssignment { owners: IdVec::from(owners).into(), ..assignment.clone() }
             }),
             ..*whole
         };

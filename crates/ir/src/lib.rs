@@ -9,7 +9,6 @@
 pub mod activity;
 pub mod arithmetic;
 pub mod base;
-pub mod dealt;
 pub mod firing_rates;
 pub mod graph;
 pub mod groups;
@@ -26,6 +25,7 @@ pub mod potentials;
 pub mod program;
 pub mod pruned;
 pub mod quantised;
+pub mod ranks;
 pub mod resource;
 pub mod source_counts;
 pub mod spanned;

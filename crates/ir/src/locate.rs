@@ -21,7 +21,7 @@ impl<'a> Cursor<'a> {
         &self.text[self.at..]
     }
 
-    /// Goes on behind blanks, comments and attributes.
+    /// Goes on after blanks, comments and attributes.
     fn skip_blanks(&mut self) {
         loop {
             let rest = self.rest();

@@ -16,7 +16,7 @@ pub struct Run {
     pub population: String,
     /// The first of them, as the model file counts.
     pub first: u32,
-    /// How many follow each other.
+    /// Number of consecutive compartments or channels.
     pub count: u32,
 }
 
@@ -167,7 +167,7 @@ pub struct MappedLayer {
     pub places: Vec<OnChip>,
 }
 
-/// What was left out of the model before it was mapped. Together with the model it says which
+/// The pruning of the model before it was mapped. Together with the model it says which
 /// compartments and synapses there are to map.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Pruned")]
@@ -190,13 +190,13 @@ pub struct MappingFile {
     pub model: String,
     /// The target it was made for.
     pub target: String,
-    /// How many copies of the model.
+    /// Number of copies of the model.
     pub copies: u32,
     /// The strategy that made it.
     pub strategy: String,
     /// The seed of the strategy.
     pub seed: u64,
-    /// What was left out of the model.
+    /// The pruning of the model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pruned: Option<PrunedFile>,
     /// The cores in use, with what sits on them.

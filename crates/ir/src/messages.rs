@@ -49,7 +49,7 @@ impl AxonsOut {
         if closed { Ok(AxonsOut { cores, lists }) } else { Err(NotClosed) }
     }
 
-    /// The same to other cores.
+    /// The same messages to other cores.
     ///
     /// # Errors
     /// The first that the function returns.
@@ -58,7 +58,7 @@ impl AxonsOut {
         Ok(AxonsOut { cores, lists: self.lists.clone() })
     }
 
-    /// Those of the messages that are kept.
+    /// The messages to cores for which `keep` holds.
     pub fn filtered(&self, keep: impl Fn(CoreId) -> bool) -> Self {
         let mut cores = Vec::new();
         let number = |&core: &CoreId| {

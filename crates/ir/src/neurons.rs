@@ -39,7 +39,7 @@ pub enum NeuronKind {
     Sigma,
     /// Resonate-and-fire: a decaying rotation, which spikes as it passes the real axis (Loihi 2).
     Rf,
-    /// The same, but it spikes above a threshold of the imaginary part, and is reset (Loihi 2).
+    /// [`NeuronKind::Rf`] with a threshold of the imaginary part, and a reset (Loihi 2).
     RfIz,
     /// Decaying current and voltage with two thresholds; sends 1 above and -1 below (Loihi 2).
     TernaryLif,
@@ -50,11 +50,11 @@ pub enum NeuronKind {
     /// Decaying current and voltage, a threshold that each spike raises, and a refractory state
     /// (Loihi 2, in lava's integers).
     AtrLif,
-    /// The same in lava-dl's integers.
+    /// [`NeuronKind::AtrLif`] in lava-dl's integers.
     Alif,
     /// Resonate-and-fire with the threshold of [`NeuronKind::Alif`] (Loihi 2).
     Adrf,
-    /// The same, with the test of [`NeuronKind::RfIz`] and without its reset (Loihi 2).
+    /// [`NeuronKind::Adrf`] with the test of [`NeuronKind::RfIz`], without its reset (Loihi 2).
     AdrfIz,
     /// Resonate-and-fire that sends its real part as it passes the real axis (Loihi 2).
     RfZero,
@@ -85,9 +85,9 @@ named_variants!(NeuronKind {
 pub struct KindTable {
     /// Its parameters, in the order in which they are written.
     pub parameters: &'static [ParameterField],
-    /// What it carries from one step to the next, beside a refractory counter.
+    /// The words that it carries from one step to the next, in addition to a refractory counter.
     pub state: &'static [Column],
-    /// How many sums of arrivals it has: 1, or 2 where a projection says which one it adds to.
+    /// Number of its sums of arrivals: 1, or 2 where a projection says which one it adds to.
     pub ports: u8,
     /// What it sends.
     pub emits: Emits,
@@ -162,7 +162,7 @@ pub enum Emits {
     Values,
 }
 
-/// Where a core stores a parameter, and what limits how many values there are.
+/// Where a core stores a parameter, and what limits the number of values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Storage {
     /// With others in a profile of compartments; a core has this many profiles.
@@ -184,7 +184,7 @@ pub struct ParameterField {
     pub storage: Storage,
     /// Its value where the file gives none.
     pub default: Option<i64>,
-    /// The name of a real number that stands for it, and how that becomes the integer.
+    /// The name of a real number that may be given for it, and how that becomes the integer.
     pub real: Option<(&'static str, Conversion)>,
     /// What to give when it is missing.
     pub help: &'static str,
@@ -204,7 +204,7 @@ pub enum Conversion {
 }
 
 /// The parameters of a compartment of a kind without the registers of Loihi 1, in the order of its
-/// table; zeros behind them.
+/// table; zeros after them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(from = "Option<[i32; 8]>", into = "Option<[i32; 8]>")]
 pub struct Row(pub [i32; 8]);
@@ -602,8 +602,8 @@ impl<'de> Deserialize<'de> for NeuronKind {
 
 /// A kind that a model file states.
 ///
-/// Equal declarations are one kind, which is kept until the process ends: a neuron names its kind in
-/// 8 bytes, and parameters and words have names like those of every other kind.
+/// Equal declarations are one kind, which is stored until the process ends: a neuron names its kind
+/// in 8 bytes, and parameters and words have names like those of every other kind.
 #[derive(Clone, Copy)]
 pub struct MicrocodeKind(&'static Stated);
 

@@ -32,7 +32,7 @@ pub struct CoreUsage {
 }
 
 impl CoreUsage {
-    /// The same but for one resource.
+    /// The same usage but for one resource.
     #[must_use]
     pub fn with(mut self, resource: Resource, used: u64) -> Self {
         self.of[resource] = used;
@@ -142,7 +142,7 @@ impl Partition {
         Partition { limits: limits.clone(), members, seats, usage }.within(limits)
     }
 
-    /// The same within other limits.
+    /// The same partition within other limits.
     ///
     /// # Errors
     /// [`PartitionError::Excess`] when a core exceeds one.

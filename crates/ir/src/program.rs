@@ -8,9 +8,10 @@
 //! message's input axon selects a list of synapses. Input channels do the same from outside. Input
 //! axons whose lists differ by a shift of all their slots can be members of population axons and
 //! select one stored list ([`PopulationAxon`]). True of every
-//! [`Program`]: every table is closed (each message meets an existing axon, each synapse an existing compartment), no axon
-//! is reached by two sources, every stored list is selected, and every class has a core.
-//! That it equals its `Quantised` network is for `nsim_check::equivalence` to prove.
+//! [`Program`]: every table is closed (each message meets an existing axon, each synapse an
+//! existing compartment), no axon is reached by two sources, every stored list is selected, and
+//! every class has a core. That it equals its `Quantised` network is for `nsim_check::equivalence`
+//! to prove.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -24,12 +25,12 @@ use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
 use crate::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
-use crate::dealt::Dealt;
 pub use crate::messages::{AxonTarget, AxonsOut, Messages};
 use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
 use crate::quantised::connectivity::{Apart, SynapseFormat};
 use crate::quantised::{Neuron, Output, Population, Reset};
+use crate::ranks::RankAssignment;
 use crate::spikes::Message;
 
 /// A synapse of an input axon's list.
@@ -56,7 +57,7 @@ pub struct CoreFormat {
     pub delay_bits: u8,
     /// Bits of its target indices; `None` for a dense list, whose targets follow each other.
     pub index_bits: Option<u8>,
-    /// Bits of the slots left out before each synapse, in a list that has an index for its first
+    /// Bits of the slots skipped before each synapse, in a list that has an index for its first
     /// one only.
     pub skip_bits: Option<u8>,
 }
@@ -270,7 +271,7 @@ pub struct CoreClass {
 }
 
 impl CoreClass {
-    /// What stands for cores whose tables another process holds.
+    /// The class of cores whose tables another process holds.
     pub fn without_tables(compartments: Vec<Compartment>) -> Self {
         CoreClass { compartments, formats: Vec::new(), inputs: Stored::default() }
     }
@@ -322,7 +323,7 @@ pub struct Graded {
 pub struct Compartments {
     /// The first.
     pub first: CompartmentId,
-    /// How many.
+    /// Number of compartments.
     pub count: u32,
     /// Positions of its shape over space, at least 1: compartments are numbered channel by channel,
     /// so that channel c at position p is number `c * positions + p`.
@@ -368,7 +369,7 @@ pub struct Parts {
     /// Periodic reset.
     pub reset: Option<Reset>,
     /// Which process runs which cores, where there are several.
-    pub dealt: Option<Dealt>,
+    pub assignment: Option<RankAssignment>,
 }
 
 /// Which input axons a message has been seen to reach.
@@ -377,7 +378,7 @@ struct Marks(IdVec<CoreId, Box<[AtomicU64]>>);
 impl Marks {
     fn new(parts: &Parts) -> Self {
         let of = |core| {
-            // Those behind the last axon are set.
+            // The bits after the last axon are set.
             let axons = parts.class_of(core).inputs.len();
             let word = |first: usize| AtomicU64::new(u64::MAX.checked_shl((axons - first) as u32).unwrap_or(0));
             (0..axons).step_by(64).map(word).collect()
@@ -487,7 +488,7 @@ impl Program {
     /// A program from its parts.
     ///
     /// # Errors
-    /// [`NotClosed`] when a message, a synapse, a seat or a site leads nowhere, or two sources
+    /// [`NotClosed`] when a message, a synapse, a seat or a site is dangling, or two sources
     /// share an axon.
     pub fn new(parts: Parts) -> Result<Self, NotClosed> {
         let wrong = |core: CoreId, what: &str| Err(NotClosed(format!("{core}: {what}")));
@@ -511,7 +512,7 @@ impl Program {
             parts.not_closed(core, first, marks).map(|what| (core, what))
         };
         if (0..parts.cores.len()).into_par_iter().any(|index| core(&marks, index).is_some()) {
-            // Of two that share an input axon the second is reported, whatever the threads do.
+            // Of two that share an input axon the second is reported, in any order of threads.
             let marks = Marks::new(&parts);
             if let Some((core, what)) = (0..parts.cores.len()).find_map(|index| core(&marks, index)) {
                 return wrong(core, what);
@@ -533,8 +534,8 @@ impl Program {
         if std::iter::once(0).chain(ends).zip(begins.chain([sources])).any(|(end, begin)| begin < end) {
             return Err(NotClosed("a payload has no source, or a source has two".to_string()));
         }
-        if parts.dealt.as_ref().is_some_and(|dealt| !dealt.is_of(parts.cores.len())) {
-            return Err(NotClosed("a core is not dealt to a rank".to_string()));
+        if parts.assignment.as_ref().is_some_and(|assignment| !assignment.is_of(parts.cores.len())) {
+            return Err(NotClosed("a core is not assigned to a rank".to_string()));
         }
         if parts.populations.get(parts.output).copied().flatten().is_none() {
             return Err(NotClosed("the output is not a population of compartments".to_string()));
@@ -555,41 +556,43 @@ impl Program {
 
     /// Whether the tables of a core are held here, rather than by another process.
     pub fn holds(&self, core: CoreId) -> bool {
-        self.parts.dealt.as_ref().is_none_or(|dealt| dealt.holds(core))
+        self.parts.assignment.as_ref().is_none_or(|assignment| assignment.holds(core))
     }
 
     /// The rank whose part of a program this is; `None` of a whole one.
     pub fn held_rank(&self) -> Option<u32> {
-        self.parts.dealt.as_ref().and_then(|dealt| dealt.held)
+        self.parts.assignment.as_ref().and_then(|assignment| assignment.held)
     }
 
-    /// What a rank holds of a program that is dealt out: the tables of its cores and the messages
-    /// that go to them. All else, such as the seats of compartments, every rank has.
+    /// The part of a distributed program that a rank holds: the tables of its cores and the
+    /// messages that go to them. All else, such as the seats of compartments, every rank has.
     ///
     /// # Errors
-    /// [`NotClosed`] when the program is not dealt out, or is a part already.
+    /// [`NotClosed`] when the program is not distributed, or is a part already.
     pub fn part(&self, rank: u32) -> Result<Program, NotClosed> {
         let whole = &self.parts;
-        let dealt = whole.dealt.as_ref().filter(|dealt| dealt.held.is_none());
-        let dealt = Dealt {
+        let assignment = whole.assignment.as_ref().filter(|assignment| assignment.held.is_none());
+        let assignment = RankAssignment {
             held: Some(rank),
-            ..dealt.cloned().ok_or_else(|| NotClosed("the program is not dealt out, or is a part".to_string()))?
+            ..assignment
+                .cloned()
+                .ok_or_else(|| NotClosed("the program is not distributed, or is a part".to_string()))?
         };
         let mut channels = Csr::default();
         for list in whole.channels.iter() {
-            channels.push(list.iter().copied().filter(|target| dealt.holds(target.core)));
+            channels.push(list.iter().copied().filter(|target| assignment.holds(target.core)));
         }
         channels.shrink_to_fit();
         // Cores of a class that are held, and those that are not, are classes of their own here.
         let mut classes = IdVec::new();
         let mut known: HashMap<(ClassId, bool), ClassId> = HashMap::new();
         let image = |(core, image): (CoreId, &CoreImage)| {
-            let held = dealt.holds(core);
+            let held = assignment.holds(core);
             let class = *known.entry((image.class, held)).or_insert_with(|| {
                 let class = &whole.classes[image.class];
                 classes.push(if held { class.clone() } else { CoreClass::without_tables(class.compartments.clone()) })
             });
-            let axons_out = image.axons_out.filtered(|core| dealt.holds(core));
+            let axons_out = image.axons_out.filtered(|core| assignment.holds(core));
             CoreImage { site: image.site, class, ids: image.ids.clone(), axons_out }
         };
         let cores: Vec<CoreImage> = whole.cores.enumerate().map(image).collect();
@@ -600,7 +603,7 @@ impl Program {
             seats: whole.seats.clone(),
             populations: whole.populations.clone(),
             graded: whole.graded.clone(),
-            dealt: Some(dealt),
+            assignment: Some(assignment),
             ..*whole
         })
     }

@@ -1,11 +1,11 @@
-//! What pruning left out of a network, and why.
+//! The parts that pruning removed from a network, and why.
 
 use serde::{Deserialize, Serialize};
 
 use crate::base::names::named_variants;
 
 named_variants! {
-    /// Why something was left out.
+    /// The reason why a part was pruned.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
     pub enum Kind {
         /// An input channel that the stimulus never fires.
@@ -16,20 +16,20 @@ named_variants! {
         SilentCompartment = "silent_compartment",
         /// A compartment that reaches no output and nothing probed.
         UnreachableCompartment = "unreachable_compartment",
-        /// A synapse from what never spikes, or to what was left out.
+        /// A synapse from a source that never spikes, or to a pruned compartment.
         LooseSynapse = "loose_synapse",
     }
 }
 
-/// How many of a kind were left out, and where.
+/// Number of pruned parts of a kind, and their places.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Row {
     /// The kind.
     pub kind: Kind,
-    /// How many.
+    /// Number of parts.
     pub count: u64,
     /// Why that changes no output.
     pub reason: String,
-    /// How many of which population or projection, in the order of the file.
+    /// Number of parts of each population or projection, in the order of the file.
     pub of: Vec<(String, u64)>,
 }

@@ -1,7 +1,7 @@
 //! RON with positions: [`parse`] reads a text into mirrors whose values know their place in it.
 //!
 //! RON lends slices of raw values. The offset of such a slice in the text is the place of the
-//! value; while a text is being parsed, its address is kept in a thread-local, since serde cannot
+//! value; while a text is being parsed, its address is stored in a thread-local, since serde cannot
 //! pass context to nested values. A value that fails inside a raw slice reports its own position,
 //! not that of the slice's end.
 
@@ -154,7 +154,7 @@ pub fn raw<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(&'de str, Span
 /// Parses a whole RON text.
 ///
 /// # Errors
-/// A [`Diagnostic`] with the position of whatever is malformed; `code` names it.
+/// A [`Diagnostic`] with the position of the malformed value; `code` names it.
 pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T> {
     let text = source.text();
     attempt(text).map_err(|malformed| {

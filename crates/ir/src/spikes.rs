@@ -80,7 +80,7 @@ pub struct Sample {
 /// Copies of a network that all see the same sample, each on channels of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Copies {
-    /// How many.
+    /// Number of copies.
     pub copies: u32,
     /// Input channels of one.
     pub channels: u32,
@@ -248,7 +248,7 @@ impl Sample {
         &self.channels[self.first[step as usize] as usize..self.first[step as usize + 1] as usize]
     }
 
-    /// The same with what they carry.
+    /// The same channels with what they carry.
     #[inline]
     pub fn input(&self, step: u32) -> Spikes<'_> {
         let range = self.first[step as usize] as usize..self.first[step as usize + 1] as usize;

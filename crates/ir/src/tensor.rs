@@ -44,7 +44,7 @@ impl Tensor {
         &self.shape
     }
 
-    /// How many numbers.
+    /// Number of elements.
     pub fn len(&self) -> usize {
         self.shape.iter().product()
     }

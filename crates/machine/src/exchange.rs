@@ -8,7 +8,7 @@ use std::ops::Range;
 use crate::bits::{UNCHECKED, write_ones};
 use nsim_ir::base::id::{CompartmentId, Id};
 
-/// Moves ids in the upper range behind all others and sorts them; payloads, if there are any, move
+/// Moves ids in the upper range after all others and sorts them; payloads, if there are any, move
 /// with their ids. Ids are distinct and below the end of the range. With more than an eighth as
 /// many ids as words of marks, a bit set is less work than sorting. `marks` and `by_id` are scratch
 /// memory; `marks` is all zeros before and after.

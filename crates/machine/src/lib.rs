@@ -46,7 +46,7 @@ use nsim_ir::spikes::{Engine, Spikes};
 /// How to run. No setting changes a result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
-    /// Leave out compartments at rest.
+    /// Skip idle compartments.
     pub skip: bool,
     /// Keep what each step did by core, for [`Machine::last_step`].
     pub per_step: bool,
@@ -59,7 +59,7 @@ impl Default for Settings {
 }
 
 /// From this many events a skip block on, a step visits every skip block: marking an arrival costs
-/// about as much as adding it, and visiting a skip block at rest as much as a few dozen additions.
+/// about as much as adding it, and visiting an idle skip block as much as a few dozen additions.
 const VISIT_ALL_FROM: u64 = 8;
 
 /// The state of a run over an image. A copy continues from the same step, independently.
@@ -98,7 +98,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// A machine at rest.
+    /// An idle machine.
     pub fn new(image: &Arc<Image>, settings: Settings) -> Self {
         let slots = image.longest_delay as usize + 1;
         Machine {
@@ -126,8 +126,8 @@ impl Machine {
         }
     }
 
-    /// A machine at rest, of the part of a program that this process holds; all ranks make theirs
-    /// at the same time. The spikes of these compartments, if any, are shown to every rank.
+    /// An idle machine, of the part of a program that this process holds; all ranks make theirs at
+    /// the same time. The spikes of these compartments, if any, are shown to every rank.
     ///
     /// # Panics
     /// When the image is of no part, or the ranks hold parts of different mappings.
@@ -147,7 +147,7 @@ impl Machine {
         self.take_counts().0
     }
 
-    /// The same, with the spikes of each source and what left its field by compartment.
+    /// That activity, with the spikes of each source and what left its field by compartment.
     pub fn take_counts(&mut self) -> (Activity, SourceCounts) {
         self.counts.take(&self.image, &mut self.shards, self.arch)
     }
@@ -159,8 +159,7 @@ impl Machine {
         self.shards.iter_mut().zip(&other.shards).for_each(|(sum, more)| sum.absorb(more));
     }
 
-    /// Compartment updates of the sample so far that were left out because the compartment was at
-    /// rest.
+    /// Compartment updates of the sample so far that were skipped because the compartment was idle.
     pub fn skipped_updates(&self) -> u64 {
         let computed: u64 = self.shards.iter().map(|state| state.visited).sum();
         self.totals.compartment_updates - computed
@@ -211,7 +210,7 @@ impl Machine {
         })
     }
 
-    /// The registers of a compartment, at rest where another process holds it.
+    /// The registers of a compartment, zeros where another process holds it.
     fn registers(&self, compartment: CompartmentId) -> neuron::Registers {
         self.lane(compartment).map_or_else(Default::default, |(state, lane)| state.registers(lane))
     }
@@ -226,7 +225,7 @@ impl Machine {
         }
     }
 
-    /// The same among other ranks, apart: a step of one process is to have nothing of it.
+    /// Deliver and Update among other ranks, separate, as a step of one process needs none of it.
     #[cold]
     fn deliver_and_update_with_others(&mut self, input: Spikes<'_>, left: u32) {
         // What is known is delivered while the rest is under way.

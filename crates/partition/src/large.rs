@@ -28,9 +28,9 @@ pub fn is_large(one: &Quantised, copies: u32) -> bool {
     synapses(one, copies) > MOST_COUNTED && layers(one).is_some()
 }
 
-/// The target as boxes are counted on it: where sources without places are gathered in population
-/// axons, boxes have an output axon for each compartment, because geometry tells of windows only
-/// which positions share a table.
+/// The target as boxes are counted on it. Where sources without places are grouped into population
+/// axons, boxes have an output axon for each compartment: geometry gives the positions that share a
+/// table for windows only.
 #[must_use]
 pub fn counted_in_boxes<'t>(in_boxes: bool, network: &Quantised, target: &'t Target) -> Cow<'t, Target> {
     if !in_boxes || !network.parts().gathers {

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use nsim_ir::base::names::named_variants;
-use nsim_ir::dealt::Share;
+use nsim_ir::ranks::Share;
 
 /// Spikes of a source in a step, when nothing is known: one in 100 steps.
 pub const DEFAULT_RATE: f64 = 0.01;

@@ -9,7 +9,7 @@
 //! `v(k) = (k + 1) r^k`, and the alpha kernel is `eps(k) = (e / tau) k r^k` with r = exp(-dt /
 //! tau): the same shape, one step earlier. So du = dv = `4096 (1 - exp(-dt / tau))` matches the
 //! time to peak, and a threshold of theta times the quotient of the two peaks matches the height. A
-//! converted population therefore answers one step earlier than the one it stands for, in every
+//! converted population therefore answers one step earlier than the one it represents, in every
 //! layer. What has no counterpart is the refractory kernel, whose place the hard reset takes; the
 //! period is 1.
 //!
@@ -103,7 +103,7 @@ pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, kee
     srm.theta * peak(keep_u, keep_v) / (std::f64::consts::E * r / tau * peak(r, r))
 }
 
-/// The same of a fit, all copies together.
+/// The matched threshold of a fit, all copies together.
 pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) -> f64 {
     let (keep_u, keep_v) = (keep(fit.du), keep(fit.dv));
     let one = matched_threshold(srm, timestep_ms, keep_u, keep_v);
@@ -199,7 +199,7 @@ fn parameters(fit: &Fit) -> NeuronParameters {
     }
 }
 
-/// How the name of a projection from a population onto itself ends that stands for a reset.
+/// The end of the name of a projection from a population onto itself that represents a reset.
 const ITSELF: &str = " -> itself";
 
 /// Whether a projection of this name is one of [`Fit::own`].

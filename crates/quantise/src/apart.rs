@@ -6,7 +6,7 @@
 //! - lava's convolutions wrap their sums to 24 bits, its dense and sparse connections do not
 //!   (lava-nc b6822fb, `proc/conv/models.py`). A kernel whose weights are in several formats is
 //!   several projections here; those with the same source, window, delay and port are one sum. A
-//!   sum that cannot reach 2^23, whatever its messages carry, is left as it is.
+//!   sum that cannot reach 2^23, for any payload of its messages, is left as it is.
 //! - A negative exponent shifts the sum of each delay by itself (`proc/dense/models.py`), that of
 //!   all sources of a declaration together.
 

@@ -1,7 +1,7 @@
 //! What rounding takes from a delayed copy of a weight is carried over to the next copy.
 //!
 //! Input: a population to which each source sends over several synapses of different delays, which
-//! together stand for one response kernel; real weights and their integers. Output: integers whose
+//! together represent one response kernel; real weights and their integers. Output: integers whose
 //! errors cancel. Rounded one by one, n copies leave errors that add up as sqrt(n); in a population
 //! with thousands of sources that is what moves its spikes.
 //!

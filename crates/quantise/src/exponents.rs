@@ -53,7 +53,7 @@ pub enum Detail {
     Projections,
     /// One for each group of weights of like size.
     Groups,
-    /// The same, and what rounding a delayed copy leaves goes to the next ([`super::carry`]).
+    /// As `Groups`, and what rounding a delayed copy leaves goes to the next ([`super::carry`]).
     #[default]
     Carried,
 }

@@ -11,7 +11,7 @@
 //!
 //! Time constants become `4096 (1 - exp(-dt / tau))`, the exact decay of an exponential over one
 //! timestep. Weights are rounded to their format's least step as `weight_rounding` says
-//! (`docs/semantics.md`, weights); whatever that changed is left as a note. What it does not do:
+//! (`docs/semantics.md`, weights); every change by that is left as a note. What it does not do:
 //! find better integers by search.
 
 use std::fmt::Display;
@@ -43,7 +43,7 @@ pub fn quantise(graph: &Graph) -> Result<Quantised> {
     quantise_with(graph, Detail::default())
 }
 
-/// The same with exponents chosen this finely.
+/// Turns real parameters into integers, with exponents chosen this finely.
 ///
 /// # Errors
 /// As [`quantise`].
@@ -120,7 +120,7 @@ pub fn scales(graph: &Graph, detail: Detail) -> Result<Vec<Option<f64>>> {
     graph.populations().map(|(node, population)| stage.scale(node, population)).collect()
 }
 
-/// Nodes are added in the order of the file, so they are numbered alike.
+/// Nodes are added in the order of the file, so they have the same numbers.
 fn population_id(node: NodeIndex) -> PopulationId {
     PopulationId(node.index() as u32)
 }
@@ -185,7 +185,7 @@ impl Stage<'_> {
     /// weight. Where a weight would lose bits under its semantics, or on its way to a kind of
     /// Loihi 2, what arrives at its targets is summed in finer units, and shifted once (rules 11
     /// and 39). Where one shift does not do, and where a convolution may wrap, kinds of Loihi 2
-    /// have sums apart (rules 39 and 40).
+    /// have separate sums (rules 39 and 40).
     fn narrow_sums(
         &mut self,
         populations: &mut IdVec<PopulationId, Population>,

@@ -2,17 +2,17 @@
 //! have output axons.
 //!
 //! Input: a network and the most targets that one compartment may have. Output: the same network in
-//! which every compartment that had more sends to relays, which are populations of their own behind
+//! which every compartment that had more sends to relays, which are populations of their own after
 //! the others, so that all numbers of the original stay. What relays do not change is for
-//! `nsim_check::relays` to prove, which shares nothing with this. Errors: delays
-//! that leave no time for relays; graded spikes, which a relay does not carry; plastic projections,
-//! whose synapses stay together.
+//! `nsim_check::relays` to prove, which shares nothing with this. Errors: delays that leave no time
+//! for relays; graded spikes, which a relay does not carry; plastic projections, whose synapses
+//! stay together.
 //!
 //! A relay is a compartment without memory that spikes in the step in which its only synapse brings
-//! a spike, whatever was before. It so takes a spike one step later: over a relay a synapse of
-//! delay d keeps d - 1. A projection of delay 0 keeps its synapses at their compartment while there
-//! is room beside the relays; otherwise delays are *padded*: with L(p) the steps by which spikes of
-//! population p come later (0 for inputs), a projection from p to q has the delay
+//! a spike, regardless of earlier ones. It so takes a spike one step later: over a relay a synapse
+//! of delay d keeps d - 1. A projection of delay 0 keeps its synapses at their compartment while
+//! there is room next to the relays; otherwise delays are *padded*: with L(p) the steps by which
+//! spikes of population p come later (0 for inputs), a projection from p to q has the delay
 //!
 //! ```text
 //! d' = d + L(q) - L(p),   with d' >= 1 where relays need it, and d' >= 0.
@@ -22,7 +22,7 @@
 //! it is reset, moves along. The least L are longest paths; around a circle the sum of delays stays
 //! what it is, so a circle without enough of it is refused.
 //!
-//! A compartment of n targets and a limit of m keeps m - r of them beside r = (n - m) / (m - 1)
+//! A compartment of n targets and a limit of m keeps m - r of them next to r = (n - m) / (m - 1)
 //! relays, rounded up. Relays that still have too many are treated in the same way: trees grow
 //! level by level. Targets go to relays in the order of compartments, so that those of a relay are
 //! neighbours in the order of the file.
@@ -56,7 +56,7 @@ pub struct Relayed {
     pub network: Quantised,
     /// By population of the original, the steps by which its spikes come later.
     pub later: IdVec<PopulationId, u32>,
-    /// How many relays there are.
+    /// Number of relays.
     pub relays: u32,
     /// Levels of the deepest tree.
     pub levels: u32,
@@ -117,7 +117,7 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
             if all > most {
                 let wanted = (all - most).div_ceil(most - 1).min(most);
                 *relays = wanted as u32;
-                // At least two relays are a level of a tree; what cannot wait has to fit beside
+                // At least two relays are a level of a tree; what cannot wait has to fit next to
                 // them.
                 tight |= without_delay > most - wanted.min(most);
             }
@@ -152,7 +152,7 @@ fn padded(network: &Quantised, needs: &[Need]) -> Result<IdVec<PopulationId, u32
             return Ok(later.iter().map(|&later| later as u32).collect());
         }
     }
-    // Those that would have to grow for ever lie on circles or behind them.
+    // Those that would have to grow for ever lie on circles or after them.
     let short: Vec<String> = network
         .projections()
         .iter()

@@ -34,7 +34,7 @@ pub struct Cuba<F> {
 }
 
 impl<F: Real> Cuba<F> {
-    /// At rest.
+    /// Neurons in their resting state.
     pub fn new(parameters: &[RealForm], test: ThresholdTest) -> Self {
         let neuron = |p: &RealForm| Neuron {
             keep_u: F::from_f64(p.keep_u),

@@ -43,7 +43,7 @@ enum Kind {
 #[derive(Debug, Clone)]
 struct Population {
     kind: Kind,
-    /// The first channel or compartment, and how many.
+    /// The first channel or compartment, and their number.
     first: u32,
     count: u32,
     /// Held at zero before it.
@@ -196,7 +196,7 @@ pub struct Reference<'m, F> {
 }
 
 impl<'m, F: Real> Reference<'m, F> {
-    /// At rest.
+    /// A run before its first step.
     pub fn new(model: &'m Model<F>) -> Self {
         let units = model.populations.iter().map(|population| match &population.kind {
             Kind::Input => Units::Input,
@@ -282,7 +282,7 @@ impl<F: Real> Engine for Reference<'_, F> {
         self.totals.spikes_in += input.ids.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
         self.totals.compartment_updates += u64::from(model.compartments);
-        // Real numbers decay for ever: no update can be left out.
+        // Real numbers decay for ever: no update can be skipped.
         self.totals.active_updates += u64::from(model.compartments);
         self.step += 1;
     }

@@ -68,7 +68,7 @@ pub enum Filter<F> {
 }
 
 impl<F: Real> Filter<F> {
-    /// At rest.
+    /// Filters in their resting state.
     pub fn new(alpha: &Alpha, kernel: Kernel, inputs: usize) -> Self {
         match kernel {
             Kernel::Exact => Filter::Exact {
@@ -134,7 +134,7 @@ pub struct Srm<F> {
 }
 
 impl<F: Real> Srm<F> {
-    /// At rest.
+    /// Neurons in their resting state.
     pub fn new(parameters: &Parameters, kernel: Kernel, neurons: usize) -> Self {
         Srm {
             theta: F::from_f64(parameters.theta),

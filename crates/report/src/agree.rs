@@ -34,7 +34,7 @@ pub struct AgreeReport<'a> {
     pub input: &'a [String],
     /// Their seed, when they had one.
     pub seed: Option<u64>,
-    /// How many.
+    /// Number of samples.
     pub samples: usize,
     /// The classes of the two; none when those of the first are not known.
     pub classes: Option<ClassTally>,
@@ -44,7 +44,7 @@ pub struct AgreeReport<'a> {
     pub layers: &'a [LayerRow],
     /// The search, when there was one.
     pub found: Option<&'a SearchResult>,
-    /// What stands for each spike response population.
+    /// The converted form of each spike response population.
     pub fits: &'a [(String, Fit)],
     /// Causes, when asked for.
     pub attribution: Option<&'a Attribution>,
@@ -122,7 +122,7 @@ impl<'a> AgreeReport<'a> {
     }
 }
 
-/// What stands for each spike response population, by its name.
+/// The converted form of each spike response population, by its name.
 pub fn named_fits(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
     let each = graph.populations().zip(fits);
     each.filter_map(|((_, population), fit)| Some((population.name.clone(), fit.clone()?))).collect()
@@ -136,7 +136,7 @@ pub fn nothing() -> Value {
     })
 }
 
-/// How often classes agree, and how many samples are not compared.
+/// How often classes agree, and the number of samples that are not compared.
 pub(super) fn classes_text(classes: &ClassTally) -> String {
     let undecided = classes.undecided();
     let rest = if undecided.is_empty() { String::new() } else { format!("; not compared: {undecided}") };
@@ -220,7 +220,7 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
 ];
 
-/// Columns of the text behind the first four of all; it says where a layer first parts.
+/// Columns of the text after the first four of all; it says where a layer first parts.
 const TEXT_COLUMNS: [Column<LayerRow>; 3] = [
     ("coincidence", |row| if silent(row) { "-".to_string() } else { three(row.comparison.tally.coincidence()) }),
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(three))),

@@ -97,7 +97,7 @@ fn tuned_text(tuned: &Tuned) -> String {
 }
 
 impl ConvertReport<'_> {
-    /// What was converted, on how many samples.
+    /// What was converted, and the number of samples.
     fn what(&self) -> String {
         let samples = self.done.converted.calibration.samples;
         format!("{}, {}", self.job.graph.facts().name, count(samples as u64, "calibration sample"))

@@ -33,7 +33,7 @@ pub struct RunReport<'a> {
     pub labels: &'a [Option<u32>],
     /// Counts of the mapped program; none for the golden engine.
     pub activity: Option<&'a Activity>,
-    /// Compartment updates that were left out.
+    /// Compartment updates that were skipped.
     pub skipped_updates: u64,
     /// The rule by which samples ended before their last step.
     pub early_exit: Option<Rule>,
@@ -113,7 +113,7 @@ impl RunReport<'_> {
         self.outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum()
     }
 
-    /// How many samples were decided early, and the least step by which half of those were.
+    /// Number of samples that were decided early, and the least step by which half of those were.
     fn decided(&self) -> (usize, Option<u32>) {
         let decided = self.outcomes.iter().filter(|outcome| outcome.decided_at.is_some());
         (decided.count(), median_decision(self.outcomes))

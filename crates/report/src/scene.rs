@@ -12,7 +12,7 @@ use nsim_scene::wire::Carried;
 pub struct ClassSummary {
     /// Its name.
     pub name: String,
-    /// How many samples.
+    /// Number of samples.
     pub samples: usize,
     /// Spikes of touch, of all samples together.
     pub touch_spikes: u64,
@@ -20,7 +20,7 @@ pub struct ClassSummary {
     pub vision_spikes: u64,
     /// Spikes a channel and step of touch; NaN without samples.
     pub touch_density: f64,
-    /// The same of vision.
+    /// Spikes a channel and step of vision.
     pub vision_density: f64,
     /// Onsets by the rule of the paper's authors, where markers are tracked.
     pub by_markers: Option<ByMarkers>,
@@ -76,7 +76,7 @@ pub struct SceneReport {
     pub scene: String,
     /// The seed.
     pub seed: u64,
-    /// How many samples.
+    /// Number of samples.
     pub samples: usize,
     /// Timesteps of a sample.
     pub steps: u32,

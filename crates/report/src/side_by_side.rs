@@ -43,7 +43,7 @@ pub struct SideBySideReport<'a> {
     pub input: &'a [String],
     /// Their seed, when they had one.
     pub seed: Option<u64>,
-    /// How many.
+    /// Number of samples.
     pub samples: usize,
     /// The others, in the order in which they were named.
     pub networks: Vec<Compared>,

@@ -80,7 +80,7 @@ pub fn without_direction<'a>(table: &Table<'_>, axes: [&'a str; 2]) -> Vec<&'a s
     axes.into_iter().filter(|column| to_less(table, column).is_none()).collect()
 }
 
-/// How many variants on the front equal another of it in both columns.
+/// Number of variants on the front that equal another of it in both columns.
 ///
 /// # Errors
 /// `sweep.column`.

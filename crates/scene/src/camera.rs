@@ -203,7 +203,7 @@ mod tests {
 
     #[test]
     fn events_follow_the_contrast_threshold_and_the_refractory_time() {
-        // A step of 0.7 is three events of 0.2, which come 2 ms apart: in steps 3, 5 and 7.
+        // A step of 0.7 is three events of 0.2, which come every 2 ms: in steps 3, 5 and 7.
         let mut camera = camera(&STILL);
         let pixel = (13 * WIDTH + 21) as u32;
         let mut spikes = Vec::new();

@@ -1,7 +1,7 @@
-//! A clock beside recordings: which part of its course a sample is in.
+//! A clock in parallel with recordings: it shows which part of its course a sample is in.
 //!
-//! Input: how many timesteps a channel stands for, and the length of a sample. Output: spikes of
-//! the channel of each timestep: channel k spikes in every step of the k-th span, the last one also
+//! Input: the number of timesteps of a channel, and the length of a sample. Output: spikes of the
+//! channel of each timestep: channel k spikes in every step of the k-th span, the last one also
 //! in all that follow. A robot that grasps and lifts by a fixed course knows this; neurons whose
 //! memory is shorter than the course do not. Nothing is random.
 

@@ -127,7 +127,7 @@ parameters! {
     lift_s: (f64, f64) = (3.95, 4.1), spread(0.0..=10.0);
     /// How far the grasp lies above or below the container's middle, mm.
     grasp_mm: (f64, f64) = (-1.5, 1.5), spread(-50.0..=50.0);
-    /// How full a container is beside its level, as a part of the largest fill.
+    /// Deviation of a container's fill from its level, as a part of the largest fill.
     fill_error: (f64, f64) = (-0.03, 0.03), spread(-1.0..=1.0);
     /// Relative amplitude of the arm's vibration in the grip force while it lifts.
     vibration: (f64, f64) = (0.001, 0.004), spread(0.0..=1.0);
@@ -137,7 +137,7 @@ parameters! {
     s_min: u32 = 1, parameter(1..=1000);
 }
 
-/// The class of a sample: every 20 samples in a row show each class once, in drawn order.
+/// The class of a sample: every 20 samples in a row show each class once, in random order.
 pub fn label(seed: u64, sample: u32) -> u32 {
     let classes = CONTAINERS.len() as u32 * LEVELS;
     let draws = Draws::new(seed, sample / classes);
@@ -347,7 +347,7 @@ fn binned(events: &[(u32, u32)], s_min: u32) -> Vec<(u32, u32)> {
     bins.chunk_by(|a, b| a == b).filter(|same| same.len() >= s_min as usize).map(|same| same[0]).collect()
 }
 
-/// What the camera sees: from behind to before, the table, the container with its label and fill,
+/// The camera's view: from back to front, the table, the container with its label and fill,
 /// the fingers. All edges are upright or level; places in px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Picture {

@@ -25,7 +25,7 @@ pub enum Purpose {
     Arm,
     /// Noise events of the camera.
     PixelNoise,
-    /// How many noise events a step has.
+    /// Number of noise events of a step.
     PixelNoiseCount,
     /// Properties of a pixel.
     PixelGain,
@@ -39,7 +39,7 @@ pub enum Purpose {
     Marker,
 }
 
-/// Draws of one sample.
+/// Random numbers of one sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Draws {
     seed: u64,
@@ -47,10 +47,10 @@ pub struct Draws {
 }
 
 impl Draws {
-    /// What fingers, camera and wire are built with, whatever the scene's seed.
+    /// Random properties of fingers, camera and wire, for any seed of the scene.
     pub const DEVICE: Draws = Draws { seed: 0, sample: 0 };
 
-    /// The draws of a sample under a seed.
+    /// The random numbers of a sample under a seed.
     pub fn new(seed: u64, sample: u32) -> Self {
         Draws { seed, sample }
     }

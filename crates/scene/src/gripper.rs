@@ -6,7 +6,7 @@
 //! twist about the axis through the fingertips; the contact is a soft finger whose friction bears a
 //! torque up to a limit that a vertical load lowers (Howe and Cutkosky, "Practical force-motion
 //! models for sliding manipulation", IJRR 1996: an ellipse of force and torque). While the lift
-//! takes the weight from the table, the torque of gravity on a centre of mass beside the grasp
+//! takes the weight from the table, the torque of gravity on a centre of mass next to the grasp
 //! grows with it; beyond the limit the box slides about the axis.
 //!
 //! Not modelled: translation slip, waves in the skin, tilt out of the plane, contact of a corner
@@ -201,13 +201,13 @@ mod tests {
 
     #[test]
     fn below_the_limit_of_friction_nothing_slides() {
-        // The lift is a blow: a torque that comes at once twists a spring twice as far as one that
-        // comes slowly. So half the limit is what holds however fast the lift.
+        // The lift is a blow: a sudden torque twists a spring twice as far as one that comes
+        // slowly. So half the limit is what holds however fast the lift.
         for ratio in [0.0, 0.1, 0.3, 0.49] {
             let grasp = grasp(ratio);
             let motion = follow(&grasp, 250, 600);
             assert_eq!(motion.onset_ms, None, "{ratio}");
-            // It comes to rest where the twist of the skin bears the torque of gravity.
+            // It stops where the twist of the skin bears the torque of gravity.
             let last = motion.states.last().unwrap();
             let bears = TWIST_NM_PER_RAD * last.angle_rad;
             let gravity = last.load_n * grasp.offset_m * last.angle_rad.cos();

@@ -45,7 +45,7 @@ pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
 pub struct Recorded {
     /// The scene's name.
     pub name: &'static str,
-    /// How many samples are asked for.
+    /// Number of samples that are asked for.
     pub samples: u32,
     /// The seed.
     pub seed: u64,

@@ -9,13 +9,13 @@ use super::gripper::Motion;
 
 /// Frames a second (OptiTrack; "for 1 second" and 120 frames, section VI and appendix).
 const FRAMES_PER_S: f64 = 120.0;
-/// Frames at rest, before the recording.
+/// Frames without motion, before the recording.
 const REST: u32 = 120;
 /// The part of them that a figure must exceed.
 const PART: f64 = 0.98;
 /// Standard deviation of a marker's height, mm; assumed, as such trackers promise at 1 to 2 m.
 const HEIGHT_MM: f64 = 0.1;
-/// Standard deviation of orientation, rad; assumed: the above over markers 5 cm apart.
+/// Standard deviation of orientation, rad; assumed: the above over 5 cm between markers.
 const ORIENTATION_RAD: f64 = 0.002;
 
 /// When things happen, in ms of the recording.
@@ -27,7 +27,7 @@ pub struct Annotated {
     pub turn_ms: Option<f64>,
 }
 
-/// The first of `frames` from which on each exceeds more than 98 % of the frames at rest.
+/// The first of `frames` from which on each exceeds more than 98 % of the frames without motion.
 fn onset(rest: &[f64], frames: &[f64]) -> Option<usize> {
     let exceeds = |&figure: &f64| {
         let below = rest.iter().filter(|&&at_rest| figure > at_rest).count();

@@ -19,7 +19,7 @@ pub(super) fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
     })
 }
 
-/// A parameter drawn for each sample: `low..high` or one value for all, within a range.
+/// A parameter that is random for each sample: `low..high` or one value for all, within a range.
 pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64>) -> Result<(f64, f64)> {
     let (low, high) = value.split_once("..").unwrap_or((value, value));
     let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
@@ -47,9 +47,9 @@ macro_rules! parameters {
         $(#[$about])*
         #[derive(Debug, Clone, PartialEq)]
         pub struct $scene {
-            /// How many samples.
+            /// Number of samples.
             pub samples: u32,
-            /// The seed of everything that is drawn.
+            /// The seed of everything that is random.
             pub seed: u64,
             $($(#[$of])* pub $own: $type,)*
             /// The taxels.
@@ -87,7 +87,7 @@ macro_rules! parameters {
             /// The parameters that can be set.
             pub const KEYS: &[&str] = &[$(stringify!($key)),*];
 
-            /// Reads `scene:NAME?key=value&..`; a parameter that is drawn for each sample is a
+            /// Reads `scene:NAME?key=value&..`; a parameter that is random for each sample is a
             /// value or `low..high`.
             ///
             /// # Errors

@@ -48,7 +48,7 @@ pub struct Recording {
 pub const TOUCH: (&str, u32) = ("tactile", 4 * TAXELS as u32);
 /// The population that vision is for, and its channels.
 pub const VISION: (&str, u32) = ("vision", POOLED as u32);
-/// The same with a plane of channels for each polarity.
+/// The same population with a plane of channels for each polarity.
 pub const VISION_PLANES: (&str, u32) = ("vision", 2 * POOLED as u32);
 
 /// What a camera sent, of both polarities together and in planes.

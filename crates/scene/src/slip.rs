@@ -1,4 +1,4 @@
-//! The slip scene: a gripper lifts a box whose centre of mass may lie beside the grasp, and it
+//! The slip scene: a gripper lifts a box whose centre of mass may lie next to the grasp, and it
 //! rotates or does not.
 //!
 //! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event
@@ -50,7 +50,7 @@ parameters! {
     friction: (f64, f64) = (0.7, 0.9), spread(0.01..=5.0);
     /// Torque of gravity over the torque that friction bears, for grasps that hold.
     stable_ratio: (f64, f64) = (0.0, 0.35), spread(0.0..=10.0);
-    /// The same for grasps that slide.
+    /// The same ratio for grasps that slide.
     slip_ratio: (f64, f64) = (1.25, 1.75), spread(0.0..=10.0);
     /// When the lift begins, ms.
     lift_ms: (f64, f64) = (2.0, 8.0), spread(0.0..=1000.0);
@@ -195,7 +195,7 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
             posed = Some((state.angle_rad, state.sag_m));
             for (k, height) in surface.iter_mut().enumerate() {
                 let (finger, (x, y)) = (k / TAXELS, places[k % TAXELS]);
-                // The second finger sees the box from behind.
+                // The second finger sees the box from the other side.
                 let angle = if finger == 0 { state.angle_rad } else { -state.angle_rad };
                 let (sin, cos) = (libm::sin(angle), libm::cos(angle));
                 *height = reliefs[finger].at(cos * x + sin * y, -sin * x + cos * y + 1e3 * state.sag_m);
@@ -252,7 +252,7 @@ impl Traction {
 
     /// The stress at a place of a finger, mm, under a pressure; kPa.
     fn at(&self, x: f64, y: f64, finger: usize, pressed_kpa: f64) -> f64 {
-        // The second finger sees the box from behind.
+        // The second finger sees the box from the other side.
         let twist = if finger == 0 { self.twist_rad } else { -self.twist_rad };
         let (across, down) = (-twist * y, twist * x + self.sag_mm);
         let stress = self.kpa_per_mm * (across * across + down * down).sqrt();
@@ -260,7 +260,7 @@ impl Traction {
     }
 }
 
-/// Where the box is in the picture, and the table behind it.
+/// The place of the box in the picture, and that of the table in the background.
 #[derive(Debug, Clone, Copy)]
 struct Pose {
     sin: f32,
@@ -272,7 +272,7 @@ struct Pose {
     table: f32,
 }
 
-/// Brightness of what is behind the box, as a natural logarithm.
+/// Brightness of the background, as a natural logarithm.
 const WALL: f32 = 0.0;
 const TABLE: f32 = -0.5;
 

@@ -6,8 +6,8 @@
 //! threshold either way it sends an event and is silent for its refractory time.
 //!
 //! From Taunyazov et al. 2020, section III: 39 taxels a finger, radially arranged, denser at the
-//! centre; fast-adapting; recovery of about 300 ms; a fingertip of 37 x 21 mm. Assumed, for nobody
-//! has published them: the rings' radii, the thresholds, noise and refractory time.
+//! centre; fast-adapting; recovery of about 300 ms; a fingertip of 37 x 21 mm. Assumed, since they
+//! are not published: the rings' radii, the thresholds, noise and refractory time.
 
 use super::draw::{Draws, Purpose};
 
@@ -124,7 +124,7 @@ pub struct Taxels {
 }
 
 impl Taxels {
-    /// Taxels at rest. Thresholds belong to the fingers, not to the sample.
+    /// Taxels without a deformation. Thresholds belong to the fingers, not to the sample.
     pub fn new(skin: &Skin, draws: Draws, count: usize) -> Self {
         let taxel = |k| Taxel {
             threshold: skin.threshold_kpa

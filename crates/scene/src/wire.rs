@@ -3,7 +3,7 @@
 //! This is the read-out of the NeuTouch finger (ACES; Taunyazov et al. 2020, section III): every
 //! taxel sends its own pattern of pulses asynchronously, patterns add on the wire, and a decoder
 //! correlates the signal with each pattern. Input: events by millisecond and channel. Output: the
-//! events that the decoder reports, and how many it missed or reported falsely. Not modelled: the
+//! events that the decoder reports, and the numbers of missed and of false ones. Not modelled: the
 //! shape of a pulse and delays along the wire.
 //!
 //! A slot is 1 us. A signature has ten pulses in 1,000 slots, one in each 100, at places that the

@@ -2,11 +2,11 @@
 //!
 //! Input: a [`Rule`], a bound on the spikes that each output can still make, and the output spikes
 //! of each step. Output: whether the sample is decided. It establishes, for [`Rule::Certain`], that
-//! the class after the deciding step is the class of the whole sample whatever follows, and that no
-//! earlier step would have allowed to say so from the output spikes and the refractory periods
-//! alone. [`Rule::Margin`] promises nothing of the kind.
+//! the class after the deciding step is the class of the whole sample for any later spikes, and
+//! that no earlier step would have allowed to say so from the output spikes and the refractory
+//! periods alone. [`Rule::Margin`] promises nothing of the kind.
 //!
-//! Left out on purpose: weights, potentials and the input to come. They could decide a sample
+//! Omitted on purpose: weights, potentials and the input to come. They could decide a sample
 //! earlier, but only by simulating it.
 
 use std::fmt;
@@ -19,8 +19,8 @@ use nsim_ir::quantised::{Quantised, Reset, Units};
 /// What decides a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rule {
-    /// The leading output has at least this many spikes more than every other; an only output, so
-    /// many spikes.
+    /// The leading output has at least this many spikes more than every other; an only output has
+    /// this many spikes.
     Margin(NonZeroU32),
     /// No spikes that the refractory periods still allow can change the class.
     Certain,
@@ -133,7 +133,7 @@ impl EarlyExit {
         EarlyExit { rule, pace: Pace::of_output(network), ends: true }
     }
 
-    /// The same, by which no sample ends.
+    /// This rule, by which no sample ends.
     pub fn watched(rule: Rule, network: &Quantised) -> EarlyExit {
         EarlyExit { ends: false, ..EarlyExit::new(rule, network) }
     }
@@ -149,7 +149,7 @@ pub struct Decision<'e> {
     free: Vec<Option<u64>>,
     /// The output with most spikes, the lowest on a tie.
     leader: Option<usize>,
-    /// The first step after which the sample can be decided, whatever spikes until then.
+    /// The first step after which the sample can be decided, for any spikes until then.
     open_until: u64,
 }
 
@@ -184,7 +184,7 @@ impl<'e> Decision<'e> {
     }
 
     /// Whether the sample is decided after the update of `step`, all of whose spikes have been
-    /// told. Steps are asked for in ascending order.
+    /// reported. Steps are asked for in ascending order.
     pub fn decided_after(&mut self, step: u32) -> bool {
         if u64::from(step) < self.open_until {
             return false;
@@ -194,7 +194,7 @@ impl<'e> Decision<'e> {
         lacking == 0
     }
 
-    /// How many steps after the update of `step` at least until the sample can be decided, whatever
+    /// Least number of steps after the update of `step` until the sample can be decided, for any
     /// spikes: 0 when it is.
     fn lacking(&self, step: u32) -> u64 {
         match self.exit.rule {
@@ -305,7 +305,7 @@ mod tests {
         }
     }
 
-    /// What a compartment may do, told by looking back at its own spikes instead of by formula.
+    /// What a compartment may do, found by looking back at its own spikes instead of by formula.
     fn may_spike(pace: &Pace, output: usize, train: &[u32], step: u32) -> bool {
         let Some(&last) = train.last() else { return step >= pace.start };
         let was_reset = pace.reset.is_some_and(|(reset, from)| (last + 1..=step).any(|s| falls_on(reset, s, from)));

@@ -76,7 +76,7 @@ impl Quantity {
 pub struct Probe {
     /// The first compartment.
     pub first: CompartmentId,
-    /// How many.
+    /// Number of compartments.
     pub count: u32,
     /// What to record.
     pub quantity: Quantity,
@@ -126,7 +126,7 @@ pub struct Outcome {
     pub decided_at: Option<u32>,
     /// The class after that step; `None` also for a sample that was decided silent.
     pub decided_class: Option<u32>,
-    /// Timesteps after that one: left off when a decision ends the sample.
+    /// Timesteps after that one: omitted when a decision ends the sample.
     pub steps_saved: u32,
     /// Counts that any engine keeps.
     pub totals: Totals,
@@ -170,10 +170,10 @@ pub fn run_sample<E: Engine + ?Sized>(
     run_copies(engine, sample, Copies::ONE, keep, |engine, passed| after_step(engine, passed.steps))
 }
 
-/// Steps in a row that were alike.
+/// Steps in a row that were identical.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Passed {
-    /// How many.
+    /// Number of steps.
     pub steps: u32,
     /// Whether the sample was decided before the first of them.
     pub decided: bool,
@@ -207,7 +207,7 @@ pub fn run_copies<E: Engine + ?Sized>(
     let in_silence = |decision: &Option<Decision<'_>>, begin, end| decision.as_ref()?.decided_in_silence(begin, end);
     let ends = exit.is_some_and(|exit| exit.ends);
     while step < sample.steps() && !(ends && outcome.decided_at.is_some()) {
-        // A decision in silence takes its time, which is lost where the engine is not at rest.
+        // A decision in silence takes its time, which is lost where the engine is not idle.
         let may_rest = match &outcome.potentials {
             Some(_) => margin.is_none() || outcome.decided_at.is_some(),
             None => decision.is_none() || engine.rest(0),
@@ -298,7 +298,7 @@ pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u3
     share_right(outcomes, labels, Outcome::class)
 }
 
-/// The same of these classes.
+/// The share of samples whose class, by this function, is their label; `None` unless all have one.
 pub fn share_right(
     outcomes: &[Outcome],
     labels: impl IntoIterator<Item = Option<u32>>,

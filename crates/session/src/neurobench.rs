@@ -14,8 +14,8 @@
 //! - The footprint is that of weights of 16 bits, and of a current and a voltage of 32 bits for
 //!   each compartment.
 //!
-//! All samples count as one batch. Left out on purpose: layers of real numbers, and samples that
-//! end early.
+//! All samples count as one batch. Omitted on purpose: layers of real numbers, and samples that end
+//! early.
 
 use super::samples::Run;
 use super::steps::groups;
@@ -41,7 +41,7 @@ pub struct NeuroBench {
     pub dense: f64,
     /// Operations of a sample over entries that are not zero, for spikes that carry a number.
     pub effective_macs: f64,
-    /// The same for spikes that carry none.
+    /// Those operations for spikes that carry none.
     pub effective_acs: f64,
     /// Membrane updates of a sample.
     pub membrane_updates: f64,

@@ -76,7 +76,7 @@ pub struct Request<'a> {
     pub options: Options,
     /// What to leave out, as `--prune` takes it.
     pub prune: &'a [String],
-    /// Patterns of populations that stay whole however much is left out.
+    /// Patterns of populations that stay whole however much is pruned.
     pub probed: &'a [&'a str],
     /// Whether to add relays where output axons are few.
     pub relays: bool,
@@ -274,7 +274,7 @@ impl Goal {
         mapped.map_err(|error| mapping_file::explained(error, path, model))
     }
 
-    /// The same for the usual rates, with its program.
+    /// The mapping for the usual rates, with its program.
     ///
     /// # Errors
     /// As [`Goal::mapped`], and for a network of too many synapses.

@@ -85,7 +85,7 @@ impl ByPopulation {
         sum
     }
 
-    /// The same of this many copies that all do what the counted ones do.
+    /// The counts of this many copies that all do what the counted ones do.
     pub fn of_copies(network: &Quantised, counts: &SourceCounts, copies: u32) -> Self {
         let mut sum = ByPopulation::new(network, counts);
         let counted = counts.compartments.len() as u64 / u64::from(network.compartments()).max(1);

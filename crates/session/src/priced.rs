@@ -77,7 +77,7 @@ pub struct Metered<'c> {
 }
 
 impl<'c> Metered<'c> {
-    /// Of groups of cores that hold copies alike, one is run for all.
+    /// Of groups of cores that hold identical copies, one is run for all.
     pub fn new(compiled: &'c Mapping) -> Self {
         let groups = compiled.core_groups();
         let routes = match &groups {
@@ -87,7 +87,7 @@ impl<'c> Metered<'c> {
         Metered { compiled, groups, routes: Arc::new(routes) }
     }
 
-    /// The same with every core run: the obvious way, which tests compare with.
+    /// Metered steps with every core run: the obvious way, which tests compare with.
     pub fn every_core(compiled: &'c Mapping) -> Self {
         let one = compiled.one_copy();
         let groups = CoreGroups::each(&compiled.program, one, &compiled.together()).ok();
@@ -105,7 +105,7 @@ impl<'c> Metered<'c> {
         self.offline_with(target, HostWork::for_target(target))
     }
 
-    /// The same where x86 cores do this work.
+    /// What steps are metered under where x86 cores do this work.
     ///
     /// # Errors
     /// As [`Self::offline`].
@@ -175,7 +175,7 @@ impl<'c> Metered<'c> {
                 cores[core.index()] = run.activity.cores()[CoreId(run_core)];
             }
         }
-        // Of groups that are alike the first stands for all, as of cores that take as long.
+        // Of identical groups the first represents all, as of cores that take as long.
         let mut slowest = vec![0; cores.len()];
         for (kind, number) in groups.kinds.iter().zip(0..) {
             let first = groups.groups.iter().find(|group| group.kind == number);

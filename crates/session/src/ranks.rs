@@ -1,11 +1,11 @@
-//! What the processes that run a program together hold, and what they tell the first of them.
+//! The parts of a program that processes run together, and what they report to the first of them.
 //!
 //! Input: a program assigned to ranks, and the counts of a rank ([`super::samples`]). Output: the
 //! part that a rank holds; on rank 0 the counts of one process alone. Invariant: every
 //! count is found by one rank only, so that adding is all there is to do.
 //!
-//! Why rank 0 gathers after the run and not after each step: counts add up in any order, and only
-//! what a step costs, or when a sample is decided, has to be known at once
+//! Why rank 0 collects counts after the run and not after each step: counts add up in any order,
+//! and only what a step costs, or when a sample is decided, has to be known immediately
 //! ([`nsim_machine::Machine::of_part`]).
 
 use std::collections::BTreeSet;
@@ -57,10 +57,10 @@ pub fn peak_mib() -> Option<f64> {
     Some(kib / 1024.0)
 }
 
-/// The part of a program that a rank holds: the program itself where it is that.
+/// The part of a program that a rank holds: the program itself where it is that part.
 ///
 /// # Errors
-/// `run.part` when the program is not dealt out, or is another rank's part: a fault of the caller.
+/// `run.part` when the program is not distributed, or another rank's part: a fault of the caller.
 pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Diagnostic> {
     let wrong = |what: String| Diagnostic::new("run.part", what);
     match program.held_rank() {

@@ -1,7 +1,7 @@
 //! Runs many samples on an engine, in parallel where that pays.
 //!
-//! Input: a program or network, samples, what to keep of each. Output: outcomes in run order,
-//! whatever the number of threads. Errors: a program whose sums could leave their integers.
+//! Input: a program or network, samples, what to keep of each. Output: outcomes in run order, for
+//! any number of threads. Errors: a program whose sums could leave their integers.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -42,9 +42,9 @@ pub struct Running<'a> {
     pub keep: &'a Keep,
     /// The copies of the program, all of which see the sample.
     pub copies: Copies,
-    /// Whether work that cannot change anything is left out.
+    /// Whether work that cannot change anything is skipped.
     pub skip: bool,
-    /// Whether the counts of each step are kept, for a meter.
+    /// Whether the counts of each step are stored, for a meter.
     pub per_step: bool,
     /// Called after each sample.
     pub progress: Progress<'a>,
@@ -62,7 +62,7 @@ impl<'a> Running<'a> {
 
 /// What watches the steps of a run, a part of it in each thread.
 pub trait Meter: Send {
-    /// Sees steps in a row that were alike.
+    /// Sees steps in a row that were identical.
     fn see(&mut self, step: &StepActivity, passed: Passed);
 
     /// Adds what another one saw of later samples. What it says may not depend on the parts.
@@ -86,7 +86,7 @@ pub struct Run<M> {
     pub counts: SourceCounts,
     /// What saw all samples.
     pub meter: M,
-    /// Compartment updates that were left out because the compartment was at rest.
+    /// Compartment updates that were skipped because the compartment was idle.
     pub skipped_updates: u64,
     /// Seconds spent.
     pub wall_s: f64,
@@ -186,7 +186,7 @@ fn on_ranks<M: Meter>(
     Ok(run)
 }
 
-/// The same on a program that is laid out already, for runs of the same division.
+/// Runs samples on a program that is laid out already, for runs of the same division.
 pub fn fast_on<M: Meter>(
     image: &Arc<Image>,
     division: Division,
@@ -300,7 +300,7 @@ fn in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + 
 }
 
 impl<M> Run<M> {
-    /// The same with what is made of its meter.
+    /// This run with what is made of its meter.
     pub fn map_meter<N>(self, made: impl FnOnce(M) -> N) -> Run<N> {
         let Run { outcomes, activity, counts, meter, skipped_updates, wall_s, ranks } = self;
         Run { outcomes, activity, counts, meter: made(meter), skipped_updates, wall_s, ranks }

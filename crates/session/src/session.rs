@@ -1,16 +1,15 @@
 //! A mapped network that is stepped from outside: by a robot, an environment, a notebook.
 //!
 //! Input: a laid-out program and, in each step, the channels that spike. Output: who spiked, and
-//! registers. The length of the sample is not needed. A session is a value: a copy
-//! continues from the same step, independently, and serves as a snapshot. Stepping a sample
-//! does exactly what running it does. What was shown is kept, so that the steps so far can be
-//! priced as a sample.
+//! registers. The length of the sample is not needed. A session is a value: a copy continues from
+//! the same step, independently, and serves as a snapshot. Stepping a sample does exactly what
+//! running it does. What was shown is stored, so that the steps so far can be priced as a sample.
 //!
 //! Weights of plastic projections are read and written between steps, or a rule changes them. Each
 //! copy of the session has its own.
 //!
 //! Errors: `session.channel` for channels that the network lacks, `session.too-long` beyond what
-//! can be kept, `session.weights.*` for weights that cannot be written or would be lost,
+//! can be stored, `session.weights.*` for weights that cannot be written or would be lost,
 //! `session.rule.*` for rules that cannot act.
 
 use std::sync::Arc;
@@ -23,7 +22,7 @@ use nsim_ir::spikes::{Copies, Engine, Sample, Spikes};
 use nsim_machine::plastic::places::PlasticProjection;
 use nsim_machine::{Image, Machine, Settings};
 
-/// Input spikes that are kept, 12 bytes each; later ones are counted only.
+/// Input spikes that are stored, 12 bytes each; later ones are counted only.
 const MOST_KEPT: usize = 1 << 26;
 
 /// The remedy where a network has no plastic projection.
@@ -40,7 +39,7 @@ pub struct Session {
     /// Input spikes of one copy: (step, channel, value).
     kept: Vec<(u32, ChannelId, i32)>,
     steps: u32,
-    /// Whether an input spike was not kept.
+    /// Whether an input spike was not stored.
     is_cut: bool,
     /// The last step's input, of one copy.
     shown: Vec<(ChannelId, i32)>,

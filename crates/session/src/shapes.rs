@@ -1,11 +1,11 @@
-//! What a network needs by its shapes alone: refuses what no mapping fits, before anything is drawn
-//! or expanded.
+//! What a network needs by its shapes alone: refuses what no mapping fits, before anything is
+//! sampled or expanded.
 //!
 //! Input: a model as it is written, a target. Output: the reasons for which it cannot fit, if any.
-//! Every source that reaches every compartment, or draws its targets, takes at least the bits of
+//! Every source that reaches every compartment, or samples its targets, takes at least the bits of
 //! its weights in the synapse memory of the cores that it reaches; the mean over a population's
 //! compartments is a bound that some compartment is not below. What the shapes do not decide, or
-//! the model says wrongly, is left to the stages behind.
+//! the model says wrongly, is left to the later stages.
 
 use std::collections::HashMap;
 
@@ -17,7 +17,7 @@ use nsim_ir::resource::Resource;
 
 /// Bits of a synapse word.
 const WORD: u128 = 64;
-/// Networks of fewer synapses are mapped in a second or so, which tells every reason and not only
+/// Networks of fewer synapses are mapped in a second or so, which gives every reason and not only
 /// this one.
 const SMALL: u128 = 1 << 24;
 

@@ -1,10 +1,10 @@
-//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and traces of the
-//! first copy.
+//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and traces of
+//! the first copy.
 //!
-//! Input: a mapping, a sample, what steps are metered under, the compartments of which a quantity is
-//! wanted. Output: a [`Timeline`]. Memory is bounded whatever the sample's length and the network's
-//! size: the first [`MOST_STEPS`] steps, of each population at most [`MOST_UNITS`] units in equal
-//! distances and [`MOST_SPIKES`] spikes; what was left out is said.
+//! Input: a mapping, a sample, what steps are metered under, the compartments of which a quantity
+//! is wanted. Output: a [`Timeline`]. Memory is bounded for any length of the sample and any size
+//! of the network: the first [`MOST_STEPS`] steps, of each population at most [`MOST_UNITS`] units
+//! in equal distances and [`MOST_SPIKES`] spikes; what was omitted is said.
 
 use std::sync::Arc;
 
@@ -19,11 +19,11 @@ use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::spikes::Sample;
 
-/// Steps that are kept.
+/// Steps that are stored.
 pub const MOST_STEPS: u32 = 1 << 15;
-/// Units of a population whose spikes are kept.
+/// Units of a population whose spikes are stored.
 pub const MOST_UNITS: u32 = 400;
-/// Spikes of a population that are kept.
+/// Spikes of a population that are stored.
 pub const MOST_SPIKES: usize = 40_000;
 
 /// Spikes of some units of a population.
@@ -33,22 +33,22 @@ pub struct Raster {
     pub population: usize,
     /// Units of the population.
     pub units: u32,
-    /// One unit in this many is kept.
+    /// One unit in this many is stored.
     pub every: u32,
     /// (step, unit), ascending by step.
     pub spikes: Vec<(u32, u32)>,
-    /// Whether there were more spikes than are kept.
+    /// Whether there were more spikes than are stored.
     pub cut: bool,
 }
 
 /// What happened in the steps of a sample.
 #[derive(Debug, Clone)]
 pub struct Timeline {
-    /// Steps that are kept, and steps of the sample.
+    /// Steps that are stored, and steps of the sample.
     pub steps: (u32, u32),
     /// Columns of a row.
     pub layout: StepLayout,
-    /// A row for each kept step, in the integers of its columns' units.
+    /// A row for each stored step, in the integers of its columns' units.
     pub rows: Vec<u64>,
     /// By population, in the network's order.
     pub rasters: Vec<Raster>,

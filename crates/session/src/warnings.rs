@@ -145,7 +145,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
     found
 }
 
-/// What to warn of when a mapped network is shown samples, where nobody has counted yet.
+/// The warnings of a mapped network that is shown samples, where no caller has counted yet.
 ///
 /// # Errors
 /// As [`fast`].

@@ -1,6 +1,6 @@
 //! Ladders: run time a synaptic event along one property of a network or a run, to find cliffs.
 //!
-//! Input: a seed, which draws what a ladder holds fixed. Output: for each rung the time of an
+//! Input: a seed, which determines what a ladder holds fixed. Output: for each rung the time of an
 //! event, the goal, and whether it is a *cliff*. The goal is that of its class and of the updates
 //! between two events. A cliff takes more than [`CLIFF`] times as long as a neighbour, where its
 //! goal is not longer; where it is, as many times more. Times are those of a run as users start it,
@@ -103,7 +103,7 @@ pub struct Row {
     pub is_cliff: bool,
 }
 
-/// The rungs of all ladders, drawn by this seed, for up to this many threads.
+/// The rungs of all ladders, generated from this seed, for up to this many threads.
 pub fn rungs(seed: u64, threads: usize) -> Vec<Rung> {
     let mut rungs = Vec::new();
     let base = |ladder: u64| {

@@ -31,7 +31,7 @@ use nsim_session::ranks::peak_mib;
 pub struct MeasuredMapping {
     /// The network.
     pub network: &'static str,
-    /// How compartments were gathered.
+    /// How compartments were assigned to cores.
     pub strategy: Strategy,
     /// Whether cores were placed by traffic.
     pub placed: bool,
@@ -51,7 +51,7 @@ pub struct MeasuredMapping {
     pub step_us: f64,
     /// Seconds of all stages, the network itself not included.
     pub seconds: f64,
-    /// The process's peak memory while it was mapped, where the system tells it.
+    /// The process's peak memory while it was mapped, where the system reports it.
     pub peak_mib: Option<f64>,
 }
 

@@ -1,10 +1,10 @@
 //! Run time against error: one network in many forms, on the same samples.
 //!
-//! Input: a network as it was trained, what stands for its spike response populations, samples.
-//! Output: a [`VariantRow`] for each [`Variant`]: microseconds a timestep on one thread, and how
-//! far its spikes and potentials are from the trained network in doubles. Variants that claim to be
-//! exact are held against the golden interpreter besides; for them [`VariantRow::exact`] must be
-//! true.
+//! Input: a network as it was trained, the converted form of its spike response populations,
+//! samples. Output: a [`VariantRow`] for each [`Variant`]: microseconds a timestep on one thread,
+//! and how far its spikes and potentials are from the trained network in doubles. Variants that
+//! claim to be exact are held against the golden interpreter besides; for them
+//! [`VariantRow::exact`] must be true.
 //!
 //! A timestep is one of the samples' own, also where a variant merges or leaves off steps. Only
 //! runs are timed, not what makes a variant ready.
@@ -53,7 +53,7 @@ pub enum Variant {
     Golden,
     /// The machine.
     Fast {
-        /// What is at rest is left out.
+        /// Whether idle compartments are skipped.
         skip: bool,
     },
     /// The machine with every step metered, energy and time under this model of the mesh.
@@ -306,7 +306,7 @@ impl<'a> Subject<'a> {
         if keep.early_exit.is_some() {
             for (trace, sample) in traces.iter_mut().zip(&given) {
                 let until = run_sample(&mut machine, sample, &keep, |_, _| ()).steps;
-                // The steps that were left off have no spikes; potentials are not there to compare.
+                // The omitted steps have no spikes; potentials are not there to compare.
                 let steps = trace.steps;
                 *trace = Trace { steps, potentials: Vec::new(), ..std::mem::take(trace).until(until) };
             }
@@ -440,8 +440,8 @@ fn with_neurons(network: &Quantised, f: impl Fn(Neuron) -> Result<Neuron, OutOfR
     Quantised::new(parts).map_err(wrong)
 }
 
-/// The network for steps that are this many times as long: what is kept is kept this many times
-/// over; the threshold is divided, since the current is added once instead of so often.
+/// The network for steps that are this many times as long: the share left by a step is raised to
+/// this power; the threshold is divided, since the current is added once instead of so often.
 fn slower(network: &Quantised, steps: u32) -> Result<Quantised, Error> {
     let decay = |d: Decay| {
         let keep = libm::pow(1.0 - f64::from(d.get()) / 4096.0, f64::from(steps));

@@ -1,7 +1,7 @@
 //! The networks on which mappings are compared, as code.
 //!
 //! Input: a name. Output: the network in integers, a short input, and the board. Sizes are those of
-//! published networks where there is one; weights are drawn (`base::rng`), because places do not
+//! published networks where there is one; weights are random (`base::rng`), because places do not
 //! depend on them.
 //!
 //! - `vtsnn-slip`, `container-tactile`: 156 / 3,150 -> 50 / 10 -> 2 and 78 -> 32 -> 20, dense;
@@ -25,10 +25,10 @@
 //!   Strogatz 1998, whose small worlds have between one in a hundred and one in ten, on a sheet
 //!   instead of a ring).
 //! - `fly-140k`: as many compartments as the connectome of a fly (FlyWire, Dorkenwald et al. 2024)
-//!   and some 14 million weighted connections. Degrees have heavy tails: out-degrees are drawn from
-//!   a Pareto distribution with exponent 1.6 from 40 to 10,000, in-degrees fall as 1 / sqrt(j) and
-//!   are 4,000 at most, because a core has 4,096 input axons. Delays are 18 steps, 1.8 ms of 0.1 ms
-//!   as in the model of Shiu et al. 2024. Mapped with relays.
+//!   and some 14 million weighted connections. Degrees have heavy tails: out-degrees are sampled
+//!   from a Pareto distribution with exponent 1.6 from 40 to 10,000, in-degrees fall as 1 / sqrt(j)
+//!   and are 4,000 at most, because a core has 4,096 input axons. Delays are 18 steps, 1.8 ms of
+//!   0.1 ms as in the model of Shiu et al. 2024. Mapped with relays.
 //! - `scale-free-N`: 32 synapses each to compartment j with a probability that falls as 1 /
 //!   sqrt(j), as hubs of preferential attachment do (Barabasi & Albert 1999); no compartment takes
 //!   more than 2,000, so that its input axons fit a core.
@@ -53,7 +53,7 @@ pub struct SuiteCase {
     pub name: &'static str,
     /// Copies.
     pub copies: u32,
-    /// Whether it is left out unless everything is asked for.
+    /// Whether it is skipped unless everything is asked for.
     pub large: bool,
     /// Whether it is mapped with relays.
     pub relays: bool,
@@ -234,7 +234,7 @@ fn scale_free(name: &'static str, n: u32) -> Result<BenchNetwork, BuildError> {
 
 fn fly(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let pareto = |source| (40.0 * (1.0 - rng::unit(12, source, 0)).powf(-1.0 / 1.6)).min(10_000.0) as u64;
-    // Which compartments have many inputs is independent of how many outputs they have.
+    // Which compartments have many inputs is independent of their number of outputs.
     hubs(name, (140_000, 4_000, 18), 13, pareto, |rank| rank * 99_991)
 }
 

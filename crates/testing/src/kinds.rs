@@ -179,7 +179,7 @@ pub fn stated(kind: NeuronKind) -> NeuronKind {
     own(kind.name()).unwrap_or(kind)
 }
 
-/// The kind with this name behind `Own`: `AlifAbove` is `Alif` with theta counted from where it
+/// The kind with this name after `Own`: `AlifAbove` is `Alif` with theta counted from where it
 /// starts, `DeltaEncoder` that of lava's host with the limits of its messages.
 ///
 /// # Panics

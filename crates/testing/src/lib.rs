@@ -36,8 +36,8 @@ pub fn graph(text: impl AsRef<str>) -> Graph {
     lower(&model(text)).unwrap()
 }
 
-/// How many of its cases a test takes: all where `NSIM_LONG` is 1, as in `.ci/nightly`, or else two
-/// thirds.
+/// Number of its cases that a test takes: all where `NSIM_LONG` is 1, as in `.ci/nightly`, or else
+/// two thirds.
 pub fn cases(all: u64) -> u64 {
     if std::env::var_os("NSIM_LONG").is_some_and(|long| long == "1") { all } else { (2 * all).div_ceil(3) }
 }
@@ -119,7 +119,7 @@ impl Builder {
         Builder { parts, channels: 0, compartments: 0 }
     }
 
-    /// The same with other semantics.
+    /// A builder with other semantics.
     pub fn with(semantics: Semantics) -> Self {
         let mut builder = Builder::new();
         builder.parts.semantics = semantics;

@@ -1,4 +1,4 @@
-//! Data augmentation: variations of training samples, drawn in each epoch from (seed, sample,
+//! Data augmentation: random variations of training samples in each epoch, from (seed, sample,
 //! epoch).
 
 use super::raster::Raster;

@@ -1,7 +1,7 @@
 //! The training loop: minibatches run on threads, gradients are summed in the order of samples, one
 //! step each.
 //!
-//! What runs forward is a [`Forward`]: the trained neurons themselves, or what stands for them once
+//! What runs forward is a [`Forward`]: the trained neurons themselves, or what represents them once
 //! they are deployed; the gradient is taken at the potentials and spikes that it leaves, through
 //! the trained neurons' responses.
 //!
@@ -101,7 +101,7 @@ pub struct Plan {
     pub epochs: u32,
     /// Data augmentation.
     pub augment: AugmentDesc,
-    /// Probability with which a unit of a hidden layer is left out of a sample.
+    /// Probability with which a unit of a hidden layer is dropped from a sample.
     pub dropout: f32,
     /// Decay of the moving average of the weights, which is deployed. 0: the weights themselves.
     pub averaging: f32,
@@ -231,7 +231,7 @@ impl Plan {
         }
     }
 
-    /// Draws the dropped units of a sample; factors keep the mean (Srivastava et al.: JMLR 2014).
+    /// Picks the dropped units of a sample; factors keep the mean (Srivastava et al.: JMLR 2014).
     fn drop_units(&self, index: u64, epoch: u64, work: &mut Workspace) {
         work.factors.clear();
         if self.dropout == 0.0 {

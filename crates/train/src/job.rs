@@ -1,7 +1,7 @@
 //! A training from its file to its result.
 //!
 //! Input: the text of a training file, labelled samples. Output: [`Trained`]: weights, their score,
-//! the digest of their output spikes; and the model that holds them. Errors: `train.*`. Left out on
+//! the digest of their output spikes; and the model that holds them. Errors: `train.*`. Omitted on
 //! purpose: studies of many trainings.
 
 use std::path::{Path, PathBuf};
@@ -55,7 +55,7 @@ pub struct Job {
     pub source: SourceText,
     /// Its fields.
     pub file: TrainingFile,
-    /// What they come to.
+    /// The plan that results from them.
     pub plan: Plan,
 }
 
@@ -95,7 +95,7 @@ pub struct Trained {
     pub test_accuracy: Option<f64>,
     /// Digest of the output spikes on the test (else training) samples, as `nsim run` computes it.
     pub digest: String,
-    /// Accuracy on each fold left out of the training samples.
+    /// Accuracy on each fold excluded from the training samples.
     pub folds: Vec<f64>,
     /// Training and test samples.
     pub samples: (usize, usize),
@@ -137,7 +137,7 @@ impl Job {
     /// Labelled samples as training takes them; `what` they are is for messages.
     ///
     /// # Errors
-    /// `train.label` for a sample without a label, or with one that no output stands for.
+    /// `train.label` for a sample without a label, or with one that no output represents.
     pub fn examples(&self, network: &Quantised, samples: &[Sample], what: &str) -> Result<Vec<Example>> {
         let classes = self.plan.topology.classes();
         let wrong = |message: String| Diagnostic::new("train.label", message).in_file(self.source.path());
@@ -184,7 +184,7 @@ impl Job {
         Job::folds_by_label(&labels, k)
     }
 
-    /// The same of samples of which only the labels are known.
+    /// Stratified folds of samples of which only the labels are known.
     pub fn folds_by_label(labels: &[u32], k: u32) -> Vec<Vec<usize>> {
         stratified_folds(labels, k as usize, FOLD_SEED)
     }
@@ -230,7 +230,7 @@ impl Job {
     }
 
     /// Writes the model of trained weights to a path, with `force` in the place of a file that is
-    /// there, and the weights beside it; the names of both.
+    /// there, and the weights next to it; the names of both.
     ///
     /// # Errors
     /// As [`Self::model`]; `write.*`.

@@ -6,7 +6,7 @@
 //! integers with the weights as they will be stored, so that a trained Loihi network decides as the
 //! deployed one, spike by spike. Backward, both use SLAYER's temporal credit assignment and
 //! surrogate; rounding is passed straight through. Convolutions, recurrent projections and trained
-//! delays are left out on purpose.
+//! delays are omitted on purpose.
 
 pub mod augment;
 pub mod cells;

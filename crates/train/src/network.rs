@@ -66,7 +66,7 @@ pub struct Layer {
     pub surrogate: Surrogate,
 }
 
-/// Sizes, neurons and connections; the weights are apart.
+/// Sizes, neurons and connections; the weights are separate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Topology {
     /// Channels of each input population.
@@ -129,7 +129,7 @@ pub struct Deployed {
     /// The contribution of a spike to each target, `[layer][source * targets + target]`; whole
     /// numbers for Loihi cells.
     adds: Vec<Vec<f32>>,
-    /// The same in the units of the trained weights, `[layer][target * sources + source]`.
+    /// The contributions in the units of the trained weights, `[layer][target * sources + source]`.
     transposed: Vec<Vec<f32>>,
 }
 

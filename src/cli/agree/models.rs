@@ -1,5 +1,5 @@
-//! `nsim agree MODEL --against FILE..`: a network as it was trained beside other model files in
-//! integers.
+//! `nsim agree MODEL --against FILE..`: a network as it was trained compared with other model files
+//! in integers.
 //!
 //! Input: the network, one model file or several, samples. Output: for one file the comparison
 //! layer by layer, for several a table with all of them. Errors: files of other populations;
@@ -92,7 +92,7 @@ fn compared(
     Ok(Some(all))
 }
 
-/// A network as it was trained beside another model file.
+/// A network as it was trained compared with another model file.
 pub(super) fn with_one(
     args: &Args,
     (graph, integers): (&Graph, &Quantised),
@@ -111,7 +111,7 @@ pub(super) fn with_one(
     answer(args, &report, args.plot.as_deref().is_some_and(io::text::is_standard_stream), context)
 }
 
-/// A network as it was trained beside several model files.
+/// A network as it was trained compared with several model files.
 pub(super) fn with_several(
     args: &Args,
     (graph, integers): (&Graph, &Quantised),

@@ -138,7 +138,7 @@ fn ends(text: &str, separators: [&'static str; 2], room: usize) -> impl Iterator
     all.map(|(at, _)| at).filter(move |&at| text[..at].chars().count() <= room)
 }
 
-/// A line of the text behind options: an example, two spaces in front, or anything else.
+/// A line of the text after options: an example, two spaces in front, or anything else.
 fn line(text: &str) -> String {
     let Some(example) = text.strip_prefix("  ").filter(|_| text.chars().count() > COLUMNS) else {
         return text.to_string();

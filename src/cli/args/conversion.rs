@@ -52,7 +52,7 @@ pub struct ConversionArgs {
 }
 
 impl ConversionArgs {
-    /// What stands for each spike response population of a network.
+    /// The converted form of each spike response population of a network.
     pub fn integers(
         &self,
         networks: (&Graph, &Quantised),

@@ -38,7 +38,7 @@ impl InputArgs {
     /// The sources, the first with the file of its labels.
     ///
     /// # Errors
-    /// [`Error::Usage`] for labels beside a scene, or whose name cannot stand in a source.
+    /// [`Error::Usage`] for labels with a scene, or whose name cannot stand in a source.
     pub fn sources(&self) -> Result<Vec<String>, Error> {
         let mut sources = self.input.clone();
         if let (Some(labels), Some(first)) = (&self.labels, sources.first_mut()) {

@@ -1,4 +1,4 @@
-//! Arguments that several commands share, and what they stand for.
+//! Arguments that several commands share, and their meanings.
 
 pub(super) mod columns;
 pub(super) mod conversion;

@@ -7,7 +7,7 @@ use nsim_ir::base::diagnostic::Result;
 /// What a model's file may not say.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct TimestepArgs {
-    /// Milliseconds that a timestep stands for, where the file of a model does not say
+    /// Milliseconds that a timestep represents, where the file of a model does not say
     #[arg(long = "dt", value_name = "MS", value_parser = milliseconds)]
     pub dt_ms: Option<f64>,
 }

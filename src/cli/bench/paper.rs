@@ -1,4 +1,4 @@
-//! `nsim bench paper`: the tables of the paper on visual and tactile sensing beside what was
+//! `nsim bench paper`: the tables of the paper on visual and tactile sensing next to what was
 //! measured here.
 
 use std::path::{Path, PathBuf};
@@ -41,7 +41,7 @@ EXAMPLES:
   nsim bench paper --results my.json        with rows of one's own instead of those stored";
 
 /// The tables of Taunyazov et al. 2020 on classification, early decisions and hardware: each figure
-/// as printed beside what trainings with nsim came to, and what those rest on
+/// as printed next to what trainings with nsim reached, and what those rest on
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct PaperArgs {
@@ -171,8 +171,8 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
     Ok(rows)
 }
 
-/// Runs the shipped network of each cell on the scenes that its training left out, and puts what
-/// came out beside what is stored.
+/// Runs the shipped network of each cell on the scenes that its training did not use, and puts what
+/// came out next to what is stored.
 fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Result<()> {
     each_cell(&args.cell, args.scenes, |cell, scenes| {
         for loss in LOSSES {

@@ -1,4 +1,4 @@
-//! `nsim bench published`: what others measured beside what nsim predicts.
+//! `nsim bench published`: what others measured next to what nsim predicts.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
 use nsim_study::published::rows;
 
-/// The constants whose findings are left out work by work.
+/// The constants whose findings are omitted work by work.
 const CONSTANTS: &str = "loihi1-evidence";
 
 const EXAMPLES: &str = "\
@@ -21,7 +21,7 @@ EXAMPLES:
   nsim bench published --plot published.svg       published against predicted, with intervals
   nsim bench published --format csv > rows.csv    a row a figure";
 
-/// Energies, powers and times that others measured on the chip, beside what nsim predicts for their
+/// Energies, powers and times that others measured on the chip, and what nsim predicts for their
 /// workloads: once by all that is known of the constants, once without what is known from the work
 /// itself
 #[derive(Debug, clap::Args)]

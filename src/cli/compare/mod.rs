@@ -61,7 +61,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let mut found = Comparison { model: name, input: Vec::new(), seed: None, set: Vec::new(), targets: Vec::new() };
     for (name, target) in args.targets.iter().zip(&targets) {
         let on_target = match priced(args, name, target, &mut found, context) {
-            // What a chip does not have is told by a diagnostic of mapping.
+            // A diagnostic of mapping reports what a chip does not have.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
                 let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
                 Err(vec![Refused { code: problem.code.to_string(), message: problem.message.clone() + &help }])

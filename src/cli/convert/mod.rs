@@ -1,4 +1,4 @@
-//! `nsim convert MODEL`: a network with real numbers becomes integers, stage by stage, and is kept.
+//! `nsim convert MODEL`: a network with real numbers becomes stored integers, stage by stage.
 //!
 //! Input: a model, calibration samples, held-out samples. Output: what each stage gained, what is
 //! left, and with `-o` a model file of integers whose provenance says how it was made. With
@@ -57,7 +57,7 @@ pub struct Args {
     target: String,
     #[command(flatten)]
     tuning: FineTuneArgs,
-    /// The model file to write; its arrays go beside it as .safetensors
+    /// The model file to write; its arrays go next to it as .safetensors
     #[arg(short, long, value_name = "LOIHI.ron")]
     output: Option<PathBuf>,
     /// Replace the section `<!-- convert MODEL -->` of this document

@@ -74,7 +74,7 @@ pub struct CostArgs {
     )]
     pub convention: Convention,
     /// Other hardware to compare with: cpu (measured here), a GPU measured for this model, or
-    /// gpu-roofline (modelled from its peak rates); the first two when left out, none when given
+    /// gpu-roofline (modelled from its peak rates); the first two when omitted, none when given
     /// without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
@@ -86,7 +86,7 @@ pub struct CostArgs {
     #[cfg(feature = "nvml")]
     #[arg(help_heading = "Cost model", long, value_name = "COMMAND")]
     pub gpu_command: Option<String>,
-    /// Preset of constants: of those that the target names (its first when left out), or a file
+    /// Preset of constants: of those that the target names (its first when omitted), or a file
     #[arg(help_heading = "Cost model", long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
     /// Which power counts: what Intel's profiler attributes to the job, or what a meter shows of

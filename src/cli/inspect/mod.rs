@@ -48,7 +48,7 @@ use nsim_session::error::Error;
   nsim inspect recordings/                a folder of sample_<i>_label_<c>.npy")]
 pub struct Args {
     /// A model, target, mapping, data set, .npy, .safetensors or .csv file, a model of another tool
-    /// (.net, .nir, .pt), a recording of events, a folder of recordings, or a shipped name; behind
+    /// (.net, .nir, .pt), a recording of events, a folder of recordings, or a shipped name; after
     /// a recording, its options as --input of nsim run takes them
     pub file: String,
     #[command(flatten)]
@@ -268,7 +268,7 @@ fn inspect_folder(path: &Path, options: &EventOptions) -> Result<Findings, Diagn
     let (mut spikes, mut places, mut events) = (0u64, 0u64, 0u64);
     let mut shapes: Vec<Vec<usize>> = Vec::new();
     for (_, _, file) in &listed {
-        // How many spikes a recording of events has is for the options of a run to say.
+        // The number of spikes in a recording of events depends on the options of a run.
         if let FileKind::Events(format) = FileKind::detect(file)? {
             events += foreign::events(file, format, options)?;
             continue;

@@ -1,4 +1,4 @@
-//! What a model file says: its populations, and how many synapses its projections make.
+//! Contents of a model file: its populations, and the number of synapses of its projections.
 //!
 //! Input: a parsed network. Output: facts and tables. Synapses are counted from shapes, without
 //! making any; what would take too long to count stays unknown.

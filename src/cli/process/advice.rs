@@ -2,7 +2,7 @@
 //!
 //! Input: advice, as stages give it that do not know for which command they work. Output: the same,
 //! and for each option that the running command lacks a command that has it. A command that the
-//! advice itself names is taken for its options behind it.
+//! advice itself names is taken for the options after it.
 
 use std::sync::OnceLock;
 

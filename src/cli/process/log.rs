@@ -1,4 +1,4 @@
-//! Messages on stderr. That nobody can read them is no reason to lose a result: failed writes are
+//! Messages on stderr. That no one can read them is no reason to lose a result: failed writes are
 //! ignored.
 
 use std::io::Write;

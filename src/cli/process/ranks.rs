@@ -2,8 +2,8 @@
 //!
 //! Rank 0 prints and writes files, the others are silent. A rank that fails ends the job, with one
 //! message: an error that all ranks find is rank 0's to say, so the others wait a moment before
-//! they say theirs; that of another rank is said by it, and rank 0, which is then ended by a
-//! signal, is told. Without the feature `mpi` every process is alone.
+//! they say theirs; that of another rank is said by it, and rank 0, which a signal then ends, is
+//! notified. Without the feature `mpi` every process is alone.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -11,8 +11,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use crate::cli::context::refuse_if;
-use nsim_ir::dealt::Share;
 use nsim_ir::program::Program;
+use nsim_ir::ranks::Share;
 use nsim_machine::ranks::transport::Ranks;
 use nsim_session::error::Error;
 use nsim_session::ranks::RankRow;

@@ -1,5 +1,4 @@
-//! Signals: SIGINT and SIGTERM end a command with status 130 and 143 and leave no temporary file
-//! behind.
+//! Signals: SIGINT and SIGTERM end a command with status 130 and 143 and leave no temporary file.
 //!
 //! SIGXFSZ (a file beyond its limit) only interrupts the write, which fails with an error of its
 //! own. SIGABRT, which follows exhausted memory and an exhausted stack, ends with status 4 after
@@ -67,7 +66,8 @@ pub fn listen(format: Format) {
     });
     if thread.is_err() {
         handle.close();
-        // Without a thread they end the process at once; what it leaves is removed by the next one.
+        // Without a thread they end the process immediately; what it leaves is removed by the next
+        // one.
         for signal in [SIGINT, SIGTERM] {
             let _ = flag::register_conditional_shutdown(signal, 128 + signal, Arc::new(AtomicBool::new(true)));
         }

@@ -1,4 +1,4 @@
-//! The kinds of mutations: each changes one thing of a program, drawn at random, and says who
+//! The kinds of mutations: each changes one thing of a program, chosen at random, and says who
 //! should notice first.
 
 use std::sync::Arc;
@@ -27,9 +27,9 @@ pub enum Expected {
     Breaks(fn(&Violation) -> bool),
     /// The verifier finds nothing.
     Verified,
-    /// It is closed; the verifier may find something, depending on what was drawn.
+    /// It is closed; the verifier may find something, depending on what was sampled.
     Closed,
-    /// Depends on what was drawn.
+    /// Depends on what was sampled.
     Anything,
 }
 
@@ -649,7 +649,7 @@ fn edit_out<T>(out: &mut AxonsOut, change: impl FnOnce(&mut Csr<AxonTarget>) -> 
     result
 }
 
-/// Changes the messages of all channels or of a core's compartments, in a drawn list of at least
+/// Changes the messages of all channels or of a core's compartments, in a random list of at least
 /// `least` messages.
 fn messages(
     parts: &mut Parts,

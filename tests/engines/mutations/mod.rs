@@ -1,5 +1,5 @@
-//! Random programs with one random thing changed: whatever changes what a program means is
-//! rejected, by whom it should be.
+//! Random programs with one random thing changed: any change of a program's meaning is rejected, by
+//! whom it should be.
 //!
 //! Three judges look at a program, each at what the one before let pass: `Program::new` (its tables
 //! are closed), `verify` (it keeps the target's limits and formats) and the equivalence checker (it
@@ -217,7 +217,7 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
         .into_par_iter()
         .map(|seed| {
             let network = if seed % 2 == 0 { random::network(seed) } else { random::mixed(seed) };
-            // A mutation draws the places of cores; none are searched for. The tables of one copy
+            // A mutation chooses the places of cores; none are searched for. The tables of one copy
             // are those of all, until a mutation gives a core tables of its own.
             let copies = if network.compartments() < 100 { 3 } else { 1 };
             let options = Options { copies, ..unsearched() };

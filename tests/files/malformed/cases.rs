@@ -190,7 +190,7 @@ pub fn cases() -> Vec<Case> {
     let comment = "/*".repeat(200_000);
     add("comments without end", Through::Model, "m.ron", comment.into(), vec![], syntax, 1, "");
 
-    // Arrays beside a model.
+    // Arrays next to a model.
     let with = |source: &str| MODEL.replace(WEIGHTS, source).into_bytes();
     let arrays: [(&str, Vec<u8>, &'static str, &'static str); 13] = [
         ("random bytes", noise(4096), "npy.format", "w.npy: this is not a NumPy array"),

@@ -103,7 +103,7 @@ fn random_damage_never_panics() {
     assert!((1500..3000).contains(&refused), "{refused} of 3000 refused");
 }
 
-/// The same through the program: exit status 3, the code in its JSON, and no panic.
+/// The cases through the program: exit status 3, the code in its JSON, and no panic.
 #[test]
 fn the_program_exits_with_3_and_names_the_code() {
     let mut wrong = Vec::new();

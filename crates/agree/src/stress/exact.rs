@@ -94,7 +94,7 @@ impl Compartment {
         }
     }
 
-    /// What decides how it goes on, apart from its inputs: the state, and how long v is still held.
+    /// What decides how it goes on, besides its inputs: the state, and how long v is still held.
     pub fn fingerprint(&self, now: u64, p: &Parameters) -> (i128, i128, u64) {
         let held = self.last.map_or(0, |last| (last + p.refractory.max(1)).saturating_sub(now + 1));
         (self.u, self.v, held)

@@ -228,7 +228,7 @@ fn uniform(channels: u32, targets: usize, weight: i16, exponent: i32) -> Link {
     feed(vec![vec![weight; targets]; channels as usize], exponent)
 }
 
-/// The ends of decays and what lies beside them.
+/// The ends of decays and their neighbours.
 const ENDS: [i128; 4] = [0, 1, 4095, 4096];
 
 fn every_decay() -> Vec<Parameters> {

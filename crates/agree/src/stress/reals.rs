@@ -17,7 +17,7 @@ use nsim_reference::srm::{self, Filter, Srm};
 const STEPS: u64 = 1_000_000;
 /// Steps between two comparisons: coprime to every period of the inputs.
 const EVERY: u64 = 97;
-/// Kernels are below 1e-40 of their peak behind this many time constants.
+/// Kernels are below 1e-40 of their peak after this many time constants.
 const TAILS: f64 = 100.0;
 
 /// A sum whose rounding errors are carried along (Neumaier's variant of Kahan's).

@@ -21,18 +21,17 @@ use crate::emit::classes::{Classes, CoreClasses, Shift};
 use crate::emit::tables::Tables;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
-use nsim_ir::dealt::Dealt;
 use nsim_ir::messages::{AxonTarget, AxonsOut, Reached};
 use nsim_ir::partition::{Partition, Seat};
 use nsim_ir::placement::Placement;
 use nsim_ir::program::{Compartments, CoreClass, CoreImage, Graded, Parts, Program};
 use nsim_ir::quantised::{Population, Quantised};
+use nsim_ir::ranks::RankAssignment;
 use nsim_ir::resource::Limits;
 use nsim_ir::spikes::Message;
 
 /// The program of a network, this many equal copies that share nothing, on its places. What equal
-/// cores store is written once. Of a program that is dealt out and held in part,
-/// only what is held is written.
+/// cores store is written once. Of a program distributed over ranks, only the part held is written.
 ///
 /// # Errors
 /// A sentence when the tables contradict each other or a core has more formats than can be
@@ -40,20 +39,20 @@ use nsim_ir::spikes::Message;
 pub fn route(
     network: &Quantised,
     partition: &Partition,
-    places: (&Placement, Option<Dealt>),
+    places: (&Placement, Option<RankAssignment>),
     copies: u32,
     limits: &Limits,
 ) -> Result<Program, String> {
-    let holds = |core: CoreId| places.1.as_ref().is_none_or(|dealt| dealt.holds(core));
+    let holds = |core: CoreId| places.1.as_ref().is_none_or(|assignment| assignment.holds(core));
     let classes = CoreClasses::new(network, partition, copies, holds);
     route_classes(network, partition, places, &classes, limits)
 }
 
-/// The same, of cores in these classes.
+/// The program of [`route`], of cores in these classes.
 pub(crate) fn route_classes(
     network: &Quantised,
     partition: &Partition,
-    (placement, dealt): (&Placement, Option<Dealt>),
+    (placement, assignment): (&Placement, Option<RankAssignment>),
     found: &CoreClasses<'_>,
     limits: &Limits,
 ) -> Result<Program, String> {
@@ -61,7 +60,7 @@ pub(crate) fn route_classes(
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
     let (channels, classes) = (network.channels(), &found.classes);
-    let holds = |core: CoreId| dealt.as_ref().is_none_or(|dealt| dealt.holds(core));
+    let holds = |core: CoreId| assignment.as_ref().is_none_or(|assignment| assignment.holds(core));
     let written = Tables::new(network, partition, limits).of_classes(found, holds)?;
     let (written, of_first): (Vec<CoreClass>, Vec<Vec<u32>>) = written.into_iter().unzip();
     let all: Vec<CoreId> = partition.members().ids().collect();
@@ -102,7 +101,7 @@ pub(crate) fn route_classes(
         semantics: parts.semantics,
         threshold: parts.threshold,
         reset: parts.reset,
-        dealt,
+        assignment,
     })
     .map_err(|error| error.to_string())
 }
@@ -205,7 +204,7 @@ fn axons_out(
         return Err(core);
     }
     let alike = Classes::by_key(sent.enumerate().map(key));
-    // Some senders at a time read what each core receives in turn: their part of it lies together.
+    // Some senders at a time read, core after core, what is received: their part lies together.
     let lists = |firsts: &[CoreId]| {
         let mut messages: Vec<Vec<(u16, Reached)>> = vec![Vec::new(); firsts.len()];
         let mut reached = vec![0u32; firsts.len()];

@@ -42,7 +42,7 @@ pub struct Pattern {
 pub struct Origin {
     /// The number of the population's first source, in the first copy.
     pub first: u32,
-    /// How many sources it has.
+    /// Number of sources.
     pub sources: u32,
     /// The source at the first row and column that reach a core.
     pub at: i64,
@@ -106,7 +106,8 @@ struct Held {
     columns: Range<u32>,
     width: u32,
     height: u32,
-    /// By window into it: the first row and column that reach these, and which of them each reaches.
+    /// By window into it: the first row and column that reach these, and which of them each
+    /// reaches.
     reached: Vec<[(u32, Reached); 2]>,
 }
 

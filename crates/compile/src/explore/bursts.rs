@@ -1,10 +1,10 @@
-//! Steps in which many sources spike at once, in which candidates for the shortest step are
+//! Steps in which many sources spike simultaneously, in which candidates for the shortest step are
 //! compared.
 //!
 //! Output: the rates of steps in which all sources spike, and in which those of one population do,
-//! for the expected step ([`crate::explore::cost_estimate`]); and the time of a step in which drawn
-//! compartments spike, every message followed as in a run ([`nsim_cost::transport::queue`]). The
-//! expected step knows how busy links are; that messages hold up others behind them it does not,
+//! for the expected step ([`crate::explore::cost_estimate`]); and the time of a step in which
+//! random compartments spike, every message followed as in a run ([`nsim_cost::transport::queue`]).
+//! The expected step knows how busy links are; that messages hold up others after them it does not,
 //! and that is most of a step in which many compartments spike.
 
 use crate::explore::cost_estimate::first_constants;

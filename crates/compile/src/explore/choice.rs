@@ -6,14 +6,14 @@
 //!
 //! The expected step of mean rates is not the simulated one: spikes come in bursts, and more cores
 //! mean more messages over the busiest link in a burst. For the time of a step a candidate must
-//! therefore be no slower than the first when every source spikes at once, and when all sources of
-//! one population do: over all populations and, but where that is `SHORT`, for each. One that is
-//! faster by `MARGIN` at the rates that it is made for, or holds the same compartments on the same
-//! cores, may be slower by as much in one population's burst; another must be faster by
+//! therefore be no slower than the first when every source spikes simultaneously, and when all
+//! sources of one population do: over all populations and, but where that is `SHORT`, for each. One
+//! that is faster by `MARGIN` at the rates that it is made for, or holds the same compartments on
+//! the same cores, may be slower by as much in one population's burst; another must be faster by
 //! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host
-//! takes as long to inject whatever the mapping, and may take most of a step. Where it does, what
-//! is saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in which drawn
-//! compartments spike and every message is followed may take no longer, with the same allowance.
+//! takes as long to inject for any mapping, and may take most of a step. Where it does, what is
+//! saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in which random compartments
+//! spike and every message is followed may take no longer, with the same allowance.
 
 use crate::explore::cost_estimate::Score;
 use nsim_partition::error::Result;
@@ -55,11 +55,11 @@ pub struct Found {
 pub struct Made<M> {
     /// What it is worth.
     pub found: Found,
-    /// What is kept of it.
+    /// The stored part of it.
     pub kept: M,
 }
 
-/// Steps in which many sources spike at once, which are expensive to know.
+/// Steps in which many sources spike simultaneously, which are expensive to know.
 pub trait Bursts<M> {
     /// The expected cost of a step in which all sources spike, then of those in which the sources
     /// of one population do.
@@ -68,7 +68,7 @@ pub trait Bursts<M> {
     /// When the target's constants cannot be used.
     fn expected(&mut self, kept: &M) -> Result<Vec<Score>>;
 
-    /// The time of a step in which drawn compartments spike, the same in all candidates, every
+    /// The time of a step in which random compartments spike, the same in all candidates, every
     /// message followed, in microseconds; none where that cannot be known.
     ///
     /// # Errors
@@ -151,7 +151,7 @@ fn same_cores(one: &Found, other: &Found) -> bool {
 
 /// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all
 /// sources spike; those of one population, all of them together; and each of these, but for `slack`
-/// and for those that are short beside the first.
+/// and for those that are short compared with the first.
 fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
     let (Some((all, each)), Some((all_plain, each_plain))) = (times.split_first(), plain.split_first()) else {
         return true;
@@ -179,7 +179,7 @@ pub fn front(found: &[Found]) -> Vec<&Found> {
 mod tests {
     use super::*;
 
-    /// Bursts that take what was kept, and a followed step of this many microseconds.
+    /// Bursts that take what was stored, and a followed step of this many microseconds.
     struct Same;
 
     impl Bursts<(u32, Score, f64)> for Same {

@@ -2,9 +2,9 @@
 //!
 //! Input: a program on its places and the rates of its sources. Output: energy and time of a mean
 //! step under the target's first preset, by the equations of `docs/energy.md` applied to expected
-//! counts: those of a million steps, in whole numbers, so that they are the same everywhere. Every
-//! compartment counts as not at rest. A simulated step can take longer, since spikes arrive in
-//! bursts; the estimate is for comparing mappings.
+//! counts: those of a million steps, in whole numbers, so that they are the same everywhere. No
+//! compartment counts as idle. A simulated step can take longer, since spikes arrive in bursts; the
+//! estimate is for comparing mappings.
 
 use std::cmp::Ordering;
 use std::ops::Range;
@@ -34,7 +34,7 @@ pub struct Score {
     pub cores: u64,
     /// Energy of a mean step in microjoules: events, static power of cores, and x86 cores in use.
     pub energy_uj: f64,
-    /// The same without x86 cores.
+    /// That energy without x86 cores.
     pub chip_energy_uj: f64,
     /// Time of a mean step in microseconds.
     pub step_us: f64,
@@ -206,7 +206,7 @@ fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
 }
 
 impl Score {
-    /// Time of a mean step on the chips, injection left out, in microseconds.
+    /// Time of a mean step on the chips, without injection, in microseconds.
     pub fn on_chip_us(&self) -> f64 {
         self.step_us - self.host_us
     }

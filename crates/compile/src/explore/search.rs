@@ -49,7 +49,7 @@ const SYNAPSES_PER_WORD: u64 = 8;
 
 /// Stages that follow once cores have their places.
 const FINISHING: [&str; 3] = ["route", "verify", "check"];
-/// How much more time than the last time is kept for them.
+/// Time reserved for them, relative to the time that they last took.
 const SLACK: f64 = 1.2;
 /// The part of the time that must be left for looking for a better mapping to be worth it.
 const LEAST_LEFT: f64 = 0.1;
@@ -82,21 +82,20 @@ fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
     Some(most).filter(|&most| most <= target.limits()[Resource::SynapseWords])
 }
 
-/// What is kept of a candidate until one is taken.
+/// The stored form of a candidate until one is taken.
 enum Kept {
     /// The mapping, which has not been checked.
     Whole(Box<Unchecked>),
     /// Of a mapping in boxes, which takes much memory, only where they are: it is made again from
-    /// there. With the name of the placement, and steps in which sources spike at once when they
-    /// are needed.
+    /// there. With the name of the placement, and steps in which sources spike simultaneously when
+    /// they are needed.
     Boxes { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
 }
 
 /// Messages of a step that are followed to compare candidates.
 const FOLLOWED: f64 = (1 << 20) as f64;
 
-/// The bursts of what is kept of candidates, of which the first that is asked for says how many are
-/// affordable.
+/// The bursts of stored candidates; the first candidate asked for decides how many are affordable.
 struct KeptBursts<'a> {
     target: &'a Target,
     copies: u32,
@@ -278,7 +277,7 @@ impl<'a> Search<'a> {
         wanted.then_some(way)
     }
 
-    /// What these ways come to, behind this many others; those that do not fit left out.
+    /// The candidates of these ways, after this many others, without those that do not fit.
     fn all(&self, ways: &[(Strategy, u32)], behind: usize) -> Result<Vec<Made<Kept>>> {
         // The effort is for all of them together.
         let options = Options { effort: self.options.effort.shared_by(ways.len() + behind), ..*self.options };
@@ -311,8 +310,8 @@ impl<'a> Search<'a> {
         Ok(found)
     }
 
-    /// What ways come to, one after the other, until the next would take longer than there is time;
-    /// the first in any case.
+    /// The results of ways, one after the other, until the next would take longer than there is
+    /// time; the first in any case.
     fn in_turn<W, T>(&self, ways: impl Iterator<Item = (usize, W)>, map: impl Fn((usize, W)) -> T) -> Vec<T> {
         let (mut made, mut longest) = (Vec::new(), Duration::ZERO);
         for (number, way) in ways {
@@ -357,7 +356,7 @@ impl<'a> Search<'a> {
         places.iter().map(made).collect()
     }
 
-    /// What is kept of boxes at these places, and what they cost.
+    /// The stored form of boxes at these places, and their cost.
     fn of_boxes(
         &self,
         all: &Quantised,

@@ -65,7 +65,7 @@ impl Links {
     }
 }
 
-/// What messages come to: loads of links, messages between cores, links of multicast trees.
+/// The totals of messages: loads of links, messages between cores, links of multicast trees.
 pub struct Counts<'a> {
     mesh: &'a Mesh,
     loads: LinkLoads,
@@ -75,7 +75,7 @@ pub struct Counts<'a> {
     of_chip: Vec<(u32, (u32, u32))>,
 }
 
-/// What flows come to: the core that sends, none for inputs; the cores reached; spikes in as many
+/// The totals of flows: the core that sends, none for inputs; the cores reached; spikes in as many
 /// steps as rates count.
 pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     placement: &Placement,
@@ -100,7 +100,7 @@ pub(crate) fn parts(items: usize) -> Vec<Range<usize>> {
     (0..items).step_by(size).map(|from| from..(from + size).min(items)).collect()
 }
 
-/// What the messages of a program come to.
+/// The totals of a program's messages.
 pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
     let cores = program.cores().as_slice();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
@@ -220,7 +220,7 @@ mod tests {
     use nsim_ir::resource::Resource;
     use nsim_testing::{limits, random_network, target};
 
-    /// The same by walking every message link by link.
+    /// The totals by walking every message link by link.
     fn walked(program: &Program) -> (u64, u64, u64) {
         let mesh = program.mesh();
         type Tile = (u32, u32);

@@ -6,7 +6,7 @@ use nsim_ir::mapping::{PrunedFile, Run};
 use nsim_ir::quantised::{Pruned, Quantised};
 use nsim_quantise::prune::{Plan, Scene};
 
-/// What a file records so that the same is left out again.
+/// The record in a file by which the same parts are pruned again.
 pub fn pruned_file(pruned: &Pruned) -> PrunedFile {
     let populations = pruned.original.populations();
     let mut dead: Vec<Run> = Vec::new();

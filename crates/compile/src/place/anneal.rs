@@ -6,11 +6,11 @@
 //! part), else any, and swaps the two; a tile that is not in use receives a whole tile, so that no
 //! more tiles are in use than before. It is accepted when it saves links, and otherwise with a
 //! probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
-//! simulated annealing", Science 220, 1983). The best places are kept.
+//! simulated annealing", Science 220, 1983). The best places are stored.
 //!
 //! Chips are annealed side by side in rounds, each from the places in which all others were when
-//! the round began; after a round all are put together and kept if that is better. So it does not
-//! matter how many threads there are.
+//! the round began; after a round all are put together and accepted if that is better. So it does
+//! not matter how many threads there are.
 
 use std::time::Instant;
 
@@ -23,7 +23,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::placement::{Mesh, Site};
 use nsim_partition::options::{Objective, Options, is_over};
 
-/// How many times a link of a tree counts as much as one of a single message, as in the objective.
+/// Weight of a link of a tree, in links of a single message, as in the objective.
 const TREE: i64 = 2;
 /// Rounds in which chips are annealed against each other; a single chip restarts from its best
 /// places.
@@ -61,7 +61,7 @@ pub struct Search<'a> {
     pub work: u64,
     /// When to end in any case.
     pub end: Option<Instant>,
-    /// How many times a link of a multicast tree counts as much as one of a single message.
+    /// Weight of a link of a multicast tree, in links of a single message.
     pub tree: i64,
 }
 
@@ -275,7 +275,7 @@ fn in_rectangle(nets: &Nets, mesh: &Mesh, sites: IdVec<CoreId, Site>, objective:
 
 /// Chips changed for each other, and for chips not in use, while that saves links.
 fn exchanged(nets: &Nets, mesh: &Mesh, mut sites: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
-    // Only messages between chips matter, so chips stand for their cores; few enough to try every
+    // Only messages between chips matter, so chips represent their cores; few enough to try every
     // pair.
     let used = sites.len().div_ceil(mesh.cores_per_chip as usize);
     let nth = (nets.nets.len() / SAMPLED_NETS).max(1);

@@ -19,9 +19,9 @@
 //! one.
 
 pub mod anneal;
-pub mod deal;
 pub mod link_loads;
 pub mod nets;
+pub mod ranks;
 pub mod spread;
 
 use std::collections::BTreeMap;

@@ -20,7 +20,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_partition::options::Objective;
 use nsim_partition::resources::fan_out::by_source;
 
-/// Nets that a thread takes at once.
+/// Nets that a thread takes at a time.
 const PIECE: usize = 1 << 11;
 
 /// One net's source and rate.

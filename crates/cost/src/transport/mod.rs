@@ -3,8 +3,8 @@
 //! Input: a program's routes ([`MessageRoutes`], computed once) and the activity of a step. Output:
 //! the time of cores and mesh together, (11) and (17) of `docs/energy.md`. `analytic` adds the
 //! longest route and the wait at the busiest link to the slowest core; it costs about as much as
-//! counting. `queued` follows every message through finite buffers ([`queue`]). Constants whose parts
-//! overlap ([`StepForm::Greatest`]) take the busiest link alone, (21), whatever the model.
+//! counting. `queued` follows every message through finite buffers ([`queue`]). Constants whose
+//! parts overlap ([`StepForm::Greatest`]) take the busiest link alone, (21), in either model.
 
 pub mod queue;
 pub mod routes;
@@ -316,7 +316,7 @@ pub(crate) mod tests {
         let mut constants = preset("sanafe-calibrated");
         constants.link_time.value = 1_000.0.into();
         let slow = CostTable::new(&constants).unwrap();
-        // Twelve messages to twelve cores behind the same link.
+        // Twelve messages to twelve cores over the same link.
         let tiles: Vec<(u32, u32)> = (0..12).map(|_| (1, 0)).collect();
         let lists: Vec<[(u32, u32); 1]> = (0..12).map(|core| [(core, 0)]).collect();
         let lists: Vec<&[(u32, u32)]> = lists.iter().map(<[_; 1]>::as_slice).collect();

@@ -124,7 +124,7 @@ impl<'w> Queue<'w> {
     }
 
     /// Writes into the memory what each sender sends, in order, and how long it is busy after its
-    /// last message; and the handling times of messages that are left out, summed by receiver: with
+    /// last message; and the handling times of messages that are skipped, summed by receiver: with
     /// `skip` those that [`Queue::inputs_meet_nobody`] finds to be over by then.
     ///
     /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with
@@ -174,7 +174,7 @@ impl<'w> Queue<'w> {
                         let to = first + message.core.index() - cores.start as usize;
                         // Between messages a port keeps the time that has passed.
                         let (messages, passed) = &mut senders[region.port(to)];
-                        // A copy's spike for another chip may come behind that chip's own.
+                        // A copy's spike for another chip may come after that chip's own.
                         let until = now.max(*passed);
                         messages.push(ready(until - std::mem::replace(passed, until), to, message));
                     }

@@ -1,6 +1,6 @@
 //! Which links the messages of a program cross, and which of them meet.
 //!
-//! Input: a program, or one of groups of cores that are alike ([`CoreGroups`]). Output:
+//! Input: a program, or one of identical groups of cores ([`CoreGroups`]). Output:
 //! [`MessageRoutes`]: for each source its messages, and the regions of chips on which messages
 //! meet. Counts are those of all groups.
 
@@ -32,7 +32,7 @@ pub(super) struct Message {
 /// Where a program's messages go, and those of the groups of cores that do what its do.
 ///
 /// Messages wait for each other on the chips that exchange them, a region; those of different
-/// regions never meet. Of regions that are alike one is followed.
+/// regions never meet. Of identical regions one is followed.
 #[derive(Debug, Clone)]
 pub struct MessageRoutes {
     pub(super) kinds: Vec<KindOfGroup>,
@@ -179,11 +179,11 @@ fn messages(program: &Program, sources: Range<u32>) -> Csr<Message> {
     all
 }
 
-/// What regions that are alike have in common: chips from west to east and from north to south, and
-/// of each group its kind and the tile of each core.
+/// The common key of identical regions: chips from west to east and from north to south, and of
+/// each group its kind and the tile of each core.
 type RegionKey = (u32, u32, Vec<(usize, Vec<(u32, u32)>)>);
 
-/// Regions of groups on a board; of those that are alike the first, with their number.
+/// Regions of groups on a board; of identical ones the first, with their number.
 fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
     let mut joined = UnionFind::new((mesh.chips_x * mesh.chips_y) as usize);
     for (_, sites) in groups {
@@ -373,7 +373,7 @@ impl MessageRoutes {
 }
 
 impl Region {
-    /// The same with the entries of its cores and the kinds of its links.
+    /// This region with the entries of its cores and the kinds of its links.
     pub(super) fn with_entries(mut self) -> Self {
         let entry = |core| (self.port_of(core), self.route(self.port_of(core), core));
         self.entries = (0..self.cores).map(entry).collect();
@@ -381,7 +381,7 @@ impl Region {
         self
     }
 
-    /// Whether it is one group of cores behind one port.
+    /// Whether it is one group of cores with one port.
     fn is_simple(&self) -> bool {
         self.groups == [(0, 0)] && self.tiles.len() == self.cores + 1
     }

@@ -31,15 +31,15 @@ pub(super) struct Adaptation {
     pub keep_theta: i32,
     /// What a step keeps of the refractory state, in 4096ths.
     pub keep_r: i32,
-    /// The threshold at rest.
+    /// The resting threshold.
     pub threshold: i32,
     /// What a spike adds to it.
     pub step: i32,
 }
 
 impl Adaptation {
-    /// The next threshold and refractory state, and all ones where there is a spike: where `allowed`
-    /// and `tested` reaches the sum of both.
+    /// The next threshold and refractory state, and all ones where there is a spike: where
+    /// `allowed` and `tested` reaches the sum of both.
     #[inline(always)]
     pub fn adapt(&self, [theta, r]: [i32; 2], tested: i32, allowed: bool, left: &mut Left) -> ([i32; 2], bool) {
         let above = left.subtract(theta, self.threshold);

@@ -6,7 +6,7 @@ use super::neuron::CHUNK;
 
 /// Compartments that are updated together.
 pub const MOST_LANES: usize = 64;
-/// Compartments of one kind, at most [`MOST_LANES`], in chunks; lanes behind the last compartment
+/// Compartments of one kind, at most [`MOST_LANES`], in chunks; lanes after the last compartment
 /// are padding.
 #[derive(Debug)]
 pub struct Block<'a> {

@@ -52,7 +52,7 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
             let parameters = &parameters[chunk * of_parameters..(chunk + 1) * of_parameters];
             let columns = &mut block.columns[chunk * words..(chunk + 1) * words];
             let arrived = block.arrived.map(|sums| sums[chunk]);
-            // On the stack, so that nothing can lie behind two names.
+            // On the stack, so that nothing has an alias.
             let mut state = [[0; CHUNK]; MOST_COLUMNS];
             state[..words].copy_from_slice(columns);
             let (mut values, mut of_chunk) = (*sent, [0; CHUNK]);

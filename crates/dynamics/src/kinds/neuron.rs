@@ -118,7 +118,7 @@ pub(super) fn choice(mask: i32, then: i32, otherwise: i32) -> i32 {
 
 /// Numbers of a compartment, which lie in columns: a struct of words.
 pub trait Columns: Copy + Default + PartialEq {
-    /// How many words.
+    /// Number of words.
     const COUNT: usize;
     /// Those of a lane, from as many columns.
     fn load(columns: &[[i32; CHUNK]], lane: usize) -> Self;

@@ -42,7 +42,7 @@ pub struct MeasurementsFile {
     pub source: String,
     /// How it was measured, and what is not known of that.
     pub notes: String,
-    /// The model whose activity stands for the workload's.
+    /// The model whose activity represents the workload's.
     pub model: String,
     /// The target.
     pub target: String,

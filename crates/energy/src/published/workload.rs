@@ -7,7 +7,7 @@
 //!
 //! A rate that no source prints is given as a range and marked assumed: the range enters the
 //! interval of every figure that follows from it. Weights are not part of a workload: they decide
-//! which compartments fire, and the rates say how many.
+//! which compartments fire, and the rates give the number.
 
 use serde::{Deserialize, Serialize};
 
@@ -46,11 +46,11 @@ named_variants! {
         DynamicPower = "dynamic power",
         /// Power of the whole board once a program is loaded, before it runs, mW.
         RailsIdle = "rails, idle",
-        /// The same less the clocks of the x86 cores, mW.
+        /// Power of the loaded board less the clocks of the x86 cores, mW.
         RailsStatic = "rails, static",
         /// Power of the whole board while it runs, mW.
         RailsTotal = "rails, running",
-        /// The same without the events of neuron cores, mW.
+        /// Power of the running board without the events of neuron cores, mW.
         RailsEmpty = "rails, no events",
         /// Power of the running board less that of the loaded one, mW.
         AboveLoaded = "rails above idle",
@@ -241,8 +241,8 @@ pub struct LayerCores {
     pub layers: Vec<Spanned<String>>,
     /// Cores of one copy, filled evenly.
     pub cores: u32,
-    /// Whether a core holds consecutive columns, with all rows and channels, rather than consecutive
-    /// compartments.
+    /// Whether a core holds consecutive columns, with all rows and channels, rather than
+    /// consecutive compartments.
     #[serde(default)]
     pub stripes: bool,
 }

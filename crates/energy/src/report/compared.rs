@@ -1,6 +1,6 @@
 //! Ratios to other hardware, and the cost of a sample and of a decision.
 //!
-//! Everything here is physical, power times time, whatever convention the table is in.
+//! Everything here is physical, power times time, for any convention of the table.
 
 use std::fmt::Write;
 
@@ -107,8 +107,8 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// How many samples are right when they are decided, of how many at their end; when and for how
-    /// much that is.
+    /// Share of samples that are right when decided and at their end; the time and energy of a
+    /// decision.
     pub(super) fn decisions(&self, whole: Option<f64>) -> String {
         let Some(decision) = &self.per_decision else { return String::new() };
         let right = decision.accuracy.zip(whole);

@@ -42,7 +42,7 @@ pub struct Saved {
     pub energy_saved_uj: f64,
     /// That as a part of the energy of the whole run; `None` when that is zero.
     pub energy_saved_share: Option<f64>,
-    /// The same where the chip stays on and idles: of what it draws in any case nothing is saved.
+    /// The share where the chip stays on and idles: of what it draws in any case nothing is saved.
     pub idle_saved_share: Option<f64>,
 }
 
@@ -199,7 +199,7 @@ fn is_printed(row: &EnergyRow) -> bool {
     row.source == FigureSource::Published && row.hardware.ends_with(", printed")
 }
 
-/// What stands for a figure that is not known.
+/// The text for a figure that is not known.
 fn unknown() -> String {
     "unknown".to_string()
 }
@@ -399,7 +399,7 @@ impl EnergyReport {
         Some([String::new(), String::new(), total, latency, energy, edp])
     }
 
-    /// Name, cells and source of each line of the table, intervals behind their rows.
+    /// Name, cells and source of each line of the table, intervals after their rows.
     fn lines(&self, every_interval: bool) -> Vec<(String, [String; 6], String)> {
         let mut lines = Vec::new();
         for row in self.rows() {
@@ -748,7 +748,7 @@ impl EnergyReport {
         out
     }
 
-    /// How many constants are published, calibrated and assumed, and the assumed ones by name.
+    /// Numbers of published, calibrated and assumed constants, and the assumed ones by name.
     fn sources(&self) -> String {
         let of = |status| self.constants.iter().filter(move |entry| entry.status == status);
         let assumed: Vec<&str> = of(Status::Assumed).map(|entry| entry.name.as_str()).collect();

@@ -29,7 +29,7 @@ pub(super) fn named(path: &Path) -> Result<Option<Metadata>> {
 /// Whether there is something at a path.
 ///
 /// # Errors
-/// When it cannot be told.
+/// When it cannot be determined.
 pub fn exists(path: &Path) -> Result<bool> {
     Ok(present(path.metadata())?.is_some())
 }

@@ -98,7 +98,7 @@ pub fn tensor(shape: Vec<usize>, numbers: Vec<f64>) -> Weights {
 /// A parameter of a population.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Parameter {
-    /// The same for all compartments.
+    /// The same value for all compartments.
     Same(f64),
     /// One each.
     Each(Vec<f64>),
@@ -477,7 +477,7 @@ impl Network {
         known.then_some(Network { file, source, arrays, conventions })
     }
 
-    /// The same, read by these conventions.
+    /// The same network, read by these conventions.
     #[must_use]
     pub fn read_by(self, conventions: Conventions) -> Self {
         Network { conventions, ..self }

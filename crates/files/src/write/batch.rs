@@ -102,7 +102,7 @@ impl Batch {
     ) -> Result<T> {
         check_free(path, self.force)?;
         let fail = |error: std::io::Error| failed(path, &error);
-        // The file behind a symbolic link is replaced, not the link.
+        // The file that a symbolic link leads to is replaced, not the link.
         let real = match path.symlink_metadata() {
             Ok(named) if named.is_symlink() => path.canonicalize().map_err(fail)?,
             _ => path.to_path_buf(),

@@ -37,10 +37,10 @@ pub struct Folder {
 }
 
 /// Whether a writer of this folder was killed, or is at work. While the manifest is there nothing
-/// else is touched: a marker beside it was made just before, or is about to be removed.
+/// else is touched: a marker next to it was made just before, or is about to be removed.
 ///
 /// # Errors
-/// When that cannot be told.
+/// When that cannot be determined.
 pub fn is_unfinished(folder: &Path, manifest: &str) -> std::io::Result<bool> {
     Ok(disk::exists(&folder.join(MARKER))? && !disk::exists(&folder.join(manifest))?)
 }

@@ -1,4 +1,4 @@
-//! A file to which lines are added as they come to be, for work that goes on where it was ended.
+//! A file to which lines are added as they are made, for work that goes on where it was ended.
 //!
 //! Input: a path, a head that says whose lines they are, lines without line ends. Output: the lines
 //! that were added before. A line counts once all of it is in the file: each has a checksum, and

@@ -1,7 +1,7 @@
 //! Writing: files that are absent, old or complete at every moment.
 //!
-//! Input: what to write and where, `-` for stdout. A file is written under a temporary name beside
-//! its own, brought to the disk, renamed, and its folder brought to the disk. Several files that
+//! Input: what to write and where, `-` for stdout. A file is written under a temporary name in
+//! its folder, brought to the disk, renamed, and its folder brought to the disk. Several files that
 //! belong together ([`Batch`]) are all complete before the first is named. A folder with a manifest
 //! is a [`Folder`]. Only regular files are replaced, and only on request; a symbolic link stays,
 //! and what it points to is replaced.

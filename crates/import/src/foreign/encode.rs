@@ -17,7 +17,7 @@ pub struct Encoded {
     pub exponent: i64,
     /// Sign mode.
     pub sign: SignMode,
-    /// How many weights are not what they were.
+    /// Number of weights that are not what they were.
     pub changed: usize,
 }
 
@@ -27,7 +27,7 @@ impl Encoded {
         (self.exponent != 0).then_some(self.exponent)
     }
 
-    /// The weights beside the exponent that the file gave.
+    /// The weights at the exponent that the file gave.
     pub fn in_units(&self, given: i64) -> Vec<f64> {
         let power = ((self.exponent - given) as f64).exp2();
         self.weights.iter().map(|weight| weight * power).collect()
@@ -37,7 +37,7 @@ impl Encoded {
 /// The greatest weight exponent (`docs/semantics.md`).
 const GREATEST: i64 = 7;
 
-/// Finds a format of 8 bits for weights, beside an exponent that the file gives.
+/// Finds a format of 8 bits for weights at an exponent that the file gives.
 pub fn encode(weights: Vec<f64>, given: i64) -> Encoded {
     let bits = WeightBits::MAX;
     let fits = |x: f64, sign: SignMode| {

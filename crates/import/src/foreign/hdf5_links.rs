@@ -8,7 +8,7 @@
 //! headers, or in a fractal heap; the bytes around a message say which, so that weights are not
 //! taken for links. Older groups keep them in symbol table nodes (III.B).
 
-/// The furthest that a link in a fractal heap stands behind the heap's signature.
+/// The furthest that a link in a fractal heap stands after the heap's signature.
 const HEAP: usize = 1 << 16;
 /// Bytes of an entry of a symbol table, for files with addresses of 64 bits.
 const ENTRY: usize = 40;

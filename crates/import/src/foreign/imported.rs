@@ -17,7 +17,7 @@ pub(super) const LONGEST_DELAY: f64 = Delay::MAX.get() as f64;
 /// What a file does not say, and its user may.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// Milliseconds that a timestep stands for.
+    /// Milliseconds that a timestep represents.
     pub dt_ms: Option<f64>,
     /// A file with the neuron's parameters (SLAYER's YAML).
     pub neuron: Option<PathBuf>,
@@ -105,7 +105,7 @@ pub struct Imported {
     pub model: NetworkFile,
     /// By which conventions it was read, and what was changed.
     pub notes: Vec<String>,
-    /// Of these notes what a user is told unasked: what the file may contradict, or what is lost.
+    /// The note that a user sees unasked: what the file may contradict, or what is lost.
     pub assumed: Option<String>,
     /// What a spike does to v, as the file or an option says; `None` where the format leaves no
     /// choice.
@@ -125,7 +125,7 @@ pub struct LayerWeights {
     pub scale: f64,
     /// Share of the weights other than 0 that became 0.
     pub zeroed: f64,
-    /// The greatest difference between a weight of the file and what stands for it, in the file's
+    /// The greatest difference between a weight of the file and that of the model, in the file's
     /// units.
     pub greatest_error: f64,
     /// Sum of the squares of these differences, as a share of that of the weights.
@@ -151,7 +151,7 @@ impl LayerWeights {
     }
 
     /// Whether rounding leaves too little of the layer: most weights became 0, and not just small
-    /// ones beside large ones.
+    /// ones next to large ones.
     pub(super) fn is_lost(&self) -> bool {
         self.zeroed > 0.5 && self.lost > 0.1
     }
@@ -194,8 +194,8 @@ pub(super) fn decimal(single: f64) -> f64 {
 }
 
 impl Imported {
-    /// The same with populations of snnTorch 1.0.0 whose reset to zero takes away the input of the next step too, as that
-    /// of Leaky alone does not (`_base_zero`).
+    /// The import with populations of snnTorch 1.0.0 whose reset to zero takes away the input of
+    /// the next step too, as that of Leaky alone does not (`_base_zero`).
     #[must_use]
     pub(super) fn held(mut self, names: &[String]) -> Self {
         if names.is_empty() {

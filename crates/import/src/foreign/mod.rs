@@ -58,8 +58,8 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
     imported.map_err(|problem| problem.or_in_file(path))
 }
 
-/// Reads a graph of NIR nodes that are in memory. Where neurons return to zero, those of the nodes `held` stay there in
-/// the next step too.
+/// Reads a graph of NIR nodes that are in memory. Where neurons return to zero, those of the nodes
+/// `held` stay there in the next step too.
 ///
 /// # Errors
 /// `import.*` for what the nodes say.

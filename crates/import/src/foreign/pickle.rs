@@ -71,7 +71,7 @@ impl Arena {
     }
 }
 
-/// Names whose calls are data: what is kept of them.
+/// Whether a name is one whose calls are data.
 fn known(module: &str, name: &str) -> bool {
     matches!(
         (module, name),
@@ -96,7 +96,7 @@ struct Machine<'a> {
 
 type Result<T> = std::result::Result<T, PickleError>;
 
-/// Reads the pickle that begins here: its value, and how many bytes it takes.
+/// Reads the pickle that begins here: its value, and the number of its bytes.
 pub fn load(bytes: &[u8]) -> Result<(Arena, ValueId, usize)> {
     let mut machine = Machine { bytes, ..Machine::default() };
     while !machine.step()? {}
@@ -266,7 +266,7 @@ impl<'a> Machine<'a> {
         Ok(false)
     }
 
-    /// The value of an opcode that makes one of the bytes behind it.
+    /// The value of an opcode that makes one of the bytes after it.
     fn literal(&mut self, opcode: u8) -> Result<Option<Value>> {
         Ok(Some(match opcode {
             b'N' => Value::None,

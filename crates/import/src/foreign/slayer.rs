@@ -28,7 +28,7 @@ const MOST_YAML: u64 = 1 << 20;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neuron {
     pub kind: NeuronKind,
-    /// Milliseconds that a timestep stands for, if the file says so.
+    /// Milliseconds that a timestep represents, if the file says so.
     pub dt_ms: Option<f64>,
 }
 
@@ -226,7 +226,7 @@ pub(super) struct Matrix {
 const SETS: [&[&str]; 2] = [&["tact", "vis", "combi"], &["fc1", "fc2", "fc3", "fc4", "fc5"]];
 
 /// Reads one file of a set `NNN-tact.npy`, `NNN-vis.npy`, `NNN-combi.npy` or `NNN-fc1.npy`,
-/// `NNN-fc2.npy`, .., and the others beside it.
+/// `NNN-fc2.npy`, .., and the others in its folder.
 pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
     let stem = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
     let (prefix, part) = stem.rsplit_once('-').map_or((None, stem.as_str()), |(prefix, part)| (Some(prefix), part));

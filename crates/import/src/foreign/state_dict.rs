@@ -288,7 +288,7 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
             ));
         };
         let sources = array.numbers.len() / targets;
-        // A kernel is a dense layer where it covers all of its input: the layer behind it then
+        // A kernel is a dense layer where it covers all of its input: the layer after it then
         // receives one unit a kernel.
         let kernel = axes.get(1..).unwrap_or_default();
         let before = (place > 0).then(|| layers[place - 1].1[0]);
@@ -696,7 +696,7 @@ impl Graph {
         self.edges.push((from.to_string(), to.to_string()));
     }
 
-    /// Adds a node behind another.
+    /// Adds a node after another.
     fn follow(&mut self, after: &str, name: &str, node: Group) -> String {
         let name = self.node(name, node);
         self.edge(after, &name);

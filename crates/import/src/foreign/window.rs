@@ -67,7 +67,7 @@ impl Sliding {
         self.source[0] / self.groups
     }
 
-    /// Silent rows and columns behind the last.
+    /// Silent rows and columns after the last.
     pub fn padding_after(&self) -> (u64, u64) {
         let after = |source: usize, target: usize, size: usize, stride: usize, before: usize, dilation: usize| {
             let reach = dilation * (size - 1) + 1;

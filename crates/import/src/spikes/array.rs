@@ -19,12 +19,12 @@ fn product(axes: &[usize]) -> Option<u64> {
 #[derive(Clone, Copy)]
 struct Merging {
     polarity: Polarity,
-    /// Channels behind the axis of polarities.
+    /// Channels after the axis of polarities.
     inner: usize,
 }
 
 impl Merging {
-    /// The channel, or none for a polarity that is left out. Index 1 of the axis is a rise.
+    /// The channel, or none for a polarity that is dropped. Index 1 of the axis is a rise.
     fn channel(self, flat: usize) -> Option<usize> {
         let on = (flat / self.inner) % 2 == 1;
         let kept = match self.polarity {

@@ -1,4 +1,4 @@
-//! Labels of samples that lie beside their spikes.
+//! Labels of samples, in a file next to their spikes.
 //!
 //! Input: an array of one axis, a class from 0 on for each sample. Output: samples with labels.
 //!

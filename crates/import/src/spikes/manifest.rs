@@ -1,7 +1,7 @@
 //! Data-set manifests and the recordings that they name.
 //!
 //! Input: a `.ron` with a [`DataSet`]. Output: a [`Manifest`] whose labels, folds and files agree
-//! with each other, and from it the spikes of one population, sample by sample or all at once, and
+//! with each other, and from it the spikes of one population, sample by sample or all together, and
 //! the samples that each fold trains and tests on. Lists of samples in text files have the form of
 //! clear-nus/VT_SNN's `train_80_20_k.txt` and `test_80_20_k.txt`: rows of a sample's number, from
 //! 0, and its label.
@@ -52,7 +52,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest> {
     from_source(read_text(path)?)
 }
 
-/// A manifest from its text; recordings are looked for beside the path of `source`.
+/// A manifest from its text; recordings are looked for in the folder of `source`.
 ///
 /// # Errors
 /// As [`read_manifest`].
@@ -121,7 +121,7 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
                     continue;
                 }
                 Some(_) => format!("fold {index} names sample {sample} twice"),
-                // How many there are is not known before the recordings are read.
+                // The number of samples is not known before the recordings are read.
                 None if set.samples.is_empty() => continue,
                 None => format!("fold {index} names sample {sample} of {}", set.samples.len()),
             };
@@ -186,7 +186,7 @@ impl Manifest {
         Ok((splits, labels))
     }
 
-    /// How many folds there are.
+    /// Number of folds.
     pub fn folds(&self) -> usize {
         self.set.folds.len().max(self.set.splits.len())
     }
@@ -421,7 +421,7 @@ mod tests {
         assert_eq!(load(none).unwrap_err().code, "dataset.samples");
     }
 
-    /// What the authors' pipeline leaves behind: one array for each sense, and lists of samples.
+    /// The output of the authors' pipeline: one array for each sense, and lists of samples.
     #[test]
     fn arrays_of_all_samples_are_read_with_lists_of_samples() {
         let folder = tempfile::tempdir().unwrap();

@@ -6,7 +6,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 /// The spikes of one sample on the channels of one population.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct PopulationSpikes {
-    /// How many channels the source has, if it says so.
+    /// Number of channels of the source, if it says so.
     pub units: Option<u64>,
     /// Timesteps.
     pub steps: u32,

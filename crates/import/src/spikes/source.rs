@@ -99,13 +99,13 @@ mod tests {
         read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &options)
     }
 
-    /// [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN leaves them behind, against loops
+    /// [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN writes them, against loops
     /// over all axes.
     #[test]
     fn the_polarities_of_an_array_merge_wherever_their_axis_is() {
         let folder = tempfile::tempdir().unwrap();
         let (n, outer, inner, steps) = (3u32, 5u32, 4u32, 6u32);
-        // Either of the two, by the sizes before and behind the polarity.
+        // Either of the two, by the sizes before and after the polarity.
         for (shape, before, behind) in
             [(vec![n, outer, 2, steps], outer, 1), (vec![n, 2, outer, inner, steps], 1, outer * inner)]
         {

@@ -1,4 +1,4 @@
-//! The layer of each node of a network: how many nodes its input has passed.
+//! The layer of each node of a network: the number of nodes that its input has passed.
 //!
 //! Input: what leads to each node, nodes numbered in the order in which spikes reach them. Output:
 //! depths, 0 for inputs and for what they alone reach, else one more than the deepest node before

@@ -17,7 +17,7 @@ pub struct Span {
     pub end: usize,
 }
 
-/// A text file that was read, kept so that messages can point into it.
+/// A text file that was read, stored so that messages can point into it.
 #[derive(Clone)]
 pub struct SourceText {
     path: Arc<Path>,
@@ -138,10 +138,10 @@ const USUAL: [(&str, &str); 34] = [
     ("train.", "change the training file: nsim help train has examples"),
 ];
 
-/// The most problems of an input that are told together.
+/// The most problems of an input that are reported together.
 const MOST_TOGETHER: usize = 10;
 
-/// Every value; or every problem, the first with the others behind it.
+/// Every value; or every problem, the first with the others after it.
 ///
 /// # Errors
 /// The problems of these results, if there are any.

@@ -14,22 +14,22 @@ pub fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
     order
 }
 
-/// For each of `k` folds the samples that it tests on, ascending. Samples are assigned to folds in
-/// turn, class by class in a seeded order, so that folds differ by at most one sample in each class
-/// and in all.
+/// For each of `k` folds the samples that it tests on, ascending. Samples are assigned to folds
+/// cyclically, class by class in a seeded order, so that folds differ by at most one sample in each
+/// class and in all.
 pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
     let mut folds = vec![Vec::new(); k];
     let mut classes: Vec<u32> = labels.to_vec();
     classes.sort_unstable();
     classes.dedup();
-    let mut dealt = 0;
+    let mut assigned = 0;
     for class in classes {
         let members: Vec<usize> = (0..labels.len()).filter(|&i| labels[i] == class).collect();
         for at in permutation(members.len(), seed, CLASS + u64::from(class)) {
-            if let Some(fold) = folds.get_mut(dealt % k.max(1)) {
+            if let Some(fold) = folds.get_mut(assigned % k.max(1)) {
                 fold.push(members[at]);
             }
-            dealt += 1;
+            assigned += 1;
         }
     }
     folds.iter_mut().for_each(|fold| fold.sort_unstable());

@@ -1,6 +1,6 @@
 //! Names in files, arguments and results.
 //!
-//! Input: an enum with its variants, each with its name unless that is the variant's own; behind a
+//! Input: an enum with its variants, each with its name unless that is the variant's own; after a
 //! semicolon a variant that holds its name, which is in no list. Output: the list of the variants
 //! and the name of each; the enum too, where names stand in its declaration. Written once, since a
 //! name given in two lists can differ. Input: a text of any origin. Output: the text as it may be
@@ -63,10 +63,10 @@ pub fn markup(text: &str) -> String {
     printable(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// How alike two names have to be for one to be meant by the other, by Jaro and Winkler.
+/// The least similarity of Jaro and Winkler at which one name may be meant by the other.
 const ALIKE: f64 = 0.84;
 
-/// The question whether the name most like a word was meant, with a space behind it; nothing where
+/// The question whether the name most like a word was meant, with a space after it; nothing where
 /// none is like it.
 pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) -> String {
     let likeness = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);
@@ -77,11 +77,11 @@ pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) ->
     }
 }
 
-/// Whether a name fits a pattern, in which `*` stands for any characters and `?` for one.
+/// Whether a name fits a pattern, in which `*` matches any characters and `?` one.
 pub fn fits_pattern(pattern: &str, name: &str) -> bool {
     let (pattern, name): (Vec<char>, Vec<char>) = (pattern.chars().collect(), name.chars().collect());
     let (mut at, mut from) = (0, 0);
-    // The last star, and where what it stands for ends so far.
+    // The last star, and the end of what it matches so far.
     let mut star: Option<(usize, usize)> = None;
     while from < name.len() {
         match pattern.get(at) {

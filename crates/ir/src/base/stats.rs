@@ -1,6 +1,6 @@
 //! Means, deviations and intervals of measured figures.
 //!
-//! Input: figures, or counts of successes. Output: numbers. Left out on purpose: tests of
+//! Input: figures, or counts of successes. Output: numbers. Omitted on purpose: tests of
 //! hypotheses.
 
 /// Half the width of the central 95 % of a normal distribution, in standard deviations.
@@ -13,7 +13,7 @@ pub fn mean_sd(values: &[f64]) -> (f64, f64) {
     (mean, (values.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n).sqrt())
 }
 
-/// The interval that holds the share of successes behind `share` of `trials` in 95 of 100 cases
+/// The interval that holds the true share in 95 of 100 cases, after `share` of `trials` succeeded
 /// (Wilson, "Probable inference, the law of succession, and statistical inference", J. Am. Stat.
 /// Assoc. 1927); all of 0 to 1 without trials.
 pub fn wilson(share: f64, trials: usize) -> (f64, f64) {

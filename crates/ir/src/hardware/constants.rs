@@ -52,8 +52,8 @@ pub const SET: &str = "--set";
 /// The name of the barrier times among constants.
 pub const BARRIER: &str = "barrier";
 
-/// Units that a value may be typed in, by what they measure: how many of the first of its kind each
-/// is.
+/// Units that a value may be typed in, by what they measure: each as a multiple of the first of its
+/// kind.
 const TYPED: [(&str, Unit, f64); 11] = [
     ("fJ", Unit::pJ, 1e-3),
     ("pJ", Unit::pJ, 1.0),
@@ -152,7 +152,7 @@ pub struct ClassError {
     pub works: u32,
     /// A new work's figures are within this factor with a chance of 80 %, if works were counted.
     pub within_80: f64,
-    /// The same with a chance of 90 %; absent where works are too few.
+    /// The factor with a chance of 90 %; absent where works are too few.
     #[serde(default)]
     pub within_90: Option<f64>,
 }
@@ -238,8 +238,8 @@ pub struct BarrierTime {
     pub time: Constant,
 }
 
-/// A figure that a source gives beside the others and that no count of a run multiplies: kept so
-/// that it is on record.
+/// A figure that a source gives next to the others and that no count of a run multiplies: stored
+/// for the record.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnusedConstant {
@@ -266,7 +266,7 @@ macro_rules! for_each_constant {
             dendrite_energy: pJ = "Constant::no_energy",
             /// A compartment visited in a step.
             compartment_energy: pJ,
-            /// On top, when it is not at rest.
+            /// On top, when it is not idle.
             compartment_active_energy: pJ,
             /// On top, when it spikes.
             spike_energy: pJ = "Constant::no_energy",
@@ -288,7 +288,7 @@ macro_rules! for_each_constant {
             synapse_sparse_time: ns,
             /// A compartment visited in a step.
             compartment_time: ns,
-            /// On top, when it is not at rest.
+            /// On top, when it is not idle.
             compartment_active_time: ns,
             /// On top, when it spikes.
             spike_time: ns = "Constant::no_time",
@@ -378,7 +378,7 @@ macro_rules! constants {
         #[derive(Debug, Clone, Deserialize)]
         #[serde(deny_unknown_fields, rename = "Constants")]
         pub struct ConstantsChanges {
-            /// The other preset: a shipped one, or a file beside this one.
+            /// The other preset: a shipped one, or a file next to this one.
             pub base: Spanned<String>,
             /// The preset's name; that of its file unless given.
             pub name: Option<String>,

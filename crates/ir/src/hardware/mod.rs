@@ -130,9 +130,9 @@ impl Chip {
     /// Checks what the types of the fields do not.
     ///
     /// # Errors
-    /// A diagnostic when a size or limit is out of range, when x86 cores are kept busy that the
-    /// chip does not have, when an output axon takes no slot, or when a source is given for a limit
-    /// that does not exist.
+    /// A diagnostic when a size or limit is out of range, when more x86 cores are in use than the
+    /// chip has, when an output axon takes no slot, or when a source is given for a limit that does
+    /// not exist.
     pub fn check(&self, source: &SourceText) -> Result<()> {
         self.check_sizes().map_err(|problem| problem.in_file(source.path()))?;
         let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));
@@ -186,7 +186,7 @@ pub struct TargetFile {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Target")]
 pub struct TargetChanges {
-    /// The other target: a shipped one, or a file beside this one.
+    /// The other target: a shipped one, or a file next to this one.
     pub base: Spanned<String>,
     /// The target's name; that of its file unless given.
     pub name: Option<String>,
@@ -215,7 +215,7 @@ pub struct TargetChanges {
     /// Limits of a core.
     #[serde(default)]
     pub limits: LimitChanges,
-    /// Where limits come from, in place of what the other target says of the same.
+    /// Where limits come from, in place of what the other target says of them.
     #[serde(default)]
     pub limit_sources: Vec<LimitSource>,
     /// Presets of constants in place of the other target's.
@@ -314,7 +314,7 @@ impl Target {
             }
         }
         chip.check_sizes()?;
-        // So that a number of cores always fits its type, whatever the sides.
+        // So that a number of cores always fits its type, for any sides.
         let cores = u64::from(file.chips_x.value) * u64::from(file.chips_y.value) * u64::from(chip.cores);
         if cores > MOST_CORES {
             return Err(

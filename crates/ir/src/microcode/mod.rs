@@ -7,7 +7,7 @@
 //! Invariants of a checked tree:
 //!
 //! - every name is known, a temporary is written before it is read;
-//! - every result fits 64 bits, whatever the words, parameters and arrivals are;
+//! - every result fits 64 bits, for any words, parameters and arrivals;
 //! - an amount of a shift is within 0..=62, a message fits 32 bits.
 //!
 //! The second follows from intervals alone: those of the words and parameters are declared, and
@@ -116,7 +116,7 @@ pub struct Microcode {
 }
 
 impl Microcode {
-    /// Checks a declaration; `parameters` is how many parameters a neuron can have.
+    /// Checks a declaration; `parameters` is the most parameters that a neuron can have.
     ///
     /// # Errors
     /// A [`Problem`] at the first name, width or expression that does not hold.
@@ -185,12 +185,12 @@ impl Microcode {
         self.declaration.name.as_str()
     }
 
-    /// How many temporaries it has; the first ones are those with a width.
+    /// Number of temporaries; the first ones are those with a width.
     pub fn temporaries(&self) -> usize {
         self.temporaries
     }
 
-    /// How many sums of arrivals it reads, at least 1.
+    /// Number of sums of arrivals that it reads, at least 1.
     pub fn ports(&self) -> u8 {
         self.ports
     }

@@ -40,7 +40,7 @@ const NOT: u8 = 2;
 const COMPARISON: u8 = 3;
 const LAST: u8 = 6;
 
-/// Functions and how many operands they take. The second of `clip` and `wrap` is a number.
+/// Functions and their numbers of operands. The second of `clip` and `wrap` is a number.
 const FUNCTIONS: [(&str, usize, Operation); 7] = [
     ("tz", 2, Operation::TowardZero),
     ("min", 2, Operation::Minimum),
@@ -75,7 +75,7 @@ pub(super) struct Scope {
     names: Vec<(String, Variable, Option<Interval>)>,
     /// The values of words of state, and of temporaries with a width.
     pub(super) widths: [Vec<Interval>; 2],
-    /// How many sums of arrivals were read, at least 1.
+    /// Number of sums of arrivals that were read, at least 1.
     pub(super) ports: u8,
 }
 
@@ -109,7 +109,7 @@ impl Scope {
         Err(Problem::new(path, format!("'{name}' cannot be a name here: {why}")))
     }
 
-    /// How many temporaries there are.
+    /// Number of temporaries.
     pub(super) fn temporaries(&self) -> usize {
         self.names.iter().filter(|(_, variable, _)| matches!(variable, Variable::Temporary(_))).count()
     }

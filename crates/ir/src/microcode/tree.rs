@@ -15,7 +15,7 @@ impl Interval {
         Interval { low: i64::MIN >> (64 - bits), high: i64::MAX >> (64 - bits) }
     }
 
-    /// The same without the least.
+    /// The same values without the least.
     pub fn symmetric(bits: u32) -> Interval {
         let high = Interval::of_bits(bits).high;
         Interval { low: -high, high }
@@ -61,7 +61,7 @@ impl Problem {
     }
 }
 
-/// What a name stands for.
+/// A variable that a name refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Variable {
     /// The sum of arrivals at a port: 0 or 1.
@@ -131,7 +131,7 @@ pub struct Expression {
 pub enum Node {
     /// A number.
     Constant(i64),
-    /// What a name stands for.
+    /// The value of a variable.
     Read(Variable),
     /// An operation on as many expressions as it takes.
     Apply(Operation, Vec<Expression>),

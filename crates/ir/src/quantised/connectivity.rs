@@ -1,6 +1,6 @@
 //! How a population's spikes reach another: which synapses a source has, and their integer weights.
 //!
-//! Kernels and drawn synapses stay described. They are enumerated in `nsim_dynamics::synapses` for
+//! Kernels and random synapses stay described. They are enumerated in `nsim_dynamics::synapses` for
 //! the compiler and the checker; the golden interpreter has its own enumeration. Populations and
 //! delay are left to [`Projection`](super::Projection).
 

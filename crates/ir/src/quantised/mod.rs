@@ -1,4 +1,4 @@
-//! The network in integers that fit their hardware fields: what the chip would be told, before any
+//! The network in integers that fit their hardware fields: what the chip would be given, before any
 //! core.
 //!
 //! Made by `nsim_quantise::quantise`. True of every [`Quantised`]: each weight is a multiple of
@@ -104,7 +104,7 @@ impl Neuron {
     }
 }
 
-/// What a text form leaves out is that of [`Neuron::PLAIN`].
+/// A field that a text form omits is that of [`Neuron::PLAIN`].
 impl Default for Neuron {
     fn default() -> Self {
         Neuron::PLAIN
@@ -227,7 +227,7 @@ pub struct Projection {
     pub connectivity: Connectivity,
 }
 
-/// Something that quantisation changed or left behind, for the user to know.
+/// Something that quantisation changed or lost, for the user to know.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Note {
     /// The population or projection.
@@ -279,7 +279,7 @@ pub struct Output {
 pub struct Parts {
     /// The network's name.
     pub name: String,
-    /// Milliseconds that a timestep stands for.
+    /// Milliseconds that a timestep represents.
     pub timestep_ms: f64,
     /// Populations in the order of the file.
     pub populations: IdVec<PopulationId, Population>,
@@ -304,7 +304,7 @@ pub struct Parts {
     pub reset: Option<Reset>,
     /// What quantisation changed.
     pub notes: Vec<Note>,
-    /// Whether sources may be gathered in population axons where a compartment has more of them
+    /// Whether sources may be grouped into population axons where a compartment has more of them
     /// than a core has input axons.
     pub gathers: bool,
 }
@@ -367,7 +367,7 @@ impl TryFrom<Text> for Quantised {
     }
 }
 
-/// What a pruned network was before, and what was left out.
+/// The original of a pruned network, and the pruned parts.
 ///
 /// A pruned network is a network like any other, smaller and renumbered, so every stage after it
 /// takes it as it is. With this record people still see the populations, shapes and numbers of
@@ -377,7 +377,7 @@ impl TryFrom<Text> for Quantised {
 pub struct Pruned {
     /// The network before; of several copies, one.
     pub original: Quantised,
-    /// For each population that lost compartments, the indices of those it kept, ascending.
+    /// For each population that lost compartments, the indices of those that remain, ascending.
     pub kept: IdVec<PopulationId, Option<Vec<u32>>>,
     /// Populations that were to stay whole because they are probed.
     pub probed: Vec<PopulationId>,
@@ -386,12 +386,12 @@ pub struct Pruned {
     pub stimulus: Option<Vec<String>>,
     /// Channels that the stimulus never fires, ascending.
     pub dead: Vec<ChannelId>,
-    /// What was left out, a row for each kind that was looked for.
+    /// The pruned parts, a row for each kind that was looked for.
     pub rows: Vec<pruned::Row>,
 }
 
 impl Pruned {
-    /// How many of a kind were left out.
+    /// Number of pruned parts of a kind.
     pub fn count(&self, kind: pruned::Kind) -> u64 {
         self.rows.iter().filter(|row| row.kind == kind).map(|row| row.count).sum()
     }
@@ -469,11 +469,11 @@ impl Quantised {
         Ok(Quantised { parts, channels, compartments, outgoing, incoming, firsts, pruned: None })
     }
 
-    /// The network with the record of what was left out of it: of itself, or of one of its equal
+    /// The network with the record of what was pruned: from itself, or from one of its equal
     /// copies.
     ///
     /// # Errors
-    /// [`Inconsistent`] when what the record says was kept is not what is there.
+    /// [`Inconsistent`] when the compartments that remain by the record are not those here.
     pub fn with_record(mut self, pruned: Option<Arc<Pruned>>) -> Result<Self, Inconsistent> {
         if let Some(pruned) = &pruned {
             let before = pruned.original.populations();
@@ -523,7 +523,7 @@ impl Quantised {
         self
     }
 
-    /// What was left out, when the network was pruned.
+    /// The record of pruning, if anything was pruned.
     pub fn pruned(&self) -> Option<&Arc<Pruned>> {
         self.pruned.as_ref()
     }

@@ -94,7 +94,7 @@ macro_rules! define_resource {
         impl Resource {
             /// Every resource, in the order in which they are counted and reported.
             pub const ALL: [Resource; Resource::COUNT] = [$(Resource::$resource,)*];
-            /// How many there are.
+            /// Number of resources.
             pub const COUNT: usize = [$(stringify!($name),)*].len();
 
             pub(super) fn description(self) -> Description {

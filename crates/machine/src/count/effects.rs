@@ -48,8 +48,8 @@ impl Effect {
     /// More synapses than the bits hold: the list has to be read.
     const READ: Self = Effect(u32::MAX);
 
-    /// At most this many of the effects of all classes, ascending. What is left out has to be read,
-    /// which is the last.
+    /// At most this many of the effects of all classes, ascending. Lists with omitted effects have
+    /// to be read, which is the last one.
     pub fn distinct(of_classes: &[Vec<Self>], most: usize) -> Vec<Self> {
         let of_class = |lists: &Vec<Self>| {
             let mut distinct = lists.clone();

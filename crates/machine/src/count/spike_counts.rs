@@ -10,7 +10,7 @@
 //! ```
 //!
 //! Why: c is the same for every spike, so a step only counts spikes. Each synapse of a source is
-//! looked at once for all its late spikes: with long delays most spikes of a short sample are late.
+//! visited once for all its late spikes: with long delays most spikes of a short sample are late.
 
 use crate::count::tally::Fired;
 use crate::layout::image::Image;

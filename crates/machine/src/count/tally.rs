@@ -40,10 +40,10 @@ pub(crate) struct Fired<'a> {
 const BATCH: usize = 256;
 /// Messages of a step from which on threads share its sources.
 const SHARED: usize = 1 << 14;
-/// Messages that are always kept: half a megabyte of memory.
+/// Messages that are always stored: half a megabyte of memory.
 const ALWAYS_KEPT: usize = 1 << 16;
-/// Synapses of a message, on average, up to which messages are kept: they take no more memory than
-/// the synapses do, and finding them would take as long as delivering.
+/// Synapses of a message, on average, up to which messages are stored: they take no more memory
+/// than the synapses do, and finding them would take as long as delivering.
 const KEPT_TO: usize = 8;
 /// Sources whose messages a thread finds at a time.
 const PIECE: u32 = 1 << 12;

@@ -147,7 +147,7 @@ impl<S: Sum> DelayRing<S> {
 /// Up to this many spikes are counted faster than searched.
 const COUNTED: usize = 64;
 
-/// How many of these spikes, ascending, come before a source; often none or all.
+/// Number of these spikes, ascending, that come before a source; often none or all.
 #[inline(always)]
 fn before<P: Spike>(spikes: &[P], source: u32) -> usize {
     let is = |spike: &P| (spike.source() as u32) < source;
@@ -160,7 +160,7 @@ fn before<P: Spike>(spikes: &[P], source: u32) -> usize {
     }
 }
 
-/// How many items come before those that hold; near ones are looked at first.
+/// Number of items before the first that holds; near ones are looked at first.
 #[inline(always)]
 fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
     match items.iter().take(4).position(&holds) {

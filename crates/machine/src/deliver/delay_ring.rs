@@ -57,7 +57,7 @@ impl Arrivals<'_> {
 }
 
 impl<S: Sum> DelayRing<S> {
-    /// The same with sums of this type.
+    /// This ring with sums of this type.
     pub fn in_type<T: Sum + From<S>>(&self) -> DelayRing<T> {
         // Untouched pages stay untouched.
         let mut sums = Aligned::new(self.sums.len());

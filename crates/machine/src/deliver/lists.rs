@@ -1,4 +1,4 @@
-//! Delivery by lists: synapse by synapse, whatever the delay.
+//! Delivery by lists: synapse by synapse, for any delay.
 
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::DelayRing;
@@ -83,7 +83,7 @@ fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(
     }
 }
 
-/// The same for lanes of 16 bits: there is a sum for each, so that no bound is checked.
+/// As [`add_to`], for lanes of 16 bits: there is a sum for each, so that no bound is checked.
 #[inline(always)]
 fn add_compact<const MARK: bool, S: Accumulate<Y>, Y>(
     sums: &mut [S],

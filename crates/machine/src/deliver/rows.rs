@@ -200,7 +200,7 @@ fn find_groups<P: Spike>(table: &RowTable, spikes: &[P], groups: &mut [u32]) -> 
 const AT_A_TIME: usize = 512;
 
 /// Spikes between the prefetch of a source's origin, of its stencil, of the stencil's rows, and
-/// their use: each tells where the next is.
+/// their use: each gives the address of the next.
 const PREFETCH_SPIKES: [usize; 3] = [24, 16, 8];
 
 /// Queues the rows of these spikes and what each carries; returns their number and that of the

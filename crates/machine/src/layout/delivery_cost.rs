@@ -5,7 +5,7 @@
 //! wrong entry makes runs slower and no result different, so one table serves all processors.
 //!
 //! `cargo bench --bench delivery_cost` measures it: it times steps of small networks, each of which
-//! has mostly parts of one kind, fits a time for each part, and prints both beside each other.
+//! has mostly parts of one kind, fits a time for each part, and prints both next to each other.
 //! Entries are not simply what is fitted: those networks fit a cache, where a listed synapse takes
 //! half as long as elsewhere, and blocks are what networks beyond caches need. Anyone who changes
 //! an entry compares `nsim bench step` before and after (`docs/benchmarks.md` has what the fitted

@@ -3,7 +3,7 @@
 //!
 //! Input: the sources that become blocks (`planner`), and their synapses. Output: [`DenseBlocks`];
 //! synapses in no block are left to the lists. Invariant: padding zeros are not counted as
-//! synapses; the number of synapses is kept beside the weights.
+//! synapses; the number of synapses is stored next to the weights.
 
 use std::ops::Range;
 
@@ -41,7 +41,7 @@ pub(crate) struct DenseBlock {
     pub bytes: bool,
     /// Chunks from one source to the next.
     pub stride: usize,
-    /// Synapses of each source, padding left out.
+    /// Synapses of each source, without padding.
     pub synapses: SynapseCounts,
 }
 
@@ -90,7 +90,7 @@ impl DenseBlock {
 /// Synapses of each source.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum SynapseCounts {
-    /// The same for all.
+    /// One number for all.
     Same(u32),
     /// In order.
     Each(Vec<u32>),
@@ -388,7 +388,7 @@ mod tests {
         assert_eq!(listed, 50 * 3_000);
     }
 
-    /// Blocks of different lanes stay apart, also with missing synapses.
+    /// Blocks of different lanes stay separate, also with missing synapses.
     #[test]
     fn a_narrow_block_is_not_padded_to_a_wide_one() {
         for per_mille in [1_000, 800] {
@@ -400,7 +400,7 @@ mod tests {
         }
     }
 
-    /// Sources with other targets, and sources far apart, make blocks of their own.
+    /// Sources with other targets, and distant sources, make blocks of their own.
     #[test]
     fn unlike_sources_share_no_block() {
         let mut sources = some(400, 0..200, 1_000);

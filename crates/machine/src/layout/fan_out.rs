@@ -2,8 +2,8 @@
 //! delivered.
 //!
 //! Input: rows and synapses source after source ([`Flattened`]), by delay. Output: by delay the
-//! rows and dense blocks, and one list a source of the rest, whatever their delays. Errors: more
-//! synapses than a list position can index.
+//! rows and dense blocks, and one list a source of the rest, for any delays. Errors: more synapses
+//! than a list position can index.
 
 use std::sync::Arc;
 

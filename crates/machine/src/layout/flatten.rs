@@ -221,9 +221,9 @@ mod tests {
         CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
     }
 
-    /// Cores whose compartments are dealt out, each source with messages to some of them, each
-    /// message with a list of its own; the last core has a table that every third channel selects
-    /// from, twice over at other bases.
+    /// Cores over which compartments are distributed, each source with messages to some of them,
+    /// each message with a list of its own; the last core has a table that every third channel
+    /// selects from, twice over at other bases.
     fn program(seed: u64) -> Program {
         let draw = |below, what, index| rng::below(below, seed, what, index);
         let compartments = CORES * SLOTS;
@@ -310,7 +310,7 @@ mod tests {
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,
             reset: None,
-            dealt: None,
+            assignment: None,
         })
         .unwrap()
     }

@@ -51,7 +51,7 @@ pub enum ImageError {
         "compartment {0} has synapses that together exceed 2^{1} weight units: their sum cannot be counted exactly"
     )]
     FanIn(CompartmentId, u32),
-    /// Too many sums that are narrowed apart.
+    /// Too many sums that are narrowed separately.
     #[error("the arrivals of compartment {0} make more than {most} sums that are narrowed apart", most = Apart::MOST)]
     Sums(CompartmentId),
     /// Too many synapses.
@@ -353,7 +353,7 @@ impl Image {
     /// The parameters of a core block that can be updated as vectors.
     fn vector(&self, fields: BlockFields) -> Option<u32> {
         match fields {
-            // A compartment that spikes at rest would make padding spike too.
+            // A compartment that spikes at a voltage of 0 would make padding spike too.
             BlockFields::Same(f) => {
                 Some(f).filter(|&f| self.fields[f as usize].vectors && self.fields[f as usize].fires_from > 0)
             }
@@ -469,8 +469,8 @@ impl Image {
         }
     }
 
-    /// A block whose state is words, behind those before it in its shard.
-    /// Blocks with the same parameters share their update: it takes less of the cache.
+    /// A block whose state is words, after those before it in its shard. Blocks with the same
+    /// parameters share their update: it takes less of the cache.
     fn words(&self, block: &CoreBlock, sums: &Sums, before: &[WordBlock], known: &mut Updaters) -> Option<WordBlock> {
         let BlockFields::Each(first) = block.fields else { return None };
         let fields = &self.field_of[first as usize..(first + block.length) as usize];

@@ -1,9 +1,9 @@
 //! The order in which a core's compartments become lanes.
 //!
 //! Input: a program and one of its cores. Output: its slots in the order of lanes. Compartments of
-//! a population over space are ordered by position, the channels of a position side by side,
-//! whatever the order of their slots: a row of a kernel then reaches lanes that follow each other.
-//! All others keep the order of slots.
+//! a population over space are ordered by position, the channels of a position side by side, for
+//! any order of their slots: a row of a kernel then reaches lanes that follow each other. All
+//! others keep the order of slots.
 
 use nsim_ir::base::id::{CompartmentId, CoreId};
 use nsim_ir::program::{Compartments, Program};

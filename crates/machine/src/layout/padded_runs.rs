@@ -34,7 +34,7 @@ pub(crate) const STEP: usize = 4;
 pub(crate) struct ListPlace {
     /// Its beginning, in units of [`STEP`] bytes; in synapses for split lists.
     start: u32,
-    /// How many synapses.
+    /// Number of synapses.
     count: u32,
 }
 

@@ -41,7 +41,7 @@ pub(crate) struct PlannedBlock {
 }
 
 impl PlannedBlock {
-    /// How many sources.
+    /// Number of sources.
     pub fn sources(&self) -> usize {
         (self.end - self.first) as usize
     }

@@ -3,9 +3,9 @@
 //! A *core block* is consecutive compartments of one core. It starts at a multiple of sixteen
 //! lanes, unless it is updated as vectors together with the block before it, of another core. A
 //! *vector run* is core blocks that are updated together. A *skip block* is 64 lanes: it is updated
-//! only if something in it is not at rest. Lanes without a compartment are padding. Weights of
-//! dense blocks are padded with zeros to whole chunks, so what they add to padding or to a
-//! neighbour changes nothing.
+//! only if something in it is not idle. Lanes without a compartment are padding. Weights of dense
+//! blocks are padded with zeros to whole chunks, so what they add to padding or to a neighbour
+//! changes nothing.
 
 use std::sync::Arc;
 
@@ -50,7 +50,7 @@ impl WordBlock {
 /// The parameters of a core block.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum BlockFields {
-    /// The same for all: an index into the image's `fields`.
+    /// One for all: an index into the image's `fields`.
     Same(u32),
     /// One index a lane, in `field_of` from this position on.
     Each(u32),
@@ -109,7 +109,7 @@ pub(crate) struct Shard {
     pub skip_blocks: Vec<u32>,
     /// Skip blocks that never rest, a bit each.
     pub driven: Vec<u64>,
-    /// Skip blocks that are not at rest before the first step.
+    /// Skip blocks that are not idle before the first step.
     pub wakes: Vec<u64>,
     /// Compartments whose state is words, by lane.
     pub words: Vec<WordBlock>,

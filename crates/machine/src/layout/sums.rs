@@ -3,9 +3,9 @@
 //! Input: a program. Output: for each compartment the list of its sums, and which of them a synapse
 //! adds to. Errors: a compartment with more sums than a skip block has lanes.
 //!
-//! A compartment has a sum for each of its ports, and those that synapses add to apart: one for
-//! each number, shift and delay. The sums of a list lie `stride` lanes from each other, within one
-//! skip block, so that delivery and skipping need no ports.
+//! A compartment has a sum for each of its ports, and separate sums: one for each number, shift and
+//! delay of its synapses. The sums of a list lie `stride` lanes from each other, within one skip
+//! block, so that delivery and skipping need no ports.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ use nsim_ir::quantised::connectivity::{Apart, SynapseFormat};
 pub(crate) struct Sum {
     /// The port that it is added to.
     pub port: Port,
-    /// What sums apart have to themselves.
+    /// The properties of a separate sum.
     pub apart: Option<Apart>,
     /// Bits by which it is shifted before that.
     pub shift: u8,
@@ -52,9 +52,9 @@ pub(crate) const fn stride(sums: usize) -> usize {
 /// The sums of all compartments.
 #[derive(Debug)]
 pub(crate) struct Sums {
-    /// Lists of sums, ascending: of one port, of two ports, then those with sums apart.
+    /// Lists of sums, ascending: of one port, of two ports, then those with separate sums.
     lists: Vec<Vec<Sum>>,
-    /// The list of each compartment that has sums apart; empty if no compartment has any.
+    /// The list of each compartment that has separate sums; empty if no compartment has any.
     apart: Vec<Option<u32>>,
 }
 
@@ -101,7 +101,7 @@ impl Sums {
         &self.lists[list as usize]
     }
 
-    /// Whether none of these compartments has several sums because of those apart.
+    /// Whether none of these compartments has several sums because of separate ones.
     pub fn are_single(&self, ids: &[CompartmentId]) -> bool {
         ids.iter().all(|&id| self.own(id).is_none_or(|list| self.get(list).len() == 1))
     }

@@ -117,7 +117,7 @@ impl WeightRows {
 /// Places at which a row is looked for in others.
 const TRIED: usize = 16;
 
-/// What a row is told from others by.
+/// The content by which rows are distinguished.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Content {
     weights: Vec<i16>,
@@ -150,7 +150,7 @@ pub(crate) struct ProgramRows {
 impl ProgramRows {
     /// The rows of a program.
     pub fn new(program: &Program) -> Self {
-        // Cores of a class in the same order of lanes are looked at once.
+        // Cores of a class in the same order of lanes are visited once.
         let order = LaneOrder::new(program);
         let ranks: Vec<Vec<u16>> =
             program.cores().ids().collect::<Vec<_>>().par_iter().map(|&core| ranks(&order.slots(core))).collect();
@@ -222,7 +222,7 @@ impl ProgramRows {
     }
 }
 
-/// How many lanes of its core come before that of each slot, from the slots in the order of lanes.
+/// For each slot, the number of lanes of its core before it, from the slots in the order of lanes.
 fn ranks(slots: &[u16]) -> Vec<u16> {
     let mut ranks = vec![0; slots.len()];
     for (rank, &slot) in (0..).zip(slots) {
@@ -262,9 +262,9 @@ impl CoreRows {
         (!contents.is_empty()).then_some(CoreRows { contents, axons })
     }
 
-    /// What is left with the axons alone that lie beside others whose rows are used often enough on
-    /// average, by the core's own axons or by those of all cores, to take no more memory than lists
-    /// would. A kernel's rows that the border cuts are used seldom, but lie next to others.
+    /// These rows with only the runs of axons whose rows are used often enough, on average, to take
+    /// no more memory than lists would. Uses by the core's own axons or by those of all cores
+    /// count. A kernel's rows that the border cuts are used seldom, but lie next to others.
     fn shared(&self, uses: &HashMap<&Content, usize>) -> Option<Self> {
         let mut all = vec![0; self.contents.len()];
         self.axons.items().iter().for_each(|(_, _, number)| all[*number as usize] += 1);
@@ -409,7 +409,7 @@ pub(crate) struct Origin {
 pub(crate) struct RowTable {
     /// By source.
     pub origins: Vec<Origin>,
-    /// How many groups the sources are of.
+    /// Number of groups of the sources.
     pub groups: usize,
     pub stencils: Vec<Stencil>,
     /// The rows of all stencils, and [`UNCHECKED`] more.
@@ -596,7 +596,7 @@ mod tests {
         CoreFormat { synapse, delay_bits: 6, index_bits: Some(4), skip_bits: None }
     }
 
-    /// Rows hold exactly the synapses of their list, whatever its order, gaps, delays and repeats.
+    /// Rows hold exactly the synapses of their list, for any order, gaps, delays and repeats.
     #[test]
     fn rows_are_the_synapses_of_their_list() {
         let formats = [format(0), format(2)];
@@ -649,7 +649,7 @@ mod tests {
         }
     }
 
-    /// The same weights with and without a synapse of weight 0 behind them.
+    /// The same weights with and without a synapse of weight 0 after them.
     #[test]
     fn synapses_of_weight_zero_are_counted() {
         let contents = [(vec![3, 4], 2), (vec![3, 4, 0], 3)].map(|(weights, synapses)| Content { weights, synapses });

@@ -1,7 +1,7 @@
 //! The exchange of spikes between the ranks that run the parts of a program.
 //!
 //! Input: the part that this rank holds, and the spikes of its compartments, step by step. Output:
-//! the spikes of others of which this rank has axons. Before the first step each rank tells the
+//! the spikes of others of which this rank has axons. Before the first step each rank informs the
 //! others which of their compartments it has axons of; from then on a step sends each neighbour, in
 //! one message, the numbers of those of its own that spiked. A message is sent in every step, empty
 //! or not: its arrival is the barrier. Where neurons compute what their messages carry, it follows
@@ -43,7 +43,7 @@ pub(crate) struct Exchange {
     pub at_once: bool,
 }
 
-/// A number that tells mappings apart.
+/// A number that distinguishes mappings.
 fn checksum(program: &Program) -> u64 {
     let mut sum = 0xcbf2_9ce4_8422_2325u64;
     let mut add = |word: u64| sum = (sum ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(17);
@@ -54,27 +54,31 @@ fn checksum(program: &Program) -> u64 {
         add(u64::from(image.site.chip));
         add(u64::from(image.site.x) << 40 | u64::from(image.site.y) << 8 | u64::from(image.site.core));
     }
-    if let Some(dealt) = &program.parts().dealt {
-        dealt.owners.iter().for_each(|&owner| add(owner.into()));
+    if let Some(assignment) = &program.parts().assignment {
+        assignment.owners.iter().for_each(|&owner| add(owner.into()));
     }
     sum
 }
 
 impl Exchange {
-    /// Tells the other ranks what this one wants of them, and learns what they want.
+    /// Informs the other ranks of the spikes that this one wants, and learns what they want.
     ///
     /// # Panics
     /// When the program is no part, or the ranks have made different mappings: faults of the caller
     /// and of the compiler.
     pub fn new(program: &Program, ranks: &Ranks, shown: Option<(CompartmentId, u32)>, at_once: bool) -> Self {
-        let dealt = program.parts().dealt.as_ref().expect("a program of several ranks is dealt out");
-        assert_eq!((dealt.held, dealt.ranks), (Some(ranks.rank()), ranks.ranks()), "the part of another rank");
+        let assignment = program.parts().assignment.as_ref().expect("a program of several ranks is distributed");
+        assert_eq!(
+            (assignment.held, assignment.ranks),
+            (Some(ranks.rank()), ranks.ranks()),
+            "the part of another rank"
+        );
         let count = ranks.ranks() as usize;
         let sum = checksum(program);
         let mut asked: Vec<Vec<u32>> = vec![vec![sum as u32, (sum >> 32) as u32]; count];
         let mut own = 0;
         for (id, seat) in program.seats().enumerate() {
-            let owner = dealt.owners[seat.core];
+            let owner = assignment.owners[seat.core];
             let is_shown = shown.is_some_and(|(first, size)| id.0.wrapping_sub(first.0) < size);
             if owner == ranks.rank() {
                 own += 1;

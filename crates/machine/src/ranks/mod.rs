@@ -1,6 +1,6 @@
 //! One program run by several processes.
 //!
-//! - `transport`: what processes say to each other, whatever carries it.
+//! - `transport`: the messages of processes to each other, for any carrier.
 //! - `exchange`: spikes of a step, to those that have axons of their sources.
 //! - `threads`: ranks that are threads of one process, for tests.
 //! - `mpi`: ranks of an MPI job, with the feature of that name.

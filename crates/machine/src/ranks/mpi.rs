@@ -60,8 +60,8 @@ pub fn finish() {
     drop(job);
 }
 
-/// Tells the other ranks that this one has failed and says why, so that they say nothing when they
-/// are ended for it.
+/// Informs the other ranks that this one has failed and says why, so that they say nothing when
+/// they are ended for it.
 pub fn tell_failed(ranks: &Ranks) {
     let mut requests = Vec::new();
     for to in (0..ranks.ranks()).filter(|&to| to != ranks.rank()) {

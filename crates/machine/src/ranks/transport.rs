@@ -16,7 +16,7 @@ pub trait Transport: fmt::Debug + Send {
     /// The number of this rank.
     fn rank(&self) -> u32;
 
-    /// How many there are.
+    /// Number of ranks.
     fn ranks(&self) -> u32;
 
     /// To each rank its words, and from each rank those for this one, by rank.
@@ -32,7 +32,7 @@ pub trait Transport: fmt::Debug + Send {
     /// where any do.
     fn prepare(&mut self, to: &[bool], most: &[Option<usize>]);
 
-    /// Begins a round with these words for each rank, and returns at once.
+    /// Begins a round with these words for each rank, and returns immediately.
     fn post(&mut self, words: &mut [Vec<u32>]);
 
     /// Ends the round: adds the words of others, rank after rank.
@@ -58,7 +58,7 @@ impl Ranks {
         self.rank
     }
 
-    /// How many there are.
+    /// Number of ranks.
     pub fn ranks(&self) -> u32 {
         self.ranks
     }

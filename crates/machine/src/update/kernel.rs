@@ -2,11 +2,11 @@
 //! [`nsim_dynamics::update`].
 //!
 //! Comes in: registers and sums of a block whose compartments share their fields, padded to whole
-//! chunks of sixteen. Goes out: the new registers, who spiked, who was not at rest, and which lanes
-//! left their field. Written as plain loops over arrays of sixteen that the compiler turns into
-//! vector instructions; `pulp` picks the widest set that the processor has, and all of them compute
-//! the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every result
-//! of either against the scalar update.
+//! chunks of sixteen. Goes out: the new registers, which lanes spiked, which were not idle, and
+//! which left their field. Written as plain loops over arrays of sixteen that the compiler turns
+//! into vector instructions; `pulp` picks the widest set that the processor has, and all of them
+//! compute the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every
+//! result of either against the scalar update.
 //!
 //! A voltage and its refractory counter share a register, so that a step streams through less
 //! memory.
@@ -35,7 +35,7 @@ pub struct Shared {
     pub(crate) vmin: i32,
     pub(crate) vmax: i32,
     pub(crate) refractory: i32,
-    /// What is kept of u and v: a number of 4096ths, which a float holds exactly.
+    /// The part of u and v that remains: a number of 4096ths, which a float holds exactly.
     pub(crate) share_u: f32,
     pub(crate) share_v: f32,
     /// From `vmin` to `vmax`.
@@ -169,9 +169,9 @@ pub struct Chunks<'a, S, const N: usize> {
 pub struct Effect {
     /// A bit for each lane that spiked.
     pub spiked: u64,
-    /// A bit for each lane that was not at rest.
+    /// A bit for each lane that was not idle.
     pub moved: u64,
-    /// Whether any lane is not at rest afterwards.
+    /// Whether any lane is not idle afterwards.
     pub busy: bool,
 }
 
@@ -184,7 +184,7 @@ impl Effect {
         self.busy |= other.busy;
     }
 
-    /// The same, this many lanes later.
+    /// This effect, this many lanes later.
     #[inline(always)]
     pub(crate) fn after(self, lanes: usize) -> Effect {
         Effect { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
@@ -197,7 +197,7 @@ pub trait Vectors: Copy {
     /// has changed. `PLAIN` only for fields that are.
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
 
-    /// The same of some chunks at once, for processors with the registers; `None` also if not.
+    /// Updates some chunks in one call, for processors with the registers; `None` also if not.
     #[inline(always)]
     fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
         self,
@@ -209,7 +209,7 @@ pub trait Vectors: Copy {
     }
 }
 
-/// Whatever vectors the compiler makes of loops.
+/// Any vectors that the compiler makes of loops.
 #[derive(Debug, Clone, Copy)]
 pub struct Portable;
 
@@ -253,7 +253,7 @@ impl Vectors for Portable {
 /// Updates a block of at most 64 lanes, a multiple of sixteen.
 ///
 /// Chunks in which a value leaves its field are not updated but have a bit in the second result:
-/// they are rare, and what happened in them has to be told lane by lane.
+/// they are rare, and what happened in them has to be found lane by lane.
 #[inline(always)]
 pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> (Effect, u32) {
     match shared.plain {
@@ -291,7 +291,7 @@ fn chunks<S: Sum, const PLAIN: bool>(
     (effects, overflowed)
 }
 
-/// Updates this many chunks at once.
+/// Updates this many chunks in one call.
 #[inline(always)]
 fn some<S: Sum, const PLAIN: bool, const N: usize>(
     u: &mut [[i32; LANES]],
@@ -304,7 +304,7 @@ fn some<S: Sum, const PLAIN: bool, const N: usize>(
     vectors.update_some::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
 }
 
-/// One bit a lane: the product gathers the lowest bits of eight bytes in its highest byte, as no
+/// One bit a lane: the product collects the lowest bits of eight bytes in its highest byte, as no
 /// two of its terms meet.
 #[inline(always)]
 fn bits(lanes: [bool; LANES]) -> u16 {

@@ -1,9 +1,9 @@
 //! The state of a shard, and its update.
 //!
 //! Input: a shard of an [`Image`], and the spikes to deliver. Output: the next spikes, what was not
-//! at rest, what left its field. A skip block is updated if something arrived at it, if it was not
-//! at rest after its last update, or if a bias drives it. For all others the result of the update
-//! is known.
+//! idle, what left its field. A skip block is updated if something arrived at it, if it was not
+//! idle after its last update, or if a bias drives it. For all others the result of the update is
+//! known.
 
 use std::ops::Range;
 
@@ -58,9 +58,9 @@ pub(crate) struct StepInput<'a> {
     pub arch: pulp::Arch,
     /// Update every skip block that any spike could reach, instead of marking arrivals.
     pub visit_all: bool,
-    /// Leave out skip blocks at rest.
+    /// Skip idle skip blocks.
     pub skip: bool,
-    /// List what was not at rest in this step.
+    /// List what was not idle in this step.
     pub list_active: bool,
 }
 
@@ -95,11 +95,11 @@ pub(crate) struct CompartmentState {
     pub(crate) plastic: Vec<i16>,
     /// What the last message of each lane carries; empty if sums of 32 bits do.
     pub(super) sent: Vec<i32>,
-    /// Skip blocks that are not at rest, a bit each.
+    /// Skip blocks that are not idle, a bit each.
     busy: Vec<u64>,
     /// The lanes that spiked in the last step, ascending, and room for more.
     pub(super) spiked: Vec<u32>,
-    /// How many.
+    /// Number of them.
     pub(super) spiking: usize,
     /// Compartments that spiked in the last step, in the order of lanes.
     pub spikes: Vec<CompartmentId>,
@@ -107,12 +107,12 @@ pub(crate) struct CompartmentState {
     pub payloads: Vec<i32>,
     /// Spikes of each lane since they were last taken.
     pub fired: Vec<u32>,
-    /// Compartments of a core that were not at rest in the last step, by core block, if asked for.
+    /// Compartments of a core that were not idle in the last step, by core block, if asked for.
     pub active: Vec<(CoreId, u32)>,
-    /// How many were not at rest in the last step.
+    /// Number of compartments that were not idle in the last step.
     pub active_now: u64,
-    /// The same by core block since it was last taken, without the steps in which the whole vector
-    /// run moved.
+    /// That number by core block since it was last taken, without the steps in which the whole
+    /// vector run moved.
     active_by_block: Vec<u64>,
     /// Those steps, by vector run.
     whole: Vec<u64>,
@@ -120,7 +120,7 @@ pub(crate) struct CompartmentState {
     pub events_now: u64,
     /// What left its field.
     pub overflow: Overflow,
-    /// The same by lane since it was last taken; empty while nothing has.
+    /// What left its field by lane since it was last taken; empty while nothing has.
     pub left_fields: Vec<LeftField>,
     /// Compartments visited.
     pub visited: u64,
@@ -141,7 +141,7 @@ impl std::ops::DerefMut for ShardState {
 }
 
 impl ShardState {
-    /// A shard at rest, with this many slots in its delay ring.
+    /// An idle shard, with this many slots in its delay ring.
     pub fn new(image: &Image, shard: &Shard, slots: usize) -> Self {
         let holds = if image.semantics == Semantics::Slayer { shard.lanes } else { 0 };
         let state = CompartmentState {
@@ -207,7 +207,7 @@ impl ShardState {
         state.visited = 0;
     }
 
-    /// Whether nothing is in flight, and every compartment is at rest and stays so without input.
+    /// Whether nothing is in flight, and every compartment is idle and stays so without input.
     pub fn at_rest(&self, shard: &Shard) -> bool {
         let clear = |words: &[u64]| words.iter().all(|&word| word == 0);
         clear(&self.state.busy)
@@ -230,8 +230,8 @@ impl CompartmentState {
         self.left_fields.iter_mut().zip(&other.left_fields).for_each(|(sum, more)| *sum += *more);
     }
 
-    /// How many compartments of each core block were not at rest, summed over the steps since this
-    /// was last asked.
+    /// Number of compartments of each core block that were not idle, summed over the steps since
+    /// this was last asked.
     pub fn take_active(&mut self, shard: &Shard) -> Vec<u64> {
         for (run, steps) in shard.vector_runs.iter().zip(&mut self.whole) {
             let steps = std::mem::take(steps);
@@ -296,8 +296,8 @@ impl CompartmentState {
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
-        // Graded spikes mark where they arrive in any case: marks take them little time, and what they do
-        // not reach takes long to update.
+        // Graded spikes mark where they arrive in any case: marks take them little time, and what
+        // they do not reach takes long to update.
         let unmarked = input.visit_all && size_of::<C::Payload>() == 0;
         if unmarked && input.phase != Phase::Update {
             // This step's spikes may arrive in any slot that a delay leads to.
@@ -358,7 +358,7 @@ impl CompartmentState {
         }
     }
 
-    /// Updates a vector run; returns whether anything in it is not at rest.
+    /// Updates a vector run; returns whether anything in it is not idle.
     #[inline(always)]
     fn update_run<S: Sum>(
         &mut self,
@@ -402,13 +402,13 @@ impl CompartmentState {
         if overflowed != 0 {
             effects.merge(self.redo(sums, image, shard, *run, overflowed, input));
         }
-        // With a bias padding is never at rest, without one always.
+        // With a bias padding is never idle, without one always.
         let moved = if shared.plain { effects.moved } else { run.mask };
         self.count(shard, index, kernel::Effect { spiked: effects.spiked & run.mask, moved, ..effects }, input)
     }
 
-    /// As [`CompartmentState::update_run`], of a run whose state is words. Apart, so that a step of
-    /// registers has nothing of it.
+    /// As [`CompartmentState::update_run`], of a run whose state is words. A separate function, so
+    /// that a step of registers has nothing of it.
     #[cold]
     #[inline(never)]
     fn update_words_run<S: Sum>(

@@ -4,7 +4,7 @@
 //! places of each share one stored table. A *place* is one position of a population over space from
 //! which a window (convolution or pooling) goes out; its channels are its *atoms*. All that a
 //! convolution sends from one place to a core is a list for each atom; from the next place it is
-//! the same lists, a few slots further on. A population axon stands for a place: it has a table (a
+//! the same lists, a few slots further on. A population axon represents a place: it has a table (a
 //! list for each atom, which several population axons may have in common) and a base that is added
 //! to all slots. The message of a spike carries the atom.
 //!
@@ -31,7 +31,7 @@
 //!   channel.
 //!
 //! A population that all of another's sources reach may have more sources than a core has input
-//! axons. Such sources are gathered too: each 512 of them are the atoms of a population axon, whose
+//! axons. Such sources are grouped too: each 512 of them are the atoms of a population axon, whose
 //! lists stay their own, so that input axons are saved and no words. Only networks that say so
 //! (`Parts::gathers`, `nsim map --relays`) are mapped in this way.
 //!
@@ -129,7 +129,7 @@ pub struct Places {
     of_need: bool,
 }
 
-/// Whether the sources of a population are gathered in population axons, if they may be, because a
+/// Whether the sources of a population are grouped into population axons, if they may be, because a
 /// population that all of them reach has more sources than a core has input axons. Lists stay their
 /// own, so nothing but input axons is saved.
 fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
@@ -154,7 +154,7 @@ impl Places {
         Places::gathered(network, Some(limits))
     }
 
-    /// Of all populations over space from which a window goes out, whatever the limits.
+    /// Of all populations over space from which a window goes out, regardless of the limits.
     pub fn of_windows(network: &Quantised) -> Self {
         Places::gathered(network, None)
     }
@@ -186,7 +186,7 @@ impl Places {
         self.of_need
     }
 
-    /// How many places the sources of a population have, if any.
+    /// Number of places of a population's sources, if any.
     pub fn positions(&self, network: &Quantised, population: PopulationId) -> Option<u32> {
         let first = network.first_source(&network.populations()[population]);
         self.populations.iter().find(|population| population.first == first).map(|population| population.positions)
@@ -221,7 +221,7 @@ impl Places {
 /// of storing.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Class {
-    /// How many places.
+    /// Number of places.
     pub places: u32,
     /// Lists of a place: sources at it that reach the core.
     pub lists: u32,
@@ -253,11 +253,11 @@ impl Class {
     }
 }
 
-/// How many places of each class share its table.
+/// Number of places of each class that share its table.
 pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
     let most_atoms = classes.iter().map(|class| class.atoms).max().unwrap_or(1);
     let (mut short, mut left) = numbers(most_atoms, limits);
-    // Those that may be short count as such, whatever their bases.
+    // Those that may be short count as such, regardless of their bases.
     let may_be_short = |class: &Class| !is_long(class.atoms, 0, limits);
     let mut order: Vec<usize> = (0..classes.len()).collect();
     // Classes that are equal in all respects can take each other's part, so counts do not depend on
@@ -312,7 +312,7 @@ pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<Equal
         let of = |&(_, _, number): &(u32, u16, u32)| lists[number as usize];
         let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();
         let base = base_of(first_slot.unwrap_or(0), limits);
-        // Two lists are told apart by their atoms, so concatenations of different lists differ.
+        // Two lists are distinguished by their atoms, so concatenations of different lists differ.
         let key =
             of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.relative_to(placed.1, base))).collect();
         let class = *known.entry(key).or_insert_with(|| {

@@ -19,9 +19,9 @@ use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, Projecti
 use nsim_ir::partition::Seat;
 use nsim_ir::quantised::{Projection, Quantised};
 
-/// Synapses that are held at once: two gigabytes of them.
+/// Synapses that are held simultaneously: two gigabytes of them.
 const AT_ONCE: u64 = 1 << 28;
-/// Room for keys of a piece and a range that is kept from piece to piece.
+/// Room for keys of a piece and a range that is reused from piece to piece.
 const MOST_KEPT: usize = 1 << 16;
 /// Bits of a source's number within its piece.
 const PIECE_BITS: u32 = 14;
@@ -176,8 +176,8 @@ fn runs(bucket: &[u64]) -> impl Iterator<Item = &[u64]> {
     bucket.chunk_by(|&a, &b| core_of(a) == core_of(b))
 }
 
-/// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is dealt
-/// out to cores in the order in which it is; only the synapses of one source on one core are still
+/// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is
+/// distributed to cores in its present order; only the synapses of one source on one core are still
 /// to be compared.
 fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
     let mut places = vec![0u32; cores];

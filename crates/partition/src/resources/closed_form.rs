@@ -145,7 +145,7 @@ impl Side {
 /// and the last such source.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Channels {
-    /// How many.
+    /// Number of channels in the part.
     pub size: u32,
     reached: Vec<Vec<(u32, u64)>>,
     last: Vec<u32>,
@@ -385,7 +385,7 @@ impl Place {
     }
 }
 
-/// Projection, relative fields of rows and columns, and how far behind its base a place begins.
+/// Projection, relative fields of rows and columns, and how far after its base a place begins.
 type Kind = (usize, ReceptiveField, ReceptiveField, u16);
 
 /// Classes of places of a box.

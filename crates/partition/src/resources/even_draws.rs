@@ -1,7 +1,7 @@
-//! What evenly drawn synapses need at least, told from their numbers before any is drawn.
+//! The least needs of evenly sampled synapses, from their numbers before any is sampled.
 //!
-//! Input: a network and a target. Output: the reasons for which evenly drawn synapses
-//! ([`Connectivity::Random`]) cannot fit, if there are any. Each source draws `F` of `m` targets,
+//! Input: a network and a target. Output: the reasons for which evenly sampled synapses
+//! ([`Connectivity::Random`]) cannot fit, if there are any. Each source samples `F` of `m` targets,
 //! so it reaches one of k given targets with a probability of
 //!
 //! ```text
@@ -99,8 +99,8 @@ fn most_together(network: &Quantised, id: PopulationId, places: &Places, target:
     ((1..=most).find(too_many).map_or(most, |k| k - 1), least_sources(1))
 }
 
-/// Why evenly drawn synapses cannot fit, for certain; empty where they may. With `relays` a source
-/// may have as many of them as its targets need.
+/// The reasons why evenly sampled synapses certainly cannot fit; empty where they may. With
+/// `relays` a source may have as many of them as its targets need.
 pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) -> Vec<Reason> {
     let (limits, places) = (target.limits(), Places::for_network(network, target.limits()));
     let mut reasons = Vec::new();
@@ -168,7 +168,7 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
 }
 
 /// The output axon slots that a compartment of a population is expected to take for its evenly
-/// drawn targets, in a partition whose cores are full of such compartments.
+/// sampled targets, in a partition whose cores are full of such compartments.
 pub fn expected_slots(network: &Quantised, id: PopulationId, target: &Target) -> u32 {
     let limits = target.limits();
     let population = &network.populations()[id];

@@ -137,7 +137,7 @@ pub struct StoredLists {
     pub totals: [ListTotals; LISTS],
     /// Places whose lists are the same.
     equal: Vec<EqualPlaces>,
-    /// How many places of each class share its table.
+    /// Number of places of each class that share its table.
     sharing: [Vec<u32>; LISTS],
 }
 

@@ -7,7 +7,7 @@
 //!
 //! Where all that a population sends goes out through windows of the same groups, what holds of one
 //! channel of a group holds of all: at a position they reach the same compartments. Such channels
-//! are a *bundle*, which is told once.
+//! are a *bundle*, which is reported once.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};

@@ -148,7 +148,7 @@ struct Piece {
     population: PopulationId,
     /// Index of the first.
     first: u32,
-    /// How many, in a channel.
+    /// Number of sources in a channel.
     length: u32,
     /// From a channel to the next of its bundle, and how many there are.
     channels: (u32, u32),
@@ -204,7 +204,7 @@ pub fn by_source<T: Send>(
                     .map(|k| (number + first + k * positions, Vec::with_capacity(length as usize)))
                     .collect();
                 for index in first..first + length {
-                    // Marks tell sources apart; a task of few sources never comes near the end of
+                    // Marks distinguish sources; a task of few sources never comes near the end of
                     // their range.
                     *mark += 1;
                     reached.clear();

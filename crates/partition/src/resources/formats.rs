@@ -1,10 +1,10 @@
-//! What synapses are stored as: the distinct formats of a network, and the number of synapses that a
-//! core stores where kernels are shared ([`Resource::StoredSynapses`]).
+//! What synapses are stored as: the distinct formats of a network, and the number of synapses that
+//! a core stores where kernels are shared ([`Resource::StoredSynapses`]).
 //!
 //! The rule, for a core that holds some compartments of a population:
 //!
 //! - of a convolution or a pool, the weights of each channel of targets that has a compartment on
-//!   the core, once, whatever the number of its positions there;
+//!   the core, once, regardless of the number of its positions there;
 //! - of every other projection, the synapses into each compartment;
 //! - nothing for a weight of 0.
 //!
@@ -48,7 +48,7 @@ impl Formats {
         &self.of_projection
     }
 
-    /// How many there are.
+    /// Number of distinct formats.
     pub fn len(&self) -> usize {
         self.distinct.len()
     }

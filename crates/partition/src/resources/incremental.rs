@@ -1,5 +1,5 @@
-//! One core while it is being filled: what its compartments so far need of every resource, kept up
-//! to date.
+//! One core while it is being filled, with the present needs of its compartments for every
+//! resource.
 //!
 //! Input: compartments one by one. Output: whether the core still holds them all. The counts are
 //! those of [`crate::resources::exact`] but for output axons, which depend on where the targets end
@@ -58,10 +58,10 @@ impl Newcomer {
     }
 }
 
-/// The input axons of a bundle of sources ([`crate::resources::fan_in`]) so far, which are alike.
+/// The identical input axons of a bundle of sources ([`crate::resources::fan_in`]) so far.
 #[derive(Debug, Clone, Copy)]
 struct Axon {
-    /// How many.
+    /// Number of these axons.
     bundle: u32,
     /// The last of its groups, which leads to the others.
     last: Option<u32>,
@@ -214,7 +214,7 @@ pub struct Filling<'a> {
     begins: HashMap<u32, u16>,
     /// Whether the core holds its compartments only because lists are shared.
     shares: bool,
-    /// What a group took when last asked, by format: neighbours mostly are made up alike.
+    /// What a group took when last asked, by format: neighbours mostly have the same make-up.
     last: Vec<Option<Packed>>,
     /// Whether a list became shorter, so that the longest may be one that no longer is.
     shortened: bool,
@@ -300,9 +300,9 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// What the compartments added one by one use, output axons left out: exactly what is counted
-    /// from their synapses. None where lists may be shared, or have become shorter, because only
-    /// counting anew tells then.
+    /// The use of the compartments added one by one, without output axons: exactly what is counted
+    /// from their synapses. `None` where lists may be shared, or have become shorter, because only
+    /// a new count is right then.
     pub fn used(&self) -> Option<CoreUsage> {
         self.used
     }
@@ -509,12 +509,12 @@ impl<'a> Filling<'a> {
         totals
     }
 
-    /// What the compartments so far use with lists of their own, output axons left out.
+    /// The use of the compartments so far with lists of their own, without output axons.
     pub fn usage(&self) -> CoreUsage {
         self.totals().usage(self.limits)
     }
 
-    /// What the compartments so far use when lists are shared, output axons left out.
+    /// The use of the compartments so far when lists are shared, without output axons.
     fn usage_shared(&self) -> CoreUsage {
         let mut totals = self.totals();
         for (lists, classes) in totals.lists.iter_mut().zip(self.classes()) {
@@ -547,7 +547,7 @@ mod tests {
     fn a_table_of_axons_knows_each_source_once_for_each_core() {
         let mut table = AxonTable::new();
         for core in 0..3 {
-            // Sources far apart and neighbours, more than there are slots at first.
+            // Distant sources and neighbours, more than there are slots at first.
             let sources: Vec<u32> = (0..3_000).map(|k| if k % 2 == 0 { k } else { k * 65_536 + core }).collect();
             for (next, &source) in (0..).zip(&sources) {
                 assert_eq!(table.get_or_insert(source, next), next);
@@ -567,8 +567,8 @@ mod tests {
             let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
             let limits = Limits { packing, ..limits() };
             let mut order: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();
-            // Parts of a kernel that happen to have the same weights are told apart while a core is
-            // filled, so lists that are shared are compared whole and in the order of the file
+            // Parts of a kernel that happen to have the same weights are distinguished while a core
+            // is filled, so lists that are shared are compared whole and in the order of the file
             // only.
             let shared = !Places::for_network(&network, &limits).is_empty();
             if !shared {

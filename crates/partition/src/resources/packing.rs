@@ -1,4 +1,4 @@
-//! How many 64-bit words of synapse memory an input axon's list takes.
+//! Number of 64-bit words of synapse memory that an input axon's list takes.
 //!
 //! In comes the make-up of a list; out goes a number of words. The synapses that one spike source
 //! sends to one core are one list; those of the same
@@ -7,7 +7,7 @@
 //!
 //! - *dense*, without target indices, when its slots follow each other without gap or repetition; a
 //!   single synapse is dense;
-//! - *run-length*, with the number of slots left out before each synapse in 2 to 5 bits (the widths
+//! - *run-length*, with the number of slots skipped before each synapse in 2 to 5 bits (the widths
 //!   that NxTF uses), and the index of the first slot once an entry; for ascending slots with gaps
 //!   of at most 31;
 //! - *sparse*, with an index for each synapse.
@@ -33,15 +33,14 @@
 //!   word are 0 or at least 59. NxTF also pads the axons that share one output axon to the longest
 //!   of them; axons here are discrete, so there is nothing to pad.
 //!
-//! Left out on purpose: learning tags.
+//! Omitted on purpose: learning tags.
 
 use nsim_ir::base::fixed::{Delay, WeightBits};
 use nsim_ir::resource::{Limits, Packing};
 
 /// Bits of a slot index that can be stored (nengo-loihi `SynapseConfig`, `INDEX_BITS_MAP`).
 pub const INDEX_BITS: [u8; 7] = [6, 7, 8, 9, 10, 11, 12];
-/// Slots that the widest index can tell apart: no core can hold more compartments, whatever its
-/// target says.
+/// Slots that the widest index can distinguish: no core of any target can hold more compartments.
 pub const MOST_SLOTS: u32 = 1 << 12;
 /// Bits of a run that can be stored (NxTF, run-length skip).
 pub const SKIP_BITS: [u8; 4] = [2, 3, 4, 5];
@@ -109,7 +108,7 @@ impl Widths {
 pub struct Group {
     /// Bits of a weight as they are stored.
     pub weight_bits: WeightBits,
-    /// How many.
+    /// Number of synapses.
     pub synapses: u32,
     /// Whether any of them has a delay.
     pub delayed: bool,
@@ -119,12 +118,12 @@ pub struct Group {
     pub skip: Option<u8>,
 }
 
-/// How the targets of a group's synapses are told.
+/// How the targets of a group's synapses are encoded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Compression {
     /// By their place in the list.
     Dense,
-    /// By the slots left out before each, in this many bits.
+    /// By the slots skipped before each, in this many bits.
     RunLength(u8),
     /// By an index each.
     Sparse,

@@ -28,12 +28,12 @@ const PIECE: u32 = 1 << 14;
 pub struct Sends {
     /// Cores reached, ascending; the own one may be among them.
     pub to: Vec<u32>,
-    /// How many sources.
+    /// Number of sources.
     pub sources: u64,
     /// Output axons to each of these cores: one for the sources at a position whose spikes all go
     /// to population axons, one for each source otherwise.
     pub axons: u64,
-    /// How many of the output axons, over all cores, lead to pop32 axons.
+    /// Number of these output axons, over all cores, that lead to pop32 axons.
     pub longer: u64,
 }
 
@@ -78,7 +78,7 @@ struct Reached {
     cores: Vec<u32>,
     /// Whether it is a member of a population axon on each.
     shared: bool,
-    /// On how many of a pop32 axon.
+    /// Number of these cores on which that axon is pop32.
     longer: u64,
 }
 

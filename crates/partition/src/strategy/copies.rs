@@ -41,7 +41,7 @@ pub struct Pattern(Vec<Group>);
 /// The result of filling cores with copies.
 #[derive(Debug, Clone)]
 pub struct Filled {
-    /// How many cores.
+    /// Number of cores.
     pub cores: usize,
     /// Which; `None` where they repeat but not copy by copy.
     pub pattern: Option<Pattern>,
@@ -59,7 +59,7 @@ impl Pattern {
         Pattern(vec![Group { network: one.clone(), members, times: copies }])
     }
 
-    /// Cores filled with copies in the order of the file, whatever the fan-out; `None` when a
+    /// Cores filled with copies in the order of the file, regardless of the fan-out; `None` when a
     /// compartment fits no core.
     pub fn filled(one: &Quantised, all: u32, target: &Target, keep_whole: bool) -> Option<Filled> {
         let fill = |many: u32| {

@@ -4,9 +4,9 @@
 //! one label when they share more of their nets than either shares with any other group that is
 //! still free (heavy-connectivity matching, as multilevel partitioners coarsen: Karypis et al.,
 //! "Multilevel hypergraph partitioning", DAC 1997; Catalyurek & Aykanat, "PaToH", 1999). A net of k
-//! pins counts 1 / (k - 1) of its weight for each pair; nets of many pins tell no pair from another
-//! and are left out. The levels give an order in which related compartments are consecutive, and
-//! the groups that are moved as one during refinement.
+//! pins counts 1 / (k - 1) of its weight for each pair; nets of many pins distinguish no pair from
+//! another and are omitted. The levels give an order in which related compartments are consecutive,
+//! and the groups that are moved as one during refinement.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -108,7 +108,7 @@ fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<
         groups.own.get(group as usize).iter().for_each(|&(net, _, rate)| look(net, rate as f64));
         let mut best: Option<(f64, u32)> = None;
         for other in touched.drain(..) {
-            // Small groups first, so that all grow alike.
+            // Small groups first, so that all grow equally.
             let worth = score[other as usize] / (size(group) * size(other)) as f64;
             score[other as usize] = 0.0;
             if best.is_none_or(|(most, least)| worth > most || (worth == most && other < least)) {

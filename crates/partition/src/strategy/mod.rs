@@ -2,8 +2,8 @@
 //!
 //! Input: a quantised network. Output: a [`Partition`] in which every core keeps every limit, or
 //! every reason why there is none. Every strategy ends in the same way: an order of compartments is
-//! filled into cores ([`order`]), so that limits are kept exactly and cores are full. What differs
-//! is the order, and what is done afterwards:
+//! filled into cores ([`order`]), so that limits hold exactly and cores are full. What differs is
+//! the order, and what is done afterwards:
 //!
 //! - `Sequential`: the order of the model file, as the public tools hand out cores (nengo-loihi,
 //!   NxTF).
@@ -16,10 +16,10 @@
 //!   ([`refine`]).
 //!
 //! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages.
-//! `Multilevel` skips mappings whose steps are too long for the cores that they save; otherwise none
-//! is ever worse than the one above. Where neurons have several compartments all take the order of
-//! the file, neuron by neuron. Copies of a network are one copy's partition repeated, so that
-//! no copy shares a core with another, unless filling all of them together takes fewer cores.
+//! `Multilevel` skips mappings whose steps are too long for the cores that they save; otherwise
+//! none is ever worse than the one above. Where neurons have several compartments all take the
+//! order of the file, neuron by neuron. Copies of a network are one copy's partition repeated, so
+//! that no copy shares a core with another, unless filling all of them together takes fewer cores.
 
 pub mod box_fan_out;
 pub mod boxes;
@@ -72,12 +72,12 @@ pub struct Search<'a> {
     pub strategy: Strategy,
     /// How often sources of one copy spike.
     pub rates: &'a Rates,
-    /// Units of work, about 5 ns each: what an effort of this many seconds comes to, the same on
+    /// Units of work, about 5 ns each: the amount for an effort of this many seconds, equal on
     /// every machine.
     pub work: u64,
     /// When to end in any case.
     pub end: Option<Instant>,
-    /// How many copies there are to be.
+    /// Number of copies to be mapped.
     pub copies: u32,
     /// Synapses of a core at most, as far as tiles decide.
     pub most_synapses: Option<u64>,
@@ -100,14 +100,13 @@ const WORK_PER_SECOND: u64 = 200_000_000;
 /// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after
 /// level.
 const WORK_PER_PIN: u64 = 60;
-/// Synapses from which on a network is not grouped by levels where its synapses are drawn evenly.
+/// Synapses from which on a network is not grouped by levels where its synapses are sampled evenly.
 const EVEN_SYNAPSES: u64 = 1 << 18;
-/// How many times as long as in the order of the file a step may be, times the cores saved.
+/// Largest ratio of a step to that in the order of the file, times the ratio of cores saved.
 const MOST_LONGER: f64 = 1.1;
 /// Synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
-/// How many times as many spikes as in the mean a step has in which networks over space are
-/// compared too.
+/// Spikes, as a multiple of the mean, of the step in which networks over space are compared too.
 const BURST: u64 = 10;
 /// Rounds of making tiles smaller because their output axons do not fit.
 const TILE_ROUNDS: usize = 6;
@@ -282,7 +281,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         .map(|(id, p)| if spatial[p.target] { 0 } else { network.synapses_of(id) })
         .sum();
     let listed = !any_spatial && sharing::is_listed(network);
-    // Where synapses are drawn evenly there are no groups to be found.
+    // Where synapses are sampled evenly there are no groups to be found.
     let is_uniform = listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
     let promising = search.end.is_some() || !is_uniform;
     let affordable = promising && free.saturating_mul(WORK_PER_PIN) <= search.work;
@@ -342,12 +341,12 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     let sorted = sorted(&best.members, &fixed);
     let sorted = if sorted == best.members { None } else { within_limits(network, sorted, target) };
     let best = sorted.unwrap_or(best);
-    // Chips that are assumed to be apart are not those that will be.
+    // Chips that are assumed to be separate are not the final ones.
     Ok(if chips == Chips::Row { best } else { uncounted(best.members) })
 }
 
 /// Cores of tiles with fewer words, population by population: the room that tiles leave may save a
-/// core of those that come behind.
+/// core of those that come after.
 fn fewer_words(
     filler: &Filler<'_>,
     spatial: &IdVec<PopulationId, bool>,
@@ -402,8 +401,8 @@ fn refine_groups(
 
 /// Leaves out members whose steps are so much longer than those of the first, the order of the
 /// file, that the cores they save are not worth it; where the first fits at all. A step is that of
-/// the busiest core, and the injection of inputs, the turn and the barrier, which take as long
-/// whatever the members.
+/// the busiest core, and the injection of inputs, the turn and the barrier, which take as long for
+/// any members.
 fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, over_space: bool) {
     let first = found[0].members.len() as u64;
     let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);

@@ -9,7 +9,7 @@
 //!   a tie the one that keeps segments whole, because it sends fewer messages.
 //! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores
 //!   are numbered chip by chip, as `nsim_compile::place` keeps them). The first filling ignores
-//!   them, or in large networks what is not drawn evenly; if a core then sends too much, each
+//!   them, or in large networks what is not sampled evenly; if a core then sends too much, each
 //!   compartment is charged what it sent and a margin, which doubles from round to round, and the
 //!   filling is repeated. It ends because estimates only grow, and a core with a single neuron is
 //!   never split.
@@ -41,7 +41,7 @@ const ROUNDS: u32 = 14;
 /// The first margin is a 2^5th of the fan-out.
 const FIRST_MARGIN: u32 = 5;
 
-/// Memberships whose cores' uses are kept.
+/// Memberships whose cores' uses are cached.
 const KNOWN: usize = 4;
 
 /// Compartments from which on an order is filled in parts, and those of a part.
@@ -57,7 +57,7 @@ pub enum Chips {
     Apart,
 }
 
-/// Neurons of one population to be kept together, in this order.
+/// Neurons of one population to be placed together, in this order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
     /// The population, which is no child of another.
@@ -78,7 +78,7 @@ pub enum Indices {
 }
 
 impl Indices {
-    /// How many.
+    /// Number of indices.
     pub fn len(&self) -> u32 {
         match self {
             Indices::All(count) => *count,
@@ -177,7 +177,7 @@ impl Estimate {
         Estimate { slots: vec![0; network.compartments() as usize], together: Vec::new() }
     }
 
-    /// What evenly drawn targets take, so that a large network need not be filled twice.
+    /// What evenly sampled targets take, so that a large network need not be filled twice.
     fn expected(network: &Quantised, target: &Target) -> Self {
         let mut estimate = Estimate::nothing(network);
         for (id, population) in network.populations().enumerate() {
@@ -239,7 +239,7 @@ impl<'a> Filler<'a> {
     }
 
     /// Whether keeping segments whole could fill cores otherwise than not: a segment that is no
-    /// tile is kept whole only where one before it has begun a core, and where a core has seats for
+    /// tile stays whole only where one before it has begun a core, and where a core has seats for
     /// all of it; parts of a long order begin cores of their own.
     fn may_keep_whole(&self, order: &[Segment]) -> bool {
         let seats = self.target.limits()[Resource::Compartments];
@@ -248,7 +248,7 @@ impl<'a> Filler<'a> {
         order.iter().any(is_tile) || order.iter().skip(1).any(fits) && parts(order).is_none()
     }
 
-    /// Fills once, whatever the fan-out.
+    /// Fills once, regardless of the fan-out.
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].

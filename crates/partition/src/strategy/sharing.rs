@@ -1,4 +1,4 @@
-//! Compartments gathered core by core, each next to those with which it shares most sources.
+//! Compartments grouped core by core, each next to those with which it shares most sources.
 //!
 //! Input: a network whose synapses are listed, and an estimate of each compartment's output axons.
 //! Output: the compartments of each core. A core begins with the next compartment in the order of
@@ -9,9 +9,9 @@
 //! Candidates are those of a pool of consecutive compartments, so that compartments with k synapses
 //! in and out take k^2 * `POOL` steps in all and a look over its pool each, and pools are filled
 //! side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where synapses are
-//! drawn evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps
-//! within the effort. Where that leaves few candidates, or synapses are drawn evenly and a pool is
-//! a small part of the network, nothing is gathered.
+//! sampled evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps
+//! within the effort. Where that leaves few candidates, or synapses are sampled evenly and a pool
+//! is a small part of the network, nothing is grouped.
 
 use std::ops::Range;
 
@@ -31,11 +31,11 @@ use nsim_ir::resource::Resource;
 const POOL: u32 = 1 << 13;
 /// Compartments below which a pool offers too little choice.
 const LEAST_POOL: u64 = 1 << 8;
-/// Part of an evenly drawn network that a pool has to be: of a million compartments, 122 pools,
-/// gathering saved 2 in a hundred messages and took as long as all other stages of the mapping
+/// Part of an evenly sampled network that a pool has to be: of a million compartments, 122 pools,
+/// grouping saved 2 in a hundred messages and took as long as all other stages of the mapping
 /// together.
 const PART: u64 = 32;
-/// Rounds of gathering: the first counts on the output axons of the order of the file, the next on
+/// Rounds of grouping: the first counts on the output axons of the order of the file, the next on
 /// what the one before sends.
 const ROUNDS: u32 = 2;
 /// Part of a core's output axons that is left free, because what compartments will send is known
@@ -51,7 +51,7 @@ pub fn is_listed(network: &Quantised) -> bool {
     network.projections().iter().all(|projection| listed(&projection.connectivity))
 }
 
-/// Compartments of a pool so that a round takes no more than this work; `None` where gathering is
+/// Compartments of a pool so that a round takes no more than this work; `None` where grouping is
 /// not worth its time.
 fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
     let compartments = u64::from(network.compartments());
@@ -69,8 +69,8 @@ fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
     sizes.into_iter().find(|&size| reached(size.min(compartments)) <= u128::from(work)).map(|size| size as u32)
 }
 
-/// Compartments on cores, gathered by shared sources; `sequential` is the order of the file on such
-/// chips. `None` where a core cannot be held within every limit, and where gathering within this
+/// Compartments on cores, grouped by shared sources; `sequential` is the order of the file on such
+/// chips. `None` where a core cannot be held within every limit, and where grouping within this
 /// work would gain little.
 pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_uniform: bool, work: u64) -> Option<Found> {
     let pool = pool_size(filler.network, is_uniform, work)?;
@@ -133,7 +133,7 @@ fn within_axons(filler: &Filler<'_>, mut members: Members, chips: Chips) -> Opti
     None
 }
 
-/// Gathers every pool, then what the last core of each holds.
+/// Groups every pool, then what the last core of each holds.
 fn once(filler: &Filler<'_>, pool: u32, estimate: &[u32]) -> Option<Members> {
     let all = filler.network.compartments();
     let pools: Vec<Range<u32>> = (0..all).step_by(pool as usize).map(|first| first..(first + pool).min(all)).collect();

@@ -1,10 +1,10 @@
 //! Whether the synapses of a network have a structure that grouping compartments could follow.
 //!
 //! Input: a network. Output: whether the targets of a compartment's targets coincide more often
-//! than drawn evenly. They do in neighbourhoods (small worlds, maps) and where some compartments
-//! are reached by many (hubs); they do not in random networks, where groups save a few cores in a
-//! hundred and cost most of the time of mapping. A sample of compartments decides, so that the
-//! answer takes milliseconds whatever the network's size.
+//! than if sampled evenly. They do in neighbourhoods (small worlds, maps) and where some
+//! compartments are reached by many (hubs); they do not in random networks, where groups save a few
+//! cores in a hundred and cost most of the time of mapping. A sample of compartments decides, so
+//! that the answer takes milliseconds for any network.
 
 use std::collections::HashSet;
 
@@ -25,8 +25,8 @@ const FACTOR: f64 = 1.25;
 const DEVIATIONS: f64 = 6.0;
 const SEED: u64 = 0x57ac;
 
-/// Whether targets of targets coincide as often as those of evenly drawn synapses do; `false` when
-/// compartments reach too few for that to be told.
+/// Whether targets of targets coincide as often as those of evenly sampled synapses do; `false`
+/// when compartments reach too few for that to be decided.
 pub fn is_uniform(network: &Quantised) -> bool {
     let n = u64::from(network.compartments());
     let (mut seen, mut pairs, mut coincide, mut by_chance) = (HashSet::new(), 0u64, 0u64, 0.0);

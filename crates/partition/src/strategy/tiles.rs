@@ -76,7 +76,7 @@ pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Op
 }
 
 /// Numbers of parts into which a length is cut, each with the size of a part; parts that are no
-/// smaller are left out.
+/// smaller are omitted.
 fn cuts(length: u32) -> Vec<(u32, u32)> {
     let mut cuts: Vec<(u32, u32)> =
         (1..=length).map(|parts| length.div_ceil(parts)).map(|s| (length.div_ceil(s), s)).collect();

@@ -1,8 +1,8 @@
 //! Which compartments can never spike, proved by a bound on v.
 //!
 //! Input: the channels that never fire. Output: the compartments that may fire. A synapse delivers
-//! at most one spike a step, whatever its delay, so what arrives in a step lies between the sum of
-//! a compartment's negative scaled weights and the sum of its positive ones, each times the payload
+//! at most one spike a step, for any delay, so what arrives in a step lies between the sum of a
+//! compartment's negative scaled weights and the sum of its positive ones, each times the payload
 //! of its source's spikes, over the sources that can fire.
 //!
 //! From that [`nsim_dynamics`] bounds the registers of each kind. A compartment is silent when the

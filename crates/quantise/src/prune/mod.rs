@@ -1,8 +1,8 @@
 //! Leaves out of a network what cannot change its output.
 //!
 //! Input: a [`Quantised`] network and a [`Plan`]. Output: a smaller one with the record
-//! ([`Pruned`]) of what was left out and why. Every output spike of every sample is the same, and
-//! so is every spike of a compartment that is left, for every stimulus that fires no dead channel
+//! ([`Pruned`]) of what was pruned and why. Every output spike of every sample is the same, and so
+//! is every spike of a compartment that is left, for every stimulus that fires no dead channel
 //! ([`check_stimulus`] refuses the others):
 //!
 //! 1. *Dead inputs* are channels that a given stimulus never fires. They stay in their population,
@@ -18,15 +18,15 @@
 //! fire and reaches them stays too, so also u and v of every compartment that is left are the same
 //! at every step: all that it may receive is there.
 //!
-//! *Why a network of its own.* A mask beside the whole network would have to be obeyed by the
+//! *Why a network of its own.* A mask next to the whole network would have to be obeyed by the
 //! partitioner, the router, the checker, the interpreter and the machine, and each could forget it.
-//! A smaller network needs none of them to know: `nsim_check::equivalence` proves the program
-//! equal to it, synapse by synapse, and the interpreter runs it as any other. What people see keeps
-//! the model's names and numbers through the record: populations keep their order and names,
-//! channels and outputs their numbers, and mappings, probes and messages count compartments as the
-//! model does.
+//! A smaller network needs none of them to know: `nsim_check::equivalence` proves the program equal
+//! to it, synapse by synapse, and the interpreter runs it as any other. What people see keeps the
+//! model's names and numbers through the record: populations keep their order and names, channels
+//! and outputs their numbers, and mappings, probes and messages count compartments as the model
+//! does.
 //!
-//! Left out on purpose: what the order of spikes or refractory periods would prove; and packing. A
+//! Omitted on purpose: what the order of spikes or refractory periods would prove; and packing. A
 //! list from which a zero was taken has a gap, so a core stores it with an index for each synapse,
 //! which can take more words than the zero did.
 
@@ -81,7 +81,7 @@ impl Plan {
         Plan { scene: Some(Scene { stimulus: stimulus.origin.clone(), dead }), probed: Vec::new() }
     }
 
-    /// The same with these populations whole.
+    /// This plan with these populations whole.
     #[must_use]
     pub fn probing(mut self, populations: impl IntoIterator<Item = PopulationId>) -> Plan {
         self.probed.extend(populations);

@@ -17,7 +17,7 @@ pub struct ParetoReport<'a> {
     pub input: &'a [String],
     /// Their seed, when they had one.
     pub seed: Option<u64>,
-    /// How many.
+    /// Number of samples.
     pub samples: usize,
     /// Where it was measured.
     pub environment: &'a Environment,

@@ -13,7 +13,7 @@ pub struct StepRow {
     pub network: &'static str,
     /// Threads that its cores were shared out over.
     pub threads: usize,
-    /// Whether what is at rest was left out.
+    /// Whether idle compartments were skipped.
     pub skip: bool,
     /// What was measured.
     pub measured: StepTiming,

@@ -2,7 +2,7 @@
 //! they are.
 //!
 //! Input: a compiled program, its target and the load of every link. Output: one SVG text, the same
-//! for the same mapping. Chips without a core in use are left out, row by row and column by column
+//! for the same mapping. Chips without a core in use are omitted, row by row and column by column
 //! of chips. A core is a square filled from below by the resource that it uses most of, in the
 //! colour of the population that most of its compartments belong to; a link between tiles is as
 //! thick as it is loaded. Below, a bar a core shows the use of each resource.

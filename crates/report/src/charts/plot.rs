@@ -18,7 +18,7 @@ const DASHES: [&str; 4] = ["", "7 3", "2 3", "9 3 2 3"];
 pub enum Series {
     /// A line through points (x, y) in order of x.
     Line(String, Vec<(f64, f64)>),
-    /// Single points: x, y, and the words beside them.
+    /// Single points: x, y, and the words next to them.
     Points(String, Vec<(f64, f64, String)>),
     /// Points that steps join; the best x is first.
     Front(String, Vec<(f64, f64, String)>),
@@ -79,7 +79,7 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     sheet.svg()
 }
 
-/// Points on a front, joined, and those behind it, each with its words; the best x is first.
+/// Points on a front, joined, and dominated ones, each with its words; the best x is first.
 pub fn front_series(points: impl Iterator<Item = ((f64, f64, String), bool)>) -> Vec<Series> {
     let (front, others): (Vec<_>, Vec<_>) = points.partition(|(_, on_front)| *on_front);
     let [front, others] = [front, others].map(|points| points.into_iter().map(|(point, _)| point).collect::<Vec<_>>());
@@ -201,8 +201,8 @@ fn barred(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f6
     sheet.svg()
 }
 
-/// Writes words beside points, where there is room around them. Those that would lie over others or
-/// over points everywhere are left out; a front's come first.
+/// Writes words next to points, where there is room around them. Those that would lie over others
+/// or over points everywhere are omitted; a front's come first.
 fn write_labels(sheet: &mut Sheet, mut labels: Vec<(bool, f64, f64, String)>) {
     labels.sort_by_key(|(first, ..)| !first);
     // From, to and the middle of each line of words, and of each point.

@@ -90,7 +90,7 @@ pub fn energy(result: &Value) -> Option<String> {
     series.extend(parts.iter().map(|(name, pj)| (name.clone(), vec![0.0, share(*pj, dynamic)])));
     let title = format!("{}: where the energy of a timestep goes", subject(result));
     let whole = format!("all: {} uJ", three(number(&total["energy_uj"])?));
-    // What events cost is little beside static power, and less than a microjoule.
+    // What events cost is little compared with static power, and less than a microjoule.
     let of_events = match dynamic / 1e6 {
         uj if uj < 0.1 => format!("neuron dynamic: {} nJ", three(uj * 1e3)),
         uj => format!("neuron dynamic: {} uJ", three(uj)),

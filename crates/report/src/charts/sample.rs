@@ -2,7 +2,7 @@
 //! and messages of compartments.
 //!
 //! Input: a recording, or a [`Timeline`] of a network. Output: one SVG text, the same for the same
-//! input. What a timeline left out is said in the picture. Dots of one kind are one path, so that
+//! input. What a timeline omits is said in the picture. Dots of one kind are one path, so that
 //! ten thousand of them stay a file of some hundred kilobytes.
 
 use std::fmt::Write as _;

@@ -2,7 +2,7 @@
 //!
 //! Input: a priced run, the network as its file says. Output: [`Sections`], which `report::page`
 //! makes a page of. Of the first sample every step is shown; a network in real numbers is compared
-//! with itself as it was trained. Left out on purpose: files.
+//! with itself as it was trained. Omitted on purpose: files.
 
 use serde_json::Value;
 
@@ -78,7 +78,7 @@ pub fn compared(workload: &Workload<'_>) -> usize {
 }
 
 /// How the network in integers agrees with the trained one, as [`Sections`] has it; `progress` is
-/// called after each sample. Relays and pruning are left out: neither changes a decision, and the
+/// called after each sample. Relays and pruning are omitted: neither changes a decision, and the
 /// trained network has no such populations.
 ///
 /// # Errors

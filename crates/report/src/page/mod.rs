@@ -43,7 +43,7 @@ pub struct Provenance {
     pub origins: Vec<Origin>,
 }
 
-/// Sections of a page; what is null is left out.
+/// Sections of a page; what is null is omitted.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Sections {
     /// `nsim.energy/1` or `nsim.run/1`; two where two are compared.

@@ -25,7 +25,7 @@ pub fn drawn(network: &Quantised) -> Vec<PopulationId> {
 }
 
 /// The populations that are drawn and the projections between them, in the order of the file, and
-/// how many there are in all.
+/// their numbers in all.
 pub fn json(network: &Quantised) -> Value {
     let parts = network.parts();
     let drawn = drawn(network);
@@ -117,7 +117,7 @@ fn kind(connectivity: &Connectivity) -> &'static str {
 }
 
 /// How often weights of each size are stored: of a kernel those of the kernel. None for weights
-/// that are drawn from a seed.
+/// that are generated from a seed.
 fn histogram(connectivity: &Connectivity) -> Value {
     let weights: &[i16] = match connectivity {
         Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => weights,

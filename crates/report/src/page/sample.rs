@@ -16,7 +16,7 @@ use nsim_session::timeline::{Raster, Timeline};
 const MOST_POINTS: usize = 1_500;
 
 /// A sample over its steps: means of this many steps in a row of everything that is counted, the
-/// largest potential of each such group, every kept spike of the populations that are [`drawn`].
+/// largest potential of each such group, every stored spike of the populations that are [`drawn`].
 pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample: &Sample, outcome: &Outcome) -> Value {
     let (kept, all) = timeline.steps;
     let group = (kept as usize).div_ceil(MOST_POINTS).max(1);

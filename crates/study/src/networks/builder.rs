@@ -16,7 +16,7 @@ use nsim_ir::quantised::{Inconsistent, Neuron, Parts, Population, Projection, Qu
 use nsim_ir::spikes::Message;
 
 /// Threshold of a random network, in units of the weight. A driving spike gives 254 * 2^3 = 2,032
-/// at once and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
+/// immediately and, once the refractory period is over, no more than 4 * 0.75^8 * 2,032 = 814.
 const THRESHOLD: i64 = 1_400;
 /// Refractory period of a random network, in steps.
 const REFRACTORY: i64 = 8;

@@ -29,7 +29,7 @@ pub(crate) const NEVER: i64 = 131_071;
 /// Sources of a group that reach the same compartments.
 const TOGETHER: u32 = 8;
 
-/// Compartments that forget at once and never fire.
+/// Compartments that forget immediately and never fire.
 pub(crate) fn silent(net: &mut Builder, name: &str, compartments: u32) -> PopulationId {
     net.compartments(name, compartments, PerCompartment::Same(Neuron::PLAIN))
 }

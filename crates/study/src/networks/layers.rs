@@ -1,7 +1,7 @@
 //! Networks of layers, as the benches need them.
 //!
 //! Input: the size of an input, then layer after layer. Output: a [`Builder`] with a population for
-//! each. Weights are drawn (`base::rng`); more of them are positive than negative, so that every
+//! each. Weights are random (`base::rng`); more of them are positive than negative, so that every
 //! layer goes on firing.
 
 use crate::networks::builder::Builder;

@@ -11,8 +11,8 @@
 //!   neurons are the usual ones with decaying current and voltage, so every compartment moves in
 //!   almost every step and nothing is saved by skipping. They fire at a set rate because a *drive*
 //!   makes them: an input channel for each compartment, over one strong synapse. A driven
-//!   compartment fires at once and is refractory until too little of that current is left to fire
-//!   again; recurrent weights of both signs sum to nothing and keep the voltage more than five
+//!   compartment fires immediately and is refractory until too little of that current is left to
+//!   fire again; recurrent weights of both signs sum to nothing and keep the voltage more than five
 //!   standard deviations below the threshold (their sum has sd 95 of 1,400). So the rate follows
 //!   the input alone and cannot run away. `random-32k` has four weak random synapses a channel
 //!   besides, for the input events that published runs of such a network count.
@@ -183,7 +183,7 @@ pub struct Random {
     pub compartments: u32,
     /// Weak random synapses of a channel besides the driving one.
     pub background: u32,
-    /// Channels drawn to spike in a step, with replacement; a channel drawn twice spikes once.
+    /// Channels sampled to spike in a step, with replacement; a channel sampled twice spikes once.
     pub driven: u32,
     /// Steps of input, to be repeated.
     pub period: u32,

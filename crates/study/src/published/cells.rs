@@ -1,9 +1,9 @@
 //! The cells of the paper's tables of accuracy: the training file of each, the loss, and what its
 //! folds came to.
 //!
-//! Input: trained networks on the samples that their training left out ([`Trial`]), with the chip's
+//! Input: trained networks on the samples that their training excluded ([`Trial`]), with the chip's
 //! neurons or spike-response neurons. Output: rows of accuracy and of early decisions;
-//! which sense leads when. Left out on purpose: training and simulating, which need a folder and a
+//! which sense leads when. Omitted on purpose: training and simulating, which need a folder and a
 //! target.
 
 use crate::early::Trial;
@@ -125,7 +125,7 @@ pub struct Tested<'a> {
     pub folds: u32,
     /// Epochs of each training.
     pub epochs: u32,
-    /// What each did with the samples that its training left out.
+    /// The results of each on the samples that its training excluded.
     pub trials: &'a [Trial],
 }
 
@@ -144,7 +144,7 @@ impl Tested<'_> {
         }
     }
 
-    /// The same of shares of samples, with the interval of the share of all samples together.
+    /// A row of shares of samples, with the interval of the share of all samples together.
     fn share(&self, table: &str, quantity: &str, note: String, figures: Vec<f64>) -> PaperRow {
         let sizes: Vec<usize> = self.trials.iter().map(|trial| trial.decided_ms.len()).collect();
         let all: usize = sizes.iter().sum();

@@ -1,8 +1,8 @@
-//! Published measurements beside what nsim predicts for them.
+//! Published measurements compared with what nsim predicts for them.
 //!
 //! Input: workload files and constants with the findings of each group of authors. Output: a row
 //! for each printed figure: predicted by all findings, and without those of the work's own group.
-//! Left out on purpose: sums and products of figures of a table (total power, energy-delay
+//! Omitted on purpose: sums and products of figures of a table (total power, energy-delay
 //! product), which would count twice.
 
 pub mod cells;
@@ -37,7 +37,7 @@ pub struct PublishedRow {
     pub predicted: f64,
     /// The interval by the class of the figure and assumed rates; `None` without a class.
     pub interval: Option<(f64, f64)>,
-    /// Whether the findings of the work's own authors were left out.
+    /// Whether the findings of the work's own authors were excluded.
     pub left_out: bool,
     /// Whether the figure was read where it was first printed.
     pub first_hand: bool,
@@ -134,7 +134,7 @@ pub fn rows(
     Ok(rows)
 }
 
-/// The median factor of each work's figures of some kinds, its authors' findings left out.
+/// The median factor of each work's figures of some kinds, its authors' findings excluded.
 pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64> {
     let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     let counted = |row: &&PublishedRow| row.left_out;

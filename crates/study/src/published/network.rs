@@ -1,7 +1,7 @@
 //! A published workload as a network that fires at its rates.
 //!
 //! Input: a workload file, and which end of each rate's range. Output: a network in integers and
-//! its input. What a compartment receives does not make it fire: a bias of its own does, drawn
+//! its input. What a compartment receives does not make it fire: a bias of its own does, random
 //! between half of what its rate needs and one and a half, so that compartments do not fire
 //! together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are
 //! those of the workload, so that counts are too.
@@ -53,7 +53,7 @@ fn neurons(units: u32, rate: f64, seed: u64) -> Result<PerCompartment<Neuron>, B
     Ok(PerCompartment::Each((0..units).map(neuron).collect::<Result<Vec<_>, BuildError>>()?))
 }
 
-/// Weights of 2 and -2, drawn: the least that a format of both signs has.
+/// Random weights of 2 and -2: the least that a format of both signs has.
 fn signs(count: u64, seed: u64) -> impl Iterator<Item = i16> {
     (0..count).map(move |index| if rng::below(2, 12, seed, index) == 0 { 2 } else { -2 })
 }

@@ -1,5 +1,5 @@
-//! The tables of the paper on visual and tactile sensing (Taunyazov et al., RSS 2020) beside stored
-//! results.
+//! The tables of the paper on visual and tactile sensing (Taunyazov et al., RSS 2020) next to
+//! stored results.
 //!
 //! Input: files of rows that trainings left, `{"rows": [..]}` each. Output: one row for each
 //! printed figure and for each stored one, in the order of the tables. A figure that nothing was

@@ -68,7 +68,7 @@ fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Ma
     let sites: Option<IdVec<CoreId, Site>> = (0..members.len() as u32).map(|core| mesh.site(core)).collect();
     let sites = sites.ok_or_else(|| failed(CompileError::fault("more cores than the target has")))?;
     seats(network.compartments(), &members).map_err(|error| failed(CompileError::fault(error)))?;
-    // What a source put on a core fits it, whatever nsim counts there.
+    // What a source put on a core fits it, regardless of what nsim counts there.
     let mut limits = target.limits().clone();
     for resource in Resource::ALL.into_iter().filter(|&resource| target.limits().is_limited(resource)) {
         limits = limits.with(resource, u32::from(u16::MAX));

@@ -115,7 +115,7 @@ pub struct SweepFile {
     /// A target file or the name of a shipped target.
     #[serde(default = "target")]
     pub target: String,
-    /// Where spikes come from, as `--input`; the model's scene when left out.
+    /// Where spikes come from, as `--input`; the model's scene when omitted.
     #[serde(default)]
     pub input: Vec<String>,
     /// Only these samples, such as `0..20`.

@@ -2,13 +2,13 @@
 //!
 //! Input: a key, and how to make its value. Output: the value, made once however many threads ask
 //! for it. What could not be made is made again for the next that asks. At most `MOST` values are
-//! kept.
+//! stored.
 
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Values that are kept.
+/// Values that are stored.
 const MOST: usize = 64;
 
 /// A value that one thread makes and others wait for.

@@ -7,8 +7,8 @@
 //! variants have in common is made once: models and their arrays, targets and their constants,
 //! samples, and mappings.
 //!
-//! Errors: whatever no variant could be run with, such as a path without a field. What is wrong
-//! with one variant stands in its row under `error`, in words under `reason`.
+//! Errors: anything with which no variant could be run, such as a path without a field. What is
+//! wrong with one variant stands in its row under `error`, in words under `reason`.
 
 use std::sync::Arc;
 

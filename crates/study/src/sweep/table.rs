@@ -1,9 +1,9 @@
 //! The table of a sweep: a row for each variant, and how it lies on the disk.
 //!
 //! Input: rows by number of variant, as they were run, read from a journal or from the tables of
-//! shards. Output: CSV, sorted by variant, the same bytes whatever the order in which rows came.
-//! Columns: `variant`, what varies, [`FIGURES`]; where a front is asked for, whether a row is on
-//! it. The table of a shard has one more, a checksum of each row, whose name says of which files
+//! shards. Output: CSV, sorted by variant, the same bytes regardless of the order in which rows
+//! came. Columns: `variant`, what varies, [`FIGURES`]; where a front is asked for, whether a row is
+//! on it. The table of a shard has one more, a checksum of each row, whose name says of which files
 //! the rows are.
 //!
 //! Errors: `sweep.shard` for a table of other work, one that was cut or changed, a variant that is

@@ -1,9 +1,9 @@
 //! From a sweep file to its variants, by number.
 //!
-//! Input: a [`SweepFile`]. Output: a [`Sweep`], which says how many variants there are, the columns
-//! of what varies, and the [`Job`] of each. Variants are numbered from 0: the list's entries in
-//! order, of each the combinations of the grid, the last axis changing fastest. Errors:
-//! `sweep.axis`, `sweep.path`, `sweep.value`, `sweep.size`.
+//! Input: a [`SweepFile`]. Output: a [`Sweep`], which gives the number of variants, the columns of
+//! what varies, and the [`Job`] of each. Variants are numbered from 0: the list's entries in order,
+//! of each the combinations of the grid, the last axis changing fastest. Errors: `sweep.axis`,
+//! `sweep.path`, `sweep.value`, `sweep.size`.
 
 use std::collections::BTreeSet;
 use std::ops::Range;
@@ -19,7 +19,7 @@ use nsim_ir::base::names::did_you_mean;
 use nsim_ir::spanned::parse;
 use nsim_train::convert::copies::USUAL;
 
-/// The columns behind those of what varies.
+/// The columns after those of what varies.
 pub const FIGURES: [&str; 22] = [
     "error",
     "fits",
@@ -45,14 +45,14 @@ pub const FIGURES: [&str; 22] = [
     "accuracy_high",
 ];
 
-/// The column behind those, where a front is asked for.
+/// The column after those, where a front is asked for.
 pub const FRONT: &str = "front";
 
 /// The most variants of a sweep.
 const MOST_VARIANTS: u64 = 10_000_000;
 /// The most values of an axis that are said by a step.
 const MOST_STEPS: u64 = 1_000_000;
-/// Options that a path can name, behind `options.`.
+/// Options that a path can name, after `options.`.
 const OPTIONS: [&str; 12] = [
     "copies",
     "strategy",
@@ -67,7 +67,7 @@ const OPTIONS: [&str; 12] = [
     "convention",
     "accounting",
 ];
-/// What of the input a path can name, behind `input.`.
+/// Fields of the input that a path can name, after `input.`.
 const INPUTS: [&str; 2] = ["samples", "seed"];
 
 /// What a variant trains before it runs.
@@ -332,7 +332,7 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// The same with the milliseconds of a timestep, for models whose files do not say, and with
+    /// The sweep with the milliseconds of a timestep, for models whose files do not say, and with
     /// relays, pruning and delayed copies as `nsim map` takes them, for variants that do not say
     /// otherwise.
     pub fn with(mut self, dt_ms: Option<f64>, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
@@ -345,7 +345,7 @@ impl Sweep {
         self
     }
 
-    /// How many variants there are.
+    /// Number of variants.
     pub fn len(&self) -> u64 {
         self.list.len() as u64 * self.axes.iter().map(|axis| axis.values.len() as u64).product::<u64>()
     }

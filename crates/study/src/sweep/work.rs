@@ -1,6 +1,6 @@
 //! Runs many variants on several threads, the largest first.
 //!
-//! Input: a sweep, the numbers of its variants that are to be run. Output: their cells, handed over
+//! Input: a sweep, the numbers of its variants that are to be run. Output: their cells, passed on
 //! one by one as they are finished, in any order. Each variant has one thread. The first error ends
 //! the work once the variants that run are finished.
 

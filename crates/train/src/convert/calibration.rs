@@ -6,7 +6,7 @@ use nsim_ir::stimulus::SceneArg;
 use nsim_session::error::Result;
 use nsim_session::inputs;
 
-/// The seeds of calibration and of the run lie so far apart.
+/// The distance between the seeds of calibration and of the run.
 const CALIBRATION_SEED: u64 = 1_000_003;
 
 /// What is known of the samples that a run shows.

@@ -27,10 +27,10 @@ pub const MOST: usize = 32;
 /// by up to 62 steps, then take 310 bits, which are five words of a Loihi core's memory.
 pub const USUAL: usize = 15;
 
-/// Time constants of the current relative to the response's; voltage kept in a step.
+/// Time constants of the current relative to the response's; share of the voltage left by a step.
 const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
 const VOLTAGES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
-/// The latest copy in time constants, and how many delays up to there are tried.
+/// The latest copy in time constants, and the number of delays tried up to there.
 const LATEST: f64 = 4.5;
 const DELAYS: u32 = 45;
 /// Numbers of copies that are tried.
@@ -100,7 +100,7 @@ fn kept(keep: f64) -> f64 {
     1.0 - libm::rint(DECAY_ONE as f64 * (1.0 - keep)).clamp(1.0, DECAY_ONE as f64) / DECAY_ONE as f64
 }
 
-/// Decays and copies to choose from: (current kept in a step, voltage kept, copies), for each
+/// Decays and copies to choose from: (current left by a step, voltage left, copies), for each
 /// number of copies up to `most` those that leave the least error: with each decay of the current
 /// where the voltage forgets all, with the best elsewhere. Delays up to `room`.
 pub fn candidates(
@@ -163,7 +163,7 @@ fn filtered_row(row: &[f64], (keep_u, keep_v): (f64, f64), gain: f64, out: &mut 
     }));
 }
 
-/// In eight sums, which the processor adds at once.
+/// The dot product in eight sums, which the processor adds in parallel.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (mut sums, n) = ([0.0; 8], a.len().min(b.len()));
     let (a, b) = (&a[..n], &b[..n]);
@@ -256,7 +256,7 @@ impl Products {
         left
     }
 
-    /// The delay that takes most beside those chosen, and what all take then.
+    /// The delay that takes most in addition to those chosen, and what all take then.
     fn next(&self, chosen: &[usize]) -> Option<(f64, usize)> {
         let left = self.left(chosen);
         let each = (0..self.right.len()).filter(|j| !chosen.contains(j)).filter_map(|j| {
@@ -287,7 +287,7 @@ fn of_pair(
         if !COUNTS.contains(&chosen.len()) {
             continue;
         }
-        // Each in turn gives its place to a better one, while that helps.
+        // One after another gives its place to a better one, while that helps.
         for _ in 0..SWAPS {
             let before = taken;
             for member in 0..chosen.len() {
@@ -324,7 +324,7 @@ mod tests {
         assert_eq!(solved(&[vec![1.0, 2.0], vec![2.0, 4.0]], &[1.0, 2.0]), None);
     }
 
-    /// A potential that is made of two delayed responses is taken apart into them.
+    /// A potential that is made of two delayed responses is decomposed into them.
     #[test]
     fn planted_copies_are_found() {
         let (steps, keeps, planted) = (200, (0.8, 0.3), [(2, 0.7), (9, -0.25)]);

@@ -1,7 +1,7 @@
-//! The integers of a network beside what was trained: what `nsim agree` compares.
+//! The integers of a network and the trained network: the two that `nsim agree` compares.
 //!
 //! Input: a network with its analytic integers, how better ones are searched for, samples. Output:
-//! [`Integers`], whose ladder leads from the trained network to the machine. Left out on purpose:
+//! [`Integers`], whose stages lead from the trained network to the machine. Omitted on purpose:
 //! the comparison itself (`agree`).
 
 use crate::convert::calibration::{self, RunInput};
@@ -34,24 +34,24 @@ pub struct Choice<'a> {
     pub calibrate: &'a [String],
     /// What the run itself shows.
     pub run: RunInput<'a>,
-    /// How many samples to search on.
+    /// Number of samples to search on.
     pub wanted: usize,
     /// The most delayed copies of what comes in.
     pub most_copies: usize,
 }
 
-/// Integers that stand for a network.
+/// Integers that represent a network.
 #[derive(Debug)]
 pub struct Integers {
-    /// What stands for each spike response population.
+    /// The converted form of each spike response population.
     pub fits: Vec<Option<Fit>>,
     /// The search, if there was one.
     pub found: Option<SearchResult>,
 }
 
 impl Integers {
-    /// Finds integers for a network. `searching` is told each population in turn, and `None` before
-    /// where it has to be searched on the samples that are compared.
+    /// Finds integers for a network. `searching` gets each population one after another, and `None`
+    /// first where it has to be searched on the samples that are compared.
     ///
     /// # Errors
     /// When a source cannot be used.

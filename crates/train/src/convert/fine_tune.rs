@@ -1,12 +1,12 @@
 //! A few epochs of training with the integers in the forward pass.
 //!
-//! Input: a network of spike response neurons, what stands for each of its populations, a training
+//! Input: a network of spike response neurons, the converted form of each population, a training
 //! plan and labelled training samples. Output: the trained weights whose integers decide best, and
 //! how well they do. Invariants: in every minibatch the weights become integers as `quantise` makes
-//! them, and the samples run through exactly these (`agree::ladder`, whose last rung equals the
+//! them, and the samples run through exactly these (`agree::ladder`, whose last stage equals the
 //! golden interpreter bit for bit). The gradient is that of the trained neurons at the integers'
 //! potentials, in thresholds, and at their spikes; rounding is passed straight through, and so are
-//! the reset and the delayed copies. The epoch that is kept is the one that does best on the
+//! the reset and the delayed copies. The selected epoch is the one that does best on the
 //! training samples as they are, the start included: most right, then least loss. Held-out samples
 //! are only counted, at the start and at the end. Errors: networks that the plan does not describe.
 //!
@@ -66,7 +66,7 @@ struct Place {
     first_column: usize,
 }
 
-/// How many samples are right, and the mean loss.
+/// Number of samples that are right, and the mean loss.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct TaskScore {
     /// Share of samples that are right.
@@ -88,21 +88,21 @@ pub struct FineTuneRow {
 /// Samples that were not trained on.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct HeldOut {
-    /// How many.
+    /// Number of samples.
     pub samples: usize,
     /// Share that the trained network has right.
     #[serde(rename = "trained_accuracy")]
     pub trained: f64,
     /// The integers before.
     pub before: TaskScore,
-    /// The integers that are kept.
+    /// The selected integers.
     pub after: TaskScore,
 }
 
 /// What came out.
 #[derive(Debug, Clone)]
 pub struct FineTuned {
-    /// The weights that are kept.
+    /// The selected weights.
     pub weights: Weights,
     /// The epoch that they are of; 0 when no epoch was better than the start.
     pub kept: u32,
@@ -110,7 +110,7 @@ pub struct FineTuned {
     pub rows: Vec<FineTuneRow>,
     /// Samples trained on.
     pub samples: usize,
-    /// How many samples that were not trained on are right; none where there are none with labels.
+    /// Scores on samples that were not trained on; none where there are none with labels.
     pub held_out: Option<HeldOut>,
     /// The seed of the order of samples.
     pub seed: u64,
@@ -119,7 +119,7 @@ pub struct FineTuned {
 }
 
 impl FineTuned {
-    /// The integers before and those that are kept, on the training samples.
+    /// Scores of the integers before and of the selected ones, on the training samples.
     pub fn scores(&self) -> (TaskScore, TaskScore) {
         let of =
             |epoch: u32| self.rows.iter().find(|row| row.epoch == epoch).map_or_else(TaskScore::default, |r| r.score);
@@ -134,7 +134,7 @@ pub struct Tuned {
     pub tuned: FineTuned,
     /// Epochs that were asked for.
     pub epochs: u32,
-    /// The integers that are kept.
+    /// The selected integers.
     pub integers: Ladder,
     /// Where the training samples came from.
     pub samples: Vec<String>,
@@ -447,7 +447,7 @@ impl<F: Fn() + Sync> Forward for Integers<'_, F> {
     }
 }
 
-/// The same with an empty step at the end.
+/// A copy with an empty step at the end.
 fn padded(example: &Example) -> Example {
     let longer = |raster: &Raster| Raster::from_events(raster.units(), raster.steps() + 1, raster.events().collect());
     Example { inputs: example.inputs.iter().map(longer).collect(), label: example.label }

@@ -1,4 +1,4 @@
-//! A conversion from a network to integers that can be kept, with samples to search on and others
+//! A conversion from a network to integers that can be stored, with samples to search on and others
 //! to judge by.
 //!
 //! Input: a network with real numbers, what it is for, samples. Output: [`Converted`] with its
@@ -51,7 +51,7 @@ pub struct Split<'s> {
 }
 
 impl<'s> Split<'s> {
-    /// All that is shown is held out where there are samples apart for the search; otherwise the
+    /// All that is shown is held out where there are separate samples for the search; otherwise the
     /// first half of it is searched on.
     pub fn new((origin, shown): (&'s [String], &[&'s Sample]), apart: Option<&'s Stimulus>, wanted: usize) -> Self {
         match apart {
@@ -114,7 +114,7 @@ impl Job {
         !self.soft_reset && resets::has_soft_reset(&self.graph)
     }
 
-    /// Searches for integers; `searching` is told each population in turn.
+    /// Searches for integers; `searching` gets each population one after another.
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.

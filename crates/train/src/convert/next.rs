@@ -37,13 +37,13 @@ pub struct Next {
 /// What was typed.
 #[derive(Debug, Clone)]
 pub struct Typed<'a> {
-    /// The words behind `nsim`.
+    /// The words after `nsim`.
     pub words: Vec<String>,
     /// Among them the model.
     pub model: &'a str,
-    /// How a spike response network becomes integers, and with how many delayed copies.
+    /// How a spike response network becomes integers, and the number of delayed copies.
     pub conversion: (Conversion, usize),
-    /// The words behind `nsim` that look closer.
+    /// The words after `nsim` that look closer.
     pub closer: Option<Vec<String>>,
 }
 

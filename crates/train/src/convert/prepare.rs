@@ -14,7 +14,7 @@ use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_session::front::{has_srm, real_and_integers};
 
-/// Samples that a model is converted on where nobody says how many.
+/// Samples that a model is converted on where no number is given.
 const CALIBRATION_SAMPLES: usize = 60;
 
 /// A network in integers, with at most this many delayed input copies a population.

@@ -43,7 +43,7 @@ use nsim_reference::synapses::Synapses;
 
 use super::copies::{self, Arrivals, Copies, MOST};
 
-/// Most neuron-steps that a candidate is tried on; calibration samples beyond are left out.
+/// Most neuron-steps that a candidate is tried on; calibration samples beyond are skipped.
 const MOST_WORK: u64 = 2_000_000;
 
 /// Neuron-steps that shapes are first tried on, and the most that the best is improved on.
@@ -105,7 +105,7 @@ impl ConversionScore {
     }
 }
 
-/// What stands for a network of spike response neurons.
+/// The converted form of a network of spike response neurons.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conversion {
     /// In the order of the populations.
@@ -156,7 +156,7 @@ struct Task {
     arrivals: Vec<Vec<f64>>,
     /// The steps in which each neuron of each sample should spike.
     wanted: Vec<Vec<Vec<u32>>>,
-    /// What a difference of counts weighs beside coincidence.
+    /// Weight of a difference of counts relative to coincidence.
     count_weight: f64,
 }
 
@@ -276,7 +276,7 @@ impl Task {
         gaps.fold(Gap::default(), Gap::add).distance(self.count_weight)
     }
 
-    /// The same over some of the samples, evenly taken: enough to tell shapes apart.
+    /// The task over some of the samples, evenly taken: enough to distinguish shapes.
     fn part(&self, neuron_steps: usize) -> Task {
         let all: usize = self.arrivals.iter().map(Vec::len).sum();
         let every = all.div_ceil(neuron_steps).clamp(1, self.arrivals.len().div_ceil(LEAST).max(1));
@@ -353,8 +353,8 @@ pub fn search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl Fn
     Ok(SearchResult { conversion, start, end, stages, tried, samples: samples.len() })
 }
 
-/// Goes through the populations from the input on; what takes the place of their first fits, and
-/// how many candidates were tried.
+/// Goes through the populations from the input on; returns the replacements of their first fits,
+/// and the number of candidates tried.
 fn pipeline(
     graph: &Graph,
     layers: &[Layer],

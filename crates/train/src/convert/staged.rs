@@ -27,7 +27,7 @@ use nsim_session::warnings::widen;
 /// Samples on which overflows are counted, with the slow interpreter.
 const COUNTED: usize = 4;
 
-/// Calibration samples on which the kinds of integers are told apart.
+/// Calibration samples on which the kinds of integers are distinguished.
 const TOLD_APART: usize = 20;
 
 /// A stage and how near the network is after it.
@@ -61,7 +61,7 @@ pub struct LayerRow {
     pub problem: Option<String>,
 }
 
-/// How far integers are from the network that they stand for.
+/// How far integers are from the network that they represent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
     /// Over all layers.
@@ -79,7 +79,7 @@ pub struct Measured {
 pub struct Converted {
     /// The integers.
     pub network: Quantised,
-    /// What stands for each spike response population.
+    /// The converted form of each spike response population.
     pub fits: Vec<Option<Fit>>,
     /// Every stage that was tried.
     pub stages: Vec<StageRow>,

@@ -60,7 +60,7 @@ pub(super) const FIXED: Place = 0x8000;
 /// No operand.
 pub(super) const NONE: Place = Place::MAX;
 
-/// Instructions that follow each other, and how many registers they need.
+/// Instructions that follow each other, and the numbers of registers that they need.
 #[derive(Debug, Default)]
 pub(super) struct Section {
     pub instructions: Vec<Instruction>,

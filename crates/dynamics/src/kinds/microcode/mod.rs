@@ -1,13 +1,13 @@
 //! Neurons whose rule a model file states: their tree as instructions for registers of 64 lanes.
 //!
 //! Input: a checked tree ([`Microcode`]) and the parameters of at most 64 neurons. Output: an
-//! [`Updater`]. `compile` makes the instructions, once for each kind; `specialise` leaves out those
+//! [`Updater`]. `compile` makes the instructions, once for each kind; `specialise` omits those
 //! that the parameters make copies; `run` executes them.
 //!
 //! A register holds one value for each lane, in 32 bits where the interval of the value fits, in 64
 //! otherwise. What depends on parameters alone is computed when the updater is made. An update
 //! that changes, sends and reports nothing without arrivals would do so again, so that the update
-//! itself tells whether a neuron was idle.
+//! itself reports whether a neuron was idle.
 
 mod compile;
 mod run;

@@ -1,7 +1,7 @@
 //! The execution of instructions, 64 lanes at a time.
 //!
 //! Loops over a register have no branches and no other names for what they write, so that
-//! compilers turn them into vectors. Lanes behind the last neuron hold anything; nothing panics on
+//! compilers turn them into vectors. Lanes after the last neuron hold anything; nothing panics on
 //! them.
 
 use nsim_ir::microcode::{Operation, Overflow};
@@ -365,7 +365,7 @@ impl Step<'_> {
         execute::<N>(&code.step.instructions, fixed, registers, &mut left);
         let register = |place: Place| at(&fixed.narrow, &registers.narrow, place);
         let (sends, message) = (register(code.sent), code.message.map(register));
-        // Loop after loop over registers, since a chunk that is kept from loop to loop is no vector.
+        // Loop after loop over registers, since a chunk that lives across loops is no vector.
         let mut moved = Register::<i32>::default();
         for (moved, (sends, arrived)) in moved.iter_mut().zip(sends.iter().zip(&registers.narrow[0])).take(N) {
             *moved = chunk_of(|lane| sends[lane] | arrived[lane]);

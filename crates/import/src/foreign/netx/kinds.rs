@@ -100,7 +100,7 @@ impl Reader<'_> {
             return Err(layer.wrong(format!("a pool from {:?} to {shape:?} changes the channels", source.shape)));
         }
         let name = self.neurons(layer, &shape)?;
-        // SLAYER's pool puts (size mod window) silent rows and columns behind an image that windows
+        // SLAYER's pool puts (size mod window) silent rows and columns after an image that windows
         // do not fill; whether the file's network did so is in the layer's shape.
         let after = |axis: usize, window: u64, stride: u64, padding: u64, dilation: u64| {
             let size = source.shape[axis];

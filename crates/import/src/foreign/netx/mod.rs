@@ -7,7 +7,7 @@
 //! in the order C, H, W. A network of chip time has one step between layers; one with the older
 //! neuron type `LOIHI` has SLAYER's time, in which layer k starts at step k + 1.
 //!
-//! Left out on purpose: neurons with another dynamics, graded spikes before the last layer,
+//! Omitted on purpose: neurons with another dynamics, graded spikes before the last layer,
 //! concatenation.
 
 pub mod export;
@@ -183,7 +183,7 @@ impl Reader<'_> {
                          with an image give --image FILE.npy",
                         layer.number
                     ));
-                    // Its spikes are given, as recorded; the layers behind it start as if it were
+                    // Its spikes are given, as recorded; the layers after it start as if it were
                     // there.
                 }
                 self.push("input", shape, None);
@@ -242,7 +242,7 @@ impl Reader<'_> {
     }
 
     fn flatten(&mut self, layer: &Layer<'_>) -> Result<()> {
-        // Populations are flattened in the order C, H, W by whatever dense layer follows.
+        // Populations are flattened in the order C, H, W by the dense layer that follows.
         let Some(last) = &self.last else { return Err(layer.wrong("there is nothing before it")) };
         match layer.group.get("shape") {
             Some(_) if units(&layer.shape()?) != Some(last.units()) => {

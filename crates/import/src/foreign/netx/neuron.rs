@@ -153,7 +153,7 @@ impl Reader<'_> {
     }
 
     /// Sigma-delta neurons as netx makes them: with 6 bits of a spike and 6 of the state unless the
-    /// options give others, and a rectification, whatever the field `activation` says.
+    /// options give others, and a rectification, regardless of the field `activation`.
     fn sigma_delta(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Neurons> {
         check_binary(layer, "SDNN")?;
         check_fields(layer, "SDNN", "type activation vThMant sigma_output tauRho scaleRho")?;

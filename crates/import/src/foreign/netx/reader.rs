@@ -12,7 +12,7 @@ use nsim_ir::neurons::NeuronKind;
 pub(super) const MOST_EXPANDED: u64 = 1 << 22;
 /// The exponent of a bias (netx, `bias_exp`).
 pub(super) const BIAS_EXP: f64 = 6.0;
-/// Bits of the fraction of a message, and of the state behind it (netx, `spike_exp` and `state_exp`
+/// Bits of the fraction of a message, and of the neuron's state (netx, `spike_exp` and `state_exp`
 /// of its sigma-delta blocks).
 pub(super) const SDNN_EXP: f64 = 6.0;
 /// Bits of a message of sigma-delta neurons (netx, `num_message_bits`).

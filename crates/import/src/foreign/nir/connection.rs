@@ -18,7 +18,7 @@ const JOINED: &str = "put a neuron between them, or join them into one layer: a 
                       without padding behind it are read as one convolution, with kernels of k + (p - 1) s places";
 
 impl Reader<'_> {
-    /// The linear map of these nodes behind a population of this shape.
+    /// The linear map of these nodes after a population of this shape.
     pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
         let (linear, bias) = (Linear::Diagonal(vec![1.0]), None);
         let mut connection =
@@ -239,7 +239,7 @@ impl Reader<'_> {
         };
         let stride = pair("stride", 1, 1.0)?;
         let dilation = if conv { pair("dilation", 1, 1.0)? } else { (1, 1) };
-        // Silent places before and behind each axis.
+        // Silent places before and after each axis.
         let (padding, after) = match node.group.text("padding") {
             Some("valid") => ((0, 0), (0, 0)),
             Some("same") => {
@@ -249,7 +249,7 @@ impl Reader<'_> {
                         "give the padding as numbers",
                     ));
                 }
-                // As torch pads: where the window has no middle, the greater half is behind.
+                // As torch pads: where the window has no middle, the greater half is at the end.
                 let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
                 let before = (reach.0 / 2, reach.1 / 2);
                 (before, (reach.0 - before.0, reach.1 - before.1))

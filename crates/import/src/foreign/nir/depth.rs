@@ -1,4 +1,4 @@
-//! The layer of each population: how many layers of neurons its input has passed.
+//! The layer of each population: the number of layers of neurons that its input has passed.
 //!
 //! Input: populations and what leads from which to which. Output: depths, 0 for what only inputs
 //! reach, else one more than the deepest population before it; and the delay that keeps ways of

@@ -208,7 +208,7 @@ struct Graph {
 
 impl Graph {
     /// Whether a population is what an import makes of biases of a current: a compartment that
-    /// spikes in every step. Then these are kept, and its projections become biases of nodes again.
+    /// spikes in every step. Then these are stored: its projections become biases of nodes again.
     fn takes_biases_of(&mut self, wires: &Wires<'_>, population: &PopulationDesc) -> bool {
         let is_made = population.units() == 1
             && population.loihi == Some(every_step())
@@ -472,8 +472,8 @@ impl Graph {
 
     /// A convolution as NIR has it: one padding for both ends of an axis, and square, since
     /// `nir.read` of Python takes the height of a kernel for its width. Rows and columns of zeros
-    /// before and behind a kernel do both: with F before and B behind, of a dilation d, a padding
-    /// of `before + F d` on both sides acts like `before + d (F - B)` behind.
+    /// before and after a kernel do both: with F before and B after it, of a dilation d, a padding
+    /// of `before + F d` on both sides acts like `before + d (F - B)` after it.
     fn convolution(
         &mut self,
         (source, target): (&PopulationDesc, &PopulationDesc),
@@ -563,7 +563,7 @@ impl Axis {
     fn widened(&self, size: u64) -> Option<Widened> {
         let zeros = size.checked_sub(self.kernel)?;
         let reach = self.dilation * (size - 1) + 1;
-        // One output needs no stride: a large one leaves room behind.
+        // One output needs no stride: a large one leaves room at the end.
         let stride = if self.to == 1 && zeros > 0 { self.from + reach + self.before } else { self.stride };
         (0..=zeros).find_map(|first| {
             let padding = self.before + first * self.dilation;

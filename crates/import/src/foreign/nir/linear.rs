@@ -17,7 +17,7 @@ pub(super) struct Connection {
     pub(super) bias: Option<Vec<f64>>,
     /// Delay in steps of each unit of the source, before the linear part; empty for none.
     pub(super) source_delay: Vec<u32>,
-    /// Delay in steps of each unit that arrives, behind the linear part; empty for none.
+    /// Delay in steps of each unit that arrives, after the linear part; empty for none.
     pub(super) delay: Vec<u32>,
 }
 
@@ -52,7 +52,7 @@ impl Window {
         Some(self.sliding.synapses()?.map(|(from, to, index)| (from, to, self.weight(index))).collect())
     }
 
-    /// This window and, behind it, another, as one: a pool without overlap or remainder before a
+    /// This window and, after it, another, as one: a pool without overlap or remainder before a
     /// convolution, or a convolution before a pool without padding.
     pub(super) fn then(&self, next: &Window) -> Option<Window> {
         let Err(weight) = self.kernel else { return self.pooled(next) };
@@ -86,8 +86,8 @@ impl Window {
         Some(Window { sliding, kernel: Ok(kernel) })
     }
 
-    /// This convolution and a pool behind it as one convolution: an output sums the kernel at each
-    /// place of the pool, `stride` apart.
+    /// This convolution and a pool after it as one convolution: an output sums the kernel at each
+    /// place of the pool, at a distance of `stride`.
     fn pooled(&self, pool: &Window) -> Option<Window> {
         let (kernel, weight) = (self.kernel.as_ref().ok()?, *pool.kernel.as_ref().err()?);
         let (conv, behind) = (&self.sliding, &pool.sliding);
@@ -203,7 +203,7 @@ mod tests {
         (n - reach) / stride + 1
     }
 
-    /// A convolution with a pool behind it, against the product of their synapses.
+    /// A convolution with a pool after it, against the product of their synapses.
     #[test]
     fn a_convolution_and_its_pool_are_one_convolution() {
         let mut joined = 0;

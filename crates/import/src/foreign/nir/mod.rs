@@ -15,7 +15,7 @@
 //! discretised as their exporters do, by Euler's rule with the new current: `I <- (1 - dt /
 //! tau_syn) I + (dt / tau_syn) w_in x`, `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I +
 //! v_leak)`. So the effective decays are `4096 dt / tau`: as they are in the model, where a time
-//! constant of `-dt / ln(1 - dt / tau)` stands for them, rounded on the chip. And a weight counts
+//! constant of `-dt / ln(1 - dt / tau)` gives them, rounded on the chip. And a weight counts
 //! `(dt / tau_syn) w_in (dt / tau_mem) R` in the units of the threshold. The timestep is not in a
 //! file: it is `tau_mem / R` where that agrees with `tau_syn / w_in` in every node, or it has to be
 //! said. A bias goes to v where the current has no memory; where it has one, a compartment that
@@ -29,7 +29,7 @@
 //! current has a memory of share a, a second one, a step later, of `a (1 - b) theta` takes away
 //! what the current keeps of the first.
 //!
-//! Left out on purpose: resets to other values than zero, for which a core has no circuit.
+//! Omitted on purpose: resets to other values than zero, for which a core has no circuit.
 
 mod connection;
 mod depth;

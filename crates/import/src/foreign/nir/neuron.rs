@@ -218,7 +218,7 @@ impl Reader<'_> {
             _ if spiking => Some(get("v_threshold", None)?),
             _ => None,
         };
-        // One of 0 is a mantissa of 0; beside others, weights have no scale.
+        // One of 0 is a mantissa of 0; next to others, weights have no scale.
         if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0) && !all(threshold, |x| x == 0.0)) {
             return Err(unsupported(
                 format!("node '{name}' has a threshold below 0, or one of 0 beside others"),
@@ -269,7 +269,7 @@ impl Reader<'_> {
             shown(&neuron.dv),
             shown(&neuron.gain)
         ));
-        // One node stands for all.
+        // One node represents all.
         if self.assumed.is_empty() {
             self.assumed.extend(long.into_inner().into_iter().next());
         }

@@ -155,7 +155,7 @@ impl Reader<'_> {
         Ok(synapses)
     }
 
-    /// A name that no population has: the one that is asked for, with underscores behind it where
+    /// A name that no population has: the one that is asked for, with underscores after it where
     /// that is taken.
     fn free_name(&self, wanted: &str) -> String {
         let mut name = wanted.to_string();
@@ -282,7 +282,7 @@ impl Reader<'_> {
             self.drain(&path[0].clone());
             return Ok(());
         }
-        // Weights without a neuron behind them: v shows what they sum in each step.
+        // Weights without a neuron after them: v shows what they sum in each step.
         let output = output.clone();
         let name = self.free_name("output");
         self.names.insert(output.clone(), name.clone());

@@ -58,7 +58,7 @@ pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
 }
 
 /// The lines of a header, each beginning with '%' and a space, without these; and a byte that was
-/// read behind them.
+/// read after them.
 pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [u8])> {
     let mut lines = Vec::new();
     while lines.len() < 256 {
@@ -68,7 +68,7 @@ pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [
         if !begins(input, b'%')? {
             return Ok((lines, b""));
         }
-        // Data may begin with the same sign: the space behind it makes it a line.
+        // Data may begin with the same sign: the space after it makes it a line.
         input.consume(1);
         if !begins(input, b' ')? {
             return Ok((lines, b"%"));

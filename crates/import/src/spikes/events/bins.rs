@@ -1,7 +1,7 @@
 //! Sorts events into bins of time and space, which become spikes.
 //!
-//! Input: events one by one. Output: the spikes of a sample. Only occupied bins are kept, each with
-//! its number of events; new events are sorted into them in batches.
+//! Input: events one by one. Output: the spikes of a sample. Only occupied bins are stored, each
+//! with its number of events; new events are sorted into them in batches.
 
 use super::event::{Counts, Event, Sink, wrong};
 use super::text::unit_unknown;
@@ -13,7 +13,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 /// Events of a batch, at least.
 const BATCH: usize = 1 << 16;
 
-/// The part of the sensor that is kept and its pooled columns and rows, once the size is known.
+/// The part of the sensor that is read and its pooled columns and rows, once the size is known.
 #[derive(Debug, Clone, Copy)]
 struct Grid {
     left: u32,
@@ -25,7 +25,7 @@ struct Grid {
     rows: u32,
 }
 
-/// The bins of a recording, in the window in space and time that is kept.
+/// The bins of a recording, in the window in space and time that is read.
 pub struct Bins {
     options: EventOptions,
     bin_us: f64,

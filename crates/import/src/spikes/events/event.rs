@@ -18,7 +18,7 @@ pub struct Event {
     pub on: bool,
 }
 
-/// What was read, and what of it was left out.
+/// Counts of what was read, and of what was dropped.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Events of the file.
@@ -37,7 +37,7 @@ pub struct Counts {
     pub clock_turns: u64,
     /// Records that are no events of pixels, such as triggers and frames.
     pub not_events: u64,
-    /// Bytes behind the last whole record of a file that ends early.
+    /// Bytes after the last whole record of a file that ends early.
     pub cut_bytes: Option<u64>,
     /// Whether the times are taken for microseconds because nothing says their unit.
     pub unit_assumed: bool,
@@ -66,7 +66,7 @@ pub trait Sink {
     /// An event.
     ///
     /// # Errors
-    /// When there are more than can be kept.
+    /// When there are more than can be stored.
     fn event(&mut self, event: Event) -> Result<()>;
     /// Where the decoder counts what it meets besides events.
     fn counts(&mut self) -> &mut Counts;

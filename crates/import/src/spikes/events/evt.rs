@@ -3,7 +3,7 @@
 //! EVT2: words of 32 bits, little-endian: 4 bits of type (0 and 1 an event that falls or rises, 8
 //! the time's high 28 bits), 6 of the time's low bits, 11 of x, 11 of y. EVT3: words of 16 bits
 //! with a state: a row and its camera, the time in two halves of 12 bits, single events, and
-//! vectors of 12 and 8 events beside a base column (Metavision SDK, encodings EVT 2.0 and 3.0).
+//! vectors of 12 and 8 events from a base column on (Metavision SDK, encodings EVT 2.0 and 3.0).
 //! EVT2.1 is refused: sensors differ in its byte order.
 
 use std::io::{BufRead, Read};

@@ -3,8 +3,8 @@
 //! Input: a file in one of the formats below, and [`super::options::EventOptions`]. Output: the
 //! spikes of one sample and [`event::Counts`]. Each event passes from a buffered reader through
 //! crop, pool, polarity and binning into a table of the occupied bins, so memory grows with the
-//! spikes that are kept and not with the file. Events outside the window are counted as dropped;
-//! events earlier than one before them are counted as out of order and kept in the bin of their
+//! spikes that result and not with the file. Events outside the window are counted as dropped;
+//! events earlier than one before them are counted as out of order and put in the bin of their
 //! time.
 //!
 //! Formats: `address` (N-MNIST `.bin`, SLAYER `.bs1` and `.bs2`, Prophesee `.dat`), `evt`

@@ -105,8 +105,8 @@ fn default_origin(format: EventFormat) -> Origin {
     }
 }
 
-/// Logs the span of a recording and what was made of its events; as a warning where some were left
-/// out or moved.
+/// Logs the span of a recording and what was made of its events; as a warning where some were
+/// dropped or moved.
 pub fn report(path: &Path, counts: &Counts) {
     let Counts { events, span_us, dropped, disordered, merged, faint, clock_turns, not_events, cut_bytes, .. } =
         *counts;

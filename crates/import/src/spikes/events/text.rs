@@ -1,7 +1,7 @@
 //! Events in text: a header that names the columns, then a row an event.
 //!
 //! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and
-//! a time: `t`, `ts`, `time` or `timestamp`, with the unit behind it (`t_s`, `t_ms`, `t_us`,
+//! a time: `t`, `ts`, `time` or `timestamp`, with the unit after it (`t_s`, `t_ms`, `t_us`,
 //! `t_ns`). They stand in any order, separated by commas; others are left alone, and so are lines
 //! that begin with `#`. A time without a unit is in microseconds, which the sink records: a
 //! fraction of one, or a time beyond all clocks, is asked about.
@@ -17,7 +17,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 const MOST_ROW: usize = 4096;
 /// The latest time, about 285 years.
 const MOST_US: i64 = 9_000_000_000_000_000;
-/// The names of columns that keep recordings apart, which would be read as one.
+/// The names of columns that distinguish recordings, which would be read as one.
 const SEVERAL: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
 
 /// Where each field stands.

@@ -1,7 +1,7 @@
 //! Which process of several holds which cores of a program.
 //!
-//! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every [`Dealt`]:
-//! each core has one rank, below their number.
+//! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every
+//! [`RankAssignment`]: each core has one rank, below their number.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use crate::base::id::{CoreId, IdVec};
 pub struct Share {
     /// Its number.
     pub rank: u32,
-    /// How many there are.
+    /// Number of ranks.
     pub ranks: u32,
     /// Whether it holds the tables of all cores, although it runs its own only: what prices a run
     /// needs every message.
@@ -26,10 +26,10 @@ impl Share {
     pub const ALL: Share = Share { rank: 0, ranks: 1, whole: true };
 }
 
-/// The cores of a program, dealt out to ranks.
+/// The cores of a program, assigned to ranks.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct Dealt {
+pub struct RankAssignment {
     /// Number of ranks.
     pub ranks: u32,
     /// The rank of each core.
@@ -39,7 +39,7 @@ pub struct Dealt {
     pub held: Option<u32>,
 }
 
-impl Dealt {
+impl RankAssignment {
     /// Whether this many cores each have a rank.
     pub fn is_of(&self, cores: usize) -> bool {
         self.owners.len() == cores && self.owners.iter().all(|&owner| owner < self.ranks)

@@ -1,13 +1,13 @@
-//! Cores dealt out to the processes that run a program together.
+//! Cores assigned to the processes that run a program together.
 //!
 //! Input: a network, its partition and placement, and how many ranks there are. Output: the rank of
-//! each core. Whole chips are dealt where their loads come out even, cores otherwise. Chips are
+//! each core. Whole chips are assigned where their loads come out even, cores otherwise. Chips are
 //! first cut into runs along the board, row by row and back, because placement has put those near
 //! each other that exchange messages; then each goes to the rank with which its cores exchange
 //! most, as long as loads stay even. What is counted is *cut traffic*: sources, once for each unit
 //! that they reach.
 //!
-//! Every rank deals alike: nothing here depends on threads or on the clock.
+//! Every rank finds the same assignment: nothing here depends on threads or on the clock.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -20,17 +20,17 @@ use nsim_partition::resources::fan_out::by_source;
 /// Load of a compartment, in synapses: with one update a step and 1 % firing, an update costs as
 /// much as a few events.
 const COMPARTMENT: u64 = 16;
-/// How much more than the mean a rank may have, in hundredths, where whole chips are dealt.
+/// Largest load of a rank, in hundredths of the mean, where whole chips are assigned.
 const UNEVEN_CHIPS: u64 = 110;
-/// The same while units move.
+/// The same limit while units move.
 const UNEVEN: u64 = 105;
-/// Most units among which traffic is counted: as many squared are kept.
+/// Most units among which traffic is counted: as many squared are stored.
 const MOST_UNITS: usize = 1_024;
 /// Most rounds of moves; each lessens the cut traffic.
 const ROUNDS: usize = 16;
 
 /// The rank of each core.
-pub fn deal(network: &Quantised, partition: &Partition, placement: &Placement, ranks: u32) -> IdVec<CoreId, u32> {
+pub fn assign(network: &Quantised, partition: &Partition, placement: &Placement, ranks: u32) -> IdVec<CoreId, u32> {
     let load = |core: CoreId| partition.usage()[core].synapses + COMPARTMENT * partition.members()[core].len() as u64;
     let loads: Vec<u64> = partition.members().ids().map(load).collect();
     let mut order: Vec<CoreId> = partition.members().ids().collect();
@@ -60,7 +60,7 @@ fn along(site: Site, chips_x: u32) -> (u32, i64, u32, i64, u32) {
     (row, back(row, column), site.y, back(site.y, site.x), site.core)
 }
 
-/// What is dealt: chips, or cores.
+/// The units that are assigned: chips, or cores.
 struct Units {
     cores: Vec<Vec<CoreId>>,
     loads: Vec<u64>,
@@ -115,7 +115,7 @@ impl Units {
                 }
                 let (here, load) = (self.ranks_of[unit] as usize, self.loads[unit]);
                 let fits = |&to: &usize| to != here && sums[to] + load <= most;
-                // Of ranks alike the lowest.
+                // Of equal ranks the lowest.
                 let best = (0..ranks).filter(fits).max_by_key(|&to| (with[to], std::cmp::Reverse(to)));
                 if let Some(to) = best.filter(|&to| with[to] > with[here]) {
                     self.ranks_of[unit] = to as u32;
@@ -169,7 +169,7 @@ mod tests {
         for seed in 0..20 {
             let (Partitioned { all, partition, .. }, placement) = &partitioned(seed);
             for ranks in 1..5 {
-                let owners = deal(all, partition, placement, ranks);
+                let owners = assign(all, partition, placement, ranks);
                 assert_eq!(owners.len(), partition.cores());
                 assert!(owners.iter().all(|&owner| owner < ranks));
                 let load = |core: CoreId| {
