@@ -273,7 +273,7 @@ const DIALECT: &str = "alike, at once, beside, comes to, dealt, for want of, for
                        leads nowhere, left out, nobody, so many, stands for, told, twins, whoever";
 
 /// Words of no field that a text has.
-fn dialect(text: &str) -> impl Iterator<Item = &'static str> {
+fn dialect(text: &str) -> impl Iterator<Item = &'static str> + use<> {
     let word = |word: &str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_lowercase();
     let text = format!(" {} ", text.split_whitespace().map(word).collect::<Vec<_>>().join(" "));
     DIALECT.split(", ").filter(move |term| text.contains(&format!(" {term} ")))
