@@ -195,6 +195,13 @@ pub const KINDS: &[(&str, Kind)] = &[
         p.class_mut(core).inputs.lists.items_mut()[at].weight = 0;
         Some(Verified)
     }),
+    ("weight of zero in tables that several cores share", |p, d| {
+        let (core, at) = synapse(p, d, |_, _| true)?;
+        let class = p.cores[core].class;
+        let shared = p.cores.iter().filter(|image| image.class == class).count() > 1;
+        p.classes[class].inputs.lists.items_mut()[at].weight = 0;
+        shared.then_some(Verified)
+    }),
     ("weight of another synapse", |p, d| {
         let (core, at) = synapse(p, d, |_, _| true)?;
         let synapses = p.class_mut(core).inputs.lists.items_mut();
