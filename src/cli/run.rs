@@ -182,7 +182,7 @@ fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<Neur
     Ok(Some(measured?))
 }
 
-/// Seconds of mapping that are too short to show progress.
+/// Seconds of mapping up to which there is no warning.
 const SHORT_S: f64 = 0.5;
 
 /// Says how to keep a mapping that took longer than what it was made for.

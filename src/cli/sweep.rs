@@ -198,7 +198,7 @@ fn typed(args: &Args) -> impl std::fmt::Debug {
 }
 
 /// What identifies a journal: the program's version, the part, the sweep, and its files by size and
-/// time, which are read immediately.
+/// time, which are read without opening them.
 fn head(args: &Args, sweep: &Sweep) -> String {
     let of_file = |name: &String| {
         let found = std::fs::metadata(name).ok().filter(std::fs::Metadata::is_file);

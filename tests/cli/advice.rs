@@ -61,7 +61,7 @@ fn every_command_that_reads_models_takes_the_timestep_that_a_file_lacks() {
         assert!(code == 3 && stderr.contains("help: say how long a timestep is: --dt MS"), "{line:?}: {code} {stderr}");
         succeeds(&[line, &["--dt", "0.1"]].concat());
     }
-    // A file with no other way to say so reports it by the import it would need.
+    // Inspecting such a file names the option in the import that it would need.
     let import = |more: &[&str]| object(&[&["inspect", &net], more].concat(), 0)["import"].to_string();
     assert!(import(&[]).contains("--dt MS") && import(&["--dt", "0.1"]).contains("timestep 0.1 ms"));
     // Where the nodes imply one, the note names what they have.

@@ -79,7 +79,7 @@ fn independent_errors_of_a_file_are_told_together() {
     let told = |list: &[(&str, u32)]| -> Vec<(String, String)> {
         list.iter().map(|(code, line)| (format!("\"{code}\""), line.to_string())).collect()
     };
-    // A population that cannot be read hides who names it; names that none has hide values.
+    // A population that cannot be read hides who names it; unknown names hide wrong values.
     assert_eq!(codes_and_lines(&line(500, "0", "x", "zz")), told(&[("model.shape", 3)]));
     let unknown = "model.unknown-population";
     assert_eq!(codes_and_lines(&line(500, "2", "x", "zz")), told(&[(unknown, 4), (unknown, 5), (unknown, 5)]));

@@ -59,7 +59,7 @@ fn a_parent_adds_what_its_child_pushes_in_the_same_step() {
                 assert_eq!([spiked, engine.u(id), engine.v(id)], expected, "{name}, step {step}, compartment {id}");
             }
         }
-        // Both compartments are idle in no step, except the child in the last.
+        // Both compartments are active in every step, except the child in the last.
         assert_eq!(engine.totals().active_updates, 9, "{name}");
     }
 }

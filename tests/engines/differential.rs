@@ -69,7 +69,7 @@ fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<
 }
 
 /// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles,
-/// random places, and the program that is written box by box where kernels stay kernels.
+/// compartments assigned at random, and the program written box by box where kernels stay kernels.
 #[test]
 fn random_convolutions_are_the_same_in_both_engines() {
     let board = load_target("nahuku-32").unwrap();

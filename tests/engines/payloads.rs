@@ -79,7 +79,7 @@ fn spikes_that_carry_3_are_binary_spikes_over_weights_times_3() {
             let parts = tame(&Quantised::new(listed).unwrap());
             let (mut graded, mut binary) = (parts.clone(), parts.clone());
             let draw = &mut Draw::new(seed);
-            // All populations, or some: then a binary spike stands next to those that carry 3.
+            // All populations, or some: then binary spikes occur along with those that carry 3.
             let all = draw.chance(50);
             for population in graded.populations.iter_mut().filter(|_| all || draw.chance(50)) {
                 population.message = Message::Payload(Payload::new(3).unwrap());

@@ -139,7 +139,7 @@ pub fn assert_same(
     }
 }
 
-/// Shares of a network, and whether idle compartments are skipped, for which pruning is right.
+/// Shares of a network, and whether idle compartments are skipped: pruning is right under each.
 const SETTINGS: [(usize, bool); 6] = [(1, true), (1, false), (2, true), (2, false), (8, true), (8, false)];
 
 type Counts = BTreeMap<Kind, (u64, u64)>;

@@ -2,7 +2,7 @@
 //! files are refused within their bound of memory.
 //!
 //! The files of `tests/fuzz/corpus` were made by h5py 3.16, nir 1.0.8, expelliarmus 1.1.12 and
-//! dv-processing 2.0.4 from random numbers for the purpose (headers shortened); the checkpoints by
+//! dv-processing 2.0.4 from random numbers (headers shortened); the checkpoints by
 //! hand, as torch's `serialization.py` writes them.
 
 use crate::common;
@@ -123,7 +123,7 @@ fn a_small_file_that_claims_much_is_refused_before_it_is_unpacked() {
         assert!(bytes.len() < 1 << 20, "{} bytes", bytes.len());
         let error = foreign::from_bytes(&path, bytes, &Options::default()).unwrap_err();
         assert_eq!(error.code, "hdf5.too-large", "{error}");
-        // Shapes without numbers after them.
+        // A shape that the stored weights do not fill.
         let layer = hdf5::Group::default()
             .with("type", "dense")
             .with("shape", Numbers::i64(&[3], &[1 << 20, 1 << 20, 1 << 20]))

@@ -18,7 +18,7 @@ use rayon::prelude::*;
 
 /// Cases of the normal tests; `.ci/nightly` runs ten times as many.
 const CASES: u64 = 1_000;
-/// What one may take of a processor, and by the clock: machines that run tests next to other work
+/// What one may take of a processor, and by the clock: machines that run tests and other work
 /// are slow.
 const LONGEST: Duration = Duration::from_secs(20);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);

@@ -272,7 +272,7 @@ const MOST_WORDS: (usize, usize) = (4_100, 35_600);
 const DIALECT: &str = "alike, at once, beside, comes to, dealt, for want of, foretold, handed, hears, in turn, \
                        leads nowhere, left out, nobody, so many, stands for, told, twins, whoever";
 
-/// Words of no field that a text has.
+/// The words of [`DIALECT`] that a text has.
 fn dialect(text: &str) -> impl Iterator<Item = &'static str> + use<> {
     let word = |word: &str| word.trim_matches(|c: char| !c.is_alphanumeric()).to_lowercase();
     let text = format!(" {} ", text.split_whitespace().map(word).collect::<Vec<_>>().join(" "));

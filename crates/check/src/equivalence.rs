@@ -209,7 +209,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
     let (first, graded) = (network.first_source(population), &program.parts().graded);
     let mut source = first;
-    // Up to where the next payload begins or this one ends, all sources send equal messages.
+    // Up to where the next payload begins or this one ends, all sources send messages of one kind.
     while source < first + population.shape.len() {
         let here = graded.iter().find(|graded| graded.sources.contains(&source));
         if here.map_or(Message::Spike, |graded| graded.message) != population.message {

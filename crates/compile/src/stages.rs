@@ -131,8 +131,8 @@ impl Front {
     }
 
     /// The network with relays where compartments have more targets than output axons, unless it
-    /// maps without; proved to spike identically. Populations then have notes that say how many
-    /// relays, and how many steps later their spikes come.
+    /// maps without. It is proved to spike identically but for delays. Notes of its populations
+    /// say how many relays, and how many steps later their spikes come.
     ///
     /// # Errors
     /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned;

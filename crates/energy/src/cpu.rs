@@ -56,7 +56,7 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
         pass();
         begin.elapsed().max(Duration::from_nanos(1))
     };
-    // The first pass warms caches and predictors up, and gives the number that fits.
+    // The first pass warms caches and predictors up, and gives the number of passes that fit.
     let first = once(&mut pass);
     let repeats = (budget.as_secs_f64() / first.as_secs_f64()) as usize;
     let repeats = repeats.clamp(LEAST_REPEATS, MOST_REPEATS);

@@ -5,7 +5,7 @@
 //! again at `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole
 //! packages: what else runs is counted too. Root alone may read them since Linux 5.10; why they
 //! could not be read is stored. Where nothing is stated either, a package is assumed, of which each
-//! thread represents its share.
+//! thread takes its share.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};

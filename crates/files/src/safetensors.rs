@@ -1,6 +1,6 @@
 //! One tensor of a safetensors file.
 //!
-//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are omitted. What
+//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are refused. What
 //! all keys together may take is bounded by the file's size ([`Budget`]).
 
 use std::cell::RefCell;

@@ -94,7 +94,7 @@ impl CoreGroups {
         CoreGroups::of_alike(program, one, together, &first_alike(program, one, together))
     }
 
-    /// The groups of such a program, each a kind of its own.
+    /// The groups of a program of copies, each a kind of its own.
     ///
     /// # Errors
     /// As [`CoreGroups::new`].

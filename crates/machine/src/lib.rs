@@ -98,7 +98,7 @@ pub struct Machine {
 }
 
 impl Machine {
-    /// An idle machine.
+    /// A machine in its initial state.
     pub fn new(image: &Arc<Image>, settings: Settings) -> Self {
         let slots = image.longest_delay as usize + 1;
         Machine {
@@ -126,7 +126,7 @@ impl Machine {
         }
     }
 
-    /// An idle machine, of the part of a program that this process holds; all ranks make theirs at
+    /// The initial state of the part of a program that this process holds; all ranks make theirs at
     /// the same time. The spikes of these compartments, if any, are shown to every rank.
     ///
     /// # Panics
@@ -225,7 +225,7 @@ impl Machine {
         }
     }
 
-    /// Deliver and Update among other ranks, separate, as a step of one process needs none of it.
+    /// Deliver and Update with other ranks; a separate function, as one process never needs it.
     #[cold]
     fn deliver_and_update_with_others(&mut self, input: Spikes<'_>, left: u32) {
         // What is known is delivered while the rest is under way.

@@ -29,8 +29,8 @@ pub fn is_large(one: &Quantised, copies: u32) -> bool {
 }
 
 /// The target as boxes are counted on it. Where sources without places are grouped into population
-/// axons, boxes have an output axon for each compartment: geometry gives the positions that share a
-/// table for windows only.
+/// axons, boxes have an output axon for each compartment: geometry shows only for windows which
+/// positions share a table.
 #[must_use]
 pub fn counted_in_boxes<'t>(in_boxes: bool, network: &Quantised, target: &'t Target) -> Cow<'t, Target> {
     if !in_boxes || !network.parts().gathers {

@@ -11,7 +11,7 @@
 //! A relay is a compartment without memory that spikes in the step in which its only synapse brings
 //! a spike, regardless of earlier ones. It so takes a spike one step later: over a relay a synapse
 //! of delay d keeps d - 1. A projection of delay 0 keeps its synapses at their compartment while
-//! there is room next to the relays; otherwise delays are *padded*: with L(p) the steps by which
+//! there is room besides the relays; otherwise delays are *padded*: with L(p) the steps by which
 //! spikes of population p come later (0 for inputs), a projection from p to q has the delay
 //!
 //! ```text
@@ -22,7 +22,7 @@
 //! it is reset, moves along. The least L are longest paths; around a circle the sum of delays stays
 //! what it is, so a circle without enough of it is refused.
 //!
-//! A compartment of n targets and a limit of m keeps m - r of them next to r = (n - m) / (m - 1)
+//! A compartment of n targets and a limit of m keeps m - r of them, and has r = (n - m) / (m - 1)
 //! relays, rounded up. Relays that still have too many are treated in the same way: trees grow
 //! level by level. Targets go to relays in the order of compartments, so that those of a relay are
 //! neighbours in the order of the file.
@@ -117,7 +117,7 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
             if all > most {
                 let wanted = (all - most).div_ceil(most - 1).min(most);
                 *relays = wanted as u32;
-                // At least two relays are a level of a tree; what cannot wait has to fit next to
+                // At least two relays are a level of a tree; what cannot wait has to fit along with
                 // them.
                 tight |= without_delay > most - wanted.min(most);
             }

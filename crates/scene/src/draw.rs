@@ -47,7 +47,7 @@ pub struct Draws {
 }
 
 impl Draws {
-    /// Random properties of fingers, camera and wire, for any seed of the scene.
+    /// Random numbers of fingers, camera and wire, which do not depend on the scene's seed.
     pub const DEVICE: Draws = Draws { seed: 0, sample: 0 };
 
     /// The random numbers of a sample under a seed.

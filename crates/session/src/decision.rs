@@ -20,7 +20,7 @@ use nsim_ir::quantised::{Quantised, Reset, Units};
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rule {
     /// The leading output has at least this many spikes more than every other; an only output has
-    /// this many spikes.
+    /// at least this many.
     Margin(NonZeroU32),
     /// No spikes that the refractory periods still allow can change the class.
     Certain,

@@ -33,7 +33,7 @@ impl Error {
     pub fn exit_status(&self) -> u8 {
         match self {
             Error::Usage(_) => 2,
-            // What was asked for is never done, for any input.
+            // What was asked for is not done with any input.
             Error::Input(diagnostic) if diagnostic.code == "write.not-regular" => 2,
             Error::Input(_) | Error::DoesNotFit(_) => 3,
             Error::Fault(_) => 4,

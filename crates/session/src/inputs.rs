@@ -2,7 +2,7 @@
 //!
 //! Each input population needs a source; a bare source serves the only input population, or all
 //! that it names. Sources of several populations are matched sample by sample: they must agree in
-//! number, steps and labels. A clock may serve one population next to the recordings of others.
+//! number, steps and labels. A clock may serve one population while recordings serve others.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};

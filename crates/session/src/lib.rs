@@ -170,7 +170,7 @@ pub fn run_sample<E: Engine + ?Sized>(
     run_copies(engine, sample, Copies::ONE, keep, |engine, passed| after_step(engine, passed.steps))
 }
 
-/// Steps in a row that were identical.
+/// Consecutive steps with equal counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Passed {
     /// Number of steps.

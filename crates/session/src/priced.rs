@@ -105,7 +105,7 @@ impl<'c> Metered<'c> {
         self.offline_with(target, HostWork::for_target(target))
     }
 
-    /// What steps are metered under where x86 cores do this work.
+    /// As [`Self::offline`], where x86 cores do this work.
     ///
     /// # Errors
     /// As [`Self::offline`].

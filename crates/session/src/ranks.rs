@@ -60,7 +60,7 @@ pub fn peak_mib() -> Option<f64> {
 /// The part of a program that a rank holds: the program itself where it is that part.
 ///
 /// # Errors
-/// `run.part` when the program is not distributed, or another rank's part: a fault of the caller.
+/// `run.part` when the program is not distributed or is another rank's part: a caller's fault.
 pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Diagnostic> {
     let wrong = |what: String| Diagnostic::new("run.part", what);
     match program.held_rank() {

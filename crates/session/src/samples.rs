@@ -62,7 +62,7 @@ impl<'a> Running<'a> {
 
 /// What watches the steps of a run, a part of it in each thread.
 pub trait Meter: Send {
-    /// Sees steps in a row that were identical.
+    /// Sees consecutive steps with equal counts.
     fn see(&mut self, step: &StepActivity, passed: Passed);
 
     /// Adds what another one saw of later samples. What it says may not depend on the parts.

@@ -1,5 +1,5 @@
 //! What a network needs by its shapes alone: refuses what no mapping fits, before anything is
-//! sampled or expanded.
+//! generated or expanded.
 //!
 //! Input: a model as it is written, a target. Output: the reasons for which it cannot fit, if any.
 //! Every source that reaches every compartment, or samples its targets, takes at least the bits of

@@ -355,7 +355,7 @@ impl Loihi {
         for (e, s) in error.rchunks_exact_mut(n).zip(state.rchunks_exact(n)) {
             for j in 0..n {
                 let (a, b, gain) = self.leaves[j];
-                // A spike erases the voltage after it; while it is held nothing enters it.
+                // A spike erases the voltage so far; while it is held nothing enters it.
                 let (keeps, enters) = match self.credit {
                     CreditDesc::Slayer => (1.0, 1.0),
                     CreditDesc::UpToReset => (f32::from(u8::from(s[j] == FREE)), f32::from(u8::from(s[j] != HELD))),

@@ -47,7 +47,7 @@ impl Surrogate {
     }
 }
 
-/// `exp(-x)` for x >= 0 within 3e-7, in operations that every machine rounds equally: a power of
+/// `exp(-x)` for x >= 0 within 3e-7, in operations that round identically everywhere: a power of
 /// two times a polynomial (Taylor's, of 2^f around f = -1/2) that compilers can run over vectors.
 #[inline]
 fn exp_minus(x: f32) -> f32 {

@@ -41,7 +41,7 @@ EXAMPLES:
   nsim bench paper --results my.json        with rows of one's own instead of those stored";
 
 /// The tables of Taunyazov et al. 2020 on classification, early decisions and hardware: each figure
-/// as printed next to what trainings with nsim reached, and what those rest on
+/// as printed, then what trainings with nsim reached, and what those rest on
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct PaperArgs {

@@ -1,4 +1,4 @@
-//! `nsim convert MODEL`: a network with real numbers becomes stored integers, stage by stage.
+//! `nsim convert MODEL`: makes integers of a network with real numbers, stage by stage.
 //!
 //! Input: a model, calibration samples, held-out samples. Output: what each stage gained, what is
 //! left, and with `-o` a model file of integers whose provenance says how it was made. With

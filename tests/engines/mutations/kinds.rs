@@ -27,9 +27,9 @@ pub enum Expected {
     Breaks(fn(&Violation) -> bool),
     /// The verifier finds nothing.
     Verified,
-    /// It is closed; the verifier may find something, depending on what was sampled.
+    /// It is closed; the verifier may find something, depending on what was chosen.
     Closed,
-    /// Depends on what was sampled.
+    /// Depends on what was chosen.
     Anything,
 }
 

@@ -1,5 +1,5 @@
 //! Random programs with one random thing changed: any change of a program's meaning is rejected, by
-//! whom it should be.
+//! the judge that should reject it.
 //!
 //! Three judges look at a program, each at what the one before let pass: `Program::new` (its tables
 //! are closed), `verify` (it keeps the target's limits and formats) and the equivalence checker (it

@@ -204,7 +204,7 @@ fn axons_out(
         return Err(core);
     }
     let alike = Classes::by_key(sent.enumerate().map(key));
-    // Some senders at a time read, core after core, what is received: their part lies together.
+    // Some senders at a time read what each core receives, core by core: their part lies together.
     let lists = |firsts: &[CoreId]| {
         let mut messages: Vec<Vec<(u16, Reached)>> = vec![Vec::new(); firsts.len()];
         let mut reached = vec![0u32; firsts.len()];

@@ -4,8 +4,8 @@
 //! Output: the rates of steps in which all sources spike, and in which those of one population do,
 //! for the expected step ([`crate::explore::cost_estimate`]); and the time of a step in which
 //! random compartments spike, every message followed as in a run ([`nsim_cost::transport::queue`]).
-//! The expected step knows how busy links are; that messages hold up others after them it does not,
-//! and that is most of a step in which many compartments spike.
+//! The expected step knows how busy links are. It does not know that messages hold up those queued
+//! after them, and that is most of a step in which many compartments spike.
 
 use crate::explore::cost_estimate::first_constants;
 use nsim_cost::deployment::{Deployment, HostWork};

@@ -11,9 +11,9 @@
 //! that is faster by `MARGIN` at the rates that it is made for, or holds the same compartments on
 //! the same cores, may be slower by as much in one population's burst; another must be faster by
 //! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host
-//! takes as long to inject for any mapping, and may take most of a step. Where it does, what is
-//! saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in which random compartments
-//! spike and every message is followed may take no longer, with the same allowance.
+//! takes equally long to inject for all mappings, and may take most of a step. Where it does, what
+//! is saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in which random
+//! compartments spike and every message is followed may take no longer, with the same allowance.
 
 use crate::explore::cost_estimate::Score;
 use nsim_partition::error::Result;

@@ -75,8 +75,8 @@ pub struct Counts<'a> {
     of_chip: Vec<(u32, (u32, u32))>,
 }
 
-/// The totals of flows: the core that sends, none for inputs; the cores reached; spikes in as many
-/// steps as rates count.
+/// The totals of flows, each given by the core that sends (none for inputs), the cores reached, and
+/// its spikes in as many steps as rates count.
 pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     placement: &Placement,
     flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,

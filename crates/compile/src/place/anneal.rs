@@ -6,7 +6,7 @@
 //! part), else any, and swaps the two; a tile that is not in use receives a whole tile, so that no
 //! more tiles are in use than before. It is accepted when it saves links, and otherwise with a
 //! probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
-//! simulated annealing", Science 220, 1983). The best places are stored.
+//! simulated annealing", Science 220, 1983). The best places found are the result.
 //!
 //! Chips are annealed side by side in rounds, each from the places in which all others were when
 //! the round began; after a round all are put together and accepted if that is better. So it does

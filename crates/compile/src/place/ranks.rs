@@ -115,7 +115,7 @@ impl Units {
                 }
                 let (here, load) = (self.ranks_of[unit] as usize, self.loads[unit]);
                 let fits = |&to: &usize| to != here && sums[to] + load <= most;
-                // Of equal ranks the lowest.
+                // Of ranks with equal traffic the lowest.
                 let best = (0..ranks).filter(fits).max_by_key(|&to| (with[to], std::cmp::Reverse(to)));
                 if let Some(to) = best.filter(|&to| with[to] > with[here]) {
                     self.ranks_of[unit] = to as u32;

@@ -174,7 +174,7 @@ impl<'w> Queue<'w> {
                         let to = first + message.core.index() - cores.start as usize;
                         // Between messages a port keeps the time that has passed.
                         let (messages, passed) = &mut senders[region.port(to)];
-                        // A copy's spike for another chip may come after that chip's own.
+                        // A copy's spike for another chip may follow later ones of that chip.
                         let until = now.max(*passed);
                         messages.push(ready(until - std::mem::replace(passed, until), to, message));
                     }

@@ -47,7 +47,7 @@ pub struct BaselineRow {
     pub latency_us: Spanned<f64>,
     /// Energy of a timestep as the source prints it.
     pub printed_energy_uj: Spanned<f64>,
-    /// Energy-delay product as the source prints it, in pJ s for any unit that the source names.
+    /// Energy-delay product as the source prints it, in pJ s regardless of the unit it names.
     pub printed_edp: Spanned<f64>,
 }
 

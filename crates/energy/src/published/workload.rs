@@ -7,7 +7,7 @@
 //!
 //! A rate that no source prints is given as a range and marked assumed: the range enters the
 //! interval of every figure that follows from it. Weights are not part of a workload: they decide
-//! which compartments fire, and the rates give the number.
+//! which compartments fire, and the rates give their number.
 
 use serde::{Deserialize, Serialize};
 

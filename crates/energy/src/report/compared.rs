@@ -107,7 +107,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Share of samples that are right when decided and at their end; the time and energy of a
+    /// Shares of samples that are right when decided, and at their end; the time and energy of a
     /// decision.
     pub(super) fn decisions(&self, whole: Option<f64>) -> String {
         let Some(decision) = &self.per_decision else { return String::new() };

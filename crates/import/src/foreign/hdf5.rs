@@ -119,7 +119,7 @@ impl Numbers {
     /// Reals of 64 bits.
     ///
     /// # Panics
-    /// When the numbers do not fill the shape, a mistake of the caller; in the other makers too.
+    /// When the numbers do not fill the shape, a mistake of the caller, as for the other makers.
     pub fn f64(shape: &[usize], reals: &[f64]) -> Numbers {
         Numbers::from_bytes(shape, Element::F(8), reals.iter().flat_map(|x| x.to_le_bytes()).collect())
     }

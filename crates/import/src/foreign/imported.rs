@@ -105,7 +105,7 @@ pub struct Imported {
     pub model: NetworkFile,
     /// By which conventions it was read, and what was changed.
     pub notes: Vec<String>,
-    /// The note that a user sees unasked: what the file may contradict, or what is lost.
+    /// Of these notes, what a user sees unasked: what the file may contradict, or what is lost.
     pub assumed: Option<String>,
     /// What a spike does to v, as the file or an option says; `None` where the format leaves no
     /// choice.

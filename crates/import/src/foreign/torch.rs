@@ -1,7 +1,7 @@
 //! Tensors of a PyTorch checkpoint, in both of its containers.
 //!
-//! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or five pickles with raw
-//! numbers after them (before). Output: the names of its tensors, and a tensor at a time. The
+//! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or, from older versions,
+//! five pickles, then raw numbers. Output: the names of its tensors, and a tensor at a time. The
 //! pickles are read by `super::pickle`, which executes nothing: a checkpoint that pickles a whole
 //! module is refused with the class that it names.
 

@@ -68,7 +68,7 @@ pub fn from_bytes(
         npy::Array::from_bytes(path, bytes)
     };
     let spikes = array_of(spikes)?;
-    // x next to a time is a list of events, of which x alone would be read.
+    // x together with a time is a list of events, of which x alone would be read.
     if is_header(&arrays.join(",")) && spikes.shape().len() == 1 {
         return Err(wrong(format!("the archive holds events ({}), not spikes", arrays.join(", ")))
             .help("write them as rows of text with the header t_us,x,y,p (t_s, t_ms or t_ns in other units)"));

@@ -71,7 +71,7 @@ impl TimeUnit {
 pub struct EventOptions {
     /// Columns and rows of the sensor.
     pub size: Option<(u32, u32)>,
-    /// Left, top, width and height of the part that is read.
+    /// Left, top, width and height of the part that is used.
     pub crop: Option<(u32, u32, u32, u32)>,
     /// Columns and rows that are summed into one.
     pub pool: Option<(u32, u32)>,

@@ -52,8 +52,8 @@ pub const SET: &str = "--set";
 /// The name of the barrier times among constants.
 pub const BARRIER: &str = "barrier";
 
-/// Units that a value may be typed in, by what they measure: each as a multiple of the first of its
-/// kind.
+/// Units that a value may be typed in, each with the unit in which its kind of value is stored, and
+/// the factor to that unit.
 const TYPED: [(&str, Unit, f64); 11] = [
     ("fJ", Unit::pJ, 1e-3),
     ("pJ", Unit::pJ, 1.0),
@@ -238,8 +238,8 @@ pub struct BarrierTime {
     pub time: Constant,
 }
 
-/// A figure that a source gives next to the others and that no count of a run multiplies: stored
-/// for the record.
+/// A figure that a source gives in addition to the others and that no count of a run multiplies:
+/// stored for the record.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnusedConstant {

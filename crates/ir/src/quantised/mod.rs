@@ -523,7 +523,7 @@ impl Quantised {
         self
     }
 
-    /// The record of pruning, if anything was pruned.
+    /// The record of pruning; `None` when the network was not pruned.
     pub fn pruned(&self) -> Option<&Arc<Pruned>> {
         self.pruned.as_ref()
     }

@@ -48,8 +48,8 @@ impl Effect {
     /// More synapses than the bits hold: the list has to be read.
     const READ: Self = Effect(u32::MAX);
 
-    /// At most this many of the effects of all classes, ascending. Lists with omitted effects have
-    /// to be read, which is the last one.
+    /// At most this many of the effects of all classes, ascending. The last is [`Self::READ`], for
+    /// the lists whose effects are omitted.
     pub fn distinct(of_classes: &[Vec<Self>], most: usize) -> Vec<Self> {
         let of_class = |lists: &Vec<Self>| {
             let mut distinct = lists.clone();

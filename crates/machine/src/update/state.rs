@@ -58,7 +58,7 @@ pub(crate) struct StepInput<'a> {
     pub arch: pulp::Arch,
     /// Update every skip block that any spike could reach, instead of marking arrivals.
     pub visit_all: bool,
-    /// Skip idle skip blocks.
+    /// Whether to update only the skip blocks that are not idle.
     pub skip: bool,
     /// List what was not idle in this step.
     pub list_active: bool,
@@ -141,7 +141,7 @@ impl std::ops::DerefMut for ShardState {
 }
 
 impl ShardState {
-    /// An idle shard, with this many slots in its delay ring.
+    /// A shard in its initial state, with this many slots in its delay ring.
     pub fn new(image: &Image, shard: &Shard, slots: usize) -> Self {
         let holds = if image.semantics == Semantics::Slayer { shard.lanes } else { 0 };
         let state = CompartmentState {

@@ -46,7 +46,7 @@ pub fn skip_bits_for(mut distances: impl Iterator<Item = u16>) -> Option<u8> {
     packing::skip_bits(widest)
 }
 
-/// Number of groups of a core for each format, delayed or not, and compression.
+/// Number of groups of a core by format, by whether they are delayed, and by compression.
 #[derive(Debug, Clone, Default)]
 pub struct FormatCounts {
     groups: Vec<[u32; 12]>,

@@ -300,7 +300,7 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// The use of the compartments added one by one, without output axons: exactly what is counted
+    /// What the compartments added one by one use, without output axons: exactly what is counted
     /// from their synapses. `None` where lists may be shared, or have become shorter, because only
     /// a new count is right then.
     pub fn used(&self) -> Option<CoreUsage> {
@@ -509,12 +509,12 @@ impl<'a> Filling<'a> {
         totals
     }
 
-    /// The use of the compartments so far with lists of their own, without output axons.
+    /// What the compartments so far use with lists of their own, without output axons.
     pub fn usage(&self) -> CoreUsage {
         self.totals().usage(self.limits)
     }
 
-    /// The use of the compartments so far when lists are shared, without output axons.
+    /// What the compartments so far use when lists are shared, without output axons.
     fn usage_shared(&self) -> CoreUsage {
         let mut totals = self.totals();
         for (lists, classes) in totals.lists.iter_mut().zip(self.classes()) {

@@ -401,8 +401,8 @@ fn refine_groups(
 
 /// Leaves out members whose steps are so much longer than those of the first, the order of the
 /// file, that the cores they save are not worth it; where the first fits at all. A step is that of
-/// the busiest core, and the injection of inputs, the turn and the barrier, which take as long for
-/// any members.
+/// the busiest core, and the injection of inputs, the turn and the barrier, which take equally long
+/// for all members.
 fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, over_space: bool) {
     let first = found[0].members.len() as u64;
     let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);

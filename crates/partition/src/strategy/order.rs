@@ -57,7 +57,7 @@ pub enum Chips {
     Apart,
 }
 
-/// Neurons of one population to be placed together, in this order.
+/// Neurons of one population to be filled into cores together, in this order.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Segment {
     /// The population, which is no child of another.

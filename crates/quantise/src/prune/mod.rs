@@ -18,7 +18,7 @@
 //! fire and reaches them stays too, so also u and v of every compartment that is left are the same
 //! at every step: all that it may receive is there.
 //!
-//! *Why a network of its own.* A mask next to the whole network would have to be obeyed by the
+//! *Why a network of its own.* A mask over the whole network would have to be obeyed by the
 //! partitioner, the router, the checker, the interpreter and the machine, and each could forget it.
 //! A smaller network needs none of them to know: `nsim_check::equivalence` proves the program equal
 //! to it, synapse by synapse, and the interpreter runs it as any other. What people see keeps the

@@ -25,7 +25,7 @@ pub fn drawn(network: &Quantised) -> Vec<PopulationId> {
 }
 
 /// The populations that are drawn and the projections between them, in the order of the file, and
-/// their numbers in all.
+/// the totals of both.
 pub fn json(network: &Quantised) -> Value {
     let parts = network.parts();
     let drawn = drawn(network);

@@ -1,7 +1,7 @@
 //! A published workload as a network that fires at its rates.
 //!
 //! Input: a workload file, and which end of each rate's range. Output: a network in integers and
-//! its input. What a compartment receives does not make it fire: a bias of its own does, random
+//! its input. What a compartment receives does not make it fire: a random bias of its own does,
 //! between half of what its rate needs and one and a half, so that compartments do not fire
 //! together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are
 //! those of the workload, so that counts are too.

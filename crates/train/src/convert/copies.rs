@@ -287,7 +287,7 @@ fn of_pair(
         if !COUNTS.contains(&chosen.len()) {
             continue;
         }
-        // One after another gives its place to a better one, while that helps.
+        // Each gives its place to a better one, one after another, while that helps.
         for _ in 0..SWAPS {
             let before = taken;
             for member in 0..chosen.len() {

@@ -50,7 +50,7 @@ pub struct Integers {
 }
 
 impl Integers {
-    /// Finds integers for a network. `searching` gets each population one after another, and `None`
+    /// Finds integers for a network. `searching` gets the populations one by one, and `None`
     /// first where it has to be searched on the samples that are compared.
     ///
     /// # Errors

@@ -66,7 +66,7 @@ struct Place {
     first_column: usize,
 }
 
-/// Number of samples that are right, and the mean loss.
+/// Share of samples that are right, and the mean loss.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct TaskScore {
     /// Share of samples that are right.
@@ -447,7 +447,7 @@ impl<F: Fn() + Sync> Forward for Integers<'_, F> {
     }
 }
 
-/// A copy with an empty step at the end.
+/// The example with an empty step at the end.
 fn padded(example: &Example) -> Example {
     let longer = |raster: &Raster| Raster::from_events(raster.units(), raster.steps() + 1, raster.events().collect());
     Example { inputs: example.inputs.iter().map(longer).collect(), label: example.label }

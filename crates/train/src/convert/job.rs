@@ -114,7 +114,7 @@ impl Job {
         !self.soft_reset && resets::has_soft_reset(&self.graph)
     }
 
-    /// Searches for integers; `searching` gets each population one after another.
+    /// Searches for integers; `searching` gets the populations one by one.
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.

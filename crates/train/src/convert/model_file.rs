@@ -1,7 +1,7 @@
 //! A network in integers -> the model file that holds them.
 //!
 //! Input: a network as `quantise` left it. Output: a model whose quantisation is that network
-//! again, number by number. Errors: synapses that a seed represents, and spikes with a payload,
+//! again, number by number. Errors: synapses generated from a seed, and spikes with a payload,
 //! which a written model does not hold.
 
 use nsim_dynamics::synapses::Enumerate;

@@ -27,8 +27,8 @@ use nsim_session::warnings::widen;
 /// Samples on which overflows are counted, with the slow interpreter.
 const COUNTED: usize = 4;
 
-/// Calibration samples on which the kinds of integers are distinguished.
-const TOLD_APART: usize = 20;
+/// Calibration samples on which the loss is attributed to kinds of integers.
+const ATTRIBUTED: usize = 20;
 
 /// A stage and how near the network is after it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -171,7 +171,7 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
         .iter()
         .map(|stage| stage.ladder.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
         .collect();
-    let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(TOLD_APART).max(1)).copied().collect();
+    let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(ATTRIBUTED).max(1)).copied().collect();
     let attribution = attribution::attribute_from(&ladder, trained, &output, &some);
     let left_from = attribution.machine;
     let left: Vec<Share> = attribution.shares.iter().filter(|share| share.cause != Cause::Kernel).copied().collect();

@@ -473,7 +473,7 @@ impl Graph {
     /// A convolution as NIR has it: one padding for both ends of an axis, and square, since
     /// `nir.read` of Python takes the height of a kernel for its width. Rows and columns of zeros
     /// before and after a kernel do both: with F before and B after it, of a dilation d, a padding
-    /// of `before + F d` on both sides acts like `before + d (F - B)` after it.
+    /// of `before + F d` on both sides acts like `before + d (F - B)` at the end of the axis.
     fn convolution(
         &mut self,
         (source, target): (&PopulationDesc, &PopulationDesc),

@@ -86,8 +86,8 @@ impl Window {
         Some(Window { sliding, kernel: Ok(kernel) })
     }
 
-    /// This convolution and a pool after it as one convolution: an output sums the kernel at each
-    /// place of the pool, at a distance of `stride`.
+    /// This convolution and a pool after it as one convolution: an output sums the kernel at all
+    /// places of the pool, which are `stride` apart.
     fn pooled(&self, pool: &Window) -> Option<Window> {
         let (kernel, weight) = (self.kernel.as_ref().ok()?, *pool.kernel.as_ref().err()?);
         let (conv, behind) = (&self.sliding, &pool.sliding);

@@ -218,7 +218,7 @@ impl Reader<'_> {
             _ if spiking => Some(get("v_threshold", None)?),
             _ => None,
         };
-        // One of 0 is a mantissa of 0; next to others, weights have no scale.
+        // One of 0 is a mantissa of 0; where others are not 0, weights have no scale.
         if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0) && !all(threshold, |x| x == 0.0)) {
             return Err(unsupported(
                 format!("node '{name}' has a threshold below 0, or one of 0 beside others"),

@@ -13,7 +13,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 /// Events of a batch, at least.
 const BATCH: usize = 1 << 16;
 
-/// The part of the sensor that is read and its pooled columns and rows, once the size is known.
+/// The part of the sensor that is used and its pooled columns and rows, once the size is known.
 #[derive(Debug, Clone, Copy)]
 struct Grid {
     left: u32,
@@ -25,7 +25,7 @@ struct Grid {
     rows: u32,
 }
 
-/// The bins of a recording, in the window in space and time that is read.
+/// The bins of a recording, in the window in space and time that is used.
 pub struct Bins {
     options: EventOptions,
     bin_us: f64,
