@@ -123,7 +123,7 @@ fn measure(scene: &Scene) {
     for (machine, keep) in machines.iter_mut().zip(&keeps) {
         let (mut outcomes, mut visited) = (Vec::new(), 0);
         for sample in &scene.samples {
-            let outcome = run_sample(machine, sample, keep, |_, _| ());
+            let outcome = run_sample(machine, sample, keep, ());
             visited += outcome.totals.compartment_updates - machine.skipped_updates();
             outcomes.push(outcome);
         }
@@ -137,7 +137,7 @@ fn measure(scene: &Scene) {
         for ((machine, keep), times) in machines.iter_mut().zip(&keeps).zip(&mut times) {
             let begin = Instant::now();
             for sample in std::iter::repeat_n(&scene.samples, repeats).flatten() {
-                black_box(run_sample(machine, sample, keep, |_, _| ()));
+                black_box(run_sample(machine, sample, keep, ()));
             }
             times.push(begin.elapsed().as_secs_f64() * 1e6 / repeats as f64);
         }

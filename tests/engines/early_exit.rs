@@ -16,6 +16,7 @@ use nsim::ir::quantised::Quantised;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::front::front;
+use nsim::session::observers::Passed;
 use nsim::session::{Keep, Outcome, run_sample};
 use rayon::prelude::*;
 use serde_json::Value;
@@ -54,7 +55,7 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
             let sample = common::random::sample(&network, seed);
             let mut engines = common::engines(&network);
             let run = |engine: &mut dyn nsim::ir::spikes::Engine, rule| {
-                run_sample(engine, &sample, &keep(&network, rule), |_, _| ())
+                run_sample(engine, &sample, &keep(&network, rule), ())
             };
             let whole = run(engines[0].1.as_mut(), None);
             [Rule::Certain, margin(1 + seed as u32 % 5)].map(|rule| {
@@ -73,7 +74,7 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
                 let noted = Outcome { decided_at, decided_class, steps_saved, ..skipping_aside(&whole) };
                 assert_eq!(noted.class_when_decided(), golden.class(), "{what}");
                 for (name, engine) in &mut engines {
-                    let outcome = run_sample(engine.as_mut(), &sample, &watched, |_, _| ());
+                    let outcome = run_sample(engine.as_mut(), &sample, &watched, ());
                     assert_eq!(skipping_aside(&outcome), noted, "{what}, {name}, watched");
                 }
                 u32::from(golden.decided_at.is_some())
@@ -99,18 +100,19 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
             .par_iter()
             .map(|sample| {
                 let mut golden = Golden::new(network);
-                let early = run_sample(&mut golden, sample, &keep(network, Some(rule)), |_, _| ());
+                let early = run_sample(&mut golden, sample, &keep(network, Some(rule)), ());
                 let mut machine = Machine::new(&image, Settings { per_step: true, ..Settings::default() });
                 // The whole sample, with the counts of the steps that the early one runs.
                 let mut counted = Activity::new(compiled.program.cores().len());
                 let mut left = early.steps;
-                let whole = run_sample(&mut machine, sample, &keep(network, None), |machine, times| {
-                    counted.add_steps(machine.last_step(), u64::from(times.min(left)));
-                    left -= times.min(left);
-                });
+                let whole =
+                    run_sample(&mut machine, sample, &keep(network, None), |machine: &Machine, passed: Passed| {
+                        counted.add_steps(machine.last_step(), u64::from(passed.steps.min(left)));
+                        left -= passed.steps.min(left);
+                    });
                 assert_begins(&early, &whole, &rule.to_string());
                 machine.take_activity();
-                let fast = run_sample(&mut machine, sample, &keep(network, Some(rule)), |_, _| ());
+                let fast = run_sample(&mut machine, sample, &keep(network, Some(rule)), ());
                 assert_eq!(skipping_aside(&fast), early);
                 assert_eq!(machine.take_activity(), counted, "the first steps of the whole sample, core by core");
                 [early, whole]
@@ -128,7 +130,7 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
         // ended early.
         let mut machine = Machine::new(&image, Settings::default());
         for (sample, [early, _]) in samples.iter().zip(&outcomes).take(20) {
-            let again = run_sample(&mut machine, sample, &keep(network, Some(rule)), |_, _| ());
+            let again = run_sample(&mut machine, sample, &keep(network, Some(rule)), ());
             assert_eq!(&skipping_aside(&again), early);
         }
     }

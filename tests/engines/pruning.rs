@@ -223,7 +223,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
         }
     }
     let keep = Keep::new(whole.output());
-    let outcome = run_sample(&mut golden, &shown, &keep, |_, _| ());
+    let outcome = run_sample(&mut golden, &shown, &keep, ());
     (fixed, scene, [outcome.totals.spikes, outcome.spikes.len() as u64])
 }
 
@@ -267,7 +267,7 @@ fn recorded_touch_is_told_apart_the_same() {
         let image = Image::new(&compiled.program, shares).unwrap();
         let mut machine = Machine::new(&image, Settings { skip, per_step: false });
         let keep = Keep::new(compiled.program.output());
-        let run = || samples.iter().map(|s| run_sample(&mut machine, s, &keep, |_, _| ())).collect();
+        let run = || samples.iter().map(|s| run_sample(&mut machine, s, &keep, ())).collect();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(shares).build().unwrap();
         let outcomes: Vec<_> = pool.install(run);
         (digest(&outcomes), outcomes.iter().map(|o| o.totals.synaptic_events).sum::<u64>())

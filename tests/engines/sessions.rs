@@ -66,7 +66,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
         let keep = Keep { probes, ..Keep::new(network.output()) };
         let mut machine = Machine::new(&image, Settings::default());
         let channels = network.channels();
-        let ran = run_copies(&mut machine, &sample, Copies { copies, channels }, &keep, |_, _| ());
+        let ran = run_copies(&mut machine, &sample, Copies { copies, channels }, &keep, ());
 
         let mut session = Session::open(&image, &mapped.one, copies);
         let (n, steps) = (network.compartments() as usize, sample.steps() as usize);

@@ -20,6 +20,7 @@ use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
+use nsim::session::observers::Passed;
 use nsim::session::{Keep, Outcome, Probe, Quantity, run_sample};
 use rayon::prelude::*;
 
@@ -53,12 +54,11 @@ fn on_small_cores(model: &str) -> Mapping {
 /// What the interpreter makes of a sample, and the steps of which it shows that they could be
 /// skipped: no input, no spike in the step before, every register zero.
 fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u64, u64) {
-    let (mut step, mut idle, mut at_rest) = (0, 0, true);
-    let outcome = run_sample(&mut Golden::new(network), sample, keep, |engine, _| {
-        idle += u64::from(at_rest && sample.at(step).is_empty());
+    let (mut idle, mut at_rest) = (0, true);
+    let outcome = run_sample(&mut Golden::new(network), sample, keep, |engine: &Golden<'_>, passed: Passed| {
+        idle += u64::from(at_rest && sample.at(passed.first).is_empty());
         let zero = (0..network.compartments()).map(CompartmentId).all(|c| engine.u(c) == 0 && engine.v(c) == 0);
         at_rest = engine.spikes().is_empty() && zero;
-        step += 1;
     });
     let (outcome, traces, _) = essence(outcome);
     (outcome, traces, idle)
@@ -79,7 +79,7 @@ fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
             let image = Image::new(&compiled.program, shards).unwrap();
             let mut machine = Machine::new(&image, Settings { skip, per_step: false });
             let one = |sample| {
-                let outcome = run_sample(&mut machine, sample, &keep, |_, _| ());
+                let outcome = run_sample(&mut machine, sample, &keep, ());
                 let skipped = machine.skipped_updates();
                 (essence(outcome), machine.take_activity(), skipped)
             };
@@ -144,7 +144,7 @@ fn agreed(network: &Quantised, sample: &Sample) -> (Outcome, u64) {
     let mut agreed: Option<(Outcome, u64)> = None;
     let mut skipped_steps = 0;
     for (name, mut engine) in engines(network) {
-        let (outcome, traces, skipped) = essence(run_sample(engine.as_mut(), sample, &keep, |_, _| ()));
+        let (outcome, traces, skipped) = essence(run_sample(engine.as_mut(), sample, &keep, ()));
         let expected = agreed.get_or_insert_with(|| (outcome.clone(), traces));
         assert_eq!((&outcome, traces), (&expected.0, expected.1), "{name}");
         match name {

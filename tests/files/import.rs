@@ -41,7 +41,7 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
         inputs.into_iter().filter(|event| event.0 < steps).map(|(step, c)| (step, ChannelId(c))).collect();
     let sample = Sample::new(steps, &events, None).unwrap();
     let probes = vec![Probe { first, count, quantity: Quantity::Spikes }];
-    let outcome = run_sample(&mut machine, &sample, &Keep { output, probes, early_exit: None }, |_, _| ());
+    let outcome = run_sample(&mut machine, &sample, &Keep { output, probes, early_exit: None }, ());
     outcome.spikes.into_iter().collect()
 }
 

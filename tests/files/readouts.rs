@@ -52,7 +52,7 @@ fn every_engine_decides_by_the_potentials_that_a_probe_reads() {
             let mut classes = Vec::new();
             for (name, mut engine) in common::engines(&network) {
                 let what = format!("network {seed}, {name}");
-                let mut run = |rule| run_sample(engine.as_mut(), &sample, &keep(&network, rule), |_, _| ());
+                let mut run = |rule| run_sample(engine.as_mut(), &sample, &keep(&network, rule), ());
                 let whole = run(None);
                 let from = (network.output().start_step as usize).min(whole.steps as usize);
                 let rows = whole.probes[0].chunks(sample.steps().max(1) as usize).map(|row| row[from..].to_vec());

@@ -265,7 +265,7 @@ pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duratio
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     Ok(timed(timesteps, budget, || {
         for sample in samples {
-            black_box(run_sample(&mut machine, black_box(sample), &keep, |_, _| ()));
+            black_box(run_sample(&mut machine, black_box(sample), &keep, ()));
         }
     }))
 }
@@ -296,7 +296,7 @@ mod tests {
 
     fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {
         let keep = Keep::new(network.output());
-        run_sample(&mut Golden::new(network), sample, &keep, |_, _| ()).counts
+        run_sample(&mut Golden::new(network), sample, &keep, ()).counts
     }
 
     #[test]

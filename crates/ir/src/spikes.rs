@@ -89,6 +89,20 @@ pub struct Copies {
 impl Copies {
     /// The network itself.
     pub const ONE: Copies = Copies { copies: 1, channels: 0 };
+
+    /// The input of all copies, from that of one.
+    pub fn input<'s>(self, one: Spikes<'s>, (shown, values): &'s mut (Vec<ChannelId>, Vec<i32>)) -> Spikes<'s> {
+        if self.copies == 1 {
+            return one;
+        }
+        shown.clear();
+        values.clear();
+        for first in (0..self.copies).map(|copy| copy * self.channels) {
+            shown.extend(one.ids.iter().map(|channel| ChannelId(channel.0 + first)));
+            values.extend(one.values);
+        }
+        Spikes { ids: shown, values }
+    }
 }
 
 /// Why spikes do not make a sample.
@@ -179,29 +193,6 @@ impl Sample {
     #[must_use]
     pub fn with_label(self, label: Option<u32>) -> Self {
         Sample { label, ..self }
-    }
-
-    /// The channels that spike in a step when each of this many copies of a network, one after the
-    /// other, sees the sample: ascending, each once. They are written to `shown` where there are
-    /// several copies.
-    pub fn at_copies<'s>(
-        &'s self,
-        step: u32,
-        copies: Copies,
-        (shown, values): &'s mut (Vec<ChannelId>, Vec<i32>),
-    ) -> Spikes<'s> {
-        let Copies { copies, channels } = copies;
-        let one = self.input(step);
-        if copies == 1 {
-            return one;
-        }
-        shown.clear();
-        values.clear();
-        for first in (0..copies).map(|copy| copy * channels) {
-            shown.extend(one.ids.iter().map(|channel| ChannelId(channel.0 + first)));
-            values.extend(one.values);
-        }
-        Spikes { ids: shown, values }
     }
 
     /// The same spikes on the channels of this many copies of a network, one after the other.

@@ -12,6 +12,7 @@ pub mod error;
 pub mod front;
 pub mod inputs;
 pub mod neurobench;
+pub mod observers;
 pub mod obtain;
 pub mod populations;
 pub mod priced;
@@ -23,7 +24,8 @@ pub mod steps;
 pub mod timeline;
 pub mod warnings;
 
-use decision::{Decision, EarlyExit, Rule};
+use decision::EarlyExit;
+use observers::{Observer, Outputs, Passed, Recording, integer};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
@@ -159,138 +161,48 @@ impl Outcome {
     }
 }
 
-/// Runs one sample; `after_step` sees the engine after each step, or after this many steps in which
-/// nothing happened.
+/// Runs one sample; an observer sees the engine after each step, or after steps in which nothing
+/// happened.
 pub fn run_sample<E: Engine + ?Sized>(
     engine: &mut E,
     sample: &Sample,
     keep: &Keep,
-    mut after_step: impl FnMut(&E, u32),
+    observer: impl Observer<E>,
 ) -> Outcome {
-    run_copies(engine, sample, Copies::ONE, keep, |engine, passed| after_step(engine, passed.steps))
+    run_copies(engine, sample, Copies::ONE, keep, observer)
 }
 
-/// Consecutive steps with equal counts.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Passed {
-    /// Number of steps.
-    pub steps: u32,
-    /// Whether the sample was decided before the first of them.
-    pub decided: bool,
-}
-
-/// Runs one sample on this many copies of its network; `after_step` sees the engine after each
-/// step, or after this many steps in which nothing happened.
+/// Runs one sample on this many copies of its network; an observer sees the engine as in
+/// [`run_sample`].
 pub fn run_copies<E: Engine + ?Sized>(
     engine: &mut E,
     sample: &Sample,
     copies: Copies,
     keep: &Keep,
-    mut after_step: impl FnMut(&E, Passed),
+    mut observer: impl Observer<E>,
 ) -> Outcome {
-    let mut shown = (Vec::new(), Vec::new());
-    let Output { first, count: size, decision: read_out, start_step } = keep.output;
-    let potentials = Potentials::new(read_out, size);
-    let mut outcome = Outcome { counts: vec![0; size as usize], potentials, ..Outcome::default() };
-    outcome.probes = keep.probes.iter().map(|probe| vec![0; probe.count as usize * sample.steps() as usize]).collect();
-    let exit = keep.early_exit.as_ref();
-    // Potentials that decide are certain after the last step only.
-    let by_spikes = exit.filter(|_| outcome.potentials.is_none());
-    let mut decision = by_spikes.map(|exit| Decision::new(exit, sample.steps()));
-    let margin = exit.and_then(|exit| match exit.rule {
-        Rule::Margin(margin) => Some(f64::from(margin.get())),
-        Rule::Certain => None,
-    });
-    engine.begin(sample.steps());
-    let mut step = 0;
-    // Certainty may come in the midst of silence.
-    let in_silence = |decision: &Option<Decision<'_>>, begin, end| decision.as_ref()?.decided_in_silence(begin, end);
-    let ends = exit.is_some_and(|exit| exit.ends);
-    while step < sample.steps() && !(ends && outcome.decided_at.is_some()) {
-        // A decision in silence takes its time, which is lost where the engine is not idle.
-        let may_rest = match &outcome.potentials {
-            Some(_) => margin.is_none() || outcome.decided_at.is_some(),
-            None => decision.is_none() || engine.rest(0),
-        };
-        if sample.at(step).is_empty() && may_rest {
-            let next = sample.next_spike(step);
-            let decided = in_silence(&decision, step, next);
-            let passed = decided.map_or(next, |decided| decided + 1) - step;
-            if engine.rest(passed) {
-                outcome.skipped_steps += u64::from(passed);
-                if let Some(potentials) = &mut outcome.potentials {
-                    let rested = (step + passed).saturating_sub(start_step.max(step));
-                    potentials.rest(rested, |output| engine.potential(CompartmentId(first.0 + output)));
-                }
-                after_step(engine, Passed { steps: passed, decided: outcome.decided_at.is_some() });
-                step += passed;
-                if let Some(decided) = decided {
-                    outcome.decide(decided);
-                    decision = None;
-                }
-                continue;
-            }
+    let steps = sample.steps();
+    let mut probes = Recording::new(&keep.probes, steps, integer::<E>);
+    let mut outputs = Outputs::new(keep, steps);
+    let (mut shown, mut step) = ((Vec::new(), Vec::new()), 0);
+    engine.begin(steps);
+    while step < steps && !outputs.is_over() {
+        let silent = sample.at(step).is_empty();
+        let rests = if silent { outputs.may_rest(engine, step, sample.next_spike(step)) } else { 0 };
+        let at_rest = rests > 0 && engine.rest(rests);
+        if !at_rest {
+            engine.step(copies.input(sample.input(step), &mut shown));
         }
-        engine.step(sample.at_copies(step, copies, &mut shown));
-        let before = outcome.spikes.len();
-        for &compartment in engine.spikes() {
-            if let Some(output) = compartment.0.checked_sub(first.0).filter(|&output| output < size) {
-                outcome.counts[output as usize] += 1;
-                outcome.spikes.push((step, output));
-                if let Some(decision) = &mut decision {
-                    decision.spike(step, output);
-                }
-            }
-        }
-        outcome.spikes[before..].sort_unstable();
-        for (probe, kept) in keep.probes.iter().zip(&mut outcome.probes) {
-            record(engine, probe, step as usize, sample.steps() as usize, kept);
-        }
-        after_step(engine, Passed { steps: 1, decided: outcome.decided_at.is_some() });
-        if decision.as_mut().is_some_and(|decision| decision.decided_after(step)) {
-            outcome.decide(step);
-            decision = None;
-        }
-        if let Some(potentials) = outcome.potentials.as_mut().filter(|_| step >= start_step) {
-            potentials.add(|output| engine.potential(CompartmentId(first.0 + output)));
-            let is_decided = margin.is_some_and(|margin| potentials.lead() >= margin);
-            if is_decided && outcome.decided_at.is_none() {
-                outcome.decide(step);
-            }
-        }
-        step += 1;
+        let steps = if at_rest { rests } else { 1 };
+        let passed = Passed { first: step, steps, at_rest, decided: outputs.is_decided() };
+        outputs.see(engine, passed);
+        probes.see(engine, passed);
+        observer.see(engine, passed);
+        step += steps;
     }
-    outcome.steps = step;
-    // What is decided by the last step is not early.
-    outcome.decided_at = outcome.decided_at.filter(|decided| decided + 1 < sample.steps());
-    outcome.decided_class = outcome.decided_class.filter(|_| outcome.decided_at.is_some());
-    outcome.steps_saved = outcome.decided_at.map_or(0, |decided| sample.steps() - decided - 1);
     engine.settle();
-    outcome.totals = engine.totals();
-    outcome.overflow = engine.overflow();
-    outcome
-}
-
-fn record<E: Engine + ?Sized>(engine: &E, probe: &Probe, step: usize, steps: usize, kept: &mut [i32]) {
-    let place = |i: u32| i as usize * steps + step;
-    if matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
-        let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
-        for (spike, payload) in engine.spikes().iter().zip(payloads) {
-            if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
-                kept[place(i)] = if probe.quantity == Quantity::Spikes { 1 } else { payload };
-            }
-        }
-        return;
-    }
-    for i in 0..probe.count {
-        let compartment = CompartmentId(probe.first.0 + i);
-        kept[place(i)] = match probe.quantity {
-            Quantity::U => engine.u(compartment),
-            Quantity::VRegister => engine.v_register(compartment),
-            Quantity::State(column) => engine.state(compartment, column),
-            _ => engine.v(compartment),
-        };
-    }
+    let (totals, overflow) = (engine.totals(), engine.overflow());
+    Outcome { probes: probes.kept, totals, overflow, ..outputs.outcome(step) }
 }
 
 /// The share of samples whose class is their label; `None` unless all have one.

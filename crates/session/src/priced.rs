@@ -5,8 +5,9 @@
 
 use std::sync::Arc;
 
+use super::observers::Passed;
 use super::samples::{Meter, Run, Running, fast};
-use super::{Keep, Outcome, Passed};
+use super::{Keep, Outcome};
 use nsim_compile::Mapping;
 use nsim_cost::estimate::{Case, Estimate, estimate, step_price};
 use nsim_cost::job::{Accounting, Mode};

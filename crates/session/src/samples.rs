@@ -10,8 +10,9 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::decision::Rule;
+use super::observers::{Observer, Passed, Recording};
 use super::ranks::{Found, RankRow, add_outcome, part_of, peak_mib};
-use super::{Keep, Outcome, Passed, Probe, Quantity, run_copies, run_sample};
+use super::{Keep, Outcome, Quantity, run_copies, run_sample};
 use nsim_golden::Golden;
 use nsim_ir::activity::{Activity, StepActivity};
 use nsim_ir::arithmetic::ReadOut;
@@ -336,7 +337,8 @@ pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: P
         let mut engine = Golden::new(network);
         let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
         let run = |sample: &&Sample| {
-            let outcome = run_sample(&mut engine, sample, keep, |engine, _| add_spikes(&mut counts, engine.spikes()));
+            let add = |engine: &Golden<'_>, _| add_spikes(&mut counts, engine.spikes());
+            let outcome = run_sample(&mut engine, sample, keep, add);
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
             outcome
@@ -376,41 +378,23 @@ pub fn reference<F: Real>(
         let mut engine = Reference::new(model);
         let mut counts = SourceCounts::new(channels as usize, compartments as usize);
         let run = |sample: &&Sample| {
-            let steps = sample.steps() as usize;
-            let mut traces: Traces = keep.probes.iter().map(|probe| vec![0.0; probe.count as usize * steps]).collect();
-            let mut step = 0;
-            let outcome = run_sample(&mut engine, sample, &plain, |engine, _| {
-                for (probe, trace) in keep.probes.iter().zip(&mut traces) {
-                    record(engine, probe, step, steps, trace);
-                }
+            let read = |engine: &Reference<'_, F>, quantity, compartment| match quantity {
+                Quantity::U => engine.current(compartment),
+                _ => engine.potential(compartment),
+            };
+            let mut traces = Recording::new(&keep.probes, sample.steps(), read);
+            let outcome = run_sample(&mut engine, sample, &plain, |engine: &Reference<'_, F>, passed| {
+                traces.see(engine, passed);
                 add_spikes(&mut counts, engine.spikes());
-                step += 1;
             });
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
-            (outcome, traces)
+            (outcome, traces.kept)
         };
         let (outcomes, meter) = part.iter().map(run).unzip();
         Run { outcomes, counts, meter, ..Run::default() }
     });
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
-}
-
-fn record<F: Real>(engine: &Reference<'_, F>, probe: &Probe, step: usize, steps: usize, trace: &mut [f64]) {
-    let first = probe.first.0;
-    match probe.quantity {
-        Quantity::Spikes => {
-            let own = engine.spikes().iter().filter_map(|spike| spike.0.checked_sub(first));
-            own.filter(|&i| i < probe.count).for_each(|i| trace[i as usize * steps + step] = 1.0);
-        }
-        quantity => (0..probe.count).for_each(|i| {
-            let compartment = CompartmentId(first + i);
-            trace[i as usize * steps + step] = match quantity {
-                Quantity::U => engine.current(compartment),
-                _ => engine.potential(compartment),
-            };
-        }),
-    }
 }
 
 /// How often each channel and compartment fires over samples, on the golden interpreter: it needs

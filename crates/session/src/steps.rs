@@ -10,7 +10,7 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::Passed;
+use super::observers::Passed;
 use super::priced::Metered;
 use super::samples::{Meter, Run, Running};
 use nsim_cost::model::{Breakdown, StepTime, energy_of_counts};

@@ -8,10 +8,11 @@
 
 use std::sync::Arc;
 
+use super::observers::Passed;
 use super::priced::Metered;
 use super::samples::{Meter, Running};
 use super::steps::{Recorder, StepLayout};
-use super::{Keep, Passed, Probe, Quantity};
+use super::{Keep, Probe, Quantity};
 use nsim_cost::MeterSettings;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;

@@ -36,6 +36,7 @@ use nsim_quantise::quantise::quantise;
 use nsim_reference::{Kernel, Model, Real, Reference};
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
+use nsim_session::observers::Passed;
 use nsim_session::priced::Metered;
 use nsim_session::{Keep, run_sample};
 
@@ -293,9 +294,9 @@ impl<'a> Subject<'a> {
                     continue;
                 }
                 let mut seen = meter.as_ref().map(StepMeter::fresh);
-                let add = |machine: &Machine, times| {
+                let add = |machine: &Machine, passed: Passed| {
                     if let Some(seen) = &mut seen {
-                        seen.add(machine.last_step(), times, false);
+                        seen.add(machine.last_step(), passed.steps, false);
                     }
                 };
                 black_box(run_sample(&mut machine, sample, &keep, add));
@@ -305,7 +306,7 @@ impl<'a> Subject<'a> {
         let mut traces = self.traces(&mut machine, network, merged);
         if keep.early_exit.is_some() {
             for (trace, sample) in traces.iter_mut().zip(&given) {
-                let until = run_sample(&mut machine, sample, &keep, |_, _| ()).steps;
+                let until = run_sample(&mut machine, sample, &keep, ()).steps;
                 // The omitted steps have no spikes; potentials are not there to compare.
                 let steps = trace.steps;
                 *trace = Trace { steps, potentials: Vec::new(), ..std::mem::take(trace).until(until) };

@@ -1,0 +1,203 @@
+//! What watches a sample while it runs: its outputs and their decision, and probes.
+//!
+//! Input: an engine after each step, or after steps in which nothing happened. Output: spikes,
+//! scores and the class of the outputs, the step after which a sample is decided, recorded numbers.
+
+use nsim_ir::base::id::CompartmentId;
+use nsim_ir::potentials::Potentials;
+use nsim_ir::quantised::Output;
+use nsim_ir::spikes::Engine;
+
+use crate::decision::{Decision, Rule};
+use crate::{Keep, Outcome, Probe, Quantity};
+
+/// Consecutive steps with equal counts.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Passed {
+    /// The first of them.
+    pub first: u32,
+    /// Number of steps.
+    pub steps: u32,
+    /// Whether nothing happened in them.
+    pub at_rest: bool,
+    /// Whether the sample was decided before the first of them.
+    pub decided: bool,
+}
+
+/// What sees an engine after its steps.
+pub trait Observer<E: ?Sized> {
+    /// Sees the engine after consecutive steps.
+    fn see(&mut self, engine: &E, passed: Passed);
+}
+
+impl<E: ?Sized, F: FnMut(&E, Passed)> Observer<E> for F {
+    fn see(&mut self, engine: &E, passed: Passed) {
+        self(engine, passed);
+    }
+}
+
+impl<E: ?Sized> Observer<E> for () {
+    fn see(&mut self, _: &E, _: Passed) {}
+}
+
+/// The outputs of a sample and, by the rule of an early exit, its decision.
+pub(crate) struct Outputs<'k> {
+    output: Output,
+    outcome: Outcome,
+    /// Of spikes, until they are decided; potentials are certain after the last step only.
+    decision: Option<Decision<'k>>,
+    /// The lead by which potentials decide.
+    margin: Option<f64>,
+    /// Whether a decision ends the sample.
+    ends: bool,
+    /// The step of the silence that is passed over next after which spikes are decided.
+    decides_at: Option<u32>,
+    steps: u32,
+}
+
+impl<'k> Outputs<'k> {
+    /// Before the first of this many steps.
+    pub(crate) fn new(keep: &'k Keep, steps: u32) -> Self {
+        let Output { count, decision: read_out, .. } = keep.output;
+        let potentials = Potentials::new(read_out, count);
+        let exit = keep.early_exit.as_ref();
+        let margin = exit.and_then(|exit| match exit.rule {
+            Rule::Margin(margin) => Some(f64::from(margin.get())),
+            Rule::Certain => None,
+        });
+        Outputs {
+            output: keep.output,
+            decision: exit.filter(|_| potentials.is_none()).map(|exit| Decision::new(exit, steps)),
+            margin: margin.filter(|_| potentials.is_some()),
+            ends: exit.is_some_and(|exit| exit.ends),
+            decides_at: None,
+            steps,
+            outcome: Outcome { counts: vec![0; count as usize], potentials, ..Outcome::default() },
+        }
+    }
+
+    pub(crate) fn is_decided(&self) -> bool {
+        self.outcome.decided_at.is_some()
+    }
+
+    /// Whether the steps that follow are omitted.
+    pub(crate) fn is_over(&self) -> bool {
+        self.ends && self.is_decided()
+    }
+
+    /// How many of the steps without input from `step` to before `next` may be passed over together.
+    pub(crate) fn may_rest<E: Engine + ?Sized>(&mut self, engine: &mut E, step: u32, next: u32) -> u32 {
+        self.decides_at = None;
+        match &self.decision {
+            _ if self.margin.is_some() && !self.is_decided() => 0,
+            // A decision in silence takes its time, which is lost where the engine is not idle.
+            Some(_) if !engine.rest(0) => 0,
+            Some(decision) => {
+                self.decides_at = decision.decided_in_silence(step, next);
+                self.decides_at.map_or(next, |decided| decided + 1) - step
+            }
+            None => next - step,
+        }
+    }
+
+    /// What the sample did, which ended before this step.
+    pub(crate) fn outcome(self, end: u32) -> Outcome {
+        let Outputs { mut outcome, steps, .. } = self;
+        outcome.steps = end;
+        // What is decided by the last step is not early.
+        outcome.decided_at = outcome.decided_at.filter(|decided| decided + 1 < steps);
+        outcome.decided_class = outcome.decided_class.filter(|_| outcome.decided_at.is_some());
+        outcome.steps_saved = outcome.decided_at.map_or(0, |decided| steps - decided - 1);
+        outcome
+    }
+}
+
+impl<E: Engine + ?Sized> Observer<E> for Outputs<'_> {
+    fn see(&mut self, engine: &E, Passed { first: step, steps, at_rest, .. }: Passed) {
+        let Outputs { output, outcome, decision, margin, decides_at, .. } = self;
+        let (first, potential) = (output.first.0, |output| engine.potential(CompartmentId(output)));
+        if at_rest {
+            outcome.skipped_steps += u64::from(steps);
+        } else {
+            let before = outcome.spikes.len();
+            for compartment in engine.spikes() {
+                if let Some(output) = compartment.0.checked_sub(first).filter(|&number| number < output.count) {
+                    outcome.counts[output as usize] += 1;
+                    outcome.spikes.push((step, output));
+                    if let Some(decision) = decision {
+                        decision.spike(step, output);
+                    }
+                }
+            }
+            outcome.spikes[before..].sort_unstable();
+            *decides_at = decision.as_mut().and_then(|decision| decision.decided_after(step).then_some(step));
+        }
+        if let Some(step) = decides_at.take() {
+            outcome.decide(step);
+            *decision = None;
+        }
+        if let Some(potentials) = &mut outcome.potentials {
+            potentials.rest((step + steps).saturating_sub(output.start_step.max(step)), |o| potential(first + o));
+            let decides = margin.is_some_and(|margin| step >= output.start_step && potentials.lead() >= margin);
+            if decides && outcome.decided_at.is_none() {
+                outcome.decide(step);
+            }
+        }
+    }
+}
+
+/// Numbers that probes record, `[compartments][steps]` for each; of steps at rest they stay 0.
+pub(crate) struct Recording<'k, T, R> {
+    probes: &'k [Probe],
+    steps: usize,
+    /// The number of a quantity of a compartment.
+    read: R,
+    pub(crate) kept: Vec<Vec<T>>,
+}
+
+impl<'k, T: Copy + From<i32>, R> Recording<'k, T, R> {
+    /// Before the first of this many steps.
+    pub(crate) fn new(probes: &'k [Probe], steps: u32, read: R) -> Self {
+        let steps = steps as usize;
+        let kept = probes.iter().map(|probe| vec![T::from(0); probe.count as usize * steps]).collect();
+        Recording { probes, steps, read, kept }
+    }
+}
+
+impl<E, T, R> Observer<E> for Recording<'_, T, R>
+where
+    E: Engine + ?Sized,
+    T: Copy + From<i32>,
+    R: Fn(&E, Quantity, CompartmentId) -> T,
+{
+    fn see(&mut self, engine: &E, passed: Passed) {
+        if passed.at_rest {
+            return;
+        }
+        for (probe, kept) in self.probes.iter().zip(&mut self.kept) {
+            let place = |i: u32| i as usize * self.steps + passed.first as usize;
+            if !matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
+                for i in 0..probe.count {
+                    kept[place(i)] = (self.read)(engine, probe.quantity, CompartmentId(probe.first.0 + i));
+                }
+                continue;
+            }
+            let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
+            for (spike, payload) in engine.spikes().iter().zip(payloads) {
+                if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
+                    kept[place(i)] = T::from(if probe.quantity == Quantity::Spikes { 1 } else { payload });
+                }
+            }
+        }
+    }
+}
+
+/// The number of a quantity that an engine of integers holds.
+pub(crate) fn integer<E: Engine + ?Sized>(engine: &E, quantity: Quantity, compartment: CompartmentId) -> i32 {
+    match quantity {
+        Quantity::U => engine.u(compartment),
+        Quantity::VRegister => engine.v_register(compartment),
+        Quantity::State(column) => engine.state(compartment, column),
+        _ => engine.v(compartment),
+    }
+}
