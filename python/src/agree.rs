@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use nsim::agree::attribution::attribute;
 use nsim::agree::compare::{Counterpart, Deployed, LayerRow, compare, compare_models, output_layer};
-use nsim::compile::{CompileError, Options, compile, refuse_large};
+use nsim::compile::{CompileError, refuse_large};
 use nsim::files::network::Network;
 use nsim::files::shipped;
 use nsim::files::target::target_with_neurons;
@@ -19,6 +19,7 @@ use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Quantised;
 use nsim::report::agree::{AgreeReport, converted_from, named_fits, potentials, role};
 use nsim::session::front::real_and_integers;
+use nsim::session::obtain::mapped_as_usual;
 use nsim::train::convert::calibration::RunInput;
 use nsim::train::convert::copies::{MOST, USUAL};
 use nsim::train::convert::deployed::{Choice, Conversion, Integers};
@@ -116,7 +117,7 @@ impl Agreement {
             let samples = shown.samples();
             let seen = (shown.stimulus.origin.as_slice(), shown.stimulus.seed, samples.len());
             let name = graph.facts().name.as_str();
-            let mapped = |network: &Quantised| compile(network.clone(), &target, &Options::default());
+            let mapped = |network: &Quantised| mapped_as_usual(network.clone(), &target);
             let done = |report: AgreeReport<'_>,
                         layers: &[LayerRow]|
              -> Result<(Value, String, Option<String>), nsim::Error> {

@@ -16,6 +16,7 @@ use nsim::files::write::check_free;
 use nsim::ir::spikes::{Sample, Stimulus};
 use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
+use nsim::session::obtain::mapped_as_usual;
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
@@ -80,7 +81,7 @@ fn priced<T: Send>(
         let workload = Workload::new(of_job.as_ref().unwrap_or(compiled), &shared.target, stimulus, order)?;
         // The processor's rows are of one copy, mapped alone.
         let alone = match options.baselines.cpu && compiled.options.copies > 1 {
-            true => Some(nsim::compile(compiled.one.clone(), &shared.target, &nsim::Options::default())?),
+            true => Some(mapped_as_usual(compiled.one.clone(), &shared.target)?),
             false => None,
         };
         let program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);

@@ -55,7 +55,7 @@ fn on_small_cores(model: &str) -> Mapping {
 /// skipped: no input, no spike in the step before, every register zero.
 fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u64, u64) {
     let (mut idle, mut at_rest) = (0, true);
-    let outcome = run_sample(&mut Golden::new(network), sample, keep, |engine: &Golden<'_>, passed: Passed| {
+    let outcome = run_sample(&mut Golden::new(network), sample, keep, |engine: &Golden, passed: Passed| {
         idle += u64::from(at_rest && sample.at(passed.first).is_empty());
         let zero = (0..network.compartments()).map(CompartmentId).all(|c| engine.u(c) == 0 && engine.v(c) == 0);
         at_rest = engine.spikes().is_empty() && zero;

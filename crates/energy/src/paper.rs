@@ -8,7 +8,7 @@ use super::options::CostOptions;
 use super::workload::Workload;
 use crate::published::measurement::load_measurements;
 use crate::published::scenario::ScenarioFile;
-use nsim_compile::{Mapping, Options, compile};
+use nsim_compile::Mapping;
 use nsim_cost::estimate::{Case, Convention, EnergyRow, FigureSource, estimate};
 use nsim_cost::job::Mode;
 use nsim_cost::{CostTable, Deployment, HostWork};
@@ -18,6 +18,7 @@ use nsim_ir::resource::Resource;
 use nsim_quantise::relays::with_input_relays;
 use nsim_session::Keep;
 use nsim_session::error::Error;
+use nsim_session::obtain::mapped_as_usual;
 use nsim_session::priced::Metered;
 use nsim_session::samples::Running;
 
@@ -31,7 +32,7 @@ pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Resu
         Some(most) => target.clone().with_limits(target.limits().clone().with(Resource::Compartments, most)),
         None => target.clone(),
     };
-    Ok(compile(network, &target, &Options::default())?)
+    Ok(mapped_as_usual(network, &target)?)
 }
 
 /// Rows of a job by a target's first constants, shown what the workload is shown: one x86 core, the

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nsim_compile::{
-    CompileError, DEFAULT_RATE, Front, Mapping, Options, Strategy, explore, load, mapping_file, refuse_large,
+    CompileError, DEFAULT_RATE, Front, Mapping, Options, Strategy, compile, explore, load, mapping_file, refuse_large,
     refuse_to_run,
 };
 use nsim_files::mapping::load_mapping;
@@ -217,6 +217,14 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
     }
     say_notes(&compiled.quantised);
     Ok(Job::Mapped(Box::new(compiled), Box::new(goal.target), scene))
+}
+
+/// A network that is in integers already, mapped as where a [`Request`] asks for nothing else.
+///
+/// # Errors
+/// [`CompileError`].
+pub fn mapped_as_usual(network: Quantised, target: &Target) -> Result<Mapping, CompileError> {
+    compile(network, target, &Options::default())
 }
 
 /// Where a network is to be mapped.

@@ -337,7 +337,7 @@ pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: P
         let mut engine = Golden::new(network);
         let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
         let run = |sample: &&Sample| {
-            let add = |engine: &Golden<'_>, _| add_spikes(&mut counts, engine.spikes());
+            let add = |engine: &Golden, _| add_spikes(&mut counts, engine.spikes());
             let outcome = run_sample(&mut engine, sample, keep, add);
             add_inputs(&mut counts, sample, outcome.steps);
             progress();

@@ -17,7 +17,7 @@ use nsim_agree::classes::ClassTally;
 use nsim_agree::ladder::layers;
 use nsim_agree::metrics::TrainSums;
 use nsim_agree::trace::{Comparison, Layer, Trace};
-use nsim_compile::{Mapping, Options, compile};
+use nsim_compile::Mapping;
 use nsim_cost::meter::{MeterSettings, StepMeter};
 use nsim_cost::transport::{Timing, Transport};
 use nsim_dynamics::{model_thresholds, thresholds};
@@ -37,6 +37,7 @@ use nsim_reference::{Kernel, Model, Real, Reference};
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
 use nsim_session::observers::Passed;
+use nsim_session::obtain::mapped_as_usual;
 use nsim_session::priced::Metered;
 use nsim_session::{Keep, run_sample};
 
@@ -272,7 +273,7 @@ impl<'a> Subject<'a> {
 
     /// A network on the machine, which is given samples with `merged` steps in one.
     fn machine(&self, variant: Variant, network: &Quantised, merged: u32) -> Result<VariantRow, Error> {
-        let compiled = compile(network.clone(), self.target, &Options::default())?;
+        let compiled = mapped_as_usual(network.clone(), self.target)?;
         let image = Image::new(&compiled.program, 1).map_err(wrong)?;
         let meter = match variant {
             Variant::Metered(transport) => Some(self.meter(&compiled, transport)?),

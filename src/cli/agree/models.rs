@@ -12,7 +12,7 @@ use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use nsim_agree::compare::compare_models;
-use nsim_compile::{CompileError, Mapping, Options, compile, refuse_large};
+use nsim_compile::{CompileError, Mapping, refuse_large};
 use nsim_files as io;
 use nsim_import::kind::FileKind;
 use nsim_ir::graph::Graph;
@@ -23,6 +23,7 @@ use nsim_report::agree::{AgreeReport, role};
 use nsim_report::side_by_side::{Compared, SideBySideReport};
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
+use nsim_session::obtain::mapped_as_usual;
 use nsim_train::convert::staged::is_real;
 
 /// The model files that `--against` names; none where it names something else.
@@ -52,7 +53,7 @@ pub(super) fn deployed(
     network: &Quantised,
     (target, context): (&Target, Context),
 ) -> Result<Option<Mapping>, Error> {
-    match compile(network.clone(), target, &Options::default()) {
+    match mapped_as_usual(network.clone(), target) {
         Ok(compiled) => Ok(Some(compiled)),
         Err(CompileError::DoesNotFit(reasons)) => {
             Refusal::new(model, target.clone(), reasons).say(nsim_report::agree::nothing(), context)?;

@@ -10,7 +10,6 @@ use crate::agree::AgreeReport;
 use crate::charts::sample::{Traced, traced};
 use crate::page::{Sections, fit, network, sample};
 use nsim_agree::compare::compare_models;
-use nsim_compile::{Options, compile};
 use nsim_cost::Transport;
 use nsim_energy::evaluate::Evaluated;
 use nsim_energy::workload::Workload;
@@ -24,6 +23,7 @@ use nsim_ir::source_counts::SourceCounts;
 use nsim_session::Quantity;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
+use nsim_session::obtain::mapped_as_usual;
 use nsim_session::samples::Progress;
 use nsim_train::convert::staged::is_real;
 
@@ -82,7 +82,7 @@ pub fn compared(workload: &Workload<'_>) -> usize {
 /// trained network has no such populations.
 ///
 /// # Errors
-/// As [`compile()`] and [`compare_models`].
+/// As [`mapped_as_usual`] and [`compare_models`].
 pub fn agreement(
     workload: &Workload<'_>,
     (trained, network): &(Graph, Quantised),
@@ -90,7 +90,7 @@ pub fn agreement(
 ) -> Result<Value, Error> {
     let samples = workload.samples();
     let some = &samples[..compared(workload)];
-    let one = compile(network.clone(), workload.target, &Options::default())?;
+    let one = mapped_as_usual(network.clone(), workload.target)?;
     let agreement = compare_models((trained, network, None), (network, &one.program), some, None, progress)?;
     let shown = (workload.origin.as_slice(), workload.seed, some.len());
     let report = AgreeReport::of_two([(&network.parts().name, ""), ("the trained network", "")], shown, &agreement);
