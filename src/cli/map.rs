@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use serde_json::json;
+
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
@@ -18,7 +20,7 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::picture::FILE;
-use nsim_report::map::{self as report, Outcome, Question};
+use nsim_report::map::{MapResult, Outcome, Question};
 use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
 use nsim_session::obtain::{self, Goal, Request};
@@ -112,11 +114,10 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         Err(Error::DoesNotFit(reasons)) => {
             let target = io::target::load_target(network.file().target_or_usual(args.job.target.as_deref()))?;
             let options = Options { copies: args.copies.unwrap_or(1), ..request.options };
-            let question =
-                Question { model, target: &target, options: &options, pruned: &[], remedies: &[], relays: None };
-            let outcome = Outcome::DoesNotFit(&reasons);
-            let json = || report::json(question, outcome);
-            output::print(context.format, || report::text(question, outcome), json, || report::csv(&target, outcome))?;
+            let (pruned, remedies, relays, found) = (&[], &[], None, &[]);
+            let question = Question { model, target: &target, options: &options, pruned, remedies, relays, found };
+            let result = MapResult::new(question, Outcome::DoesNotFit(&reasons));
+            output::print(context.format, || result.text(), || json!(result), || result.csv())?;
             return Ok(Answer::No);
         }
         begun => begun?,
@@ -131,11 +132,11 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         [] => Rates::assumed(DEFAULT_RATE),
         inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
     };
-    let (mut candidates, mut remedies) = (Vec::new(), Vec::new());
+    let (mut found, mut remedies) = (Vec::new(), Vec::new());
     let one = front.quantised().clone();
     if args.pareto.is_some() {
         let _busy = output::busy("mapping in several ways");
-        candidates = explore::candidates(&front, target, options, &rates).unwrap_or_default();
+        found = explore::candidates(&front, target, options, &rates).unwrap_or_default();
     }
     let busy = output::busy(if goal.saved.is_some() { "checking the mapping" } else { "mapping" });
     let mapped = match goal.mapped(front, &rates) {
@@ -167,8 +168,8 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     }
     let pruned = mapped.as_ref().map_or(one.pruned(), |mapped| mapped.one.pruned()).cloned();
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
-    let (remedies, relays) = (&remedies[..], relays.as_ref());
-    let question = Question { model, target, options, pruned, remedies, relays };
+    let (remedies, relays, found) = (&remedies[..], relays.as_ref(), &found[..]);
+    let question = Question { model, target, options, pruned, remedies, relays, found };
     let outcome = match &mapped {
         Ok(mapped) => {
             let traffic = mapped.traffic();
@@ -176,6 +177,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         }
         Err(reasons) => Outcome::DoesNotFit(reasons),
     };
+    let result = MapResult::new(question, outcome);
     if let Ok(mapped) = &mapped {
         if let Some(output) = &args.output {
             io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
@@ -184,19 +186,12 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             output::write_picture(path, &board::svg(mapped, target, &mapped.links()), context)?;
         }
         if let Some(path) = &args.pareto {
-            output::write_picture(path, &report::pareto_svg(model, &candidates), context)?;
+            output::write_picture(path, &result.pareto_svg(), context)?;
         }
     }
     // A file that goes to stdout goes there alone.
     if !taken || mapped.is_err() {
-        let text = || report::text(question, outcome) + &report::pareto_text(&candidates);
-        let json = || {
-            let mut object = report::json(question, outcome);
-            object["pareto"] = report::pareto_json(&candidates);
-            object
-        };
-        let csv = || if candidates.is_empty() { report::csv(target, outcome) } else { report::pareto_csv(&candidates) };
-        output::print(context.format, text, json, csv)?;
+        output::print(context.format, || result.text(), || json!(result), || result.csv())?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
 }

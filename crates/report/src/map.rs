@@ -1,23 +1,26 @@
 //! The result of `nsim map`: whether and how a network fits its target.
 //!
-//! Input: a compiled program with its traffic, or the reasons why there is none. Output: the result
-//! object `nsim.map/1`, a table of cores, or text. The object of a network that does not fit has
-//! the same keys; unknown values are null.
+//! Input: a compiled program with its traffic, or the reasons why there is none. Output: a
+//! [`MapResult`], which becomes the object `nsim.map/1`, a table of cores or text. The object of a
+//! network that does not fit has the same keys; unknown values are null.
 
 use std::fmt::Write;
 
+use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
 
 use crate::charts::results;
-use nsim_compile::explore::choice::{Found, front};
+use nsim_compile::explore::choice::{Candidate, Found, front};
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
-use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, Tightest, place};
-use nsim_files::table::{Column, cell, count, csv_text, shell_lines, table_of, three, wrapped};
-use nsim_ir::base::id::PopulationId;
+use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, Strategy, Tightest, place};
+use nsim_files::table::{Column, cell, count, csv, csv_text, shell_lines, table_of, three, wrapped};
+use nsim_ir::base::id::{CoreId, PopulationId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
+use nsim_ir::partition::CoreUsage;
+use nsim_ir::placement::Site;
 use nsim_ir::pruned::Row as PrunedRow;
 use nsim_ir::resource::{Limits, Resource};
 
@@ -36,6 +39,8 @@ pub struct Question<'a> {
     pub remedies: &'a [Remedy],
     /// The relays that were added to it.
     pub relays: Option<&'a AddedRelays>,
+    /// Candidates of mappings, where several were compared.
+    pub found: &'a [Found],
 }
 
 /// What came out.
@@ -69,120 +74,301 @@ fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
     }
 }
 
-/// The object `nsim.map/1`.
-pub fn json(question: Question<'_>, outcome: Outcome<'_>) -> Value {
-    let Question { model, target, options, pruned, remedies, .. } = question;
-    let (mapping, reasons) = match outcome {
-        Outcome::Fits(mapping, ..) => (Some(mapping), &[][..]),
-        Outcome::DoesNotFit(reasons) => (None, reasons),
-    };
-    let per_copy = |mapping: &Mapping| mapping.partition.cores() as f64 / f64::from(mapping.options.copies);
-    let seconds = mapping.map_or(&[][..], |mapping| &mapping.seconds);
-    let seconds = seconds.iter().map(|&(stage, seconds)| (stage.to_string(), seconds.into()));
-    let mut object = json!({
-        "schema": "nsim.map/1",
-        "model": model,
-        "target": target.name(),
-        "copies": options.copies,
-        "objective": options.objective.name(),
-        "strategy": options.strategy.name(),
-        "placed": mapping.map_or(if options.place { place::ANNEALED } else { place::SEQUENTIAL }, |mapping| mapping.placed),
-        "seed": options.seed,
-        "time_budget_s": time_budget_s(options),
-        "pruned": pruned_json(pruned),
-        "relays": question.relays,
-        "fits": mapping.is_some(),
-        "cores_used": mapping.map(|mapping| mapping.partition.cores()),
-        "chips_used": mapping.map(|mapping| mapping.placement.chips_used()),
-        "cores_per_copy": mapping.map(per_copy),
-        "checked": mapping.is_some(),
-        "checked_how": mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
-        "checked_share": mapping.map(|_| 1.0),
-        "described": mapping.is_some_and(|mapping| mapping.lattices.is_some()),
-        "cores": mapping.into_iter().flat_map(|mapping| rows(mapping, target.limits())).collect::<Vec<_>>(),
-        "limits": target.limits(),
-        "traffic": null,
-        "expected": null,
-        "seconds": Value::Object(seconds.collect()),
-        "reasons": reasons,
-        "remedies": remedies,
-        "pareto": [],
-    });
-    if let Outcome::Fits(_, traffic, score) = outcome {
-        object["traffic"] = json!(traffic);
-        object["expected"] = json!(score);
-    }
-    object
+/// The result: its fields are those of the object `nsim.map/1`, in this order.
+#[derive(Debug, Serialize)]
+pub struct MapResult<'a> {
+    schema: &'static str,
+    model: &'a str,
+    target: &'a str,
+    copies: u32,
+    objective: &'static str,
+    strategy: Strategy,
+    placed: &'static str,
+    seed: u64,
+    time_budget_s: Option<f64>,
+    pruned: Vec<PrunedKind<'a>>,
+    relays: Option<&'a AddedRelays>,
+    fits: bool,
+    cores_used: Option<usize>,
+    chips_used: Option<u32>,
+    cores_per_copy: Option<f64>,
+    checked: bool,
+    checked_how: Option<&'static str>,
+    checked_share: Option<f64>,
+    described: bool,
+    cores: Vec<CoreUse<'a>>,
+    limits: &'a Limits,
+    traffic: Option<Traffic>,
+    expected: Option<Score>,
+    #[serde(serialize_with = "object")]
+    seconds: &'a [(&'static str, f64)],
+    reasons: &'a [Reason],
+    remedies: &'a [Remedy],
+    pareto: Vec<ParetoRow>,
+    #[serde(skip)]
+    board: &'a Target,
+    #[serde(skip)]
+    outcome: Outcome<'a>,
 }
 
-/// Candidates of mappings; those of the front are those that no other is better than in everything.
-pub fn pareto_json(found: &[Found]) -> Value {
+/// What a core uses, also of limits that few chips have: stored synapses, and pools by name.
+#[derive(Debug, Serialize)]
+struct CoreUse<'a> {
+    core: u32,
+    chip: u32,
+    x: u32,
+    y: u32,
+    compartments: u64,
+    axons_in: u64,
+    axons_out: u64,
+    synapses: u64,
+    synapse_words: u64,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    stored_synapses: Option<u64>,
+    #[serde(skip_serializing_if = "Vec::is_empty", serialize_with = "object")]
+    pools: Vec<(&'a str, u64)>,
+}
+
+/// A candidate; those of the front are those that no other is better than in everything.
+#[derive(Debug, Serialize)]
+struct ParetoRow {
+    #[serde(flatten)]
+    candidate: Candidate,
+    cores: u64,
+    energy_uj: f64,
+    step_us: f64,
+    static_mw: f64,
+    on_front: bool,
+}
+
+/// What was pruned of a kind.
+#[derive(Debug, Serialize)]
+pub(crate) struct PrunedKind<'a> {
+    kind: &'static str,
+    count: u64,
+    reason: &'a str,
+    of: Vec<PrunedPart<'a>>,
+}
+
+/// How much of it was in a population or projection.
+#[derive(Debug, Serialize)]
+pub(crate) struct PrunedPart<'a> {
+    name: &'a str,
+    count: u64,
+}
+
+/// Pairs as an object, in their order.
+fn object<S: Serializer>(pairs: &[(&str, impl Serialize)], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_map(pairs.iter().map(|(name, value)| (name, value)))
+}
+
+impl<'a> MapResult<'a> {
+    /// Of what was asked and what came out.
+    pub fn new(question: Question<'a>, outcome: Outcome<'a>) -> Self {
+        let Question { model, target, options, pruned, remedies, relays, found } = question;
+        let (mapping, traffic, expected, reasons) = match outcome {
+            Outcome::Fits(mapping, traffic, score) => (Some(mapping), Some(traffic), Some(score), &[][..]),
+            Outcome::DoesNotFit(reasons) => (None, None, None, reasons),
+        };
+        let per_copy = |mapping: &Mapping| mapping.partition.cores() as f64 / f64::from(mapping.options.copies);
+        let sought = if options.place { place::ANNEALED } else { place::SEQUENTIAL };
+        MapResult {
+            schema: "nsim.map/1",
+            model,
+            target: target.name(),
+            copies: options.copies,
+            objective: options.objective.name(),
+            strategy: options.strategy,
+            placed: mapping.map_or(sought, |mapping| mapping.placed),
+            seed: options.seed,
+            time_budget_s: time_budget_s(options),
+            pruned: pruned_kinds(pruned),
+            relays,
+            fits: mapping.is_some(),
+            cores_used: mapping.map(|mapping| mapping.partition.cores()),
+            chips_used: mapping.map(|mapping| mapping.placement.chips_used()),
+            cores_per_copy: mapping.map(per_copy),
+            checked: mapping.is_some(),
+            checked_how: mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
+            checked_share: mapping.map(|_| 1.0),
+            described: mapping.is_some_and(|mapping| mapping.lattices.is_some()),
+            cores: mapping.map_or(Vec::new(), |mapping| core_uses(mapping, target.limits())),
+            limits: target.limits(),
+            traffic,
+            expected,
+            seconds: mapping.map_or(&[], |mapping| &mapping.seconds),
+            reasons,
+            remedies,
+            pareto: pareto_rows(found),
+            board: target,
+            outcome,
+        }
+    }
+
+    /// Energy over step time of all candidates; the front is joined.
+    pub fn pareto_svg(&self) -> String {
+        results::pareto(&json!({ "model": self.model, "pareto": self.pareto })).unwrap_or_default()
+    }
+
+    /// Candidates as CSV where there are any, else cores; the reasons when it does not fit.
+    pub fn csv(&self) -> String {
+        match self.pareto.as_slice() {
+            [] if self.fits => self.cores_csv(),
+            [] => csv(self.reasons, "code,population,core,resource,need,limit,help"),
+            rows => csv(rows, "strategy,divisor,placed,cores,energy_uj,step_us,static_mw,on_front"),
+        }
+    }
+
+    /// Cores as CSV: [`CORE_COLUMNS`], stored synapses where they are limited, and a column a pool.
+    fn cores_csv(&self) -> String {
+        let stored = self.limits.is_limited(Resource::StoredSynapses).then_some("stored_synapses");
+        let columns: Vec<&str> = CORE_COLUMNS.split(',').chain(stored).collect();
+        let cells = |core: &CoreUse<'_>| {
+            let row = json!(core);
+            let own = columns.iter().map(|column| cell(&row[*column]));
+            own.chain(core.pools.iter().map(|(_, need)| need.to_string())).collect()
+        };
+        let pools = self.limits.pools.iter().map(|pool| pool.name.as_str());
+        let header = columns.iter().copied().chain(pools).map(str::to_string).collect();
+        csv_text(header, self.cores.iter().map(cells))
+    }
+
+    /// The result for people.
+    pub fn text(&self) -> String {
+        let MapResult { model, target, pruned, .. } = self;
+        let copies = count(self.copies, "copy");
+        let (cores, chips) = (count(self.board.cores(), "core"), count(self.board.chips(), "chip"));
+        let mut text = String::new();
+        match self.outcome {
+            Outcome::DoesNotFit(reasons) => {
+                text += &wrapped(&format!("{model}, {copies}, does not fit {target}, {cores} on {chips}:"));
+                text += &listed(reasons);
+                if !self.remedies.is_empty() {
+                    text += "tried, and it fits then:\n";
+                }
+                for Remedy { change, cores, copies, .. } in self.remedies {
+                    let copies = if *copies == 1 { String::new() } else { format!(", {copies} copies") };
+                    let takes = format!("({}{copies})", count(u64::from(*cores), "core"));
+                    let line = wrapped(&format!("- {change} {takes}"));
+                    text += &match change.rsplit_once(": --") {
+                        // What is typed stays in one piece.
+                        Some((words, typed)) if line.lines().count() > 1 => {
+                            let typed = shell_lines(&format!("--{typed}"));
+                            format!("{}{typed}\n", wrapped(&format!("- {words} {takes}:")))
+                        }
+                        _ => line,
+                    };
+                }
+                if !pruned.is_empty() {
+                    text.push('\n');
+                    text += &pruned_table(pruned);
+                }
+            }
+            Outcome::Fits(compiled, traffic, score) => {
+                text += &wrapped(&format!(
+                    "{model} fits {target}: {copies} on {} of {cores}, on {} of {chips}; checked.",
+                    compiled.partition.cores(),
+                    compiled.placement.chips_used(),
+                ));
+                text.push('\n');
+                text += &table_of(&tightest(compiled, self.board), &TIGHTEST_COLUMNS);
+                let _ = writeln!(
+                    text,
+                    "each core's use: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
+                    self.strategy.name(),
+                    self.objective,
+                    self.placed,
+                    self.seed
+                );
+                if let Some(added) = self.relays {
+                    text += &wrapped(&relays_text(added));
+                }
+                if let Some(seconds) = self.time_budget_s {
+                    text += &format!("the best found in {seconds} s on this machine; another run may find another\n");
+                }
+                if !pruned.is_empty() {
+                    let _ = write!(text, "\n{}\n", pruned_table(pruned));
+                }
+                let rates = match compiled.rates {
+                    Rates::Assumed(_) => {
+                        format!("an assumed {DEFAULT_RATE} spikes a source (--profile scene measures them)")
+                    }
+                    Rates::Profile { .. } => "the rates of the profile".to_string(),
+                };
+                text += &wrapped(&format!(
+                    "a step at {rates}: {} spikes to other cores (inputs' included), {} hops, {} as \
+                     multicast; links carry {} messages on average, {} at most",
+                    three(traffic.cut_spikes_per_step),
+                    three(traffic.hops_per_step),
+                    three(traffic.hops_multicast_per_step),
+                    three(traffic.mean_link_load),
+                    three(traffic.max_link_load)
+                ));
+                text += &wrapped(&format!(
+                    "expected of such a step, all copies and x86 cores: {} uJ, {} us (nsim energy counts the spikes \
+                     shown); static power {} mW of {}",
+                    three(score.energy_uj),
+                    three(score.step_us),
+                    three(score.static_mw),
+                    count(score.cores, "core")
+                ));
+            }
+        }
+        if !self.pareto.is_empty() {
+            let _ = write!(text, "\n{}", table_of(&self.pareto, &PARETO_COLUMNS));
+        }
+        text
+    }
+}
+
+/// Candidates of mappings.
+fn pareto_rows(found: &[Found]) -> Vec<ParetoRow> {
     let front = front(found);
     let row = |one: &Found| {
+        let Score { cores, energy_uj, step_us, static_mw, .. } = one.score;
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
-        json!({
-            "strategy": one.candidate.strategy.name(), "divisor": one.candidate.divisor, "placed": one.candidate.placed, "cores": one.score.cores,
-            "energy_uj": one.score.energy_uj, "step_us": one.score.step_us,
-            "static_mw": one.score.static_mw, "on_front": on_front,
-        })
+        ParetoRow { candidate: one.candidate, cores, energy_uj, step_us, static_mw, on_front }
     };
     found.iter().map(row).collect()
 }
 
-/// Candidates of mappings as CSV.
-pub fn pareto_csv(found: &[Found]) -> String {
-    let columns = "strategy,divisor,placed,cores,energy_uj,step_us,static_mw,on_front";
-    nsim_files::table::csv(pareto_json(found).as_array().into_iter().flatten(), columns)
-}
-
-/// Candidates of mappings, for people; nothing when there are none.
-pub fn pareto_text(found: &[Found]) -> String {
-    if found.is_empty() {
-        return String::new();
-    }
-    let front = front(found);
-    let columns: [Column<(&Found, bool)>; 7] = [
-        ("strategy", |(one, _)| one.candidate.strategy.name().to_string()),
-        ("cores filled to", |(one, _)| format!("1/{}", one.candidate.divisor)),
-        ("placed", |(one, _)| if one.candidate.placed { "yes" } else { "no" }.to_string()),
-        ("cores", |(one, _)| one.score.cores.to_string()),
-        ("uJ a step", |(one, _)| three(one.score.energy_uj)),
-        ("us a step", |(one, _)| three(one.score.step_us)),
-        ("front", |(_, on_front)| if *on_front { "*" } else { "" }.to_string()),
-    ];
-    let on_front = |one| front.iter().any(|other| std::ptr::eq(*other, one));
-    let rows: Vec<(&Found, bool)> = found.iter().map(|one| (one, on_front(one))).collect();
-    let table = table_of(&rows, &columns);
-    format!("\n{table}")
-}
-
-/// Energy over step time of all candidates; the front is joined.
-pub fn pareto_svg(model: &str, found: &[Found]) -> String {
-    results::pareto(&json!({ "model": model, "pareto": pareto_json(found) })).unwrap_or_default()
-}
+/// What is shown of a candidate.
+const PARETO_COLUMNS: [Column<ParetoRow>; 7] = [
+    ("strategy", |row| row.candidate.strategy.name().to_string()),
+    ("cores filled to", |row| format!("1/{}", row.candidate.divisor)),
+    ("placed", |row| if row.candidate.placed { "yes" } else { "no" }.to_string()),
+    ("cores", |row| row.cores.to_string()),
+    ("uJ a step", |row| three(row.energy_uj)),
+    ("us a step", |row| three(row.step_us)),
+    ("front", |row| if row.on_front { "*" } else { "" }.to_string()),
+];
 
 /// What was pruned, an object a kind.
 pub fn pruned_json(rows: &[PrunedRow]) -> Value {
-    let of = |(name, count): &(String, u64)| json!({ "name": name, "count": count });
-    let row = |row: &PrunedRow| {
-        let of: Vec<Value> = row.of.iter().map(of).collect();
-        json!({ "kind": row.kind.name(), "count": row.count, "reason": row.reason, "of": of })
+    json!(pruned_kinds(rows))
+}
+
+/// What was pruned, by kind.
+pub(crate) fn pruned_kinds<'a>(rows: &'a [PrunedRow]) -> Vec<PrunedKind<'a>> {
+    let kind = |row: &'a PrunedRow| {
+        let of = row.of.iter().map(|(name, count)| PrunedPart { name, count: *count }).collect();
+        PrunedKind { kind: row.kind.name(), count: row.count, reason: &row.reason, of }
     };
-    rows.iter().map(row).collect()
+    rows.iter().map(kind).collect()
 }
 
 /// Names that a table of what was pruned shows of each kind.
 const SHOWN_NAMES: usize = 6;
 
 /// What was pruned, for people.
-fn pruned_table(rows: &[PrunedRow]) -> String {
-    let row = |row: &PrunedRow| {
-        let mut of: Vec<String> =
-            row.of.iter().take(SHOWN_NAMES).map(|(name, count)| format!("{name}: {count}")).collect();
+fn pruned_table(rows: &[PrunedKind<'_>]) -> String {
+    let row = |row: &PrunedKind<'_>| {
+        let part = |PrunedPart { name, count }: &PrunedPart<'_>| format!("{name}: {count}");
+        let mut of: Vec<String> = row.of.iter().take(SHOWN_NAMES).map(part).collect();
         if row.of.len() > SHOWN_NAMES {
             of.push(format!("and {} more", row.of.len() - SHOWN_NAMES));
         }
-        vec![row.kind.name().replace('_', " "), row.count.to_string(), of.join(", "), row.reason.clone()]
+        vec![row.kind.replace('_', " "), row.count.to_string(), of.join(", "), row.reason.to_string()]
     };
     nsim_files::table::table(&["pruned", "count", "of", "why"], &rows.iter().map(row).collect::<Vec<_>>())
 }
@@ -190,132 +376,25 @@ fn pruned_table(rows: &[PrunedRow]) -> String {
 /// What is said of a core.
 const CORE_COLUMNS: &str = "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words";
 
-/// Cores, with what they use of limits that few chips have: stored synapses, and pools by name.
-fn rows<'m>(compiled: &'m Mapping, limits: &'m Limits) -> impl Iterator<Item = Value> + 'm {
-    compiled.partition.usage().enumerate().map(|(core, used)| {
-        let site = compiled.placement.site(core);
-        let mut row = json!({
-            "core": core.0, "chip": site.chip, "x": site.x, "y": site.y,
-            "compartments": used[Resource::Compartments], "axons_in": used[Resource::AxonsIn],
-            "axons_out": used[Resource::AxonsOut], "synapses": used.synapses,
-            "synapse_words": used[Resource::SynapseWords],
-        });
-        if limits.is_limited(Resource::StoredSynapses) {
-            row["stored_synapses"] = used[Resource::StoredSynapses].into();
+/// What each core uses.
+fn core_uses<'a>(mapping: &Mapping, limits: &'a Limits) -> Vec<CoreUse<'a>> {
+    let row = |(core, used): (CoreId, &CoreUsage)| {
+        let Site { chip, x, y, .. } = mapping.placement.site(core);
+        CoreUse {
+            core: core.0,
+            chip,
+            x,
+            y,
+            compartments: used[Resource::Compartments],
+            axons_in: used[Resource::AxonsIn],
+            axons_out: used[Resource::AxonsOut],
+            synapses: used.synapses,
+            synapse_words: used[Resource::SynapseWords],
+            stored_synapses: limits.is_limited(Resource::StoredSynapses).then(|| used[Resource::StoredSynapses]),
+            pools: limits.pools.iter().map(|pool| (pool.name.as_str(), pool.need(&used.of))).collect(),
         }
-        if !limits.pools.is_empty() {
-            row["pools"] = limits.pools.iter().map(|pool| (pool.name.clone(), json!(pool.need(&used.of)))).collect();
-        }
-        row
-    })
-}
-
-/// Cores as CSV: [`CORE_COLUMNS`], stored synapses where they are limited, and a column a pool.
-fn cores_csv(compiled: &Mapping, limits: &Limits) -> String {
-    let stored = limits.is_limited(Resource::StoredSynapses).then_some("stored_synapses");
-    let columns: Vec<&str> = CORE_COLUMNS.split(',').chain(stored).collect();
-    let pools = || limits.pools.iter().map(|pool| pool.name.as_str());
-    let cells = |row: Value| {
-        let own = columns.iter().map(|column| cell(&row[*column]));
-        own.chain(pools().map(|pool| cell(&row["pools"][pool]))).collect()
     };
-    let header = columns.iter().copied().chain(pools()).map(str::to_string).collect();
-    csv_text(header, rows(compiled, limits).map(cells))
-}
-
-/// Cores as CSV; the reasons instead when it does not fit.
-pub fn csv(target: &Target, outcome: Outcome<'_>) -> String {
-    match outcome {
-        Outcome::Fits(compiled, ..) => cores_csv(compiled, target.limits()),
-        Outcome::DoesNotFit(reasons) => {
-            let columns = "code,population,core,resource,need,limit,help";
-            nsim_files::table::csv(reasons, columns)
-        }
-    }
-}
-
-/// The result for people.
-pub fn text(question: Question<'_>, outcome: Outcome<'_>) -> String {
-    let Question { model, target, options, pruned, remedies, .. } = question;
-    let copies = count(options.copies, "copy");
-    let (cores, chips) = (count(target.cores(), "core"), count(target.chips(), "chip"));
-    let mut text = String::new();
-    match outcome {
-        Outcome::DoesNotFit(reasons) => {
-            text += &wrapped(&format!("{model}, {copies}, does not fit {}, {cores} on {chips}:", target.name()));
-            text += &listed(reasons);
-            if !remedies.is_empty() {
-                text += "tried, and it fits then:\n";
-            }
-            for Remedy { change, cores, copies, .. } in remedies {
-                let copies = if *copies == 1 { String::new() } else { format!(", {copies} copies") };
-                let takes = format!("({}{copies})", count(u64::from(*cores), "core"));
-                let line = wrapped(&format!("- {change} {takes}"));
-                text += &match change.rsplit_once(": --") {
-                    // What is typed stays in one piece.
-                    Some((words, typed)) if line.lines().count() > 1 => {
-                        format!("{}{}\n", wrapped(&format!("- {words} {takes}:")), shell_lines(&format!("--{typed}")))
-                    }
-                    _ => line,
-                };
-            }
-            if !pruned.is_empty() {
-                text.push('\n');
-                text += &pruned_table(pruned);
-            }
-        }
-        Outcome::Fits(compiled, traffic, score) => {
-            text += &wrapped(&format!(
-                "{model} fits {}: {copies} on {} of {cores}, on {} of {chips}; checked.",
-                target.name(),
-                compiled.partition.cores(),
-                compiled.placement.chips_used(),
-            ));
-            text.push('\n');
-            text += &table_of(&tightest(compiled, target), &TIGHTEST_COLUMNS);
-            let _ = writeln!(
-                text,
-                "each core's use: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
-                options.strategy.name(),
-                options.objective.name(),
-                compiled.placed,
-                options.seed
-            );
-            if let Some(added) = question.relays {
-                text += &wrapped(&relays_text(added));
-            }
-            if let Some(seconds) = time_budget_s(options) {
-                let _ = writeln!(text, "the best found in {seconds} s on this machine; another run may find another");
-            }
-            if !pruned.is_empty() {
-                let _ = write!(text, "\n{}\n", pruned_table(pruned));
-            }
-            let rates = match compiled.rates {
-                Rates::Assumed(_) => {
-                    format!("an assumed {DEFAULT_RATE} spikes a source (--profile scene measures them)")
-                }
-                Rates::Profile { .. } => "the rates of the profile".to_string(),
-            };
-            text += &wrapped(&format!(
-                "a step at {rates}: {} spikes to other cores (inputs' included), {} hops, {} as \
-                 multicast; links carry {} messages on average, {} at most",
-                three(traffic.cut_spikes_per_step),
-                three(traffic.hops_per_step),
-                three(traffic.hops_multicast_per_step),
-                three(traffic.mean_link_load),
-                three(traffic.max_link_load)
-            ));
-            text += &wrapped(&format!(
-                "expected of such a step, all copies and x86 cores: {} uJ, {} us (nsim energy counts the spikes \
-                 shown); static power {} mW of {}",
-                three(score.energy_uj),
-                three(score.step_us),
-                three(score.static_mw),
-                count(score.cores, "core")
-            ));
-        }
-    }
-    text
+    mapping.partition.usage().enumerate().map(row).collect()
 }
 
 fn listed(reasons: &[Reason]) -> String {
@@ -376,11 +455,11 @@ mod tests {
     fn both_answers_have_the_same_keys() {
         let options = Options { copies: 3, placement: CopyPlacement::Packed, ..Options::default() };
         let board = target(2, 1, limits());
-        let question =
-            Question { model: "slip", target: &board, options: &options, pruned: &[], remedies: &[], relays: None };
+        let (pruned, remedies, relays, found) = (&[], &[], None, &[]);
+        let question = Question { model: "slip", target: &board, options: &options, pruned, remedies, relays, found };
         let compiled = mapped(slip(3150), &board, &options).unwrap();
-        let outcome = fits_with(&compiled, &board);
-        let fits = json(question, outcome);
+        let result = MapResult::new(question, fits_with(&compiled, &board));
+        let fits = json!(result);
         assert_eq!(keys(&fits), KEYS);
         assert_eq!(
             (&fits["fits"], &fits["checked"], &fits["cores_per_copy"]),
@@ -397,25 +476,26 @@ mod tests {
         assert_eq!(keys(&fits["traffic"]), of_traffic);
         assert_eq!(fits["limits"]["axons_in"], 4096);
         assert!(fits["seconds"]["partition"].is_f64());
-        assert_eq!(csv(question.target, outcome).lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
-        let spoken = text(question, outcome);
+        assert_eq!(result.csv().lines().nth(3), Some("2,0,0,0,62,3366,60,39420,7452"));
+        let spoken = result.text();
         assert!(spoken.starts_with("slip fits") && spoken.contains(" 3 copies on 3 of "), "{spoken}");
 
         let small = target(1, 1, limits().with(Resource::AxonsIn, 1000));
         let question = Question { target: &small, ..question };
         let Err(CompileError::DoesNotFit(reasons)) = mapped(slip(3150), &small, &options) else { panic!() };
-        let refused = json(question, Outcome::DoesNotFit(&reasons));
+        let result = MapResult::new(question, Outcome::DoesNotFit(&reasons));
+        let refused = json!(result);
         assert_eq!(keys(&refused), KEYS);
         assert_eq!((&refused["fits"], &refused["cores_used"]), (&json!(false), &Value::Null));
         let reason = &refused["reasons"][0];
         assert_eq!(keys(reason), "code,population,core,resource,need,limit,help");
         assert_eq!((&reason["population"], &reason["resource"]), (&json!("sight"), &json!("axons_in")));
-        let spoken = text(question, Outcome::DoesNotFit(&reasons));
+        let spoken = result.text();
         assert!(
             spoken.contains("does not fit") && spoken.contains("population sight: one of its compartments"),
             "{spoken}"
         );
-        assert_eq!(csv(&small, Outcome::DoesNotFit(&reasons)).lines().count(), 1 + reasons.len());
+        assert_eq!(result.csv().lines().count(), 1 + reasons.len());
     }
 
     #[test]
