@@ -6,7 +6,7 @@ use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Copies, Sample};
-use nsim::report::run::{RunReport, neurobench_json};
+use nsim::report::run::RunReport;
 use nsim::session::cores::core_rows;
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::detail::Detail;
@@ -257,7 +257,7 @@ impl Run {
             });
             Ok(measured?)
         })?;
-        to_python(py, &neurobench_json(&metrics))
+        to_python(py, &serde_json::json!(metrics))
     }
 
     /// Counts over all samples: spikes, synaptic events, updates, messages, hops.

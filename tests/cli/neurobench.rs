@@ -104,9 +104,10 @@ fn metrics_are_those_of_a_count_over_matrices() {
         .unwrap();
         assert_eq!(interpreted, simulated, "network {seed}");
         let a_sample = |count: u64| count as f64 / 3.0;
-        assert_eq!(interpreted.dense, a_sample(expected.dense), "network {seed}");
-        assert_eq!(interpreted.effective_acs, a_sample(expected.plain), "network {seed}");
-        assert_eq!(interpreted.effective_macs, a_sample(expected.graded), "network {seed}");
+        let operations = &interpreted.synaptic_operations;
+        assert_eq!(operations.dense, a_sample(expected.dense), "network {seed}");
+        assert_eq!(operations.effective_acs, a_sample(expected.plain), "network {seed}");
+        assert_eq!(operations.effective_macs, a_sample(expected.graded), "network {seed}");
         assert_eq!(interpreted.membrane_updates, a_sample(expected.updates), "network {seed}");
         let places = expected.timesteps * u64::from(network.compartments());
         let sparsity = (places - expected.spikes) as f64 / places as f64;

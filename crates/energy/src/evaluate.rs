@@ -201,9 +201,10 @@ pub fn evaluate(
     energy.input.clone_from(&workload.origin);
     let labels = workload.samples().into_iter().map(Sample::label);
     let right = share_right(&run.outcomes, labels, Outcome::class_when_decided);
-    energy.comparison.per_decision = Some(per_decision(rule, &case, &run.outcomes, right));
+    let decision = per_decision(rule, &case, &run.outcomes, right);
     energy.job.clone_from(&plan.shipped);
-    energy.early_exit = options.early_exit.map(|rule| saved(rule, &case, &run.outcomes));
+    energy.early_exit = options.early_exit.map(|rule| saved(rule, &case, &run.outcomes, &decision));
+    energy.comparison.per_decision = Some(decision);
     energy.printed = printed;
     energy.notes.extend(others.notes);
     energy.accuracy = workload.accuracy(&run.outcomes);

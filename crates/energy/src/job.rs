@@ -19,8 +19,9 @@ use nsim_session::{Outcome, median_decision};
 /// The level of intervals by the errors of works.
 const LEVEL: f64 = 0.8;
 
-/// What ending samples when they are decided would save of the whole run: equation (16).
-pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
+/// What ending samples when they are decided, at this cost, would save of the whole run: equation
+/// (16).
+pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], decision: &PerDecision) -> Saved {
     let lane = &case.meter.lanes()[case.preset];
     let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
@@ -35,6 +36,9 @@ pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome]) -> Saved {
         energy_saved_uj,
         energy_saved_share: share(energy_saved_uj),
         idle_saved_share: share((energy_saved_uj - standing_uj).max(0.0)),
+        accuracy: decision.accuracy,
+        median_step: decision.median_step,
+        energy_uj: decision.energy_uj,
     }
 }
 

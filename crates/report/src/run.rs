@@ -1,5 +1,6 @@
 //! The result of `nsim run` as text, JSON and CSV.
 
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::map::pruned_json;
@@ -57,25 +58,11 @@ pub fn nothing(engine: &str) -> Value {
     })
 }
 
-/// The object `neurobench`.
-pub fn neurobench_json(metrics: &NeuroBench) -> Value {
-    json!({
-        "footprint_bytes": metrics.footprint_bytes,
-        "connection_sparsity": metrics.connection_sparsity,
-        "activation_sparsity": metrics.activation_sparsity,
-        "synaptic_operations": {
-            "effective_macs": metrics.effective_macs, "effective_acs": metrics.effective_acs, "dense": metrics.dense,
-        },
-        "membrane_updates": metrics.membrane_updates,
-        "classification_accuracy": metrics.classification_accuracy,
-    })
-}
-
 fn neurobench_text(metrics: &NeuroBench) -> String {
     let figures = [
-        ("synaptic operations", Some(metrics.dense)),
-        ("effective ACs", Some(metrics.effective_acs)),
-        ("effective MACs", Some(metrics.effective_macs)),
+        ("synaptic operations", Some(metrics.synaptic_operations.dense)),
+        ("effective ACs", Some(metrics.synaptic_operations.effective_acs)),
+        ("effective MACs", Some(metrics.synaptic_operations.effective_macs)),
         ("membrane updates", Some(metrics.membrane_updates)),
         ("activation sparsity", Some(metrics.activation_sparsity)),
         ("connection sparsity", Some(metrics.connection_sparsity)),
@@ -91,156 +78,160 @@ fn score_text(score: f64) -> String {
     if score.fract() == 0.0 { format!("{score:.0}") } else { format!("{score:.4}") }
 }
 
-impl RunReport<'_> {
-    fn labels(&self) -> Option<Vec<u32>> {
-        self.labels.iter().copied().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty())
-    }
+/// The object of `nsim.run/1`, which text and CSV are made of too.
+#[derive(Serialize)]
+#[serde(tag = "schema", rename = "nsim.run/1")]
+struct RunResult<'a> {
+    model: &'a str,
+    target: Option<&'a str>,
+    engine: &'static str,
+    fits: Option<bool>,
+    input: &'a [String],
+    seed: Option<u64>,
+    samples: usize,
+    timesteps: u64,
+    drain: u32,
+    predicted: Vec<Option<u32>>,
+    decision: &'static str,
+    undecided: usize,
+    labels: Option<Vec<u32>>,
+    accuracy: Option<f64>,
+    output_counts: Vec<&'a [u32]>,
+    output_scores: Option<Vec<&'a [f64]>>,
+    digest: String,
+    activity: Events,
+    skipped: Value,
+    overflow: Value,
+    decided_at: Vec<Option<u32>>,
+    early_exit: Option<EarlyExit>,
+    wall_s: f64,
+    us_per_timestep: f64,
+    pruned: Value,
+    notes: Vec<String>,
+    files: &'a [String],
+    #[serde(flatten)]
+    detail: &'a Detail,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    neurobench: Option<&'a NeuroBench>,
+}
 
-    fn accuracy(&self) -> Option<f64> {
-        accuracy(self.outcomes, self.labels.iter().copied())
-    }
+#[derive(Serialize)]
+struct Events {
+    #[serde(flatten)]
+    totals: Totals,
+    messages: Option<u64>,
+    hops: Option<u64>,
+}
 
-    /// Samples without a class.
-    fn undecided(&self) -> usize {
-        self.outcomes.iter().filter(|outcome| outcome.class().is_none()).count()
-    }
-
-    fn timesteps(&self) -> u64 {
-        self.outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum()
-    }
-
-    fn steps_saved(&self) -> u64 {
-        self.outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum()
-    }
-
+#[derive(Serialize)]
+struct EarlyExit {
+    rule: Rule,
     /// Number of samples that were decided early, and the least step by which half of those were.
-    fn decided(&self) -> (usize, Option<u32>) {
-        let decided = self.outcomes.iter().filter(|outcome| outcome.decided_at.is_some());
-        (decided.count(), median_decision(self.outcomes))
-    }
+    decided: usize,
+    median_step: Option<u32>,
+    steps_saved: u64,
+}
 
-    fn early_exit_json(&self) -> Value {
-        let Some(rule) = self.early_exit else { return Value::Null };
-        let (decided, median) = self.decided();
-        json!({
-            "rule": rule.to_string(), "decided": decided, "median_step": median, "steps_saved": self.steps_saved(),
-        })
-    }
-
+impl RunResult<'_> {
     fn early_exit_text(&self) -> String {
-        let Some(rule) = self.early_exit else { return String::new() };
-        let ((decided, median), saved) = (self.decided(), self.steps_saved());
-        let share = 100.0 * saved as f64 / (saved + self.timesteps()).max(1) as f64;
-        let median = median.map_or(String::new(), |step| format!(", in the median after step {step}"));
+        let Some(EarlyExit { rule, decided, median_step, steps_saved }) = &self.early_exit else {
+            return String::new();
+        };
+        let share = 100.0 * *steps_saved as f64 / (steps_saved + self.timesteps).max(1) as f64;
+        let median = median_step.map_or(String::new(), |step| format!(", in the median after step {step}"));
         let said = wrapped(&format!(
-            "early exit {rule}: {decided} of {} samples decided before their end{median}; {saved} timesteps saved \
-             ({share:.1} %)",
-            self.outcomes.len()
+            "early exit {rule}: {decided} of {} samples decided before their end{median}; {steps_saved} timesteps \
+             saved ({share:.1} %)",
+            self.samples
         ));
         format!("\n{said}")
     }
+}
 
-    fn totals(&self) -> Totals {
-        let mut sum = Totals::default();
-        for outcome in self.outcomes {
-            sum += outcome.totals;
-        }
-        sum
-    }
-
-    fn us_per_timestep(&self) -> f64 {
-        self.wall_s * 1e6 / self.timesteps().max(1) as f64
-    }
-
+impl RunReport<'_> {
     /// Overflow of all samples, with the first sample that has any.
-    fn overflow(&self) -> (Overflow, Option<usize>) {
-        let mut sum = Overflow::default();
-        let first = self.outcomes.iter().position(|outcome| outcome.overflow.any());
-        self.outcomes.iter().for_each(|outcome| sum.merge(&outcome.overflow));
-        sum.first = first.and_then(|sample| self.outcomes[sample].overflow.first);
-        (sum, first)
-    }
-
     fn overflow_json(&self) -> Value {
-        let (overflow, sample) = self.overflow();
-        let first = overflow.first.map(|(step, compartment)| {
+        let mut sum = Overflow::default();
+        self.outcomes.iter().for_each(|outcome| sum.merge(&outcome.overflow));
+        let sample = self.outcomes.iter().position(|outcome| outcome.overflow.any());
+        let first = sample.and_then(|sample| {
+            let (step, compartment) = self.outcomes[sample].overflow.first?;
             let (population, index) = self.network.population_of(compartment);
             let index = self.network.index_shown(population, index);
-            json!({
-                "population": self.network.populations()[population].name,
-                "compartment": index, "sample": sample, "step": step,
-            })
+            let name = &self.network.populations()[population].name;
+            Some(json!({ "population": name, "compartment": index, "sample": sample, "step": step }))
         });
-        json!({
-            "q_wrapped": overflow.q_wrapped, "u_wrapped": overflow.u_wrapped, "v_clipped": overflow.v_clipped,
-            "first": first,
-        })
+        let Overflow { q_wrapped, u_wrapped, v_clipped, .. } = sum;
+        json!({ "q_wrapped": q_wrapped, "u_wrapped": u_wrapped, "v_clipped": v_clipped, "first": first })
+    }
+
+    fn result(&self) -> RunResult<'_> {
+        let (parts, outcomes) = (self.network.parts(), self.outcomes);
+        let timesteps: u64 = outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum();
+        let skipped: u64 = outcomes.iter().map(|outcome| outcome.skipped_steps).sum();
+        let mut totals = Totals::default();
+        outcomes.iter().for_each(|outcome| totals += outcome.totals);
+        let predicted: Vec<Option<u32>> = outcomes.iter().map(Outcome::class).collect();
+        let labels = self.labels.iter().copied().collect::<Option<Vec<u32>>>();
+        RunResult {
+            model: &parts.name,
+            target: self.target,
+            engine: self.engine,
+            fits: self.target.map(|_| true),
+            input: self.input,
+            seed: self.seed,
+            samples: outcomes.len(),
+            timesteps,
+            drain: parts.drain,
+            decision: parts.decision.name(),
+            undecided: predicted.iter().filter(|class| class.is_none()).count(),
+            predicted,
+            labels: labels.filter(|labels| !labels.is_empty()),
+            accuracy: accuracy(outcomes, self.labels.iter().copied()),
+            output_counts: outcomes.iter().map(|outcome| outcome.counts.as_slice()).collect(),
+            output_scores: outcomes.iter().map(|one| one.potentials.as_ref().map(Potentials::scores)).collect(),
+            digest: digest(outcomes),
+            activity: Events {
+                totals,
+                messages: self.activity.map(Activity::messages),
+                hops: self.activity.map(|activity| activity.hops().links()),
+            },
+            skipped: json!({ "timesteps": skipped, "compartment_updates": self.skipped_updates }),
+            overflow: self.overflow_json(),
+            decided_at: outcomes.iter().map(|outcome| outcome.decided_at).collect(),
+            early_exit: self.early_exit.map(|rule| EarlyExit {
+                rule,
+                decided: outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count(),
+                median_step: median_decision(outcomes),
+                steps_saved: outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum(),
+            }),
+            wall_s: self.wall_s,
+            us_per_timestep: self.wall_s * 1e6 / timesteps.max(1) as f64,
+            pruned: pruned_json(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
+            notes: parts.notes.iter().map(|note| format!("{}: {}", note.entity, note.message)).collect(),
+            files: self.files,
+            detail: self.detail,
+            neurobench: self.neurobench,
+        }
     }
 
     /// `nsim.run/1`.
     pub fn json(&self) -> Value {
-        let totals = self.totals();
-        let mut object = json!({
-            "schema": "nsim.run/1",
-            "model": self.network.parts().name,
-            "target": self.target,
-            "engine": self.engine,
-            "fits": self.target.map(|_| true),
-            "input": self.input,
-            "seed": self.seed,
-            "samples": self.outcomes.len(),
-            "timesteps": self.timesteps(),
-            "drain": self.network.parts().drain,
-            "predicted": self.outcomes.iter().map(Outcome::class).collect::<Vec<_>>(),
-            "decision": self.network.parts().decision.name(),
-            "undecided": self.undecided(),
-            "labels": self.labels(),
-            "accuracy": self.accuracy(),
-            "output_counts": self.outcomes.iter().map(|outcome| &outcome.counts).collect::<Vec<_>>(),
-            "output_scores": self.outcomes.iter()
-                .map(|outcome| outcome.potentials.as_ref().map(Potentials::scores)).collect::<Option<Vec<_>>>(),
-            "digest": digest(self.outcomes),
-            "activity": {
-                "spikes_in": totals.spikes_in,
-                "spikes": totals.spikes,
-                "synaptic_events": totals.synaptic_events,
-                "compartment_updates": totals.compartment_updates,
-                "active_updates": totals.active_updates,
-                "messages": self.activity.map(Activity::messages),
-                "hops": self.activity.map(|activity| activity.hops().links()),
-            },
-            "skipped": {
-                "timesteps": self.outcomes.iter().map(|outcome| outcome.skipped_steps).sum::<u64>(),
-                "compartment_updates": self.skipped_updates,
-            },
-            "overflow": self.overflow_json(),
-            "decided_at": self.outcomes.iter().map(|outcome| outcome.decided_at).collect::<Vec<_>>(),
-            "early_exit": self.early_exit_json(),
-            "wall_s": self.wall_s,
-            "us_per_timestep": self.us_per_timestep(),
-            "pruned": pruned_json(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
-            "notes": self.network.parts().notes.iter()
-                .map(|note| format!("{}: {}", note.entity, note.message)).collect::<Vec<_>>(),
-            "files": self.files,
-        });
-        self.detail.add_to(&mut object);
-        if let Some(metrics) = self.neurobench {
-            object["neurobench"] = neurobench_json(metrics);
-        }
-        object
+        json!(self.result())
     }
 
     /// One row a sample.
     pub fn csv(&self) -> String {
-        let outputs = self.outcomes.first().map_or(0, |outcome| outcome.counts.len());
+        let RunResult { predicted, output_counts, decided_at, .. } = self.result();
+        let outputs = output_counts.first().map_or(0, |counts| counts.len());
         let head = ["sample", "label", "predicted", "steps", "decided_at", "spikes_in", "spikes", "synaptic_events"];
         let head = head.map(String::from).into_iter().chain((0..outputs).map(|output| format!("output_{output}")));
         let rows = self.outcomes.iter().zip(self.labels).enumerate().map(|(sample, (outcome, &label))| {
-            let mut row = vec![sample.to_string(), or_empty(label), or_empty(outcome.class())];
-            row.extend([outcome.steps.to_string(), or_empty(outcome.decided_at)]);
+            let mut row = vec![sample.to_string(), or_empty(label), or_empty(predicted[sample])];
+            row.extend([outcome.steps.to_string(), or_empty(decided_at[sample])]);
             let totals = outcome.totals;
             row.extend([totals.spikes_in, totals.spikes, totals.synaptic_events].map(|count| count.to_string()));
-            row.extend(outcome.counts.iter().map(ToString::to_string));
+            row.extend(output_counts[sample].iter().map(ToString::to_string));
             row
         });
         csv_text(head.collect(), rows)
@@ -253,65 +244,70 @@ impl RunReport<'_> {
 
     /// For people.
     pub fn text(&self) -> String {
-        let (parts, totals, steps) = (self.network.parts(), self.totals(), self.timesteps());
-        let samples = count(self.outcomes.len() as u64, "sample");
+        let result = self.result();
+        let RunResult { model, engine, timesteps: steps, undecided, activity, .. } = &result;
+        let samples = count(result.samples as u64, "sample");
         let mut out =
-            self.accuracy().map_or(String::new(), |share| format!("accuracy {} over {samples}\n", three(share)));
-        out += &wrapped(&match self.target {
-            Some(target) => format!("{} simulated on {target}, engine {}", parts.name, self.engine),
-            None => format!("{} interpreted without cores, engine {}", parts.name, self.engine),
+            result.accuracy.map_or(String::new(), |share| format!("accuracy {} over {samples}\n", three(share)));
+        out += &wrapped(&match result.target {
+            Some(target) => format!("{model} simulated on {target}, engine {engine}"),
+            None => format!("{model} interpreted without cores, engine {engine}"),
         });
-        out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
-        let drain = match parts.drain {
+        out += &wrapped(&format!("input: {}", origin(result.input, result.seed)));
+        let drain = match result.drain {
             0 => String::new(),
             drain => format!(", of each sample {drain} after its last input step (drain)"),
         };
-        out += &wrapped(&format!("{samples}, {}{drain}", count(steps, "timestep")));
+        out += &wrapped(&format!("{samples}, {}{drain}", count(*steps, "timestep")));
         const SHOWN: usize = 12;
         const OUTPUTS: usize = 24;
-        let scores = match parts.decision {
+        let scores = match self.network.parts().decision {
             ReadOut::Spikes => "spikes of outputs",
             ReadOut::GreatestV => "greatest v of outputs",
             ReadOut::SumOfV => "sum of v of outputs",
             ReadOut::LastV => "last v of outputs",
         };
-        let row = |(sample, (outcome, &label)): (usize, (&Outcome, &Option<u32>))| {
-            let mut scores: Vec<String> = match &outcome.potentials {
-                Some(potentials) => potentials.scores().iter().take(OUTPUTS).map(|score| score_text(*score)).collect(),
-                None => outcome.counts.iter().take(OUTPUTS).map(ToString::to_string).collect(),
+        let row = |(sample, (&class, &label)): (usize, (&Option<u32>, &Option<u32>))| {
+            let counts = result.output_counts[sample];
+            let mut scores: Vec<String> = match &result.output_scores {
+                Some(scores) => scores[sample].iter().take(OUTPUTS).map(|score| score_text(*score)).collect(),
+                None => counts.iter().take(OUTPUTS).map(ToString::to_string).collect(),
             };
-            scores.extend((outcome.counts.len() > OUTPUTS).then(|| "..".to_string()));
+            scores.extend((counts.len() > OUTPUTS).then(|| "..".to_string()));
             let label = if label.is_some() { self.class_name(label) } else { "-".to_string() };
-            vec![sample.to_string(), label, self.class_name(outcome.class()), scores.join(" ")]
+            vec![sample.to_string(), label, self.class_name(class), scores.join(" ")]
         };
-        let rows: Vec<Vec<String>> = self.outcomes.iter().zip(self.labels).enumerate().take(SHOWN).map(row).collect();
+        let rows: Vec<Vec<String>> =
+            result.predicted.iter().zip(self.labels).enumerate().take(SHOWN).map(row).collect();
         out += &format!("\n{}", table(&["sample", "label", "predicted", scores], &rows));
-        if self.outcomes.len() > SHOWN {
-            out += &format!("{} more; all of them with --format csv or json\n", self.outcomes.len() - SHOWN);
+        if result.samples > SHOWN {
+            out += &format!("{} more; all of them with --format csv or json\n", result.samples - SHOWN);
         }
-        if self.undecided() > 0 {
-            out += &format!("\nundecided {} of {}\n", self.undecided(), count(self.outcomes.len() as u64, "sample"));
+        if *undecided > 0 {
+            out += &format!("\nundecided {undecided} of {samples}\n");
         }
-        out += &self.early_exit_text();
-        let of_machine =
-            self.activity.map(|activity| [("messages", activity.messages()), ("hops", activity.hops().links())]);
+        out += &result.early_exit_text();
+        let totals = activity.totals;
         let counts = [
-            ("input spikes", totals.spikes_in),
-            ("spikes", totals.spikes),
-            ("synaptic events", totals.synaptic_events),
-            ("compartment updates", totals.compartment_updates),
-            ("of them active", totals.active_updates),
+            ("input spikes", Some(totals.spikes_in)),
+            ("spikes", Some(totals.spikes)),
+            ("synaptic events", Some(totals.synaptic_events)),
+            ("compartment updates", Some(totals.compartment_updates)),
+            ("of them active", Some(totals.active_updates)),
+            ("messages", activity.messages),
+            ("hops", activity.hops),
         ];
-        let row = |(name, count): (&str, u64)| {
-            vec![name.to_string(), count.to_string(), three(count as f64 / steps.max(1) as f64)]
+        let row = |(name, count): (&str, Option<u64>)| {
+            let count = count?;
+            Some(vec![name.to_string(), count.to_string(), three(count as f64 / (*steps).max(1) as f64)])
         };
-        let rows: Vec<Vec<String>> = counts.into_iter().chain(of_machine.into_iter().flatten()).map(row).collect();
+        let rows: Vec<Vec<String>> = counts.into_iter().filter_map(row).collect();
         out += &format!("\n{}", table(&["activity", "total", "a timestep"], &rows));
         out += &self.neurobench.map_or(String::new(), neurobench_text);
-        out += &format!("\n{}", self.detail.populations_text(steps));
+        out += &format!("\n{}", self.detail.populations_text(*steps));
         out += &self.detail.ranks_text();
-        out += &format!("{} s, {} us a timestep\n", three(self.wall_s), three(self.us_per_timestep()));
-        for file in self.files {
+        out += &format!("{} s, {} us a timestep\n", three(result.wall_s), three(result.us_per_timestep));
+        for file in result.files {
             out += &format!("wrote {file}\n");
         }
         out

@@ -48,6 +48,12 @@ impl fmt::Display for Rule {
     }
 }
 
+impl serde::Serialize for Rule {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
 /// What bounds the spikes of a population, from `docs/semantics.md` (7), (9), (10), (11).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pace {

@@ -29,7 +29,7 @@ use nsim_ir::source_counts::SourceCounts;
 use nsim_ir::spikes::Sample;
 
 /// What the harness says of a network and a data set.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct NeuroBench {
     /// Bytes.
     pub footprint_bytes: u64,
@@ -37,17 +37,24 @@ pub struct NeuroBench {
     pub connection_sparsity: f64,
     /// The share of compartments and timesteps without a spike.
     pub activation_sparsity: f64,
-    /// Operations of a sample that a network without zeros would do.
-    pub dense: f64,
-    /// Operations of a sample over entries that are not zero, for spikes that carry a number.
-    pub effective_macs: f64,
-    /// Those operations for spikes that carry none.
-    pub effective_acs: f64,
+    /// Operations of a sample.
+    pub synaptic_operations: SynapticOperations,
     /// Membrane updates of a sample.
     pub membrane_updates: f64,
     /// The share of samples whose class is their label, rounded to 32 bits; `None` unless all have
     /// one.
     pub classification_accuracy: Option<f64>,
+}
+
+/// Operations of a sample.
+#[derive(Debug, Clone, PartialEq, serde::Serialize)]
+pub struct SynapticOperations {
+    /// Over entries that are not zero, for spikes that carry a number.
+    pub effective_macs: f64,
+    /// Those for spikes that carry none.
+    pub effective_acs: f64,
+    /// What a network without zeros would do.
+    pub dense: f64,
 }
 
 /// The entries of a projection.
@@ -159,9 +166,11 @@ impl NeuroBench {
             // The harness divides in 32 bits.
             connection_sparsity: if all == 0 { 0.0 } else { rounded((all - nonzero) as f32 / all as f32) },
             activation_sparsity: if places == 0 { 0.0 } else { of_batch((places - spikes) as f64 / places as f64) },
-            dense: a_sample(dense * timesteps),
-            effective_macs: a_sample(graded),
-            effective_acs: a_sample(plain),
+            synaptic_operations: SynapticOperations {
+                effective_macs: a_sample(graded),
+                effective_acs: a_sample(plain),
+                dense: a_sample(dense * timesteps),
+            },
             membrane_updates: a_sample(updates),
             classification_accuracy: right
                 .filter(|_| !samples.is_empty())

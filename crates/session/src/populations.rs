@@ -41,7 +41,7 @@ pub struct InputCounts {
 }
 
 /// A run by population.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct ByPopulation {
     /// Populations of compartments.
     pub populations: Vec<PopulationCounts>,

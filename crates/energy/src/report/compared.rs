@@ -96,7 +96,7 @@ pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> 
 }
 
 /// Compared with other hardware.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     /// Other hardware over the chip.
     pub ratios: Vec<Ratio>,

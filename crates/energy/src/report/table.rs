@@ -6,7 +6,7 @@
 use std::fmt::Write;
 
 use serde::Serialize;
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 
 use super::compared::Comparison;
 use crate::published::scenario::ScenarioFile;
@@ -14,6 +14,7 @@ use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
 use nsim_cost::estimate::{Bound, Convention, EnergyRow, Estimate, FigureSource, StatusShare};
 use nsim_cost::job::{Accounting, Mode};
+use nsim_cost::quantiles::Spread;
 use nsim_cost::{Host, Transport};
 use nsim_files::shipped::{CONSTANTS, Shipped};
 use nsim_files::table::{count, csv, csv_text, digits, table, three, wrapped};
@@ -30,7 +31,6 @@ const WIDTHS: [usize; 7] = [16, 7, 8, 8, 11, 10, 9];
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Saved {
     /// What decides a sample.
-    #[serde(serialize_with = "spelled")]
     pub rule: Rule,
     /// Samples that were decided before their end.
     pub decided: u64,
@@ -44,14 +44,16 @@ pub struct Saved {
     pub energy_saved_share: Option<f64>,
     /// The share where the chip stays on and idles: of what it draws in any case nothing is saved.
     pub idle_saved_share: Option<f64>,
-}
-
-fn spelled<S: serde::Serializer>(rule: &Rule, serializer: S) -> Result<S::Ok, S::Error> {
-    serializer.collect_str(rule)
+    /// Share of the samples whose class is right when decided; `None` without labels.
+    pub accuracy: Option<f64>,
+    /// The least step by which half of those decided early were.
+    pub median_step: Option<u32>,
+    /// Mean energy of one copy until a sample is decided.
+    pub energy_uj: f64,
 }
 
 /// A unit of the published job, as it comes out here and as its source prints it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Part {
     /// By the constants of the report.
     pub here: EnergyRow,
@@ -175,6 +177,57 @@ pub struct EnergyReport {
     pub of_constants: Vec<String>,
 }
 
+/// The object of `nsim.energy/1`.
+#[derive(Serialize)]
+#[serde(tag = "schema", rename = "nsim.energy/1")]
+struct EnergyResult<'r> {
+    model: &'r str,
+    target: &'r str,
+    copies: u32,
+    deployment: &'r str,
+    mode: Mode,
+    convention: Convention,
+    fits: bool,
+    preset: &'r str,
+    level: Option<f64>,
+    seed: Option<u64>,
+    input: &'r [String],
+    samples: u64,
+    timesteps: u64,
+    accuracy: Option<f64>,
+    rows: Vec<&'r EnergyRow>,
+    cores_used: u64,
+    tiles_used: u64,
+    chips_used: u64,
+    x86_cores: u64,
+    host: Value,
+    job: Job,
+    breakdown_pj_per_timestep: Option<Map<String, Value>>,
+    per_timestep_uj: Option<Spread>,
+    per_timestep_dynamic_uj: Option<Spread>,
+    time_us_per_timestep: Option<Map<String, Value>>,
+    transport: Transport,
+    accounting: Accounting,
+    #[serde(flatten)]
+    comparison: &'r Comparison,
+    early_exit: Option<Saved>,
+    parts: Vec<Value>,
+    constants: &'r [ConstantEntry],
+    expected: Option<Score>,
+    notes: Vec<&'r String>,
+    low: Bound,
+    high: Bound,
+    share: Option<StatusShare>,
+    #[serde(flatten)]
+    detail: &'r Detail,
+}
+
+#[derive(Serialize)]
+struct Job {
+    total_mw: Option<f64>,
+    share_mw: Option<f64>,
+}
+
 /// What a row of the table is called.
 fn row_name(row: &EnergyRow, chip: &str) -> String {
     if row.hardware != chip {
@@ -254,25 +307,13 @@ impl EnergyReport {
         self.estimate.rows.iter().find(|row| row.unit == "total")
     }
 
-    /// What an early exit would save, and what it decides until then.
-    fn early_exit_json(&self) -> Value {
-        let mut object = json!(self.early_exit);
-        if let (Some(fields), Some(decision)) = (object.as_object_mut(), &self.comparison.per_decision) {
-            fields.insert("accuracy".to_string(), json!(decision.accuracy));
-            fields.insert("median_step".to_string(), json!(decision.median_step));
-            fields.insert("energy_uj".to_string(), json!(decision.energy_uj));
-        }
-        object
-    }
-
     /// Powers of all copies, and a copy's share, by the report's accounting.
-    fn job_json(&self) -> Value {
-        let all = match self.accounting {
+    fn job(&self) -> Job {
+        let total_mw = match self.accounting {
             Accounting::Profiler => self.estimate.job.profiler(),
             Accounting::Rails => self.estimate.job.rails_running(),
         };
-        let share = all.map(|all| all / f64::from(self.deployment.copies.max(1)));
-        json!({ "total_mw": all, "share_mw": share })
+        Job { total_mw, share_mw: total_mw.map(|all| all / f64::from(self.deployment.copies.max(1))) }
     }
 
     /// The object of `nsim.energy/1`.
@@ -280,57 +321,51 @@ impl EnergyReport {
         let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
             let parts = parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj)));
             // No core learns yet.
-            parts.chain([("learning".to_string(), json!(0.0))]).collect::<serde_json::Map<_, _>>()
+            parts.chain([("learning".to_string(), json!(0.0))]).collect()
         });
-        let times = self.estimate.time_us.map(|times| {
-            times.iter().map(|&(name, us)| (name.replace(' ', "_"), json!(us))).collect::<serde_json::Map<_, _>>()
-        });
+        let times = |times: [(&str, f64); 6]| times.map(|(name, us)| (name.replace(' ', "_"), json!(us)));
         let Deployment { x86_cores, x86_chips, host, .. } = self.deployment;
         let injecting = if host == Host::Stream { x86_chips } else { 0 };
-        let mut object = json!({
-            "schema": "nsim.energy/1",
-            "model": self.model,
-            "target": self.target,
-            "copies": self.deployment.copies,
-            "deployment": self.deployment.name,
-            "mode": self.mode.name(),
-            "convention": self.convention().name(),
-            "fits": true,
-            "preset": self.preset,
-            "level": self.level,
-            "seed": self.seed,
-            "input": self.input,
-            "samples": self.samples,
-            "timesteps": self.timesteps,
-            "accuracy": self.accuracy,
-            "rows": self.rows().collect::<Vec<_>>(),
-            "cores_used": self.deployment.cores_used,
-            "tiles_used": self.deployment.tiles_used,
-            "chips_used": self.deployment.chips_used,
-            "x86_cores": x86_cores,
-            "host": { "kind": host, "x86_cores": x86_cores, "chips_injecting": injecting },
-            "job": self.job_json(),
-            "breakdown_pj_per_timestep": breakdown,
-            "per_timestep_uj": self.estimate.per_timestep_uj,
-            "per_timestep_dynamic_uj": self.estimate.per_timestep_dynamic_uj,
-            "time_us_per_timestep": times,
-            "transport": self.transport,
-            "accounting": self.accounting.name(),
-            "ratios": self.comparison.ratios,
-            "per_sample": self.comparison.per_sample,
-            "per_decision": self.comparison.per_decision,
-            "early_exit": self.early_exit_json(),
-            "parts": self.parts.iter().map(Part::json).collect::<Vec<_>>(),
-            "constants": self.constants,
-            "expected": self.expected,
-            "notes": self.notes.iter().chain(&self.of_constants).collect::<Vec<_>>(),
-        });
         let total = self.total();
-        object["low"] = json!(total.and_then(|row| row.low).unwrap_or_default());
-        object["high"] = json!(total.and_then(|row| row.high).unwrap_or_default());
-        object["share"] = json!(total.and_then(|row| row.share));
-        self.detail.add_to(&mut object);
-        object
+        json!(EnergyResult {
+            model: &self.model,
+            target: &self.target,
+            copies: self.deployment.copies,
+            deployment: &self.deployment.name,
+            mode: self.mode,
+            convention: self.convention(),
+            fits: true,
+            preset: &self.preset,
+            level: self.level,
+            seed: self.seed,
+            input: &self.input,
+            samples: self.samples,
+            timesteps: self.timesteps,
+            accuracy: self.accuracy,
+            rows: self.rows().collect(),
+            cores_used: self.deployment.cores_used,
+            tiles_used: self.deployment.tiles_used,
+            chips_used: self.deployment.chips_used,
+            x86_cores,
+            host: json!({ "kind": host, "x86_cores": x86_cores, "chips_injecting": injecting }),
+            job: self.job(),
+            breakdown_pj_per_timestep: breakdown,
+            per_timestep_uj: self.estimate.per_timestep_uj,
+            per_timestep_dynamic_uj: self.estimate.per_timestep_dynamic_uj,
+            time_us_per_timestep: self.estimate.time_us.map(|all| times(all).into_iter().collect()),
+            transport: self.transport,
+            accounting: self.accounting,
+            comparison: &self.comparison,
+            early_exit: self.early_exit,
+            parts: self.parts.iter().map(Part::json).collect(),
+            constants: &self.constants,
+            expected: self.expected,
+            notes: self.notes.iter().chain(&self.of_constants).collect(),
+            low: total.and_then(|row| row.low).unwrap_or_default(),
+            high: total.and_then(|row| row.high).unwrap_or_default(),
+            share: total.and_then(|row| row.share),
+            detail: &self.detail,
+        })
     }
 
     /// The rows as comma-separated values with a header; unknown figures are empty.
@@ -522,9 +557,8 @@ impl EnergyReport {
         let mut said = Vec::new();
         let job = self.job.as_ref().filter(|_| self.rows().any(is_printed));
         if *copies > 1 {
-            let all = self.estimate.job.profiler();
-            let share = all.map_or_else(unknown, |all| three(all / f64::from(*copies)));
-            let all = all.map_or_else(unknown, three);
+            let Job { total_mw, share_mw } = self.job();
+            let [all, share] = [total_mw, share_mw].map(|power| power.map_or_else(unknown, three));
             said.push(format!("Rows are one x86 core's and one copy's; all copies draw {all} mW, {share} each."));
         }
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {

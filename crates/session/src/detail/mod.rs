@@ -1,5 +1,6 @@
 //! A run by population, input and core, and what its user is warned of, as text and JSON.
 
+use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
 
 use crate::cores::CoreRow;
@@ -9,31 +10,22 @@ use crate::warnings::Warning;
 use nsim_files::table::{Column, table_of, three};
 
 /// What a run did in its parts.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Detail {
     /// By population and input.
+    #[serde(flatten)]
     pub sums: ByPopulation,
     /// By core; empty for engines without cores.
+    #[serde(serialize_with = "core_rows")]
     pub cores: Vec<CoreRow>,
     /// What to look at.
     pub warnings: Vec<Warning>,
     /// The processes that ran it together; empty where it was one alone.
+    #[serde(serialize_with = "rank_rows", skip_serializing_if = "Vec::is_empty")]
     pub ranks: Vec<RankRow>,
 }
 
 impl Detail {
-    /// Adds the keys `populations`, `inputs`, `cores` and `warnings` to an object, and `ranks`
-    /// where there are any.
-    pub fn add_to(&self, object: &mut Value) {
-        object["populations"] = json!(self.sums.populations);
-        object["inputs"] = json!(self.sums.inputs);
-        object["cores"] = self.cores.iter().map(core_json).collect();
-        object["warnings"] = json!(self.warnings);
-        if !self.ranks.is_empty() {
-            object["ranks"] = self.ranks.iter().map(rank_json).collect();
-        }
-    }
-
     /// A table of the populations, for this many timesteps.
     pub fn populations_text(&self, timesteps: u64) -> String {
         if self.sums.populations.is_empty() {
@@ -93,8 +85,13 @@ impl Detail {
     }
 }
 
-fn rank_json(row: &RankRow) -> Value {
-    json!(RankRow { peak_mib: row.peak_mib.map(|mib| (mib * 10.0).round() / 10.0), ..*row })
+fn rank_rows<S: Serializer>(rows: &[RankRow], serializer: S) -> Result<S::Ok, S::Error> {
+    let rounded = |row: &RankRow| RankRow { peak_mib: row.peak_mib.map(|mib| (mib * 10.0).round() / 10.0), ..*row };
+    serializer.collect_seq(rows.iter().map(rounded))
+}
+
+fn core_rows<S: Serializer>(rows: &[CoreRow], serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_seq(rows.iter().map(core_json))
 }
 
 fn core_json(row: &CoreRow) -> Value {
