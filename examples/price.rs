@@ -22,7 +22,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
 
     let spikes: Vec<_> = (0..100).map(|step| (step, ChannelId(step % compiled.program.channels()))).collect();
     let keep = Keep::new(compiled.program.output());
-    run_sample(&mut machine, &Sample::new(100, &spikes, None)?, &keep, |_, _| ());
+    run_sample(&mut machine, &Sample::new(100, &spikes, None)?, &keep, ());
 
     // The machine counts; energy is a function of the counts and the constants.
     let table = CostTable::new(&load_constants("loihi1-evidence")?)?;

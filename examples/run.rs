@@ -26,7 +26,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let image = Image::new(program, 1)?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
     let keep = Keep::new(program.output());
-    let outcome = run_sample(&mut machine, &sample, &keep, |_, _| ());
+    let outcome = run_sample(&mut machine, &sample, &keep, ());
 
     println!("class {:?}, spikes of each output {:?}", outcome.class(), outcome.counts);
     println!("{} synaptic events in {} steps", outcome.totals.synaptic_events, outcome.steps);
