@@ -22,6 +22,9 @@ use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
 use crate::work::tried;
 
+/// Channels that spike in a step, with what their messages carry.
+type Input = Vec<(ChannelId, i32)>;
+
 /// A mapping after some timestep; `Mapping.session()` opens one.
 ///
 /// `step` does one timestep, `session["POPULATION"]` shows what a population did in it. Copies of a
@@ -30,6 +33,8 @@ use crate::work::tried;
 pub struct Session {
     mapping: Arc<Shared>,
     stepped: Option<Stepped>,
+    /// Scratch memory: the input of a step.
+    shown: Input,
 }
 
 /// The state of a session after some timestep.
@@ -58,7 +63,7 @@ impl Session {
             };
             Ok::<_, Diagnostic>(Stepped::open(&image, &compiled.one, compiled.options.copies))
         })?;
-        Ok(Session { mapping: mapping.clone(), stepped: Some(stepped) })
+        Ok(Session { mapping: mapping.clone(), stepped: Some(stepped), shown: Vec::new() })
     }
 
     fn network(&self) -> &Quantised {
@@ -84,68 +89,74 @@ fn check_each(array: &Array<'_>, name: &str, shape: Shape, what: &str) -> PyResu
     Err(usage(message, &format!("give one for each channel, along one axis or as {shape}")))
 }
 
-/// What the channels of a population send in a step, from a number each.
-fn values(given: &Bound<'_, PyAny>, first: ChannelId, (name, shape): (&str, Shape)) -> PyResult<Vec<(ChannelId, i32)>> {
+/// Adds what the channels of a population send in a step, from a number each.
+fn add_values(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &str, shape: Shape) -> PyResult<()> {
     let help = "give an integer of 32 bits for each channel, 0 for none";
     let array = Array::new(given, name)?;
     check_each(&array, name, shape, "numbers")?;
-    let channels = (first.0..).map(ChannelId);
-    let value = |(channel, number): (ChannelId, f64)| match number as i32 {
-        value if f64::from(value) == number => Ok((channel, value)),
-        _ => Err(usage(format!("channel {} of '{name}' is to send {number}", channel.0 - first.0), help)),
-    };
-    channels.zip(array.numbers(shape.len() as usize, help)?).map(value).collect()
+    for (number, value) in array.numbers(shape.len() as usize, help)?.into_iter().enumerate() {
+        if f64::from(value as i32) != value {
+            return Err(usage(format!("channel {number} of '{name}' is to send {value}"), help));
+        }
+        shown.push((ChannelId(first + number as u32), value as i32));
+    }
+    Ok(())
 }
 
-/// Channels of a population that spike in a step, from their numbers or from a truth value each.
-fn channels(given: &Bound<'_, PyAny>, first: ChannelId, (name, shape): (&str, Shape)) -> PyResult<Vec<ChannelId>> {
-    fn listed<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>) -> Option<Vec<u32>> {
-        array.readonly().as_array().iter().map(|&number| number.try_into().ok()).collect()
+/// Adds the channels of a population that spike in a step, from their numbers or from a truth value
+/// each.
+fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &str, shape: Shape) -> PyResult<()> {
+    // A copy takes less time than NumPy's check of what is borrowed.
+    fn copied<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>, mut add: impl FnMut(u32)) -> bool {
+        array.to_owned_array().iter().all(|&number| number.try_into().map(&mut add).is_ok())
     }
-    let units = shape.len();
+    let (units, before) = (shape.len(), shown.len());
     let help = "give the numbers of the channels that spike, counted from 0, or a truth value for each: array > 0";
-    let numbers = if let Ok(array) = given.cast::<PyArray1<i64>>() {
-        listed(array)
+    let mut add = |number| shown.push((ChannelId(number), 1));
+    let are_whole = if let Ok(array) = given.cast::<PyArray1<i64>>() {
+        copied(array, add)
     } else if let Ok(array) = given.cast::<PyArray1<i32>>() {
-        listed(array)
+        copied(array, add)
     } else if let Ok(array) = given.cast::<PyArray1<u32>>() {
-        listed(array)
+        copied(array, add)
     } else if given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>() || given.hasattr("__array__")? {
         let array = Array::new(given, format!("'{name}'"))?;
+        let numbers = || array.numbers(units as usize, help);
         if array.holds_truth_values() {
             check_each(&array, name, shape, "truth values")?;
-            let each = array.numbers(units as usize, help)?;
-            let spiking = (first.0..).zip(each).filter(|&(_, spikes)| spikes != 0.0);
-            return Ok(spiking.map(|(number, _)| ChannelId(number)).collect());
-        }
-        // A byte for each channel is what `run` takes as spikes.
-        if array.is_of_bytes() && is_of(shape, array.shape()) {
+            (0..).zip(numbers()?).filter(|&(_, spikes)| spikes != 0.0).for_each(|(number, _)| add(number));
+            true
+        } else if array.is_of_bytes() && is_of(shape, array.shape()) {
+            // A byte for each channel is what `run` takes as spikes.
             let message = format!("'{name}' has {units} channels, and a byte for each is no list of their numbers");
             return Err(usage(message, help));
-        }
-        match array.shape() {
-            [0] => Some(Vec::new()),
-            [_] if array.holds_integers() => {
-                let each = array.numbers(units as usize, help)?.into_iter();
-                each.map(|x| (x >= 0.0 && x <= f64::from(u32::MAX)).then_some(x as u32)).collect()
+        } else {
+            match array.shape() {
+                [0] => true,
+                [_] if array.holds_integers() => {
+                    let whole = |x: f64| (x >= 0.0 && x <= f64::from(u32::MAX)).then_some(x as u32);
+                    numbers()?.into_iter().all(|x| whole(x).map(&mut add).is_some())
+                }
+                _ => false,
             }
-            _ => None,
         }
     } else {
         let message = format!("the channels of '{name}' are {}", given.get_type().name()?);
         return Err(PyTypeError::new_err(format!("{message}, not a list or an array")));
     };
-    let Some(mut numbers) = numbers else {
+    if !are_whole {
         return Err(usage(format!("the channels of '{name}' are not a list of whole numbers from 0"), help));
-    };
-    numbers.sort_unstable();
-    if let Some(number) = numbers.last().filter(|number| **number >= units) {
+    }
+    let own = &mut shown[before..];
+    own.sort_unstable_by_key(|(number, _)| *number);
+    if let Some((ChannelId(number), _)) = own.last().filter(|(number, _)| number.0 >= units) {
         return Err(usage(format!("'{name}' has {units} channels, and {number} is to spike"), help));
     }
-    if let Some(twice) = numbers.windows(2).find(|pair| pair[0] == pair[1]) {
-        return Err(usage(format!("channel {} of '{name}' is given twice", twice[0]), help));
+    if let Some(twice) = own.windows(2).find(|pair| pair[0].0 == pair[1].0) {
+        return Err(usage(format!("channel {} of '{name}' is given twice", twice[0].0.0), help));
     }
-    Ok(numbers.into_iter().map(|number| ChannelId(first.0 + number)).collect())
+    own.iter_mut().for_each(|(number, _)| number.0 += first);
+    Ok(())
 }
 
 #[pymethods]
@@ -158,22 +169,22 @@ impl Session {
     /// one for each channel. Populations without an entry are silent, and all are in `step()`.
     #[pyo3(signature = (inputs=None))]
     fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
-        let mut spiking = Vec::new();
+        let Session { mapping, stepped, shown } = self;
+        shown.clear();
         if let Some(inputs) = inputs {
-            let network = self.network();
+            let network = &mapping.compiled().one;
             let mut add = |name: &str, given: &Bound<'_, PyAny>| {
                 let found = network.inputs().find(|(_, population)| population.name == name);
-                let known = found.and_then(|(_, p)| Some((p.first_channel()?, p.shape, p.message)));
+                let known = found.and_then(|(_, p)| Some((p.first_channel()?.0, p.shape, p.message)));
                 let Some((first, shape, message)) = known else {
                     let known: Vec<&str> = network.inputs().map(|(_, population)| population.name.as_str()).collect();
                     let message = format!("'{name}' is no input population");
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
                 match message {
-                    Message::Value(_) => spiking.extend(values(given, first, (name, shape))?),
-                    _ => spiking.extend(channels(given, first, (name, shape))?.into_iter().map(|channel| (channel, 1))),
+                    Message::Value(_) => add_values(shown, given, first, name, shape),
+                    _ => add_channels(shown, given, first, name, shape),
                 }
-                Ok(())
             };
             match inputs.cast::<PyDict>() {
                 Ok(by_name) => by_name.iter().try_for_each(|(name, given)| add(&name.extract::<String>()?, &given))?,
@@ -189,8 +200,8 @@ impl Session {
                 }
             }
         }
-        let stepped = self.stepped.as_mut().ok_or_else(closed)?;
-        tried(py, || stepped.step(spiking))
+        let stepped = stepped.as_mut().ok_or_else(closed)?;
+        tried(py, || stepped.step(shown.iter().copied()))
     }
 
     /// Timesteps since the session was opened or reset.

@@ -43,6 +43,8 @@ pub struct Session {
     is_cut: bool,
     /// The last step's input, of one copy.
     shown: Vec<(ChannelId, i32)>,
+    /// Scratch memory: the next step's input, until it is the last's.
+    given: Vec<(ChannelId, i32)>,
     /// Scratch memory: the input of all copies.
     all: (Vec<ChannelId>, Vec<i32>),
 }
@@ -59,6 +61,7 @@ impl Session {
             steps: 0,
             is_cut: false,
             shown: Vec::new(),
+            given: Vec::new(),
             all: (Vec::new(), Vec::new()),
         };
         session.reset();
@@ -86,7 +89,9 @@ impl Session {
     /// # Errors
     /// `session.channel`; the session stays as it was.
     pub fn step(&mut self, input: impl IntoIterator<Item = (ChannelId, i32)>) -> Result<()> {
-        let mut given: Vec<(ChannelId, i32)> = input.into_iter().filter(|(_, value)| *value != 0).collect();
+        let given = &mut self.given;
+        given.clear();
+        given.extend(input.into_iter().filter(|(_, value)| *value != 0));
         if !given.is_sorted_by(|a, b| a.0 < b.0) {
             given.sort_by_key(|(channel, _)| *channel);
             given.dedup_by_key(|(channel, _)| *channel);
@@ -96,7 +101,7 @@ impl Session {
             let message = format!("channel {} is not one of the network's {channels}", last.0);
             return Err(Diagnostic::new("session.channel", message).help("channels are counted from 0"));
         }
-        self.shown = given;
+        std::mem::swap(&mut self.shown, given);
         self.is_cut |= self.kept.len() + self.shown.len() > MOST_KEPT || self.steps == u32::MAX - 1;
         if !self.is_cut {
             self.kept.extend(self.shown.iter().map(|&(channel, value)| (self.steps, channel, value)));
