@@ -11,6 +11,8 @@ use std::process::{Child, Command, Output, Stdio};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use crate::common;
+
 const MODEL: &str = "Network(name: \"ranks\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4000]), \
     Loihi(name: \"n\", shape: [4000], du: 1024, dv: 256, vth_mant: 130, refractory: 1)], \
     projections: [Random(from: [\"in\"], to: \"n\", fan_out: 2, low: 100, high: 126, seed: 1), \
@@ -27,7 +29,7 @@ fn ready() -> Option<(tempfile::TempDir, MutexGuard<'static, ()>)> {
     let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let found = Command::new("mpirun").arg("--version").stdout(Stdio::null()).status().is_ok();
     if !found {
-        eprintln!("SKIPPED: mpirun is absent (Debian: libopenmpi-dev openmpi-bin), no job was started");
+        common::say("skipped: mpirun is absent (Debian: libopenmpi-dev openmpi-bin), no job was started");
         return None;
     }
     let folder = tempfile::tempdir().unwrap();

@@ -7,6 +7,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use crate::common;
 use crate::real::{STEPS, input, spikes, total};
 use crate::torch::{Entry, checkpoint};
 use nsim::files::lower::lower;
@@ -206,7 +207,7 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
 #[test]
 fn the_tools_themselves_give_the_same_spikes_and_classes() {
     let Some(python) = std::env::var_os("NSIM_PEERS") else {
-        eprintln!("skipped: NSIM_PEERS names no Python with snntorch, norse and sinabs");
+        common::say("skipped: NSIM_PEERS names no Python with snntorch, norse and sinabs");
         return;
     };
     let folder = tempfile::tempdir().unwrap();

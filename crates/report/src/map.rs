@@ -343,11 +343,6 @@ const PARETO_COLUMNS: [Column<ParetoRow>; 7] = [
     ("front", |row| if row.on_front { "*" } else { "" }.to_string()),
 ];
 
-/// What was pruned, an object a kind.
-pub fn pruned_json(rows: &[PrunedRow]) -> Value {
-    json!(pruned_kinds(rows))
-}
-
 /// What was pruned, by kind.
 pub(crate) fn pruned_kinds<'a>(rows: &'a [PrunedRow]) -> Vec<PrunedKind<'a>> {
     let kind = |row: &'a PrunedRow| {

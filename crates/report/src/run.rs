@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::map::pruned_json;
+use crate::map::{PrunedKind, pruned_kinds};
 use crate::origin;
 use nsim_files::table::{count, csv_text, or_empty, table, three, wrapped};
 use nsim_ir::activity::{Activity, Overflow, Totals};
@@ -106,7 +106,7 @@ struct RunResult<'a> {
     early_exit: Option<EarlyExit>,
     wall_s: f64,
     us_per_timestep: f64,
-    pruned: Value,
+    pruned: Vec<PrunedKind<'a>>,
     notes: Vec<String>,
     files: &'a [String],
     #[serde(flatten)]
@@ -207,7 +207,7 @@ impl RunReport<'_> {
             }),
             wall_s: self.wall_s,
             us_per_timestep: self.wall_s * 1e6 / timesteps.max(1) as f64,
-            pruned: pruned_json(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
+            pruned: pruned_kinds(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
             notes: parts.notes.iter().map(|note| format!("{}: {}", note.entity, note.message)).collect(),
             files: self.files,
             detail: self.detail,
