@@ -7,7 +7,7 @@
 use std::fmt::Write;
 
 use serde::{Serialize, Serializer};
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::charts::results;
 use nsim_compile::explore::choice::{Candidate, Found, front};
@@ -428,6 +428,7 @@ mod tests {
     use nsim_ir::quantised::Quantised;
     use nsim_session::front::front as integers;
     use nsim_testing::{limits, slip, target};
+    use serde_json::Value;
 
     const KEYS: &str = "schema,model,target,copies,objective,strategy,placed,seed,time_budget_s,pruned,relays,fits,\
          cores_used,chips_used,cores_per_copy,checked,checked_how,checked_share,described,cores,limits,\
