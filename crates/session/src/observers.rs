@@ -9,7 +9,7 @@ use nsim_ir::quantised::Output;
 use nsim_ir::spikes::Engine;
 
 use crate::decision::{Decision, Rule};
-use crate::{Keep, Outcome, Probe, Quantity};
+use crate::outcome::{Keep, Outcome, Probe, Quantity};
 
 /// Consecutive steps with equal counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
