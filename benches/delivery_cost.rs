@@ -1,8 +1,8 @@
-//! Measures what the parts of a delivery take, and prints it next to the table by which the machine
-//! chooses forms of synapses (`crates/machine/src/layout/delivery_cost.rs`):
+//! Measures the times of the parts of a delivery, and prints them next to the machine's cost table
+//! for forms of synapses (`crates/machine/src/layout/delivery_cost.rs`):
 //! `cargo bench --bench delivery_cost`, on a quiet machine.
 
-// A bench that cannot go on has failed.
+// A bench that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;
@@ -16,13 +16,13 @@ use nsim::machine::layout::delivery_cost::{DELIVERY_COST, DeliveryParts};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::study::networks::delivery::{DeliveryNetwork, delivery_networks, lists_beyond_caches};
 
-/// How long each step is measured.
+/// Time for which each step is measured.
 const BUDGET: Budget = Budget::Time(Duration::from_millis(400));
 
-/// Rounds of the fit, which settles long before.
+/// Rounds of the fit, which converges much earlier.
 const ROUNDS: usize = 100_000;
 
-/// The parts that the second half of the spikes adds, and the nanoseconds that it takes.
+/// Numbers of the parts that the second half of the spikes adds, and its time in ns.
 fn measured(one: DeliveryNetwork) -> (String, [f64; 7], f64) {
     let target = load_target("nahuku-32").unwrap();
     let program = compile(one.network, &target, &Options::default()).unwrap().program;
@@ -32,7 +32,7 @@ fn measured(one: DeliveryNetwork) -> (String, [f64; 7], f64) {
         let at = |step| spikes.iter().map(move |spike| (step, ChannelId(spike.0 + step)));
         let events: Vec<_> = (0..one.period).flat_map(at).collect();
         let period = Sample::new(one.period, &events, None).unwrap();
-        // Idle compartments are updated too: the update is the same for any spikes.
+        // Idle compartments are updated too: the update does not depend on the spikes.
         let mut machine = Machine::new(&image, Settings { skip: false, per_step: false });
         1e3 * measure(&mut machine, &period, BUDGET).fastest
     };
@@ -45,7 +45,7 @@ fn main() {
     let rows: Vec<_> = delivery_networks().unwrap().into_iter().map(measured).collect();
     let table = DELIVERY_COST.numbers().map(|tenths| tenths as f64 / 10.0);
     let time = |parts: &[f64; 7], each: &[f64; 7]| parts.iter().zip(each).map(|(number, ns)| number * ns).sum::<f64>();
-    // Non-negative least squares of relative errors, one part after the other until none moves.
+    // Non-negative least squares of relative errors, part by part until none changes.
     let mut fitted = table;
     for _ in 0..ROUNDS {
         for part in 0..fitted.len() {

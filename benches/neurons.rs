@@ -1,10 +1,10 @@
-//! What the update of a neuron takes, of each kind of Loihi 2 and of the same kind stated as
-//! expressions by a model file.
+//! Update time of a neuron, for each kind of Loihi 2 and for this kind stated as expressions in a
+//! model file.
 //!
-//! 16,384 neurons are updated in each step, since skipping is off, without arrivals: no update has
-//! a branch. Prints ns a neuron and the ratio of both forms.
+//! Skipping is off, so 16,384 neurons are updated in each step, without arrivals: no update has a
+//! branch. Prints ns a neuron and the ratio of both forms.
 
-// A bench that cannot go on has failed.
+// A bench that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 use std::time::Duration;

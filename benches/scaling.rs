@@ -1,11 +1,11 @@
-//! How the cost of a step grows with its synaptic events: N events a step, from 10^2 to 10^6.
+//! Cost of a step by its synaptic events: N events a step, from 10^2 to 10^6.
 //!
-//! - `events/grown/N`: on networks that grow with N, an eighth as many compartments as events (128
-//!   at least). The time per event should be constant.
-//! - `events/fixed/N`: on one network of 16,384 compartments: the time is a constant for the size
+//! - `events/grown/N`: on networks that grow with N, with one compartment for each eight events
+//!   (128 at least). The time per event should be constant.
+//! - `events/fixed/N`: on one network of 16,384 compartments. The time is a constant for the size
 //!   and a constant per event.
 
-// A bench that cannot go on has failed; criterion's macro makes functions without documentation.
+// A bench that cannot continue has failed; criterion's macro makes undocumented functions.
 #![allow(clippy::unwrap_used, missing_docs)]
 
 use std::time::{Duration, Instant};
@@ -18,7 +18,7 @@ use nsim::ir::spikes::Engine;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::study::networks::events_only;
 
-/// Synapses of a channel.
+/// Synapses from one channel.
 const FAN_OUT: u32 = 64;
 /// Compartments of the network of fixed size.
 const FIXED: u32 = 16_384;

@@ -1,4 +1,4 @@
-//! What each kind of skipping saves alone, on whole samples: at run time (`--skip`), at map time
+//! Time saved by each kind of skipping alone, on whole samples: at run time (`--skip`), at map time
 //! (`--prune`), at decision time (`--early-exit`).
 //!
 //! Scenes: recorded tactile samples (in `NSIM_DATA` or `../shared/data`) on the shipped tactile
@@ -6,7 +6,7 @@
 //! repeatedly on one thread. Rows alternate, so that other load of the machine affects all equally.
 //! Prints a table of times and counts.
 
-// A bench that cannot go on has failed.
+// A bench that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 use std::hint::black_box;
@@ -69,7 +69,7 @@ fn silence() -> Scene {
     Scene { name: "silence", network: model("vtsnn-slip"), samples: vec![sample; 20] }
 }
 
-/// One way to run a scene.
+/// Settings of a run of a scene.
 struct Row {
     kind: &'static str,
     setting: String,
@@ -90,7 +90,7 @@ fn rows(scene: &Scene) -> Vec<Row> {
     let fixed = prune(whole, &Plan::fixed()).unwrap();
     let shown = prune(whole, &Plan::for_stimulus(whole, &stimulus)).unwrap();
     let margin = Rule::Margin(8.try_into().unwrap());
-    // Each row skips only its own kind.
+    // Each row skips by its own kind alone.
     vec![
         row("none", "", whole, false, None),
         row("run time", "--skip on", whole, true, None),
@@ -102,7 +102,7 @@ fn rows(scene: &Scene) -> Vec<Row> {
     ]
 }
 
-/// What the samples of a row did: digest, timesteps run, compartments visited, synaptic events.
+/// Results of a row: digest, timesteps run, compartments visited, synaptic events.
 type Did = (String, u64, u64, u64);
 
 fn measure(scene: &Scene) {
@@ -149,7 +149,7 @@ fn measure(scene: &Scene) {
     };
     let whole = median(&times[0]);
     for ((row, times), (digest, steps, visited, events)) in rows.iter().zip(&times).zip(&did) {
-        // Only what ends a sample early may change its outputs.
+        // Only an early exit may change the outputs of a sample.
         assert!(row.rule.is_some() || *digest == did[0].0, "{} {}: other outputs", scene.name, row.setting);
         let us = median(times);
         println!(

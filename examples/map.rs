@@ -1,4 +1,4 @@
-//! Maps a shipped network onto a chip and prints what each core uses.
+//! Maps a shipped network onto a chip and prints the usage of each core.
 
 use std::error::Error;
 
@@ -19,7 +19,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
                 println!("core {core} at tile ({}, {}): {} compartments", site.x, site.y, used[Resource::Compartments]);
             }
         }
-        // Each reason names a core, a resource, what is needed and what could be done.
+        // Each reason names a core, a resource, the required amount and possible remedies.
         Err(CompileError::DoesNotFit(reasons)) => reasons.iter().for_each(|reason| println!("{reason}")),
         Err(error) => return Err(error.into()),
     }

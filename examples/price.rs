@@ -1,4 +1,4 @@
-//! Runs one sample and prints what its events cost under a preset of constants.
+//! Runs one sample and prints the cost of its events under a preset of constants.
 
 use std::error::Error;
 

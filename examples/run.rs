@@ -16,7 +16,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let compiled = compile(front(&load_model("vtsnn-slip")?)?, &load_target("loihi1-chip")?, &Options::default())?;
     let program = &compiled.program;
 
-    // A hundred timesteps; every third step another tenth of the channels spikes.
+    // A hundred timesteps; in every third step another tenth of the channels spikes.
     let spikes: Vec<(u32, ChannelId)> = (0..100)
         .step_by(3)
         .flat_map(|step| (step % 10..program.channels()).step_by(10).map(move |channel| (step, ChannelId(channel))))

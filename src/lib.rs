@@ -1,11 +1,10 @@
 //! nsim maps trained spiking networks onto simulated Loihi-style cores, runs them with the chip's
 //! own integer arithmetic, and reports energy, latency and power.
 //!
-//! The way through is one line: files become a [`files::network::Network`], then an
-//! [`ir::graph::Graph`], an [`ir::quantised::Quantised`] network, an [`ir::partition::Partition`],
-//! an [`ir::placement::Placement`], an [`ir::program::Program`]; the machine runs it and counts an
-//! [`ir::activity::Activity`], from which energy and time are computed. `docs/architecture.md` has
-//! the picture; `docs/semantics.md` the numbered equations.
+//! A [`files::network::Network`] becomes an [`ir::graph::Graph`], an [`ir::quantised::Quantised`],
+//! an [`ir::partition::Partition`], an [`ir::placement::Placement`] and an
+//! [`ir::program::Program`]. Counts of its run, [`ir::activity::Activity`], give energy and time.
+//! `docs/architecture.md` has the picture, `docs/semantics.md` the equations.
 //!
 //! Map, run and price a network:
 //!
@@ -15,7 +14,8 @@
 //! let target = nsim::load_target("nahuku-32")?;
 //! let compiled = nsim::compile(nsim::front(&network)?, &target, &nsim::Options::default())?;
 //! assert_eq!(compiled.partition.cores(), 1);
-//! let stimulus = nsim::stimulus(&compiled.one, &["scene:slip?samples=2".to_string()], None, None)?;
+//! let stimulus =
+//!     nsim::stimulus(&compiled.one, &["scene:slip?samples=2".to_string()], None, None)?;
 //! let priced = nsim::run_priced(&compiled, &target, &stimulus.samples)?;
 //! assert_eq!(priced.outcomes.len(), 2);
 //! let total = priced.estimate.rows.iter().find(|row| row.unit == "total");

@@ -1,4 +1,4 @@
-//! The nsim binary: hands the command line to the library and its answer to the shell.
+//! The nsim binary: passes the command line to the library and returns its exit status.
 
 use std::process::ExitCode;
 

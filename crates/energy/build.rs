@@ -1,4 +1,4 @@
-//! Gives the program the name of its compiler: a measured time means little without.
+//! Passes the compiler's version to the program, since measured times depend on it.
 
 use std::process::Command;
 

@@ -1,5 +1,5 @@
-//! Deflates what pages embed, and says where the files that pictures embed lie: in the folder of
-//! the project, or in a packaged crate, which has copies.
+//! Deflates the chart library that pages embed, and passes on the path of the assets: the project's
+//! folder, or the copies in a packaged crate.
 
 use std::io::Write;
 use std::path::Path;
@@ -8,7 +8,7 @@ const CHARTS: &str = "echarts/echarts.min.js";
 
 fn main() -> std::io::Result<()> {
     let own = Path::new(env!("CARGO_MANIFEST_DIR"));
-    // Not the link of this folder, which some systems store as text.
+    // The link of this folder is not used, since some systems store it as text.
     let assets = [own.join("../../assets"), own.join("assets")].into_iter().find(|assets| assets.is_dir());
     let assets = assets.unwrap_or_default();
     let charts = assets.join(CHARTS);

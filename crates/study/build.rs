@@ -1,11 +1,11 @@
-//! Lists the stored results of the paper's tables, so that the program carries each file that lies
-//! in their folder: that of the project, or in a packaged crate its copy.
+//! Lists the stored results of the paper's tables, so that the program embeds each file of their
+//! folder. A packaged crate has a copy of the project's folder.
 
 use std::path::Path;
 
 fn main() -> std::io::Result<()> {
     let own = Path::new(env!("CARGO_MANIFEST_DIR"));
-    // Not the link of this folder, which some systems store as text.
+    // The link of this folder is not used, since some systems store it as text.
     let project = own.join("../../results/paper");
     let results = if project.is_dir() { project } else { own.join("results/paper") };
     println!("cargo::rerun-if-changed=build.rs");

@@ -1,8 +1,7 @@
-//! How far the integers of a network are from what was trained, and why: `nsim agree`.
+//! Disagreement of the integers of a network with its trained form, and its causes: `nsim agree`.
 //!
-//! Input: a network, spikes, and what it is compared with. Output: an [`Agreement`], whose figures
-//! are those of the command line. Not here: comparisons with recordings, which the
-//! command line has.
+//! Input: a network, spikes, and its counterpart. Output: an [`Agreement`] with the figures of the
+//! command line. Only the command line compares with recordings.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -35,17 +34,17 @@ use crate::spikes::{Shown, sources};
 use crate::value::to_python;
 use crate::work::{tried, work};
 
-/// Where and why two networks disagree.
+/// Disagreement of two networks, and its causes.
 #[pyclass(frozen, module = "nsim")]
 pub struct Agreement {
     json: Value,
     text: String,
 }
 
-/// Samples that a search or an attribution may take, as on the command line.
+/// Most samples of a search or an attribution, as on the command line.
 pub const MOST_SAMPLES: usize = 100_000;
 
-/// A number from 1 to `most`.
+/// A keyword from 1 to `most`, `usual` without it.
 pub fn counted(keywords: &Keywords<'_>, name: &str, usual: usize, most: usize) -> PyResult<usize> {
     Ok(keywords.whole(name, 1..=most as u64)?.map_or(usual, |number| number as usize))
 }
@@ -64,7 +63,7 @@ impl Agreement {
         refuse_large("agree", &written, 1).map_err(|problem| raised(py, problem))?;
         let against: Option<Bound<'_, PyAny>> = keywords.take("against")?;
         let other = against.as_ref().map(|given| model(py, given, in_memory)).transpose()?.flatten();
-        // A network in real numbers is not mapped: what it is compared with is.
+        // A network in real numbers is not mapped; its counterpart is.
         let deployed = other.as_ref().filter(|_| is_real(&graph)).map_or(network, |(other, ..)| other);
         let (on, instead) = target_with_neurons(deployed.file(), target).map_err(|problem| raised(py, problem))?;
         let typed = target.map(str::to_string).or_else(|| instead.as_ref().map(|_| on.name().to_string()));
@@ -168,21 +167,20 @@ impl Agreement {
     }
 }
 
-/// The problem of another network that does not fit on the target of this one.
+/// Error for another network that does not fit on the target of this one.
 fn unfit(problem: &CompileError, target: &str) -> nsim::Error {
     let message = format!("the network of against= does not run on {target}: {problem}");
     let help = "give target=, or call agree of that network, with this one as against=";
     Diagnostic::new("usage", message).help(help).into()
 }
 
-/// The network that an `nsim.Network` or an `nsim.Conversion` holds; none of another object.
+/// Returns the network of an `nsim.Network` or an `nsim.Conversion`; none for another object.
 pub type InMemory = fn(&Bound<'_, PyAny>) -> Option<Arc<Network>>;
 
-/// A network to compare with, what it is, and its integers.
+/// A network to compare with, its role, and its integers.
 type Other = (Arc<Network>, &'static str, Quantised);
 
-/// An `nsim.Network`, that of an `nsim.Conversion`, or of a model file; none of a word that is
-/// neither.
+/// The network of an `nsim.Network`, an `nsim.Conversion` or a model file; none for other text.
 fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyResult<Option<Other>> {
     let loaded = match (in_memory(given), given.extract::<PathBuf>()) {
         (Some(network), _) => network,
@@ -209,13 +207,13 @@ impl Agreement {
         self.json["class_agreement"].as_f64()
     }
 
-    /// Layer by layer, a dictionary each: how far spikes and potentials differ.
+    /// A dictionary for each layer, with the differences of spikes and potentials.
     #[getter]
     fn layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.json["layers"])
     }
 
-    /// The causes of the disagreement, a dictionary each.
+    /// A dictionary for each cause of the disagreement.
     #[getter]
     fn attribution<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.json["attribution"])

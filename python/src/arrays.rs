@@ -1,13 +1,13 @@
 //! Arrays of numbers that Python passes: one conversion for spikes, events, weights, parameters and
 //! labels.
 //!
-//! Input: what NumPy makes an array of, and what messages call it. Output: its shape and its
-//! numbers in C order, for any layout, byte order and type. Invariants: every number that is
-//! passed on is finite and stands in the array; a `bool` is 0 or 1, for any byte. Errors:
-//! `input.array` with the argument, the index, the value and a remedy.
+//! Input: a value that NumPy makes an array of, and its name in messages. Output: its shape and its
+//! numbers in C order, for any layout, byte order and type. Invariants: every returned number is
+//! finite and an element of the array; a `bool` is 0 or 1, for any byte. Errors: `input.array` with
+//! the argument, the index, the value and a remedy.
 //!
-//! Numbers are read in parts of bounded size by `numpy.nditer`, and a converted copy of the whole
-//! array is never made: an array may claim more numbers than it stores (`numpy.broadcast_to`).
+//! `numpy.nditer` reads numbers in parts of bounded size, and a converted copy of the whole array
+//! is never made: an array may claim more numbers than it stores (`numpy.broadcast_to`).
 
 use nsim::import::spikes::options::WHOLE;
 use nsim::ir::base::diagnostic::Diagnostic;
@@ -21,7 +21,7 @@ use crate::error::raised;
 
 /// Numbers of an array that are compared together.
 const TOGETHER: usize = 32;
-/// Numbers of a part that is converted.
+/// Numbers of one converted part.
 const PART: usize = 1 << 16;
 /// The deepest list of lists that is searched for masked arrays; NumPy's arrays have at most 64
 /// axes.
@@ -36,7 +36,7 @@ pub struct Array<'py> {
 }
 
 impl<'py> Array<'py> {
-    /// From anything that NumPy makes an array of; `name` is the argument.
+    /// Makes one of any value that NumPy makes an array of; `name` is the argument.
     pub fn new(value: &Bound<'py, PyAny>, name: impl Into<String>) -> PyResult<Self> {
         let (py, name) = (value.py(), name.into());
         let numpy = py.import("numpy")?;
@@ -81,7 +81,7 @@ impl<'py> Array<'py> {
         Err(refused(py, format!("{name} has dtype {dtype}: it holds {what}, which are not read"), help))
     }
 
-    /// What messages call it.
+    /// Its name in messages.
     pub fn name(&self) -> &str {
         &self.name
     }
@@ -115,7 +115,7 @@ impl<'py> Array<'py> {
         ahead.saturating_add(self.array.dtype().itemsize() as u64)
     }
 
-    /// A problem with the number at an index in C order.
+    /// Error for the number at an index in C order.
     pub fn wrong(&self, index: usize, value: f64, why: &str) -> Diagnostic {
         let mut left = index;
         let mut indices: Vec<String> = Vec::with_capacity(self.shape().len());
@@ -153,7 +153,7 @@ impl<'py> Array<'py> {
         })
     }
 
-    /// All numbers, at most `most`; `help` says what to do with more.
+    /// All numbers, at most `most`; `help` is the advice for more.
     pub fn numbers(&self, most: usize, help: &str) -> PyResult<Vec<f64>> {
         let count = self.array.len();
         if count > most {
@@ -168,10 +168,10 @@ impl<'py> Array<'py> {
         Ok(numbers)
     }
 
-    /// Calls `add` with the index in C order of every number that is not zero; refuses one that is
-    /// negative or not whole. Gives the first that is greater than 1, in words.
+    /// Calls `add` with the index in C order of every number that is not zero; refuses a negative
+    /// or fractional number. Returns a message about the first that is greater than 1.
     ///
-    /// Most numbers of recordings are zero, this many are compared at a time.
+    /// Most numbers of recordings are zero, so [`TOGETHER`] numbers are compared at a time.
     pub fn each_spike(&self, mut add: impl FnMut(usize) -> Result<(), nsim::Error>) -> PyResult<Option<String>> {
         let mut greater = None;
         let mut spike = |index: usize, number: f64| {
@@ -236,8 +236,8 @@ impl<'py> Array<'py> {
     }
 }
 
-/// Whether axes are those of a population's shape, or one axis of all its units; an axis of length
-/// 1 says nothing.
+/// Whether axes equal the shape of a population, or are one axis of all its units; axes of length 1
+/// are ignored.
 pub fn is_of(shape: Shape, axes: &[usize]) -> bool {
     let plain = |axes: &[usize]| axes.iter().copied().filter(|&axis| axis != 1).collect::<Vec<_>>();
     let own: Vec<usize> = shape.axes().into_iter().map(|axis| axis as usize).collect();
@@ -245,8 +245,7 @@ pub fn is_of(shape: Shape, axes: &[usize]) -> bool {
     axes == plain(&own) || axes == plain(&[shape.len() as usize])
 }
 
-/// Calls `read` with contiguous parts of an array, in C order, as numbers of the type that `dtype`
-/// names.
+/// Calls `read` with contiguous parts of an array, in C order, as numbers of type `dtype`.
 fn parts<T: Element>(
     array: &Bound<'_, PyUntypedArray>,
     dtype: &str,
@@ -286,16 +285,16 @@ fn is_masked(value: &Bound<'_, PyAny>, masked: &Bound<'_, PyAny>, depth: usize) 
     Ok(false)
 }
 
-/// What the entries of an array count.
+/// Kind of thing that the entries of an array count.
 #[derive(Clone, Copy)]
 pub struct Counted {
-    /// What one is, in the singular.
+    /// Its name, in the singular.
     pub what: &'static str,
-    /// Number of these, at most 2^32.
+    /// Number of things, at most 2^32.
     pub limit: u64,
-    /// What the array holds.
+    /// Advice for an entry that is no count.
     pub help: &'static str,
-    /// Of an entry that counts none of them.
+    /// Error code of an entry that is no count.
     pub code: &'static str,
 }
 
@@ -310,7 +309,7 @@ impl Array<'_> {
         }
     }
 
-    /// The value of an entry that counts something from 0.
+    /// The value of an entry, a count from 0.
     pub fn counted(&self, index: usize, value: f64, of: Counted) -> Result<u32, nsim::Error> {
         if value >= 0.0 && value < of.limit as f64 && value.fract() == 0.0 {
             return Ok(value as u32);

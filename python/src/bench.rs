@@ -1,7 +1,7 @@
-//! How long a timestep of a mapping takes to simulate.
+//! Simulation time of a timestep of a mapping.
 //!
-//! Input: a mapping, a sample that is shown over and over. Output: what [`nsim::energy::measure`]
-//! measures, as `nsim bench step` does of its standard networks.
+//! Input: a mapping, a sample that is repeated. Output: the figures of [`nsim::energy::measure`],
+//! as in `nsim bench step` for its standard networks.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ use crate::spikes::Shown;
 use crate::value::to_python;
 use crate::work::tried;
 
-/// The longest measurement.
+/// Longest measurement, in seconds.
 const MOST_SECONDS: f64 = 3600.0;
 
 /// Measures steps on one thread.

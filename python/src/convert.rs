@@ -1,7 +1,7 @@
-//! A network in integers, searched for on samples: `nsim convert`.
+//! Conversion of a network to integers by a search on samples: `nsim convert`.
 //!
-//! Input: a network with real numbers, spikes. Output: a [`Conversion`], whose figures and whose
-//! model are those of the command line.
+//! Input: a network with real numbers, spikes. Output: a [`Conversion`] with the figures and the
+//! model of the command line.
 
 use nsim::files::network::NetworkFile;
 use nsim::files::shipped;
@@ -26,7 +26,7 @@ use crate::work::{tried, work};
 /// The greatest number of epochs of fine-tuning, as on the command line.
 const MOST_EPOCHS: u32 = 100_000;
 
-/// A network that became integers, and how near it is to what was trained.
+/// A network converted to integers, and its agreement with the trained form.
 #[pyclass(frozen, module = "nsim")]
 pub struct Conversion {
     json: Value,
@@ -36,8 +36,7 @@ pub struct Conversion {
 }
 
 impl Conversion {
-    /// Converts a network for a target; `built` makes the network that the written model would
-    /// give.
+    /// Converts a network for a target; `built` makes the network of the written model.
     pub fn new(
         py: Python<'_>,
         (name, network): (&str, &nsim::files::network::Network),
@@ -89,7 +88,7 @@ impl Conversion {
                 }
             };
             let model = job.model(&done, tuned.as_ref(), &job.provenance(name, &split, &done))?;
-            // A command for a shell says nothing to a program.
+            // A Python program has no use for a command of a shell.
             let report =
                 ConvertReport { job: &job, done: &done, input: origin, tuned: tuned.as_ref(), files: &[], next: None };
             Ok((report.json(), report.text(), model))
@@ -107,30 +106,30 @@ impl Conversion {
         self.network.clone_ref(py)
     }
 
-    /// The share of the held-out samples (of those searched on, where none were held out) that both
-    /// networks put in the same class.
+    /// The share of the held-out samples that both networks put in the same class. Without held-out
+    /// samples, the share of the samples of the search.
     #[getter]
     fn class_agreement(&self) -> Option<f64> {
         let held_out = self.json["held_out"]["class_agreement"].as_f64();
         held_out.or(self.json["class_agreement"].as_f64())
     }
 
-    /// Stage by stage, a dictionary each: how near the integers are, and what the stage gained.
+    /// A dictionary for each stage: the agreement of the integers, and the gain of the stage.
     #[getter]
     fn stages<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.json["stages"])
     }
 
-    /// Layer by layer, a dictionary each: coincidence, clipped voltages, advice.
+    /// A dictionary for each layer: coincidence, clipped voltages, advice.
     #[getter]
     fn layers<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.json["layers"])
     }
 
-    /// Writes the model file that `nsim convert -o` writes, and its arrays next to it; with `force`
-    /// in the place of files that are there.
+    /// Writes the model file of `nsim convert -o`, and its arrays next to it; `force` replaces
+    /// existing files.
     ///
-    /// Gives the names of the files.
+    /// Returns the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
         tried(py, || self.model.write(&path, force))

@@ -1,4 +1,4 @@
-//! What a mapping costs.
+//! Energy, time and power of a mapping.
 
 use std::path::PathBuf;
 
@@ -76,10 +76,10 @@ fn priced<T: Send>(
     let long = is_long(shared, &shown);
     let (result, warnings) = work(py, long, |progress| {
         let Shown { stimulus, order } = shown;
-        // The network of a published job is mapped as that was.
+        // The network of a published job is mapped as in its publication.
         let of_job = plan.job_mapped(compiled, &shared.target)?;
         let workload = Workload::new(of_job.as_ref().unwrap_or(compiled), &shared.target, stimulus, order)?;
-        // The processor's rows are of one copy, mapped alone.
+        // The rows of the processor need one copy, mapped alone.
         let alone = match options.baselines.cpu && compiled.options.copies > 1 {
             true => Some(mapped_as_usual(compiled.one.clone(), &shared.target)?),
             false => None,
@@ -97,7 +97,7 @@ fn priced<T: Send>(
     Ok(result)
 }
 
-/// Writes the page of a run to a path, with `force` in the place of a file that is there.
+/// Writes the page of a run to a path; `force` replaces an existing file.
 pub fn report(
     py: Python<'_>,
     what: (&Shared, &Plan),
@@ -169,8 +169,8 @@ impl Energy {
         self.total("latency_us")
     }
 
-    /// The rows of the table, a dictionary each: power in mW, latency in us, energy in uJ, the
-    /// bounds of its interval.
+    /// A dictionary for each row of the table: power in mW, latency in us, energy in uJ, the bounds
+    /// of its interval.
     #[getter]
     fn rows<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         to_python(py, &self.report.json()["rows"])

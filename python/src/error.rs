@@ -24,7 +24,7 @@ pyo3::create_exception!(
     "What stands out in a run, such as a population that never spikes, and what would change it."
 );
 
-/// What is typed in a shell, and in Python.
+/// Words of a shell, and their equivalents in Python.
 const IN_PYTHON: [(&str, &str); 4] = [
     (" of nsim import", " of nsim.load and from_nir"),
     ("nsim convert", "network.convert(spikes)"),
@@ -32,12 +32,12 @@ const IN_PYTHON: [(&str, &str); 4] = [
     ("--set decision=GreatestV", "decision='GreatestV' of from_torch and from_nir"),
 ];
 
-/// Values of options that messages name.
+/// Values of options in messages.
 const VALUES: [&str; 8] =
     ["rails", "zero", "subtract", "subtract-later", "exponential", "search", "oheo-gulch", "inclusive"];
 
-/// A message with the arguments of Python in the place of the command line's options: `dt_ms=` for
-/// `--dt`. What is part of a name, as in `a--b.ron`, stays.
+/// A message with the arguments of Python instead of the options of the command line: `dt_ms=` for
+/// `--dt`. Names such as `a--b.ron` are unchanged.
 pub fn worded(text: &str) -> String {
     let text = IN_PYTHON.iter().fold(text.to_string(), |text, (shell, python)| text.replace(shell, python));
     let mut parts = text.split("--");
@@ -78,7 +78,7 @@ pub fn worded(text: &str) -> String {
     out
 }
 
-/// Warns of what stands out in a run.
+/// Issues the warnings of a run.
 pub fn warn(py: Python<'_>, found: &[nsim::session::warnings::Warning]) -> PyResult<()> {
     for warning in found {
         let message = match &warning.population {
@@ -90,14 +90,14 @@ pub fn warn(py: Python<'_>, found: &[nsim::session::warnings::Warning]) -> PyRes
     Ok(())
 }
 
-/// Warns with a message.
+/// Issues a warning.
 pub fn warn_of(py: Python<'_>, message: &str) -> PyResult<()> {
     let message = CString::new(message.replace('\0', "")).unwrap_or_default();
     PyErr::warn(py, &py.get_type::<Warning>(), &message, 1)
 }
 
-/// The exception for an error. Its text has every problem, and the help, which Python would not
-/// print.
+/// The exception for an error. Its text includes every problem and the help, as Python prints only
+/// the text.
 pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
     let error = error.into();
     let diagnostic = error.diagnostic();

@@ -1,10 +1,9 @@
 //! Spikes as events.
 //!
-//! Input: rows (sample, step, channel), as `Run.spikes` gives them for outputs, or records with the
-//! fields t, x, y and p, as tonic gives them, which are read as a file of events in text is.
-//! Output: recordings of a population. Errors: `usage` for rows of another form, `input.array` and
-//! `input.shape` for an event outside its samples, steps or channels, `input.*` of the reader of
-//! text.
+//! Input: rows (sample, step, channel), as in `Run.spikes`, or records with the fields t, x, y and
+//! p, as in tonic, which are read like a text file of events. Output: recordings of a population.
+//! Errors: `usage` for rows of another form, `input.array` and `input.shape` for an event outside
+//! its samples, steps or channels, `input.*` of the reader of text.
 
 use std::fmt::Write;
 
@@ -23,19 +22,19 @@ use crate::keywords::{usage, whole};
 
 /// The most samples of one array of events.
 const MOST_SAMPLES: u64 = 1 << 24;
-/// The most events of one array: each takes 12 bytes as a row, some 60 as a record while it is
-/// read.
+/// The most events of one array: a row takes 12 bytes, a record some 60 during reading.
 const MOST_ROWS: usize = 1 << 26;
 const MOST_RECORDS: usize = 1 << 24;
 
 /// Spikes as rows (sample, step, channel), `[spikes, 3]`, in any order.
 ///
-/// `steps` are the timesteps of each sample, `samples` how many there are: by default as many as
-/// the events name. A channel is counted over all axes of the population's shape, in C order.
+/// `steps` are the timesteps of each sample, `samples` is their number: by default the greatest
+/// sample of an event plus 1. A channel is counted over all axes of the population's shape, in C
+/// order.
 ///
-/// A structured array with the fields t, x, y and p (tonic's) is one sample: `unit` is that of its
-/// times ('us', 'ms', 's' or 'ns'), a timestep is the model's, and without `steps` the sample ends
-/// with its last event.
+/// A structured array with the fields t, x, y and p (as in tonic) is one sample. `unit` is the unit
+/// of its times ('us', 'ms', 's' or 'ns'), a timestep is the model's, and without `steps` the
+/// sample ends with its last event.
 #[pyclass(frozen, module = "nsim")]
 pub struct Events(Given);
 
@@ -166,7 +165,7 @@ pub struct Records {
 }
 
 impl Records {
-    /// The records of a structured array; none for anything else.
+    /// The records of a structured array; none for another value.
     pub fn new(value: &Bound<'_, PyAny>, name: &str) -> PyResult<Option<Self>> {
         let Ok(array) = value.cast::<PyUntypedArray>() else { return Ok(None) };
         let dtype = array.dtype();
@@ -179,7 +178,7 @@ impl Records {
             ));
         };
         let mut columns = Vec::with_capacity(names.len());
-        // Another name is no field of an event.
+        // An event has no fields with other names.
         let known = |field: &&String| field.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
         for field in names.iter().filter(known) {
             let column = Array::new(&value.get_item(field)?, format!("{name}['{field}']"))?;
@@ -200,7 +199,7 @@ impl Records {
         Ok(Some(Records { name: name.to_string(), text, count, options: EventOptions::default() }))
     }
 
-    /// The sample for a population; warns of events that it has no channel or step for.
+    /// The sample for a population; warns of events without a channel or step in it.
     pub fn recording(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<PopulationSpikes> {
         let (units, volume) = (population.shape.len().into(), population.shape.volume());
         let expected = Expected { units, volume, dt_ms, values: false };
@@ -213,7 +212,7 @@ impl Records {
                 Some((record, what)) => format!("{}[{record}]: {what}", self.name),
                 None => format!("{}: {}", self.name, problem.message),
             };
-            // What helps a file is said as Python says it.
+            // Advice about a file is replaced by advice for Python.
             problem = match problem.code {
                 "input.unit" => problem.help("say it: nsim.Events(records, unit='ms') (or us, s, ns)"),
                 "input.empty" | "input.too-long" => {

@@ -1,7 +1,7 @@
 //! Tables for notebooks, and data frames.
 //!
-//! Input: rows as the reports' JSON has them, and which columns to show. Output: one HTML table.
-//! Text is escaped: names come from users' files.
+//! Input: rows of the reports' JSON, and the columns to show. Output: one HTML table. Text is
+//! escaped: names come from users' files.
 
 use pyo3::prelude::*;
 use serde_json::{Value, json};
@@ -13,7 +13,7 @@ fn escaped(text: &str) -> String {
     text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// The key of a bound in a row of its own: `energy_uj` of `low` is `energy_low_uj`.
+/// The flat key of a bound: `energy_uj` of `low` is `energy_low_uj`.
 fn flat_key(parent: &str, key: &str) -> String {
     match (parent, key.rsplit_once('_')) {
         ("low" | "high", Some((name, unit))) => format!("{name}_{parent}_{unit}"),
@@ -21,7 +21,7 @@ fn flat_key(parent: &str, key: &str) -> String {
     }
 }
 
-/// A row whose objects, and objects in these, are columns of their own.
+/// A row without objects: their entries, at any depth, are columns.
 fn flat(row: &Value) -> Value {
     let mut out = serde_json::Map::new();
     for (key, value) in row.as_object().into_iter().flatten() {
@@ -45,7 +45,7 @@ fn shown(value: &Value) -> String {
         Value::String(text) => escaped(text),
         Value::Number(number) if number.is_f64() => {
             let number = number.as_f64().unwrap_or(f64::NAN);
-            // Four digits: no constant is known better.
+            // Four digits: no constant is more accurate.
             let decimals = (3 - number.abs().max(1e-9).log10().floor() as i32).clamp(0, 12) as usize;
             format!("{number:.decimals$}")
         }
@@ -83,7 +83,7 @@ pub fn frame<'py>(py: Python<'py>, rows: &Value) -> PyResult<Bound<'py, PyAny>> 
     library.call_method1("DataFrame", (to_python(py, &Value::Array(rows))?,))
 }
 
-/// The keys of rows that have one value.
+/// Keys of the first row whose values are neither objects nor arrays.
 pub fn columns(rows: &[Value]) -> Vec<&str> {
     let keys = rows.first().and_then(Value::as_object).into_iter().flatten();
     keys.filter(|(_, value)| !value.is_object() && !value.is_array()).map(|(key, _)| key.as_str()).collect()

@@ -1,4 +1,4 @@
-//! Keyword arguments, each taken once by name; one that is left over is an error, as in Python.
+//! Keyword arguments, each read once by name; an unread one is an error, as in Python.
 
 use std::ops::RangeInclusive;
 use std::path::PathBuf;
@@ -12,11 +12,11 @@ use pyo3::types::PyDict;
 /// Characters of a value that messages show.
 const SHOWN: usize = 40;
 
-/// Keyword arguments that are still to be taken.
+/// Keyword arguments that have not been read.
 pub struct Keywords<'py>(Option<Bound<'py, PyDict>>);
 
 impl<'py> Keywords<'py> {
-    /// Those of a call.
+    /// Copies the keyword arguments of a call.
     pub fn new(given: Option<&Bound<'py, PyDict>>) -> PyResult<Self> {
         Ok(Keywords(given.map(|given| given.copy()).transpose()?))
     }
@@ -32,7 +32,7 @@ impl<'py> Keywords<'py> {
         value.extract().map(Some).map_err(|error: T::Error| wrong(name, &value, error.into()))
     }
 
-    /// One argument alone, which stays to be taken here too.
+    /// Copies one argument alone, which remains unread here.
     pub fn only(&self, name: &str) -> PyResult<Self> {
         let value = self.0.as_ref().map(|given| given.get_item(name)).transpose()?.flatten();
         let alone = value.map(|value| {
@@ -65,7 +65,7 @@ impl<'py> Keywords<'py> {
         }
     }
 
-    /// Whether every argument was taken.
+    /// Refuses an argument that has not been read.
     pub fn none_left(&self) -> PyResult<()> {
         match self.0.as_ref().and_then(|left| left.keys().iter().next()) {
             None => Ok(()),
@@ -88,7 +88,7 @@ pub fn whole(name: &str, value: &Bound<'_, PyAny>, bounds: RangeInclusive<u64>) 
     }
 }
 
-/// The exception for an argument that cannot be taken: out of its range, or of another type.
+/// The exception for an argument out of its range, or of another type.
 fn wrong(name: &str, value: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
     let (py, said) = (value.py(), error.value(value.py()));
     if error.is_instance_of::<PyOverflowError>(py) || error.is_instance_of::<PyValueError>(py) {
@@ -111,7 +111,7 @@ fn shown(value: &Bound<'_, PyAny>) -> String {
     if text.chars().count() <= SHOWN { text } else { text.chars().take(SHOWN).chain(" ..".chars()).collect() }
 }
 
-/// The exception for an argument that makes no sense, and what to give instead.
+/// The exception for an invalid argument, and its remedy.
 pub fn usage(message: String, help: &str) -> PyErr {
     Python::attach(|py| crate::error::raised(py, Diagnostic::new("usage", message).help(help)))
 }

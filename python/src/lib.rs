@@ -1,8 +1,8 @@
-//! The Python module `nsim._nsim`, which the package `nsim` shows.
+//! The Python module `nsim._nsim`, whose items the package `nsim` exports.
 //!
-//! Input: names, paths, NumPy arrays. Output: Python objects over the library's own; figures are
-//! computed there alone, so that they are those of the command line. Errors: `nsim.Error` with the
-//! diagnostic's code, place and help. Work is done without the interpreter's lock.
+//! Input: names, paths, NumPy arrays. Output: Python objects around objects of the library. Only
+//! the library computes figures, so they equal the command line's. Errors: `nsim.Error` with the
+//! diagnostic's code, place and help. Work runs without the interpreter's lock.
 
 mod agree;
 mod arrays;

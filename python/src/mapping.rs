@@ -1,4 +1,4 @@
-//! A network on the cores of a target, laid out and ready to run again and again.
+//! A network on the cores of a target, flattened for repeated runs.
 
 use std::collections::BTreeSet;
 use std::path::PathBuf;
@@ -28,16 +28,16 @@ use crate::shared::Shared;
 use crate::spikes::Shown;
 use crate::work::tried;
 
-/// The target when none is named.
+/// The default target.
 pub use nsim::files::network::USUAL_TARGET as TARGET;
 
-/// What a mapping is asked for.
+/// Request for a mapping.
 pub struct MappingRequest {
     target: Option<String>,
     file: Option<PathBuf>,
     /// Copies of the network.
     pub copies: u32,
-    /// How to map.
+    /// Options of the compiler.
     pub options: Options,
 }
 
@@ -83,7 +83,7 @@ impl Mapping {
         tried(py, || request.obtained(model, network).map(shared)).map(|shared| Mapping(Arc::new(shared)))
     }
 
-    /// What runs and energies share.
+    /// The part that runs and energies share.
     pub fn shared(&self) -> &Arc<Shared> {
         &self.0
     }
@@ -122,7 +122,7 @@ impl Mapping {
         cores.map(|image| image.site.chip).collect::<BTreeSet<_>>().len()
     }
 
-    /// How compartments were grouped into cores.
+    /// The strategy that assigned compartments to cores.
     #[getter]
     fn strategy(&self) -> &'static str {
         self.0.compiled().options.strategy.name()
@@ -150,16 +150,16 @@ impl Mapping {
         self.0.compiled().one.populations().iter().map(shown).collect()
     }
 
-    /// The population whose spikes are the answer.
+    /// The output population, which decides the class.
     #[getter]
     fn output(&self) -> &str {
         let network = &self.0.compiled().one;
         &network.populations()[network.parts().output].name
     }
 
-    /// The projections of one copy in integers, a dictionary each: `source`, `target`, `weights`,
-    /// `exponent`, `delay` in timesteps, `factor` (what a spike multiplies weights by) and, of
-    /// convolutions and pools, `window`.
+    /// A dictionary for each projection of one copy in integers: `source`, `target`, `weights`,
+    /// `exponent`, `delay` in timesteps, `factor` (the payload that multiplies weights, None where
+    /// it varies) and, of convolutions and pools, `window`.
     ///
     /// `weights` are `[target, source]`, or a kernel `[C', C / groups, kh, kw]`; a spike adds
     /// `weight * 2 ** (6 + exponent)`.
@@ -167,8 +167,7 @@ impl Mapping {
         projections::dictionaries(py, &self.0.compiled().one)
     }
 
-    /// The mapping as `nsim map -o` writes it, which `Network.map(mapping=FILE)` and
-    /// `nsim run --mapping` take.
+    /// The text of `nsim map -o`, for `Network.map(mapping=FILE)` and `nsim run --mapping`.
     fn to_ron(&self, py: Python<'_>) -> PyResult<String> {
         mapping_text(&self.0.compiled().mapping_file()).map_err(|problem| raised(py, problem))
     }
@@ -177,12 +176,12 @@ impl Mapping {
     ///
     /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which a number other
     /// than zero is a spike, a dictionary from input populations to such arrays, a source or a list
-    /// of sources as `--input` takes them, or None for the model's own scene. With `time_first`
-    /// arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the
-    /// samples, `samples` is (first, end), `seed` that of a scene, `early_exit` 'certain' or a
-    /// margin in spikes, `probe` a list of POPULATION.spikes, .u, .v or .v_register to record. The
-    /// first run of a mapping warns of what stands out in it (`nsim.Warning`); `Run.warnings` has
-    /// what stands out in any.
+    /// of sources as for `--input`, or None for the model's own scene. With `time_first` arrays are
+    /// `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the samples,
+    /// `samples` is (first, end), `seed` is the seed of a scene, `early_exit` 'certain' or a margin
+    /// in spikes, `probe` a list of POPULATION.spikes, .u, .v or .v_register to record. The first
+    /// run of a mapping issues its warnings (`nsim.Warning`); `Run.warnings` lists them for every
+    /// run.
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, \
@@ -199,19 +198,19 @@ impl Mapping {
         Run::new(py, &self.0, shown, &keywords)
     }
 
-    /// Opens a session: the network before its first timestep, to be stepped from a loop. Close it
-    /// by `with`. `seed` is for what a network draws at random; today's neuron kinds draw nothing.
+    /// Opens a session: the network before its first timestep, which a loop steps. A `with` block
+    /// closes it. `seed` is for random neurons; the present neuron kinds are deterministic.
     #[pyo3(signature = (seed=None))]
     fn session(&self, py: Python<'_>, seed: Option<u64>) -> PyResult<Session> {
         let _ = seed;
         Session::new(py, &self.0)
     }
 
-    /// What the mapping costs for these samples: `nsim energy`, compared with the `baselines` that
-    /// are named.
+    /// Energy, time and power of the mapping for these samples, compared with the named
+    /// `baselines`: `nsim energy`.
     ///
     /// Energies are in uJ and latencies in us, of a timestep and one copy. `spikes` and its
-    /// keywords are those of `run`; the others are the options of `nsim energy`.
+    /// keywords are as in `run`; the others are options of `nsim energy`.
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, deployment=None, mode='offline', convention='physical', \
@@ -235,11 +234,11 @@ impl Mapping {
         Energy::new(py, &self.0, &plan, spikes, &keywords)
     }
 
-    /// How long a timestep takes to simulate on one thread, measured for about this many `seconds`
-    /// while the first sample is shown over and over.
+    /// Time to simulate a timestep on one thread, measured for about `seconds` while the first
+    /// sample is repeated.
     ///
-    /// Gives a dictionary: `us_per_timestep` (the median of the repeats), `fastest_us`, `spread_us`
-    /// (between the quartiles), `repeats`, `steps` of each, and `spikes_in`, `spikes`,
+    /// Returns a dictionary: `us_per_timestep` (the median of the repeats), `fastest_us`,
+    /// `spread_us` (between the quartiles), `repeats`, `steps` of each, and `spikes_in`, `spikes`,
     /// `synaptic_events`, `compartment_updates` of a timestep. With `skip=False` no work is
     /// skipped.
     #[pyo3(
@@ -256,10 +255,9 @@ impl Mapping {
         bench(py, &self.0, spikes, &Keywords::new(options)?)
     }
 
-    /// Writes a page that shows what the mapping does and costs, to be opened in a browser:
-    /// `nsim report`.
+    /// Writes a page of the run and cost of the mapping, for a browser: `nsim report`.
     ///
-    /// The keywords are those of `energy`; `force` replaces a file that is there. Gives the path.
+    /// The keywords are as in `energy`; `force` replaces an existing file. Returns the path.
     #[pyo3(
         signature = (path, spikes=None, *, force=false, **options),
         text_signature = "($self, path, spikes=None, *, force=False, **options)"

@@ -1,10 +1,9 @@
 //! Networks from objects in memory: arrays of weights, or the bytes of a NIR graph.
 //!
 //! Input: populations and projections as dictionaries whose keys are the fields of a model file,
-//! with NumPy arrays or SciPy's sparse arrays as weights. Output: the [`Network`] that a model file
-//! with the same values gives, since both are built by [`NetworkFile`] and checked by the front
-//! end. Errors: `usage` for a dictionary that cannot be read, `model.*` and `import.*` from the
-//! library.
+//! with NumPy arrays or SciPy's sparse arrays as weights. Output: the [`Network`] of a model file
+//! with these values, since both are built by [`NetworkFile`] and checked by the front end. Errors:
+//! `usage` for a dictionary that cannot be read, `model.*` and `import.*` from the library.
 
 use std::path::Path;
 
@@ -30,16 +29,16 @@ use crate::work::tried;
 
 /// The most numbers of an array of weights or parameters, 8 bytes each.
 const MOST_NUMBERS: usize = 1 << 27;
-/// Axes of a shape that are read: one more than any shape has.
+/// Most axes of a shape that are read: one more than any shape has.
 const MOST_AXES: usize = 4;
 const TOO_MANY: &str = "describe a large projection in a model file: nsim.load(FILE)";
 
-/// What messages call a network that has no file.
+/// Name in messages of a network without a file.
 pub fn place(name: &str) -> String {
     format!("{name} (in memory)")
 }
 
-/// An array of any type of numbers as real ones, with its shape; `name` is what messages call it.
+/// An array of any type of numbers as real ones, with its shape; `name` is its name in messages.
 fn reals(value: &Bound<'_, PyAny>, name: String) -> PyResult<(Vec<usize>, Vec<f64>)> {
     let array = Array::new(value, name)?;
     Ok((array.shape().to_vec(), array.numbers(MOST_NUMBERS, TOO_MANY)?))
@@ -109,7 +108,8 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
     Ok(PopulationDesc { kind, start_step, loihi: Some(parameters), ..built })
 }
 
-/// The synapses of a SciPy sparse array `[target, source]`, whose shape is that of the populations.
+/// The synapses of a SciPy sparse array `[target, source]`, whose shape has to match the
+/// populations.
 fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> PyResult<ProjectionKind> {
     let coordinates = weights.call_method0("tocoo").map_err(|error| {
         let message = format!("{whose}: the sparse weights are damaged: {}", error.value(weights.py()));
@@ -123,7 +123,7 @@ fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> P
         let message = format!("{whose}: the sparse weights have {} axes, not 2", shape.len());
         return Err(usage(message, "sparse weights are [target, source]"));
     };
-    // A population that is not known is refused with the others' names.
+    // An unknown population is refused later, with the names of the others.
     if let [Some(to), Some(from)] = units
         && [to, from] != [targets, sources]
     {
@@ -242,7 +242,7 @@ pub fn built(
     Ok(model)
 }
 
-/// The options of an import that Python has.
+/// The options of an import in Python.
 pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
     let decisions = |decision: ReadOut| match decision {
         ReadOut::Spikes => "Spikes",
@@ -264,7 +264,7 @@ pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
     Ok(options)
 }
 
-/// The network of an import, and by which conventions it was read.
+/// The network of an import, and its conventions.
 fn built_of(
     py: Python<'_>,
     name: &str,

@@ -1,4 +1,4 @@
-//! A model as Python sees it.
+//! Models in Python.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -28,8 +28,8 @@ use crate::work::{tried, work};
 /// Loads a model.
 ///
 /// `model` is the path of a model file (`.ron`, `.nir`, `.net`, ..) or the name of a shipped model.
-/// What the file of another tool does not say is given as to `nsim import`: `dt_ms`, `neuron` (a
-/// file), `reset`, `decay`, `threshold`, `decision`, `input_shape`.
+/// Values that the file of another tool lacks are options, as in `nsim import`: `dt_ms`, `neuron`
+/// (a file), `reset`, `decay`, `threshold`, `decision`, `input_shape`.
 #[pyfunction]
 #[pyo3(signature = (model, **options), text_signature = "(model, **options)")]
 pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>) -> PyResult<Network> {
@@ -52,7 +52,7 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
     Network::loaded(py, model, network)
 }
 
-/// A network from the bytes of a file that another tool wrote.
+/// A network from the bytes of a file of another tool.
 #[pyfunction]
 #[pyo3(signature = (name, content, **options))]
 pub fn from_bytes(
@@ -66,7 +66,7 @@ pub fn from_bytes(
 }
 
 /// A network from NIR nodes in memory; neurons of the nodes `held` stay at zero for a step after a
-/// spike. `notes` are said of it.
+/// spike. `notes` become notes of the network.
 #[pyfunction]
 #[pyo3(signature = (name, nodes, edges, held, notes=Vec::new(), **options))]
 pub fn from_nodes(
@@ -82,8 +82,8 @@ pub fn from_nodes(
     Network::checked(py, network, [conventions, notes].concat())
 }
 
-/// The spikes of each population of a network in real numbers, rows (sample, step, neuron); its
-/// first step is the one in which the population starts.
+/// The spikes of each population of a network in real numbers, rows (sample, step, neuron). Steps
+/// are counted from the first step of the population.
 #[pyfunction]
 pub fn real_spikes<'py>(
     py: Python<'py>,
@@ -111,7 +111,7 @@ pub fn real_spikes<'py>(
     rows.collect()
 }
 
-/// A network as its file says.
+/// A network as in its file.
 #[pyclass(frozen, module = "nsim")]
 pub struct Network {
     model: String,
@@ -120,14 +120,14 @@ pub struct Network {
 }
 
 impl Network {
-    /// The network that a written model would give.
+    /// The network of a written model.
     pub fn built(py: Python<'_>, model: &NetworkFile) -> PyResult<Self> {
         let place = PathBuf::from(memory::place(&model.name));
         let network = tried(py, || model.build(&place))?;
         Network::checked(py, network, Vec::new())
     }
 
-    /// A network of a file, with a warning of what its reader assumed.
+    /// A network of a file, with a warning of the assumptions of its reader.
     fn loaded(py: Python<'_>, model: String, network: nsim::files::network::Network) -> PyResult<Self> {
         let conventions = network.conventions().clone();
         if let Some(assumed) = conventions.assumed {
@@ -136,7 +136,8 @@ impl Network {
         Ok(Network { model, network: Arc::new(network), notes: conventions.notes })
     }
 
-    /// The mapping that is priced, and its deployment: one copy unless more are asked for.
+    /// The mapping to price, and its deployment: one copy unless `copies` or the deployment has
+    /// more.
     fn priced(
         &self,
         py: Python<'_>,
@@ -185,7 +186,7 @@ impl Network {
         Network::built(py, &model)
     }
 
-    /// By which conventions another tool's network was read, and what was changed.
+    /// Conventions by which another tool's network was read, and the changes.
     #[getter]
     fn notes(&self) -> Vec<String> {
         self.notes.iter().map(|note| worded(note)).collect()
@@ -219,13 +220,12 @@ impl Network {
         self.network.file().classes.clone()
     }
 
-    /// The same network on the cores of a target.
+    /// This network on the cores of a target.
     ///
     /// `target` is a target file or a shipped name; `copies` (1), `deployment` ('spread',
     /// 'packed'), `strategy` ('multilevel', 'greedy', 'sequential'), `objective` ('cores',
-    /// 'energy', 'energy:chip', 'latency') and `seed` (0) are those of `nsim map`; `mapping` is a
-    /// file that `nsim map -o` wrote. Spike response neurons become integers as `nsim map` makes
-    /// them.
+    /// 'energy', 'energy:chip', 'latency') and `seed` (0) are as in `nsim map`; `mapping` is a file
+    /// of `nsim map -o`. Spike response neurons become integers as in `nsim map`.
     #[pyo3(
         signature = (target=None, **options),
         text_signature = "($self, target='nahuku-32', *, copies=1, deployment='spread', strategy='multilevel', \
@@ -238,10 +238,10 @@ impl Network {
         Mapping::new(py, &self.model, &self.network, &request)
     }
 
-    /// What the network costs on the chip: `nsim energy`.
+    /// Energy, time and power of the network on the chip: `nsim energy`.
     ///
-    /// Without `copies` there is one, or with `deployment='paper'` as many as in the measured job;
-    /// figures are of one. `spikes` and the other keywords are those of `Mapping.energy`.
+    /// Without `copies` there is one copy, or with `deployment='paper'` the number of the measured
+    /// job; figures are per copy. `spikes` and the other keywords are as in `Mapping.energy`.
     #[pyo3(
         signature = (spikes=None, *, target=None, copies=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', copies=None, deployment='spread', \
@@ -262,10 +262,9 @@ impl Network {
         Energy::new(py, mapping.shared(), &plan, spikes, &keywords)
     }
 
-    /// Writes a page that shows what the network does and costs, to be opened in a browser:
-    /// `nsim report`.
+    /// Writes a page of the run and cost of the network, for a browser: `nsim report`.
     ///
-    /// The keywords are those of `energy`; `force` replaces a file that is there. Gives the path.
+    /// The keywords are as in `energy`; `force` replaces an existing file. Returns the path.
     #[pyo3(
         signature = (path, spikes=None, *, target=None, copies=None, **options),
         text_signature = "($self, path, spikes=None, *, target='nahuku-32', copies=None, force=False, **options)"
@@ -285,17 +284,16 @@ impl Network {
         energy::report(py, (mapping.shared(), &plan), spikes, &keywords, (path, force))
     }
 
-    /// Where and why the integers on the cores disagree with the network that was trained:
-    /// `nsim agree`.
+    /// Disagreement of the integers with the trained network, and its causes: `nsim agree`.
     ///
-    /// `against` is 'srm', 'cuba' or 'golden', by default what was trained, or a model file, a
-    /// network or a conversion that is run on the same spikes; `conversion` 'search'
-    /// or 'analytic' is how spike response neurons become integers, the search on
-    /// `calibration_samples` (60) samples of the sources `calibrate`; `steps` compares only this
-    /// many timesteps of each sample; `attribution` finds the causes, on `attribution_samples`
-    /// (100); `plot` is an .svg with both potentials around the first spike that differs, which
-    /// `force` lets replace a file. Without `target` it is the first that has the neurons. `spikes`
-    /// and its keywords are those of `Mapping.run`.
+    /// `against` is 'srm', 'cuba' or 'golden', by default the trained form, or a model file, a
+    /// network or a conversion that is run on these spikes. `conversion` 'search' or 'analytic'
+    /// makes integers of spike response neurons; the search runs on `calibration_samples` (60)
+    /// samples of the sources `calibrate`. `steps` compares only this many timesteps of each
+    /// sample. `attribution` finds the causes, on `attribution_samples` (100). `plot` is an .svg
+    /// with both potentials around the first spike that differs; `force` lets it replace a file.
+    /// The default `target` is the first that has the neurons. `spikes` and its keywords are as in
+    /// `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
         text_signature = "($self, spikes=None, *, target=None, against=None, conversion='search', \
@@ -318,13 +316,13 @@ impl Network {
         })
     }
 
-    /// The network in integers, searched for on samples: `nsim convert`.
+    /// The network in integers, by a search on samples: `nsim convert`.
     ///
-    /// The search takes `calibration_samples` (60) of `calibrate`, spikes as `spikes` are: by
-    /// default the scene with another seed, or the first half of `spikes`. `fine_tune` then trains
-    /// for this many epochs as the training file `training` says (by default the one that ships
-    /// under the model's name), on the sources `train`. `spikes`, on which the result is judged,
-    /// and its keywords are those of `Mapping.run`.
+    /// The search runs on `calibration_samples` (60) of `calibrate`, which has the form of
+    /// `spikes`: by default the scene with another seed, or the first half of `spikes`. `fine_tune`
+    /// then trains for this many epochs by the training file `training` (by default the shipped one
+    /// with the model's name), on the sources `train`. `spikes`, which test the result, and its
+    /// keywords are as in `Mapping.run`.
     #[pyo3(
         signature = (spikes=None, *, target=None, **options),
         text_signature = "($self, spikes=None, *, target='nahuku-32', calibrate=None, calibration_samples=60, \
@@ -343,10 +341,10 @@ impl Network {
         Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?, built)
     }
 
-    /// Writes the network as a model file, and its arrays next to it; with `force` in the place of
-    /// files that are there.
+    /// Writes the network as a model file, and its arrays next to it; `force` replaces existing
+    /// files.
     ///
-    /// Gives the names of the files.
+    /// Returns the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
         tried(py, || self.network.resolved()?.write(&path, force))

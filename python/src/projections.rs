@@ -1,4 +1,4 @@
-//! The integers of a network's projections, as Python sees them.
+//! The integers of a network's projections, for Python.
 
 use nsim::dynamics::synapses::Enumerate;
 use nsim::ir::graph::Window;
@@ -10,7 +10,7 @@ use pyo3::types::PyDict;
 
 use crate::keywords::usage;
 
-/// Entries of a matrix, 8 bytes each.
+/// Most entries of a matrix, 8 bytes each.
 const MOST_ENTRIES: usize = 1 << 28;
 
 /// A dictionary for each projection, in the order of the model.

@@ -1,4 +1,4 @@
-//! What samples did on the simulated cores.
+//! Results of samples on the simulated cores.
 
 use std::sync::Arc;
 
@@ -27,24 +27,24 @@ use crate::spikes::Shown;
 use crate::value::to_python;
 use crate::work::{detached, on_own_threads, work};
 
-/// The most numbers that probes record, 4 bytes each.
+/// Most recorded numbers of probes, 4 bytes each.
 const MOST_PROBED: u64 = 1 << 28;
 
-/// Updates of compartments that take longer than a signal may wait.
+/// Updates of compartments from which on a run counts as long: a signal should not wait for it.
 const LONG: u64 = 20_000_000;
 
-/// Samples that ran.
+/// Results of samples.
 #[pyclass(frozen, module = "nsim")]
 pub struct Run {
     mapping: Arc<Shared>,
     shown: Shown,
     run: samples::Run<()>,
     early_exit: Option<Rule>,
-    /// Names of what was recorded.
+    /// Names of the probes.
     probes: Vec<String>,
 }
 
-/// What `probe` names, POPULATION.WHAT each.
+/// Probes of names POPULATION.WHAT.
 fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
     let probe = |name: &String| {
         let (population, what) = name.rsplit_once('.').unwrap_or((name, "spikes"));
@@ -65,7 +65,7 @@ fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
     names.iter().map(probe).collect()
 }
 
-/// By which rule samples end, from `early_exit`: 'certain' or a number of spikes.
+/// Rule by which samples end, from `early_exit`: 'certain' or a number of spikes.
 pub fn rule(keywords: &Keywords<'_>) -> PyResult<Option<Rule>> {
     let Some(given) = keywords.take::<Bound<'_, PyAny>>("early_exit")? else { return Ok(None) };
     given
@@ -76,7 +76,7 @@ pub fn rule(keywords: &Keywords<'_>) -> PyResult<Option<Rule>> {
         .map_err(|problem| usage(format!("early_exit: {problem}"), "it is 'certain' or a margin in spikes, such as 3"))
 }
 
-/// Whether samples are long work.
+/// Whether samples have more than [`LONG`] updates.
 pub fn is_long(mapping: &Shared, shown: &Shown) -> bool {
     let steps: u64 = shown.samples().iter().map(|sample| u64::from(sample.steps())).sum();
     steps * u64::from(mapping.compiled().quantised.compartments().max(1)) > LONG
@@ -138,7 +138,7 @@ impl Run {
         let samples = self.shown.samples();
         let ran = Ran::Program(program);
         let finished = Finished { network, ran, sums: &sums, samples: &samples, outcomes: &self.run.outcomes };
-        // A silent population is shown samples once more.
+        // The check of a silent population runs samples once more.
         let found = on_own_threads(|| warnings(finished));
         Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found, ranks: Vec::new() }
     }
@@ -166,22 +166,22 @@ impl Run {
 
 #[pymethods]
 impl Run {
-    /// SHA-256 over (sample, step, output) of all output spikes: equal digests, equal spikes.
+    /// SHA-256 over (sample, step, output) of all output spikes: equal digests mean equal spikes.
     #[getter]
     fn digest(&self) -> String {
         digest(&self.run.outcomes)
     }
 
-    /// Spikes of each output, `[samples, outputs]`, uint32: all 0 where a potential decides, whose
-    /// numbers are in `scores`.
+    /// Spikes of each output, `[samples, outputs]`, uint32. All are 0 where a potential decides,
+    /// whose numbers are in `scores`.
     #[getter]
     fn counts<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<u32>>> {
         let rows: Vec<Vec<u32>> = self.run.outcomes.iter().map(|outcome| outcome.counts.clone()).collect();
         Ok(PyArray2::from_vec2(py, &rows)?)
     }
 
-    /// What decides, `[samples, outputs]`, float64: the spikes of each output, or the greatest, the
-    /// sum or the last of its potential, by the `decision` of `json()`.
+    /// Scores of the decision, `[samples, outputs]`, float64: the spikes of each output, or the
+    /// greatest, the sum or the last of its potential, by the `decision` of `json()`.
     #[getter]
     fn scores<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let of_sample = |outcome: &Outcome| match &outcome.potentials {
@@ -191,19 +191,19 @@ impl Run {
         Ok(PyArray2::from_vec2(py, &self.run.outcomes.iter().map(of_sample).collect::<Vec<_>>())?)
     }
 
-    /// The class of each sample, None where all outputs are silent.
+    /// The class of each sample, None for an undecided one.
     #[getter]
     fn predicted(&self) -> Vec<Option<u32>> {
         self.run.outcomes.iter().map(Outcome::class).collect()
     }
 
-    /// The class that each sample shows, None where it is not known.
+    /// The label of each sample, None where it is unknown.
     #[getter]
     fn labels(&self) -> Vec<Option<u32>> {
         self.shown.samples().iter().map(|sample| sample.label()).collect()
     }
 
-    /// The share of the samples whose class was predicted; None unless all have one.
+    /// The share of the samples with a correct class; None unless all have labels.
     #[getter]
     fn accuracy(&self) -> Option<f64> {
         self.with_report(&Detail::default(), |report| report.json()["accuracy"].as_f64())
@@ -225,8 +225,8 @@ impl Run {
         spikes.to_pyarray(py).call_method1("reshape", (-1, 3))
     }
 
-    /// What a probe recorded, `[samples, compartments, T]`, int32: spikes are 0 or 1, `u` and `v`
-    /// the registers of one copy after each timestep.
+    /// The recording of a probe, `[samples, compartments, T]`, int32: spikes are 0 or 1, `u` and
+    /// `v` the registers of one copy after each timestep.
     fn probe<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let Some(index) = self.probes.iter().position(|known| known == name) else {
             let known = self.probes.join(", ");
@@ -244,8 +244,8 @@ impl Run {
         Ok(PyArray1::from_vec(py, numbers).reshape([outcomes.len(), compartments, steps])?.into_any())
     }
 
-    /// The metrics of NeuroBench's harness, as `nsim run --neurobench` gives them; the samples run
-    /// once more.
+    /// The metrics of NeuroBench's harness, as in `nsim run --neurobench`; the samples run once
+    /// more.
     fn neurobench<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         if self.early_exit.is_some() {
             return Err(usage("NeuroBench counts whole samples".into(), "run without early_exit="));
@@ -267,7 +267,7 @@ impl Run {
         to_python(py, &activity)
     }
 
-    /// What stands out in the run, a dictionary each: `code`, `population`, `message`.
+    /// A dictionary for each warning of the run: `code`, `population`, `message`.
     #[getter]
     fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let found = detached(py, || self.detail().warnings);
@@ -280,13 +280,13 @@ impl Run {
         self.run.wall_s
     }
 
-    /// Populations, a row each, as a data frame of pandas, or of polars where only that is
-    /// installed.
+    /// A data frame of pandas, or of polars where only that is installed, with a row for each
+    /// population.
     fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frame(py, &self.with_report(&self.detail(), |report| report.json())["populations"])
     }
 
-    /// Samples, a row each, as a data frame: `sample`, `label`, `predicted`, `steps`, and
+    /// A data frame with a row for each sample: `sample`, `label`, `predicted`, `steps`, and
     /// `counts_K` for the spikes of output K.
     fn samples<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         let rows = self.run.outcomes.iter().zip(self.labels()).enumerate().map(|(sample, (outcome, label))| {

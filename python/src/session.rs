@@ -1,4 +1,4 @@
-//! A mapping that is stepped from Python: by a loop with a robot or an environment in it.
+//! A mapping that a Python loop steps, for example with a robot or an environment in it.
 
 use std::sync::Arc;
 
@@ -22,13 +22,13 @@ use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
 use crate::work::tried;
 
-/// Channels that spike in a step, with what their messages carry.
+/// Channels that spike in a step, with the integers of their messages.
 type Input = Vec<(ChannelId, i32)>;
 
 /// A mapping after some timestep; `Mapping.session()` opens one.
 ///
-/// `step` does one timestep, `session["POPULATION"]` shows what a population did in it. Copies of a
-/// network all see the same; spikes and registers are those of the first.
+/// `step` runs one timestep, `session["POPULATION"]` has the spikes and state of a population after
+/// it. All copies of a network get the same input; spikes and registers are of the first.
 #[pyclass(module = "nsim")]
 pub struct Session {
     mapping: Arc<Shared>,
@@ -44,7 +44,7 @@ pub struct Snapshot {
     stepped: Stepped,
 }
 
-/// What a population of a session did in the last timestep.
+/// Spikes and state of a population of a session after the last timestep.
 #[pyclass(frozen, module = "nsim")]
 pub struct Population {
     session: Py<Session>,
@@ -79,7 +79,7 @@ fn closed() -> PyErr {
     usage("the session is closed".into(), "open another: with mapping.session() as session")
 }
 
-/// Refuses an array of a number for each channel that has neither one axis nor those of the
+/// Refuses an array with a value for each channel that has neither one axis nor the axes of the
 /// population.
 fn check_each(array: &Array<'_>, name: &str, shape: Shape, what: &str) -> PyResult<()> {
     if is_of(shape, array.shape()) {
@@ -89,7 +89,7 @@ fn check_each(array: &Array<'_>, name: &str, shape: Shape, what: &str) -> PyResu
     Err(usage(message, &format!("give one for each channel, along one axis or as {shape}")))
 }
 
-/// Adds what the channels of a population send in a step, from a number each.
+/// Adds the messages of a population's channels in a step, from a number for each.
 fn add_values(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &str, shape: Shape) -> PyResult<()> {
     let help = "give an integer of 32 bits for each channel, 0 for none";
     let array = Array::new(given, name)?;
@@ -104,9 +104,9 @@ fn add_values(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &st
 }
 
 /// Adds the channels of a population that spike in a step, from their numbers or from a truth value
-/// each.
+/// for each.
 fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &str, shape: Shape) -> PyResult<()> {
-    // A copy takes less time than NumPy's check of what is borrowed.
+    // A copy takes less time than NumPy's check of borrowed arrays.
     fn copied<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>, mut add: impl FnMut(u32)) -> bool {
         array.to_owned_array().iter().all(|&number| number.try_into().map(&mut add).is_ok())
     }
@@ -161,12 +161,12 @@ fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &
 
 #[pymethods]
 impl Session {
-    /// One timestep.
+    /// Runs one timestep.
     ///
     /// `inputs` is a dictionary from input populations to the numbers of the channels that spike,
-    /// or to an array with a truth value for each channel; of a network with one input population
-    /// it may be the channels alone. An input population that sends integers takes an array with
-    /// one for each channel. Populations without an entry are silent, and all are in `step()`.
+    /// or to an array with a truth value for each channel; for a network with one input population
+    /// it may be the channels alone. An input population that sends integers takes an array with an
+    /// integer for each channel. Populations without an entry are silent; in `step()` all are.
     #[pyo3(signature = (inputs=None))]
     fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let Session { mapping, stepped, shown } = self;
@@ -210,12 +210,12 @@ impl Session {
         Ok(self.stepped()?.steps())
     }
 
-    /// The state, to be gone back to.
+    /// The state, for `restore`.
     fn snapshot(&self) -> PyResult<Snapshot> {
         Ok(Snapshot { mapping: self.mapping.clone(), stepped: self.stepped()?.clone() })
     }
 
-    /// Goes back to a snapshot of a session of the same mapping.
+    /// Restores a snapshot of a session of this mapping.
     fn restore(&mut self, snapshot: &Snapshot) -> PyResult<()> {
         self.stepped()?;
         if !Arc::ptr_eq(&self.mapping, &snapshot.mapping) {
@@ -226,14 +226,14 @@ impl Session {
         Ok(())
     }
 
-    /// Goes back to before the first timestep.
+    /// Returns to the state before the first timestep.
     fn reset(&mut self) -> PyResult<()> {
         self.stepped.as_mut().ok_or_else(closed)?.reset();
         Ok(())
     }
 
-    /// What the timesteps so far cost, as `Mapping.energy` prices a sample of the same input; it
-    /// runs once more. Keywords are those of `Mapping.energy`.
+    /// Cost of the timesteps so far, as in `Mapping.energy` for a sample with this input, which
+    /// runs once more. Keywords are as in `Mapping.energy`.
     #[pyo3(signature = (**options))]
     fn energy(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Energy> {
         let sample = self.stepped()?.sample().map_err(|problem| raised(py, problem))?;
@@ -275,7 +275,7 @@ impl Session {
 }
 
 impl Population {
-    /// What spiked in the last step, and what it carried.
+    /// Units that spiked in the last step, and the integers of their messages.
     fn spiking(&self, py: Python<'_>) -> PyResult<Vec<(u32, i32)>> {
         let session = self.session.borrow(py);
         let (stepped, network) = (session.stepped()?, session.network());
@@ -296,7 +296,7 @@ impl Population {
         })
     }
 
-    /// A word of state of each compartment, by its name.
+    /// A word of state of each compartment, by the name of the word.
     fn words<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArray1<i32>>> {
         let session = self.session.borrow(py);
         let (stepped, network) = (session.stepped()?, session.network());
@@ -324,14 +324,14 @@ impl Population {
 
 #[pymethods]
 impl Population {
-    /// The numbers of those that spiked in the last timestep, ascending, int32.
+    /// The numbers of the units that spiked in the last timestep, ascending, int32.
     #[getter]
     fn spikes<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
         let spiking = self.spiking(py)?;
         Ok(PyArray1::from_iter(py, spiking.into_iter().map(|(number, _)| number as i32)))
     }
 
-    /// What each of these spikes carried, 1 for a binary spike, int32.
+    /// The integer of each of these spikes, 1 for a binary spike, int32.
     #[getter]
     fn values<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<i32>>> {
         let spiking = self.spiking(py)?;
@@ -350,7 +350,7 @@ impl Population {
         self.words(py, "u")
     }
 
-    /// A word of state of each compartment after the last timestep, by its name, int32.
+    /// A word of state of each compartment after the last timestep, by the name of the word, int32.
     fn state<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArray1<i32>>> {
         self.words(py, name)
     }

@@ -1,4 +1,4 @@
-//! A compiled network with its layout, which runs and energies of one mapping share.
+//! A compiled network with its image, which runs and energies of one mapping share.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -10,23 +10,23 @@ use nsim::machine::Image;
 use nsim::session::samples::{Division, laid_out};
 /// A mapping that runs and energies share.
 pub struct Shared {
-    /// The model, as it was named.
+    /// The model, as the user named it.
     pub model: String,
-    /// Its own stimulus.
+    /// Scene of the model.
     pub scene: Option<String>,
-    /// Where it is mapped.
+    /// Target of the mapping.
     pub target: Target,
-    /// The network as its file says.
+    /// The network as in its file.
     pub network: Arc<Network>,
     compiled: Mapping,
-    /// The program laid out for one thread; none where threads share a sample, as its image
-    /// depends on their number.
+    /// Image of the program for one thread; none where threads share a sample, as an image depends
+    /// on their number.
     image: Option<Arc<Image>>,
     warned: AtomicBool,
 }
 
 impl Shared {
-    /// A mapping of this network, laid out where one thread runs it.
+    /// Makes a mapping of this network, with its image where one thread runs it.
     pub fn new(model: &str, network: &Arc<Network>, compiled: Mapping, target: Target) -> Self {
         let division = Division::new(&compiled.program, usize::MAX);
         let image = match division.shards {
@@ -50,12 +50,12 @@ impl Shared {
         &self.compiled
     }
 
-    /// Whether no caller has been warned of what this network does; after the first call one has.
+    /// Whether warnings of this network are still to be issued; true only in the first call.
     pub fn warns(&self) -> bool {
         !self.warned.swap(true, Ordering::Relaxed)
     }
 
-    /// The program, laid out for runs of this division.
+    /// Image of the program for runs of this division.
     pub fn image(&self, division: Division) -> Option<&Arc<Image>> {
         self.image.as_ref().filter(|_| division.shards == 1)
     }

@@ -1,11 +1,10 @@
-//! Spikes from Python: NumPy arrays, events, sources as `--input` takes them, or the model's own
-//! scene.
+//! Spikes from Python: NumPy arrays, events, sources as for `--input`, or the model's own scene.
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]` for the only input population, a
-//! dictionary from populations to arrays, text, or nothing. 1 is a spike, as is a greater whole
-//! number, for which there is a warning. Output: samples and the order in which they run.
-//! Contiguous arrays of `uint8` and `bool` are read in place. Invariant: what samples take is
-//! bounded before they are made. Errors: `input.*`, `usage`.
+//! dictionary from populations to arrays, text, or nothing. 1 is a spike; a greater whole number is
+//! a spike with a warning. Output: samples and the order in which they run. Contiguous arrays of
+//! `uint8` and `bool` are read in place. Invariant: the memory of samples is bounded before they
+//! are made. Errors: `input.*`, `usage`.
 
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::PopulationSpikes;
@@ -22,12 +21,12 @@ use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
 use crate::work::tried;
 
-/// The most numbers of an array: some seconds of reading.
+/// The most numbers of an array, which take some seconds to read.
 const MOST_NUMBERS: usize = 1 << 34;
 /// The most spikes of an array, 8 bytes each.
 const MOST_SPIKES: usize = 1 << 26;
 
-/// What a network is shown.
+/// Input of a network.
 pub struct Shown {
     /// The samples.
     pub stimulus: Stimulus,
@@ -36,7 +35,7 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// From `spikes` and the keywords `labels`, `samples`, `repeat`, `seed` and `time_first`;
+    /// Reads `spikes` and the keywords `labels`, `samples`, `repeat`, `seed` and `time_first`;
     /// labels are outputs of the network.
     pub fn new(
         network: &Quantised,
@@ -48,7 +47,7 @@ impl Shown {
         Shown::of_classes(outputs.into(), network, scene, spikes, keywords)
     }
 
-    /// As [`Shown::new`], with this many classes.
+    /// As [`Shown::new`], with `classes` classes.
     pub fn of_classes(
         classes: u64,
         network: &Quantised,
@@ -127,7 +126,7 @@ fn named(network: &Quantised, sources: &[String], scene: Option<&str>, seed: Opt
     Python::attach(|py| tried(py, || stimulus(network, sources, scene, seed)))
 }
 
-/// Sources as `--input` takes them: one, a list of them, or none.
+/// Sources as for `--input`: one, a list of them, or none.
 pub fn sources(given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<String>> {
     let Some(given) = given else { return Ok(Vec::new()) };
     match texts(given)? {
@@ -139,7 +138,7 @@ pub fn sources(given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<String>> {
     }
 }
 
-/// Text, or a list of texts.
+/// The texts of a text or of a list of texts; none for another value.
 fn texts(spikes: &Bound<'_, PyAny>) -> PyResult<Option<Vec<String>>> {
     if spikes.is_instance_of::<PyString>() {
         return Ok(Some(vec![spikes.extract()?]));
@@ -195,7 +194,7 @@ fn recordings(
     if let Some(records) = Records::new(given, name)? {
         return Ok(vec![records.recording(py, population, dt_ms)?]);
     }
-    // A list of records is a list of samples.
+    // Each item of a list of records is a sample.
     if let Ok(list) = given.cast::<PyList>() {
         let records = list.iter().enumerate().map(|(sample, item)| Records::new(&item, &format!("{name}[{sample}]")));
         if let Some(records) =
@@ -236,7 +235,7 @@ fn read(
             format!("{name} has shape {shape:?}, which does not fit population '{name_of}' of {axes} channels");
         let whole = matches!(shape, [_, _, channels @ ..] if holds(channels));
         let help = match (time_first, fits(!time_first).is_some()) {
-            // What the two axes before the channels are is not known.
+            // The meaning of the two axes before the channels is unknown.
             (false, true) if whole => {
                 "where it is [samples, T, channels..] give time_first=True, where it is [T, samples, channels..] give \
                  numpy.moveaxis(numpy.asarray(array), 0, -1)"

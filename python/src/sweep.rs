@@ -1,8 +1,8 @@
-//! Parts of sweeps, and the table that parts make together.
+//! Parts of sweeps, and the merged table of all parts.
 //!
-//! Input: the text of a sweep and the path that messages name. Output: tables as CSV, the bytes
-//! that `nsim sweep` writes. Each row is the library's; who runs which part is for Python, so that
-//! any engine for clusters can do it. Errors: `sweep.*`.
+//! Input: the text of a sweep and its path in messages. Output: tables as CSV, with the bytes of
+//! `nsim sweep`. The library makes each row; Python distributes the parts, so any engine for
+//! clusters can run them. Errors: `sweep.*`.
 
 use std::path::PathBuf;
 
@@ -29,7 +29,7 @@ pub fn sweep_len(py: Python<'_>, path: PathBuf, text: String) -> PyResult<u64> {
     Ok(parsed(py, path, text)?.len())
 }
 
-/// Runs part `number` (from 0) of `parts` on this many threads; its table as CSV.
+/// Runs part `number` (from 0) of `parts` on `threads` threads; returns its table as CSV.
 #[pyfunction]
 pub fn sweep_part(
     py: Python<'_>,
@@ -56,7 +56,7 @@ pub fn sweep_part(
     })
 }
 
-/// The tables of all parts together, as CSV.
+/// Merges the tables of all parts; returns CSV.
 #[pyfunction]
 pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<String>) -> PyResult<String> {
     let sweep = parsed(py, path, text)?;

@@ -1,7 +1,7 @@
 //! Trains networks: `nsim train`.
 //!
-//! Input: a training file, labelled spikes. Output: a [`Training`], whose figures, digest and model
-//! are those of the command line. Omitted on purpose: studies, of which each training is a call.
+//! Input: a training file, labelled spikes. Output: a [`Training`] with the figures, digest and
+//! model of the command line. A study is several calls.
 
 use std::path::PathBuf;
 
@@ -35,15 +35,15 @@ pub struct Training {
     network: Py<Network>,
 }
 
-/// Samples that a training takes.
+/// Samples of a training.
 enum Given {
-    /// By name; those that the training file names when empty.
+    /// Named sources; if empty, the sources of the training file.
     Sources(Vec<String>),
     /// Arrays with labels.
     Arrays(Vec<Example>),
 }
 
-/// `(spikes, labels)`, a source, a list of sources, or nothing.
+/// Reads `(spikes, labels)`, a source, a list of sources, or nothing.
 fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_first: bool) -> PyResult<Given> {
     let Some(value) = keywords.take::<Bound<'_, PyAny>>(key)? else { return Ok(Given::Sources(Vec::new())) };
     let pair = value.cast::<PyTuple>().ok().filter(|pair| pair.len() == 2);
@@ -54,7 +54,7 @@ fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_fir
     options.set_item("labels", pair.get_item(1)?)?;
     options.set_item("time_first", time_first)?;
     let network = tried(py, || job.inputs())?;
-    // Which classes there are is for the job to say.
+    // The job checks the classes, so any label is allowed here.
     let options = Keywords::new(Some(&options))?;
     let shown = Shown::of_classes(1 << 32, &network, None, Some(&pair.get_item(0)?), &options)?;
     let what = if key == "test" { "test" } else { "training" };
@@ -64,10 +64,10 @@ fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_fir
 /// Trains a network with SLAYER: `nsim train`.
 ///
 /// `config` is the path or the text of a training file. `train` and `test` are a source or a list
-/// of sources as `nsim run --input` takes them, a pair (spikes, labels) of arrays as `Mapping.run`
-/// takes them, or None for what the training file names. `seed` and `epochs` stand in for the
-/// file's, `set` is a dictionary of other fields and values; `folds` also cross-validates;
-/// `checkpoint` is a file from which an interrupted training goes on.
+/// of sources as for `nsim run --input`, a pair (spikes, labels) of arrays as for `Mapping.run`, or
+/// None for the samples of the training file. `seed` and `epochs` replace the values of the file,
+/// `set` is a dictionary of other fields and values. `folds` also cross-validates; `checkpoint` is
+/// a file from which an interrupted training resumes.
 #[pyfunction]
 #[pyo3(
     signature = (config, **options),
@@ -83,7 +83,7 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
     };
     let mut fields: Vec<(String, String)> = Vec::new();
     for (key, value) in keywords.take::<Bound<'_, PyDict>>("set")?.into_iter().flatten() {
-        // Python's words for what RON writes in small letters.
+        // RON writes Python's truth values in small letters.
         let value = value.str()?.to_string();
         let value = if value == "True" || value == "False" { value.to_lowercase() } else { value };
         fields.push((key.extract()?, value));
@@ -148,13 +148,13 @@ impl Training {
         self.network.clone_ref(py)
     }
 
-    /// The share of the training samples that is right.
+    /// The share of the training samples with a correct class.
     #[getter]
     fn train_accuracy(&self) -> f64 {
         self.trained.train_accuracy
     }
 
-    /// The share of the test samples that is right; None without any.
+    /// The share of the test samples with a correct class; None without any.
     #[getter]
     fn test_accuracy(&self) -> Option<f64> {
         self.trained.test_accuracy
@@ -166,14 +166,14 @@ impl Training {
         self.trained.folds.clone()
     }
 
-    /// Of the output spikes on the test samples (without any, the training samples), as
-    /// `Run.digest` is.
+    /// Digest of the output spikes on the test samples (without any, the training samples), as in
+    /// `Run.digest`.
     #[getter]
     fn digest(&self) -> &str {
         &self.trained.digest
     }
 
-    /// Epoch by epoch: number, mean loss, accuracy.
+    /// (epoch, mean loss, accuracy) of each epoch.
     #[getter]
     fn history(&self) -> Vec<(u32, f64, f64)> {
         self.trained.state.history.iter().map(|row| (row.epoch, row.loss, row.accuracy)).collect()
@@ -184,10 +184,10 @@ impl Training {
         history_csv(&self.trained.state.history)
     }
 
-    /// Writes the model file that `nsim train -o` writes, and its weights next to it; with `force`
-    /// in the place of files that are there.
+    /// Writes the model file of `nsim train -o`, and its weights next to it; `force` replaces
+    /// existing files.
     ///
-    /// Gives the names of the files.
+    /// Returns the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<[PathBuf; 2]> {
         let (comment, provenance) = (self.report().provenance(&self.changed), self.report().summary());

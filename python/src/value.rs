@@ -3,7 +3,7 @@
 use nsim::files::write::checksum;
 use pyo3::prelude::*;
 
-/// JSON as Python's own dictionaries and lists; a result as the command line prints it.
+/// Converts JSON to dictionaries and lists of Python; results as the command line prints them.
 pub fn to_python<'py>(py: Python<'py>, value: &serde_json::Value) -> PyResult<Bound<'py, PyAny>> {
     py.import("json")?.call_method1("loads", (checksum::printed(value.clone()).to_string(),))
 }

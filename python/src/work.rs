@@ -1,12 +1,11 @@
 //! Work without the interpreter's lock, which Ctrl-C ends.
 //!
 //! Python's signal handlers run in the main thread alone. Long work therefore has a thread of its
-//! own, while the calling thread looks for signals; after one, the work ends with the sample that
-//! it is at. Short work stays in the calling thread: starting another would take longer than the
-//! work.
+//! own, while the calling thread checks for signals. After a signal the work ends with its current
+//! sample. Short work stays in the calling thread: starting a thread would take longer.
 //!
-//! A process that was forked has none of its parent's threads, and work that is left to them would
-//! never end: a child has threads of its own.
+//! A forked process has none of its parent's threads, so work for them would never end: a child has
+//! threads of its own.
 
 use std::panic::resume_unwind;
 use std::sync::OnceLock;
@@ -20,7 +19,7 @@ use rayon::{ThreadPool, ThreadPoolBuilder};
 
 use crate::error::raised;
 
-/// How often signals are looked for.
+/// Interval of checks for signals.
 const LOOK: Duration = Duration::from_millis(50);
 
 /// Unwinds work that a signal ends.
@@ -28,22 +27,23 @@ struct Interrupted;
 
 /// The process that loaded the module, whose threads are rayon's global ones.
 static FIRST: OnceLock<u32> = OnceLock::new();
-/// The threads of a forked process. Those of its parent are never dropped, since they cannot be
-/// joined.
+/// The threads of a forked process. The threads of its parent are never dropped, since they cannot
+/// be joined.
 static OWN: AtomicPtr<(u32, ThreadPool)> = AtomicPtr::new(std::ptr::null_mut());
 
-/// Notes which process this is, when the module is loaded.
+/// Stores the id of this process, when the module is loaded.
 pub fn loaded() {
     FIRST.get_or_init(std::process::id);
 }
 
-/// Runs a job on threads of this process. No lock is taken: a fork may have left any lock closed.
+/// Runs a job on threads of this process. No lock is taken: a lock may have been held during the
+/// fork.
 pub fn on_own_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
     let process = std::process::id();
     if FIRST.get() == Some(&process) {
         return job();
     }
-    // SAFETY: what is stored came from `Box::into_raw` and is never freed.
+    // SAFETY: the stored pointer came from `Box::into_raw` and is never freed.
     let known = unsafe { OWN.load(Ordering::Acquire).as_ref() };
     if let Some((_, pool)) = known.filter(|(owner, _)| *owner == process) {
         return pool.install(job);
@@ -55,7 +55,7 @@ pub fn on_own_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
             // SAFETY: as above.
             unsafe { &(*made).1 }.install(job)
         }
-        // Where the system allows no thread, the calling one does it all.
+        // If the system refuses threads, the calling thread does all work.
         Err(_) => match ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() {
             Ok(pool) => pool.install(job),
             Err(_) => job(),
@@ -63,12 +63,12 @@ pub fn on_own_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
     }
 }
 
-/// Does short work of the library without the interpreter's lock.
+/// Runs short work of the library without the interpreter's lock.
 pub fn detached<T: Send>(py: Python<'_>, job: impl FnOnce() -> T + Send) -> T {
     py.detach(|| on_own_threads(job))
 }
 
-/// Does short work of the library that may fail.
+/// Runs short work of the library that may fail.
 pub fn tried<T: Send, E: Into<nsim::Error> + Send>(
     py: Python<'_>,
     job: impl FnOnce() -> Result<T, E> + Send,
@@ -76,7 +76,7 @@ pub fn tried<T: Send, E: Into<nsim::Error> + Send>(
     detached(py, job).map_err(|problem| raised(py, problem))
 }
 
-/// Does the work; `long` says whether it may take more than the blink of an eye.
+/// Runs work; `long` says whether it may take noticeable time.
 pub fn work<T: Send>(
     py: Python<'_>,
     long: bool,

@@ -1,4 +1,4 @@
-//! What every command knows, and what it answers.
+//! Settings of every command, and its answer.
 
 use nsim_session::error::Error;
 
@@ -12,13 +12,13 @@ pub enum Format {
     Json,
     /// Rows with a header.
     Csv,
-    /// The same rows as a Markdown table, four digits a figure.
+    /// Rows as a Markdown table, four digits a figure.
     Markdown,
-    /// The same as a LaTeX tabular.
+    /// Rows as a LaTeX tabular.
     Latex,
 }
 
-/// What every subcommand knows.
+/// Settings of every command.
 #[derive(Debug, Clone, Copy)]
 pub struct Context {
     /// How to print the result on stdout.
@@ -31,7 +31,7 @@ pub struct Context {
     pub threads: usize,
 }
 
-/// What a command found out: the exit status is 0 or 1.
+/// Answer of a command, with exit status 0 or 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {
     /// Done, fits, agrees.
@@ -40,7 +40,7 @@ pub enum Answer {
     No,
 }
 
-/// Refuses what was typed where something is wrong with it.
+/// Returns a usage error with this message if `is_wrong`.
 pub fn refuse_if(is_wrong: bool, message: impl Into<String>) -> Result<(), Error> {
     if is_wrong { Err(Error::Usage(message.into())) } else { Ok(()) }
 }

@@ -1,4 +1,4 @@
-//! Errors as people and scripts read them.
+//! Errors as text for people and as JSON for scripts.
 
 use std::io::{IsTerminal, Write};
 use std::process::ExitCode;
@@ -18,7 +18,7 @@ pub fn report(error: &Error, format: Format) -> ExitCode {
     ranks::before_failing();
     match format {
         Format::Json => {
-            // stdout is the result's place; with JSON the error object is the result.
+            // stdout carries the result; with JSON the error object is the result.
             let _ = write::stdout(&format!("{:#}\n", object(error)));
         }
         _ => say(&text(error, colour())),
@@ -26,7 +26,7 @@ pub fn report(error: &Error, format: Format) -> ExitCode {
     ExitCode::from(error.exit_status())
 }
 
-/// Writes to stderr, whether or not anybody still reads it.
+/// Writes to stderr; failed writes are ignored.
 pub fn say(text: &str) {
     if !write::is_silent() {
         let _ = std::io::stderr().lock().write_all(text.as_bytes());
@@ -43,14 +43,14 @@ pub fn colour() -> bool {
     on_terminal() && std::env::var_os("NO_COLOR").is_none_or(|value| value.is_empty())
 }
 
-/// The format that a command line asks for, whether or not the rest of it makes sense.
+/// JSON if the command line requests it, else text, even if the rest is invalid.
 pub fn format_asked() -> Format {
     let words: Vec<_> = std::env::args_os().collect();
     let apart = words.windows(2).any(|pair| pair[0] == "--format" && pair[1] == "json");
     if apart || words.iter().any(|word| word == "--format=json") { Format::Json } else { Format::Text }
 }
 
-/// Says what clap says of a command line, as an object when that is the format that it asks for;
+/// Prints the help, version or error of clap, an error as a JSON object if JSON is requested;
 /// returns the exit status.
 pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
     // Help and version are answers; anything else is wrong usage.
@@ -72,7 +72,7 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
             });
             let _ = write::stdout(&format!("{object:#}\n"));
         }
-        // Colours are escapes as well, so a command line that has others is shown without.
+        // Colours are escapes too, so a message with other escapes is printed without colours.
         _ if colour() && printable(&said) == said => say(&error.render().ansi().to_string()),
         _ => say(&printable(&said)),
     }
@@ -113,7 +113,7 @@ fn text(error: &Error, colour: bool) -> String {
     }
 }
 
-/// The most of a line that is shown around the place.
+/// Most characters of a line that are shown around the place.
 const SHOWN: usize = 90;
 
 /// The message, the line of the file with the place underlined, and the advice.
@@ -134,20 +134,20 @@ fn drawn(diagnostic: &Diagnostic, colour: bool) -> String {
     out
 }
 
-/// The line of a place, or what of a long one is around it, and marks under the place.
+/// The line of a place, or the part of a long line around it, and marks under the place.
 fn excerpt(source: &SourceText, span: Span) -> Option<(String, String)> {
     let position = source.position(span.start);
     let text = source.text();
     let start = text.get(..span.start)?.rfind('\n').map_or(0, |at| at + 1);
     let before = position.column - 1;
     let skipped = if before > SHOWN * 2 / 3 { before - SHOWN / 3 } else { 0 };
-    // Never the rest of a long line: it may be megabytes.
+    // Only a part of a long line is copied: it may be megabytes.
     let rest = text[start..].lines().next().unwrap_or_default();
     let mut shown: String = rest.chars().skip(skipped).take(SHOWN).collect();
     if shown.trim().is_empty() {
         return None;
     }
-    // What moves the cursor would move the marks away.
+    // Characters that move the cursor would misplace the marks.
     shown = shown.chars().map(|c| if is_unprintable(c) { ' ' } else { c }).collect();
     let length = text.get(span.start..span.end.min(start + rest.len())).map_or(0, |marked| marked.chars().count());
     let (lead, dots) = if skipped > 0 { ("..", 2) } else { ("", 0) };

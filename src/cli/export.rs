@@ -1,7 +1,7 @@
-//! `nsim export MODEL -o FILE.nir`: a model in a form that other tools read.
+//! `nsim export MODEL -o FILE.nir`: writes a model in a format of other tools.
 //!
-//! Input: a model of any kind that nsim reads. Output: a NIR file or one of lava-dl's netx, and
-//! notes on what other tools will not see of the model. nsim itself reads it back without loss.
+//! Input: a model of any kind that nsim reads. Output: a NIR file or a netx file of lava-dl, and
+//! notes on the parts of the model that other tools ignore. nsim itself reads it back without loss.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use nsim_import::foreign::{hdf5, netx_export, nir_export};
 use nsim_report::inspect::Findings;
 use nsim_session::error::Error;
 
-/// What was typed.
+/// Command-line arguments.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim export vtsnn-slip -o slip.nir

@@ -1,8 +1,8 @@
-//! `nsim import FILE`: a model of another tool, described and written as one of nsim's own.
+//! `nsim import FILE`: describes a model of another tool, and writes it in nsim's format.
 //!
-//! Input: a file and what it does not say. Output: what was read and by which conventions, and with
-//! `-o` the model as RON with its arrays next to it. The model is lowered before it is written:
-//! what cannot be one is refused here.
+//! Input: a file, and options for the values that it lacks. Output: the content of the model with
+//! its conventions, and with `-o` the model as RON with its arrays next to it. The model is lowered
+//! before it is written, so an invalid model is refused here.
 
 use std::path::PathBuf;
 
@@ -22,7 +22,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::inspect::{Findings, FindingsTable};
 use nsim_session::error::Error;
 
-/// What was typed.
+/// Command-line arguments.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim import network.net -o model.ron              a network of lava-dl's netx
@@ -38,12 +38,11 @@ pub struct Args {
     /// Type and parameters of the neurons, where the file has none: a YAML file
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
-    /// What the voltage does at a spike where a NIR file has no v_reset: it returns to zero, as on
-    /// the chip; or the threshold is subtracted at the spike, or a step later as in snnTorch, which
-    /// only some targets can do
+    /// Reset at a spike where a NIR file has no v_reset: to zero, as on the chip; or by subtracting
+    /// the threshold at the spike, or a step later as in snnTorch, which only some targets can do
     #[arg(long, value_name = "HOW", value_parser = one_of(&ResetMode::ALL, ResetMode::name))]
     reset: Option<ResetMode>,
-    /// What a step leaves of a state, where the file has time constants (NIR): 1 - dt / tau, as
+    /// Share of a state kept per step, where the file has time constants (NIR): 1 - dt / tau, as
     /// snnTorch and Norse (euler), or exp(-dt / tau), as sinabs and Rockpool (exponential)
     /// [default: euler]
     #[arg(long, value_name = "HOW", value_parser = one_of(&DecayRule::ALL, DecayRule::name))]
@@ -52,7 +51,7 @@ pub struct Args {
     /// (inclusive, as in SLAYER 2)
     #[arg(long, value_name = "HOW", value_parser = one_of(&ThresholdTest::ALL, ThresholdTest::name))]
     threshold: Option<ThresholdTest>,
-    /// What of the output decides: spikes, or its potential, the greatest, the sum or the last
+    /// Score of an output: its spikes, or its potential, the greatest, the sum or the last
     /// [default: spikes, or the potential of an output that never spikes]
     #[arg(long, value_name = "HOW", value_parser = one_of(&ReadOut::ALL, ReadOut::name))]
     decision: Option<ReadOut>,
@@ -62,7 +61,7 @@ pub struct Args {
     /// The step at which the first layer starts, each next one a step later
     #[arg(long, value_name = "STEP")]
     first_step: Option<u32>,
-    /// Reset u and v of each layer every this many steps, counted from its start
+    /// Reset u and v of each layer at this interval, counted from its start
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u32).range(1..))]
     reset_interval: Option<u32>,
     /// The first of these resets, counted from a layer's start
@@ -115,7 +114,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         tracing::warn!("{}: {assumed}", args.file.display());
     }
     let shown = args.output.as_deref().unwrap_or(&args.file);
-    // An error of the model is one of the foreign file: the user did not write the model's text.
+    // An error of the model is reported for the foreign file: the user did not write the model's
+    // text.
     let in_the_file = |mut problem: Diagnostic| {
         problem.place = None;
         problem.in_file(&args.file)
@@ -133,7 +133,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// What was imported, for people and scripts.
+/// Report of an imported model.
 fn findings(imported: &Imported, files: &[String]) -> Findings {
     let model = &imported.model;
     let every =

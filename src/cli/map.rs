@@ -41,7 +41,7 @@ EXAMPLES:
   nsim map --copies 32 --plot board.svg             a picture of the chips in use
   nsim map model.ron --format json                  for scripts";
 
-/// Seconds, at most a day, in milliseconds.
+/// Parses seconds, at most a day, and returns milliseconds.
 fn milliseconds(typed: &str) -> Result<u32, String> {
     let seconds: f64 = typed.parse().map_err(|_| "is not a number of seconds".to_string())?;
     match (0.0..=86_400.0).contains(&seconds) {
@@ -50,7 +50,7 @@ fn milliseconds(typed: &str) -> Result<u32, String> {
     }
 }
 
-/// What is typed after `nsim map`.
+/// Arguments of `nsim map`.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MapArgs {
@@ -59,28 +59,28 @@ pub struct MapArgs {
     /// Copies of the model; 1 unless a mapping says otherwise
     #[arg(long, value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// Where copies go: each on chips of its own and then more on each chip, or on as few cores as
-    /// they fit
+    /// Placement of copies: each on chips of its own and then more on each chip, or on as few cores
+    /// as they fit
     #[arg(
         long, default_value = "spread",
         value_parser = one_of(&CopyPlacement::ALL, CopyPlacement::name), conflicts_with = "mapping"
     )]
     pub deployment: CopyPlacement,
-    /// What to minimise: cores, energy or latency
+    /// Objective: cores, energy or latency
     #[arg(long, default_value = "cores", value_parser = one_of(&Objective::ALL, Objective::name))]
     pub objective: Objective,
-    /// How compartments are assigned to cores: sequential, greedy or multilevel
+    /// Assignment of compartments to cores: sequential, greedy or multilevel
     #[arg(
         help_heading = "Mapping", long, default_value = "multilevel",
         value_parser = one_of(&Strategy::ALL, Strategy::name), conflicts_with = "mapping"
     )]
     pub strategy: Strategy,
-    /// Keep cores in the order of the partition instead of placing those that communicate close
+    /// Keep cores in the order of the partition instead of placing communicating cores close
     /// together
     #[arg(help_heading = "Mapping", long, conflicts_with = "mapping")]
     pub unplaced: bool,
-    /// Seconds by the clock that mapping may take, such as 0.5; 0 for the quickest mapping there is
-    /// [default: a fixed amount of work, so that the result is the same on any machine]
+    /// Wall-clock seconds that mapping may take, such as 0.5; 0 for the quickest mapping [default:
+    /// a fixed amount of work, so that the result is the same on any machine]
     #[arg(help_heading = "Mapping", long, value_name = "S", value_parser = milliseconds)]
     pub time_budget: Option<u32>,
     /// Seed of randomised strategies
@@ -93,7 +93,7 @@ pub struct MapArgs {
     /// Compare several mappings and draw cores, energy and step time, with the Pareto front
     #[arg(long, value_name = FILE, conflicts_with = "mapping")]
     pub pareto: Option<PathBuf>,
-    /// Draw the cores on their chips, what they hold, and the traffic of the links
+    /// Draw the cores on their chips, their contents, and the traffic of the links
     #[arg(long, visible_alias = "svg", value_name = FILE)]
     pub plot: Option<PathBuf>,
     /// Where to save the mapping
@@ -101,7 +101,7 @@ pub struct MapArgs {
     pub output: Option<PathBuf>,
 }
 
-/// Not fitting is an answer.
+/// A network that does not fit is an answer, not an error.
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
@@ -152,7 +152,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         let file = network.file();
         let weight_bits: Vec<_> = file.projections.iter().map(|p| (p.to.clone(), p.weight_bits)).collect();
         let refused = Refused { one: &one, target, options, reasons, weight_bits: &weight_bits };
-        // Model and target are read again as they will be once the changes are typed.
+        // Reads model and target again with the proposed changes applied.
         let changed = |changes: &[String]| {
             let changes: Vec<Change> =
                 changes.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>().ok()?;
@@ -163,7 +163,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             })
         };
         remedies = remedy::remedies(refused, &larger(target), &changed);
-        // A pruned network cannot be given relays.
+        // A pruned network cannot have relays, so neither can be proposed.
         remedies.retain(|remedy| !args.job.anew.relays || !["prune", "relays"].contains(&remedy.kind));
     }
     let pruned = mapped.as_ref().map_or(one.pruned(), |mapped| mapped.one.pruned()).cloned();
@@ -189,17 +189,17 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             output::write_picture(path, &result.pareto_svg(), context)?;
         }
     }
-    // A file that goes to stdout goes there alone.
+    // A file on stdout replaces the result.
     if !taken || mapped.is_err() {
         output::print(context.format, || result.text(), || json!(result), || result.csv())?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
 }
 
-/// Samples of a profile run at most.
+/// Most samples of a profile run.
 const MOST_SAMPLES: usize = 64;
 
-/// How often each source spikes over samples, by the golden interpreter: it needs no mapping.
+/// Firing rates of sources over samples, by the golden interpreter, which needs no mapping.
 fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Result<Rates> {
     let sources: Vec<String> = match sources {
         [one] if one == "scene" => Vec::new(),
@@ -209,8 +209,8 @@ fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Resu
     Ok(firing_rates(network, stimulus.samples.iter().take(MOST_SAMPLES)))
 }
 
-/// Shipped targets of the same neurons and limits with more cores than this one, ascending; without
-/// those to which the `--set` of this command cannot be applied.
+/// Shipped targets with the neuron kinds and limits of this one and with more cores, ascending.
+/// Targets to which the `--set` of this command cannot be applied are skipped.
 fn larger(target: &Target) -> Vec<Target> {
     let boards = shipped::TARGETS.iter().filter_map(|board| io::target::load_target(board.name).ok());
     let mut boards: Vec<Target> = boards
@@ -221,7 +221,7 @@ fn larger(target: &Target) -> Vec<Target> {
     boards
 }
 
-/// How to compile.
+/// Options of the compiler.
 fn options(args: &MapArgs) -> Options {
     Options {
         placement: args.deployment,

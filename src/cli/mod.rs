@@ -1,9 +1,9 @@
-//! The command line: one file a subcommand turns what was typed into a validated job, calls the
-//! library, and writes.
+//! The command line. A subcommand has a file, which makes a validated job of its arguments, calls
+//! the library, and writes the result.
 //!
 //! stdout carries the result, stderr everything else. Exit status: 0 done; 1 the answer is no; 2
-//! wrong usage; 3 an input cannot be read or is not supported; 4 a fault of nsim itself; 130 and
-//! 143 ended by SIGINT, SIGTERM.
+//! wrong usage; 3 an input cannot be read or is not supported; 4 an internal error; 130 and 143
+//! ended by SIGINT, SIGTERM.
 
 mod agree;
 pub mod args;
@@ -48,7 +48,7 @@ EXAMPLES:
 EXIT STATUS:
   0 done   1 the answer is no   2 wrong usage   3 an input cannot be used   4 a fault of nsim";
 
-/// What options that every command has stand under in help, after its own.
+/// Heading in help of the options that every command has, after its own.
 const EVERYWHERE: &str = "Options of every command";
 
 /// Maps trained spiking networks onto simulated Loihi cores, runs them bit for bit, and reports
@@ -154,7 +154,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
     }
 }
 
-/// Every command, as it is typed, and its options.
+/// Name and options of every command.
 fn options_of_commands() -> Vec<(String, Vec<String>)> {
     fn add(command: &clap::Command, name: &str, all: &mut Vec<(String, Vec<String>)>) {
         let named = command.get_arguments().filter_map(clap::Arg::get_long_and_visible_aliases);
@@ -169,7 +169,7 @@ fn options_of_commands() -> Vec<(String, Vec<String>)> {
     all
 }
 
-/// A command whose arguments for models, targets and constants know the shipped names.
+/// Adds the shipped names to the arguments for models, targets and constants of a command.
 fn with_shipped_names(command: clap::Command) -> clap::Command {
     let names: Vec<String> = command.get_subcommands().map(|sub| sub.get_name().to_string()).collect();
     let command = names.into_iter().fold(command, |command, name| command.mut_subcommand(name, with_shipped_names));
@@ -185,9 +185,8 @@ fn with_shipped_names(command: clap::Command) -> clap::Command {
     })
 }
 
-/// The script of completions for a shell. Bash, zsh and fish complete shipped names and names of
-/// files; what is generated for the others completes nothing else where it knows names, so that
-/// they are not given any.
+/// Completion script of a shell. Bash, zsh and fish complete shipped names and file names. The
+/// scripts of other shells complete no files where they have names, so they get no names.
 fn completions(shell: clap_complete::Shell) -> String {
     use clap_complete::Shell::{Bash, Fish, Zsh};
     let mut command = match shell {
@@ -199,11 +198,10 @@ fn completions(shell: clap_complete::Shell) -> String {
     let mut script = String::from_utf8_lossy(&script).into_owned();
     for names in [shipped::MODELS, shipped::TARGETS, shipped::CONSTANTS] {
         let list = names.iter().map(|file| file.name).collect::<Vec<_>>().join(" ");
-        // A list in parentheses is all that zsh completes; a list that is added leaves room for
-        // files.
+        // zsh completes only a list in parentheses; `compadd` and `_files` add names and files.
         script = script.replace(&format!(":({list})"), &format!(":{{compadd -- {list}; _files}}"));
         let first = names.first().map_or("", |file| file.name);
-        // `-f` is fish's word for no files.
+        // In fish `-f` means no files.
         let lines = script.lines().map(|line| match shell == Fish && line.contains(&format!(" -a \"{first}\\t")) {
             true => line.replace(" -f ", " -F "),
             false => line.to_string(),
@@ -218,8 +216,8 @@ pub fn main() -> ExitCode {
     run_line(std::env::args_os())
 }
 
-/// Runs one command, the program's name before it, and returns its exit status. Threads, log and
-/// signals are the process's, so that a process can run one command only.
+/// Runs one command line, which begins with the name of the program, and returns its exit status.
+/// Threads, log and signal handlers belong to the process, so a process can run only one command.
 pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
     let (line, asked): (Vec<OsString>, _) = (line.into_iter().collect(), diagnostics::format_asked());
     match panics::guarded(|| Ok(command(&line, asked))) {
@@ -250,7 +248,7 @@ fn command(line: &[OsString], asked: Format) -> ExitCode {
     if let Err(message) = nsim_machine::update::width::check() {
         return diagnostics::report(&Error::Usage(message), cli.format);
     }
-    // Those of a training are fields of the training file.
+    // `--set` of a training names fields of the training file.
     if !matches!(cli.command, Command::Train(_))
         && let Err(error) = changes::set(&cli.set).map_err(Error::Usage).and_then(|()| Ok(changes::check()?))
     {

@@ -1,4 +1,4 @@
-//! What several commands share: printing, progress, replacing a section of a document.
+//! Functions that several commands share: printing, progress, sections of documents.
 
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -31,13 +31,13 @@ pub fn typed() -> Vec<String> {
     typed
 }
 
-/// Checks the files that a command is to write, before it works: that they may be written, that
-/// pictures are named for what they are, and that stdout carries one thing. Returns whether that is
-/// one of the files, and not the result.
+/// Checks the files of a command before its work: each may be written, pictures have the name of a
+/// known format, and stdout carries one output. Returns whether that is a file, which replaces the
+/// result.
 ///
 /// # Errors
-/// [`Error::Usage`] for a picture of another kind, `-` with JSON or CSV, and two files on stdout;
-/// `write.*`.
+/// [`Error::Usage`] for a picture of another format, `-` with a format other than text, and two
+/// files on stdout; `write.*`.
 pub fn check_files<'a>(
     files: impl IntoIterator<Item = &'a PathBuf>,
     pictures: impl IntoIterator<Item = &'a PathBuf>,
@@ -56,7 +56,7 @@ pub fn check_files<'a>(
     Ok(on_stdout == 1)
 }
 
-/// What kind of file a picture is to be; SVG on stdout.
+/// Format of a picture, by its name; SVG on stdout.
 fn picture_format(path: &Path) -> Result<PictureFormat, Error> {
     if io::text::is_standard_stream(path) {
         return Ok(PictureFormat::Svg);
@@ -70,22 +70,22 @@ fn picture_format(path: &Path) -> Result<PictureFormat, Error> {
 /// The bytes of a picture for a file of this name.
 ///
 /// # Errors
-/// [`Error::Usage`] for a name of another kind; a fault when it cannot be drawn.
+/// [`Error::Usage`] for a name of another format; a fault when it cannot be drawn.
 pub fn picture_bytes(path: &Path, svg: &str) -> Result<Vec<u8>, Error> {
     let drawn = picture_format(path)?.bytes(svg);
     drawn.map_err(|message| Error::Fault(format!("{}: {message}", path.display())))
 }
 
-/// Writes a picture as what its name says.
+/// Writes a picture in the format of its name.
 pub fn write_picture(path: &Path, svg: &str, context: Context) -> Result<(), Error> {
     let bytes = picture_bytes(path, svg)?;
     Ok(io::write::file(path, context.force, |out| out.write_all(&bytes))?)
 }
 
-/// Prints a result in the format that is asked for.
+/// Prints a result in the requested format.
 ///
 /// # Errors
-/// When stdout cannot be written; a reader that went away is no error.
+/// When stdout cannot be written; a closed pipe is no error.
 pub fn print(
     format: Format,
     plain: impl FnOnce() -> String,
@@ -102,7 +102,7 @@ pub fn print(
     Ok(io::write::stdout(&out)?)
 }
 
-/// Says what to look at, a line each.
+/// Prints warnings, a line each.
 pub fn warn_all(warnings: &[Warning]) {
     for Warning { population, message, .. } in warnings {
         match population {
@@ -112,22 +112,22 @@ pub fn warn_all(warnings: &[Warning]) {
     }
 }
 
-/// Whether stages without parts are shown.
+/// Whether stages without countable parts are shown.
 static BUSY_IS_SHOWN: AtomicBool = AtomicBool::new(false);
-/// Bars and stages that are under way: one line shows one of them.
+/// Number of active bars and stages. A stage is shown only if no other is active.
 static UNDER_WAY: AtomicUsize = AtomicUsize::new(0);
 
-/// Lets [`busy`] show what is under way.
+/// Sets whether [`busy`] shows stages.
 pub fn allow_busy(shown: bool) {
     BUSY_IS_SHOWN.store(shown, Ordering::Relaxed);
 }
 
-/// A stage without countable parts: from its second second on a line on stderr says what it does,
-/// until this is dropped.
+/// A stage without countable parts. From the second second on, a line on stderr names it, until
+/// this is dropped.
 #[derive(Debug)]
 pub struct Busy(ProgressBar);
 
-/// Begins a stage; where a bar or another stage is shown, that stays.
+/// Begins a stage, which is hidden if a bar or another stage is active.
 pub fn busy(what: &'static str) -> Busy {
     let alone = UNDER_WAY.fetch_add(1, Ordering::Relaxed) == 0;
     if !alone || !BUSY_IS_SHOWN.load(Ordering::Relaxed) {
@@ -135,7 +135,7 @@ pub fn busy(what: &'static str) -> Busy {
     }
     let line = hidden_at_first(None, "{spinner} {msg}, {elapsed}", what);
     let shown = line.clone();
-    // Where no thread can be started the line stands still.
+    // Without a thread the line does not move.
     let _ = std::thread::Builder::new().spawn(move || {
         while !shown.is_finished() {
             shown.tick();
@@ -150,7 +150,7 @@ fn hidden_at_first(length: Option<u64>, template: &str, what: &'static str) -> P
     let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
     let bar = ProgressBar::with_draw_target(length, ProgressDrawTarget::hidden()).with_style(style).with_message(what);
     let shown = bar.clone();
-    // Where no thread can be started there is no bar.
+    // Without a thread there is no bar.
     let _ = std::thread::Builder::new().spawn(move || {
         std::thread::sleep(std::time::Duration::from_secs(1));
         if !shown.is_finished() {
@@ -167,7 +167,7 @@ impl Drop for Busy {
     }
 }
 
-/// Works under a progress bar; the work calls what it is given after each of `length` parts.
+/// Runs `work` under a progress bar; it calls its argument after each of `length` parts.
 pub fn with_progress<T>(
     context: Context,
     length: usize,
@@ -190,7 +190,7 @@ pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBa
     hidden_at_first(Some(length), "{msg} [{bar:40}] {pos}/{len} {eta}", what)
 }
 
-/// The environment of a measurement, with a warning of a build without optimisation.
+/// Environment of a measurement; warns of a build without optimisation.
 pub fn environment() -> Environment {
     let environment = Environment::here();
     if environment.profile == "debug" {
@@ -199,8 +199,7 @@ pub fn environment() -> Environment {
     environment
 }
 
-/// Replaces the section `<!-- MARK -->` of a document, and the picture next to it that the section
-/// shows, by its name.
+/// Replaces the section `<!-- MARK -->` of a document, and writes the picture, by name, next to it.
 pub fn update_section(
     path: &Path,
     mark: &str,

@@ -17,7 +17,7 @@ use nsim_session::error::{Error, Result};
 use nsim_session::samples::Traces;
 use nsim_session::{Outcome, Probe, Quantity};
 
-/// How probes are written.
+/// Formats of probe files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum ProbeFormat {
     /// A NumPy array, [samples, compartments, T].
@@ -28,14 +28,14 @@ pub enum ProbeFormat {
     Nir,
 }
 
-/// What is recorded, and where it goes.
+/// Recorded quantities and their output files.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ProbeArgs {
     /// Record POPULATION.spikes, .message, .u, .v, .v_register or a word of the kind's state into
-    /// -o; spikes when it says no more than a name, which may have * and ?
+    /// -o; spikes for a name alone, which may have * and ?
     #[arg(long, value_name = "POP[.WHAT]", requires = "output")]
     pub probe: Vec<String>,
-    /// How probes are written
+    /// Format of probe files
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "npy")]
     pub probe_format: ProbeFormat,
     /// Folder for probes, `POP.WHAT.npy` each, [samples, compartments, T], or with the ending of
@@ -51,18 +51,18 @@ pub struct NamedProbe {
     source: Source,
 }
 
-/// What a probe reads.
+/// Source of a probe.
 #[derive(Debug, Clone, Copy)]
 enum Source {
     /// A register of compartments.
     Engine(Probe),
-    /// This many channels from this one on, which are the samples' own: their spikes, or what their
-    /// messages carry.
+    /// Input channels, by the first and their number: their spikes in the samples, or the integers
+    /// of their messages.
     Input(ChannelId, u32, Option<Message>),
 }
 
 impl NamedProbe {
-    /// What the engine records for it; none for an input.
+    /// Probe of the engine; none for an input.
     pub fn engine(&self) -> Option<Probe> {
         match self.source {
             Source::Engine(probe) => Some(probe),
@@ -85,7 +85,7 @@ impl NamedProbe {
     }
 }
 
-/// The spikes of channels in all samples, or what their messages carry, `[channels][steps]` each.
+/// Spikes of channels, or the integers of their messages, `[channels][steps]` for each sample.
 fn input_numbers<'s>(
     samples: &'s [&Sample],
     (first, count, message): (ChannelId, u32, Option<Message>),
@@ -106,17 +106,17 @@ fn input_numbers<'s>(
     })
 }
 
-/// What probes recorded: the chip's registers, or real numbers.
+/// Recordings of probes: registers of the chip, or real numbers.
 #[derive(Debug, Clone, Copy)]
 pub enum Recorded<'a> {
-    /// Of engines of integers.
+    /// From engines with integers.
     Integers(&'a [Outcome]),
-    /// Of the reference engine.
+    /// From the reference engine.
     Reals(&'a [Traces]),
 }
 
 impl Recorded<'_> {
-    /// All samples of a probe, `[compartments][steps]` each; every integer is exact in an f64.
+    /// All samples of a probe, `[compartments][steps]` each; an f64 is exact for every integer.
     fn numbers(&self, probe: usize) -> Box<dyn Iterator<Item = f64> + '_> {
         match self {
             Recorded::Integers(outcomes) => {
@@ -127,19 +127,19 @@ impl Recorded<'_> {
     }
 }
 
-/// Probes are kept in memory until they are written: at most this many numbers.
+/// Most recorded numbers: probes stay in memory until they are written.
 const MOST_PROBED: u64 = 1 << 30;
 
 impl ProbeArgs {
-    /// Patterns of the populations that are named, which pruning leaves whole.
+    /// Patterns of the probed populations, which pruning leaves whole.
     pub fn populations(&self) -> Vec<&str> {
         self.probe.iter().map(|text| parts(text).0).collect()
     }
 
-    /// The probes of a network and the samples that they record.
+    /// Probes of a network in a run of samples.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a probe that there is not, is given twice, or takes too much memory;
+    /// [`Error::Usage`] for a probe that does not exist, is given twice, or takes too much memory;
     /// `run.probe-pruned` and `run.probe-shape`.
     pub fn probes(&self, network: &Quantised, samples: &[&Sample]) -> Result<Vec<NamedProbe>> {
         let found = self.probe.iter().map(|text| named_probes(network, text)).collect::<Result<Vec<_>, _>>()?;
@@ -163,8 +163,8 @@ impl ProbeArgs {
         folder.join(format!("{}.{extension}", named.name))
     }
 
-    /// Writes the recordings, in steps of `dt_ms`, without the last steps, which
-    /// drain, under temporary names; returns the files.
+    /// Writes the recordings under temporary names, in steps of `dt_ms` and without the last
+    /// `drain` steps; returns the files.
     pub fn write(
         &self,
         probes: &[NamedProbe],
@@ -173,7 +173,7 @@ impl ProbeArgs {
         batch: &mut io::write::Batch,
     ) -> Result<Vec<String>> {
         let mut files = Vec::new();
-        // Probes are of samples of one length.
+        // `check_room` requires samples of one length.
         let steps = given.first().map_or(0, |sample| sample.steps() as usize);
         let kept = steps.saturating_sub(drain as usize);
         let mut of_engine = 0;
@@ -209,8 +209,7 @@ impl ProbeArgs {
     }
 }
 
-/// The pattern and the quantity of a probe. A population's name has no point, unless it is one of
-/// relays, which nsim has named.
+/// Pattern and quantity of a probe. A population name has a dot only if nsim added it as relays.
 fn parts(text: &str) -> (&str, Option<&str>) {
     match text.rsplit_once('.') {
         Some((pattern, what)) if what != "relays" => (pattern, Some(what)),
@@ -218,7 +217,7 @@ fn parts(text: &str) -> (&str, Option<&str>) {
     }
 }
 
-/// What of a population is recorded under a name; `None` where it has no such thing.
+/// Source of a quantity of a population; `None` if the population lacks it.
 fn source(population: &Population, what: &str) -> Option<Source> {
     let count = population.shape.len();
     match &population.units {
@@ -231,8 +230,7 @@ fn source(population: &Population, what: &str) -> Option<Source> {
     }
 }
 
-/// The probes that an argument asks for: one for each population that fits its pattern and has such
-/// a register.
+/// Probes of one argument: one for each population that matches its pattern and has the register.
 fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
     let (pattern, asked) = parts(text);
     let what = asked.unwrap_or("spikes");

@@ -1,4 +1,4 @@
-//! `nsim run`: simulates a network and says what came out.
+//! `nsim run`: simulates a network and reports decisions, counts and probes.
 
 use std::path::PathBuf;
 
@@ -26,7 +26,7 @@ use nsim_session::samples::{self, Progress, Run, Running, Traces, fast, golden};
 use nsim_session::warnings::{Finished, Ran, warnings};
 use nsim_session::{Keep, Probe, Quantity, inputs};
 
-/// Which engine runs.
+/// Engines of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum EngineChoice {
     /// The mapped program on simulated cores.
@@ -39,7 +39,7 @@ pub enum EngineChoice {
 }
 
 impl EngineChoice {
-    /// What a job must be ready for.
+    /// Form of the network that an engine needs.
     fn wanted(choice: Option<EngineChoice>) -> Wanted {
         match choice {
             Some(EngineChoice::Fast) => Wanted::Mapped,
@@ -71,7 +71,7 @@ pub struct Args {
     job: jobs::JobArgs,
     #[command(flatten)]
     input: InputArgs,
-    /// Which engine [default: fast; reference for a model with spike response neurons]
+    /// Engine [default: fast; reference for a model with spike response neurons]
     #[arg(long, value_enum)]
     engine: Option<EngineChoice>,
     /// Whether the reference engine uses exact spike response kernels, or truncates them as SLAYER
@@ -91,7 +91,7 @@ pub struct Args {
     /// and energy by part, under the target's first constants
     #[arg(long, value_name = "FILE.csv|npy")]
     steps: Option<PathBuf>,
-    /// Also say the metrics of NeuroBench's harness, which takes a second run
+    /// Add the metrics of NeuroBench's harness, which takes a second run
     #[arg(long, conflicts_with = "early_exit")]
     neurobench: bool,
 }
@@ -134,7 +134,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let sums = ByPopulation::new(network, &counts);
     let (engine, ran) = match &job {
-        // The interpreter has all compartments, and finds the same potentials.
+        // Ranks have parts of the program; the interpreter finds the same potentials.
         Job::Mapped(..) if ranks::several().is_some() => ("fast", Ran::Integers),
         Job::Mapped(compiled, ..) => ("fast", Ran::Program(&compiled.program)),
         Job::Quantised(..) => ("golden", Ran::Integers),
@@ -167,7 +167,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// The metrics of NeuroBench's harness; none of the reference engine, which `ran` refuses.
+/// Metrics of NeuroBench's harness; none for the reference engine, which `ran` refuses.
 fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<NeuroBench>, Error> {
     let measured = match job {
         Job::Mapped(compiled, ..) => NeuroBench::measure(&compiled.one, samples, |samples, keep| {
@@ -185,7 +185,7 @@ fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<Neur
 /// Seconds of mapping up to which there is no warning.
 const SHORT_S: f64 = 0.5;
 
-/// Says how to keep a mapping that took longer than what it was made for.
+/// Warns of a mapping that took longer than the run, with the command that saves it.
 fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &jobs::JobArgs) {
     let seconds: f64 = stages.iter().filter(|(stage, _)| ["partition", "place"].contains(stage)).map(|(_, s)| s).sum();
     if seconds > wall_s.max(SHORT_S) {
@@ -195,8 +195,8 @@ fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &job
     }
 }
 
-/// Runs the samples on the engine that the job is ready for; probes of the reference engine come in
-/// the place of a meter.
+/// Runs the samples on the engine of the job. The reference engine returns probes instead of a
+/// meter.
 fn ran(
     args: &Args,
     job: &Job,

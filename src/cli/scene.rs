@@ -1,4 +1,4 @@
-//! `nsim scene`: makes synthetic recordings, writes them as a data set, and says what they hold.
+//! `nsim scene`: makes synthetic recordings, writes them as a data set, and summarises them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -38,7 +38,7 @@ EXAMPLES:
 pub struct Args {
     /// slip or container, with parameters as NAME?key=value&..
     pub name: String,
-    /// How many samples
+    /// Samples to make
     #[arg(
         long, value_name = "N",
         value_parser = clap::value_parser!(u32).range(1..=i64::from(nsim_scene::MOST_SAMPLES))
@@ -61,7 +61,7 @@ pub struct Args {
     pub plot_sample: Option<u32>,
 }
 
-/// Folds of the manifest's cross-validation, as the paper has them.
+/// Folds of the manifest's cross-validation, as in the paper.
 const FOLDS: usize = 5;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
@@ -124,7 +124,7 @@ fn by_polarity(planes: Vec<(u32, u32)>) -> Vec<(String, Vec<(u32, u32)>)> {
     vec![("pixel, brighter".to_string(), rises), ("pixel, darker".to_string(), falls)]
 }
 
-/// A sample as a picture.
+/// Picture of a sample.
 fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
     let recording = scene.recording(sample, Senses::BOTH);
     let class = scene.classes.get(recording.label as usize).cloned().unwrap_or_default();
@@ -147,7 +147,7 @@ fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
     }
 }
 
-/// What the report needs of a recording.
+/// Facts of a recording for the report.
 struct Facts {
     label: u32,
     onset_ms: Option<f64>,
@@ -156,8 +156,8 @@ struct Facts {
     wire: Option<Carried>,
 }
 
-/// Says when recordings of an earlier scene lie next to those of this one: a run on the folder
-/// would take them for samples.
+/// Warns of recordings of an earlier scene next to the new ones: a run on the folder would use them
+/// as samples.
 fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
     let written: BTreeSet<PathBuf> =
         entries.iter().flat_map(|entry| entry.files.values()).map(|file| folder.join(&file.value)).collect();
@@ -173,8 +173,8 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
     }
 }
 
-/// Writes a sample's arrays of bytes, `[78, 2, T]` and `[63, 50, T]` or, by polarity,
-/// `[2, 63, 50, T]`, and says where they are.
+/// Writes a sample's arrays of bytes, `[78, 2, T]` and `[63, 50, T]` or, by polarity, `[2, 63, 50,
+/// T]`, and returns their names.
 fn store(
     folder: &write::Folder,
     sample: u32,

@@ -1,7 +1,6 @@
 //! `nsim sweep`: many variants of a run in one table.
 //!
-//! A table that is written to a file has a journal next to it until it is finished: a sweep that
-//! was ended goes on where it was.
+//! A table file has a journal next to it until it is finished, so an interrupted sweep resumes.
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -33,7 +32,7 @@ EXAMPLES:
   nsim sweep sweep.ron -o 3.csv --shard 3/8                             the third of eight parts, on any machine
   nsim sweep sweep.ron -o table.csv --merge 1.csv 2.csv 3.csv           the parts together";
 
-/// `--shard`
+/// `--shard`: part `number`, from 1, of `of` parts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Shard {
     number: u64,
@@ -60,7 +59,7 @@ fn columns(text: &str) -> Result<[String; 2], String> {
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// What varies, and over which values
+    /// Varied fields and their values
     #[arg(value_name = "SWEEP.ron")]
     sweep: PathBuf,
     #[command(flatten)]
@@ -73,7 +72,7 @@ pub struct Args {
     /// Run only part I of N, whose table --merge takes
     #[arg(long, value_name = "I/N", value_parser = shard, conflicts_with = "merge")]
     shard: Option<Shard>,
-    /// Put tables of parts together, or draw a whole one, instead of running
+    /// Merge tables of parts, or draw a whole one, instead of running
     #[arg(long, value_name = "FILE.csv", num_args = 1..)]
     merge: Vec<PathBuf>,
     /// Draw the column that --axes names second over the first
@@ -85,12 +84,12 @@ pub struct Args {
     axes: Option<[String; 2]>,
 }
 
-/// What a summary says.
+/// Counts of a summary.
 struct Done {
     run: u64,
     before: u64,
     wall_s: f64,
-    /// Variants on the front that equal another of it.
+    /// Variants on the front that equal another one on it.
     ties: usize,
 }
 
@@ -109,7 +108,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         name.push(".journal");
         PathBuf::from(name)
     });
-    // A table next to its journal is one whose sweep was ended while it cleaned up.
+    // A table next to its journal belongs to a sweep that ended before it removed the journal.
     let goes_on = journal_path.as_deref().is_some_and(|path| io::disk::exists(path).unwrap_or(false));
     let all = Context { force: context.force || goes_on, ..context };
     output::check_files(args.output.as_ref().filter(|_| file.is_some()), &args.plot, all)?;
@@ -154,7 +153,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     say((&sweep, &table, checksums.as_deref()), &done, file, context)
 }
 
-/// Runs what the journal does not hold yet.
+/// Runs the variants that the journal lacks.
 fn run_variants(
     args: &Args,
     sweep: &Sweep,
@@ -192,13 +191,13 @@ fn run_variants(
     Ok((Done { run, before, wall_s: 0.0, ties: 0 }, kept))
 }
 
-/// What is typed that changes variants.
+/// Arguments that change variants.
 fn typed(args: &Args) -> impl std::fmt::Debug {
     (args.timestep.dt_ms, &args.anew)
 }
 
-/// What identifies a journal: the program's version, the part, the sweep, and its files by size and
-/// time, which are read without opening them.
+/// First line of a journal, by which it is identified: the program's version, and a digest of the
+/// part, the sweep, and the size and time of its files, which need not be opened.
 fn head(args: &Args, sweep: &Sweep) -> String {
     let of_file = |name: &String| {
         let found = std::fs::metadata(name).ok().filter(std::fs::Metadata::is_file);
@@ -209,15 +208,15 @@ fn head(args: &Args, sweep: &Sweep) -> String {
     format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
 }
 
-/// What identifies the work of all parts, on every machine: the program's version, the sweep, and
-/// its files by content.
+/// Identity of the work of all parts, on every machine: a digest of the program's version, the
+/// sweep, and the content of its files.
 fn work(args: &Args, sweep: &Sweep) -> String {
     let before = format!("{} {:?}", env!("CARGO_PKG_VERSION"), typed(args));
     digest(&before, sweep, |name| io::text::sha256_of_file(Path::new(name)).unwrap_or_default())
 }
 
-/// A digest of a sweep's text, what is changed besides, and the files that it names; what is
-/// shipped follows from the version.
+/// Digest of `before`, a sweep's text, the `--set` changes, and the files that the sweep names. The
+/// version determines shipped files.
 fn digest(before: &str, sweep: &Sweep, of_file: impl Fn(&String) -> String) -> String {
     let names = sweep.names();
     let files: Vec<String> = names.iter().map(of_file).collect();

@@ -59,7 +59,7 @@ pub struct Args {
     checkpoint: Option<PathBuf>,
 }
 
-/// The training samples of a file, and its number of classes.
+/// Training samples of a file, and its number of classes.
 #[cfg(feature = "ann")]
 pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
     let samples = job.data(&[], &[])?.train;
@@ -70,7 +70,7 @@ pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
     Ok((samples, job.plan.topology.classes()))
 }
 
-/// Keeps the last finished epoch of a training that a signal ends.
+/// Saves the last finished epoch at a signal; returns a message.
 fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs: u32) -> Option<String> {
     let state = finished.lock().ok()?.take()?;
     let (epoch, path) = (state.epoch, checkpoint.path().display());
@@ -80,7 +80,7 @@ fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs
     })
 }
 
-/// Trains with a bar, from the checkpoint when there is one; a signal saves the last epoch in it.
+/// Trains, with a progress bar, from the checkpoint if any; a signal saves the last epoch in it.
 pub(in crate::cli) fn train(
     plan: &Plan,
     examples: &[Example],

@@ -1,4 +1,4 @@
-//! Advice does what it says: each remedy is typed, and the command then succeeds.
+//! Advice works: each remedy is typed, and the command then succeeds.
 
 use std::path::Path;
 
@@ -61,13 +61,13 @@ fn every_command_that_reads_models_takes_the_timestep_that_a_file_lacks() {
         assert!(code == 3 && stderr.contains("help: say how long a timestep is: --dt MS"), "{line:?}: {code} {stderr}");
         succeeds(&[line, &["--dt", "0.1"]].concat());
     }
-    // Inspecting such a file names the option in the import that it would need.
+    // Inspecting such a file names the option that its import needs.
     let import = |more: &[&str]| object(&[&["inspect", &net], more].concat(), 0)["import"].to_string();
     assert!(import(&[]).contains("--dt MS") && import(&["--dt", "0.1"]).contains("timestep 0.1 ms"));
-    // Where the nodes imply one, the note names what they have.
+    // If the nodes imply a timestep, the note names their parameters.
     let notes = object(&["import", &nir_with(folder.path(), 20.0)], 0)["notes"].to_string();
     assert!(notes.contains("timestep 1.000000 ms: tau / r\""), "{notes}");
-    // A file that says its timestep keeps it.
+    // A file with a timestep keeps it.
     let model = write(folder.path(), "m.ron", MODEL);
     for line in [&["run", &model, "--input", noise, "--dt", "2"][..], &["inspect", &model, "--dt", "2"]] {
         let error = object(line, 3);
@@ -115,7 +115,7 @@ fn fractions_are_spikes_where_that_is_asked_for() {
     assert!(error["help"].as_str().unwrap().ends_with(&advised), "{error}");
     let spikes = |source: &str| object(&["run", &model, "--input", source], 0)["activity"]["spikes_in"].clone();
     assert_eq!(spikes(&advised), 3);
-    // Whole numbers are spikes as they are, regardless of their type.
+    // Whole numbers are taken as spikes, regardless of their type.
     assert_eq!(spikes(&array(folder.path(), "whole.npy", &[3, 2], &[0.0, 2.0, -1.0, 0.0, 1.0, 0.0])), 3);
 }
 
@@ -145,7 +145,7 @@ fn each_remedy_of_a_mapping_makes_it_fit() {
         &["map", &wide, "--target", "loihi1-chip", "--copies", "2000"],
         &["map", &wide, "--target", "tiny", "--copies", "9"],
         &["map", &bits, "--target", "tiny", "--set", "target.chips_x=1", "--set", "target.limits.synapse_words=80"],
-        // A change that other boards cannot have leaves the reasons as they are.
+        // A change that other boards cannot have does not change the reasons.
         &["map", &small, "--target", &own, "--copies", "20000", "--set", "target.cores_per_tile=40"],
     ] {
         let map = object(line, 1);
@@ -230,7 +230,7 @@ fn options(command: &str) -> String {
     said(&[&["help"][..], &command.split(' ').collect::<Vec<_>>()].concat()).1
 }
 
-/// Advice of every stage, printed by commands that lack the options of another.
+/// Advice of every stage, printed by commands that lack another command's options.
 #[test]
 fn options_in_advice_are_those_of_the_command_or_of_one_that_it_names() {
     let folder = tempfile::tempdir().unwrap();
@@ -296,7 +296,7 @@ fn options_in_advice_are_those_of_the_command_or_of_one_that_it_names() {
     assert!(seen > 20, "{seen}");
 }
 
-/// One thing is the matter, and the advice is typed.
+/// Each line has one fault, and its advice is typed.
 #[test]
 fn what_is_advised_is_what_helps() {
     let folder = tempfile::tempdir().unwrap();
@@ -309,7 +309,7 @@ fn what_is_advised_is_what_helps() {
     for line in ["map m.ron -o one.ron", "map m.ron --copies 2 -o two.ron"] {
         assert_eq!(command::said(here, line).0, 0, "{line}");
     }
-    // A line, what its error advises, and a line that does so.
+    // A line, the advice in its error, and a line that follows the advice.
     for (line, advice, then) in [
         ("inspect t.csv", "?unit=s", "inspect t.csv?unit=s"),
         ("run m.ron --input t.csv", "?unit=s", "run m.ron --input t.csv?unit=s&size=3,1&polarity=on"),
@@ -355,7 +355,7 @@ fn a_recording_is_inspected_with_its_options_and_words_stay_whole_in_a_pipe() {
     assert!(code == 0 && stdout.matches(long).count() >= 3, "{stdout}");
 }
 
-/// Each kind of file under names of others: what it is, its content says, to every command.
+/// Every command recognises each kind of file by its content, under names of other kinds.
 #[test]
 fn the_content_says_what_a_file_is_under_any_name() {
     let folder = tempfile::tempdir().unwrap();

@@ -65,7 +65,7 @@ fn neurons_that_subtract_are_compared_on_a_target_that_has_them() {
     assert_eq!(agree["target"], "oheo-gulch");
     let (code, _, stderr) = said(&[&["map", &model][..], &[]].concat());
     assert!(code == 3 && stderr.contains("--target oheo-gulch") && stderr.contains("nsim convert"), "{stderr}");
-    // A target that is named is taken as it is.
+    // A named target is used unchanged.
     assert_eq!(said(&[&["agree", &model, "--target", "nahuku-32"][..], &scene].concat()).0, 3);
 }
 
@@ -76,7 +76,7 @@ fn a_conversion_is_not_taken_for_the_trained_network() {
     let converted = folder.path().join("c.ron").display().to_string();
     let scene = ["--input", "scene:noise?samples=4&steps=20&rate=0.3"];
     let text = succeeds(&[&["convert", &trained, "-o", &converted][..], &scene].concat());
-    // What it says of samples that were held out comes first.
+    // The result on held-out samples comes first.
     assert!(text.find("held-out").unwrap() < text.find("stage").unwrap(), "{text}");
     let (_, text, _) = said(&[&["agree", &converted][..], &scene].concat());
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");

@@ -1,12 +1,11 @@
-//! The book: its tutorials run as they are printed, its pages of commands are their `--help`, its
-//! table of contents names every page.
+//! The book: its tutorials run as printed, its pages of commands equal their `--help`, its table of
+//! contents names every page.
 //!
-//! In a tutorial, a block ````
-//! ```sh ```` is run by a shell in the page's own folder, and ends with status 0 or the one that `exit=` names; a block ```` ```text
-//! ```` after it is what the last one printed, `...` standing for any lines; ````
-//! ```ron NAME ```` and ```` ```csv NAME ```` are files; ````
-//! ```python run ```` is run where a Python with the package `nir` is found, and said to be skipped where not. `NSIM_BLESS=1`
-//! writes the pages of commands anew.
+//! In a tutorial, a shell runs each `sh` block in the page's own folder, and ends with status 0 or
+//! the one of `exit=`. A later `text` block is the output of the last `sh` block, where `...`
+//! represents any lines. Blocks `ron NAME` and `csv NAME` are files. A `python run` block is run if
+//! a Python with the package `nir` is found, else reported as skipped. `NSIM_BLESS=1` writes the
+//! pages of commands anew.
 
 use crate::common;
 use std::path::{Path, PathBuf};
@@ -53,7 +52,7 @@ fn blocks(text: &str) -> Vec<Block> {
     found
 }
 
-/// Whether what was printed is what a page shows.
+/// Whether an output equals the text of a page.
 fn is_shown(shown: &str, printed: &str) -> bool {
     let printed: Vec<&str> = printed.lines().map(str::trim_end).collect();
     let (mut at, mut gap) = (0, false);
@@ -149,7 +148,7 @@ fn tutorial(page: &Path, path: &std::ffi::OsStr, python: Option<&str>) {
     assert!(commands > 0, "{name} has no command");
 }
 
-/// Every command that has a page.
+/// Every command with a page.
 fn commands() -> Vec<String> {
     let help = |words: &[&str]| {
         let mut command = Command::new(assert_cmd::cargo::cargo_bin("nsim"));

@@ -1,4 +1,4 @@
-//! `nsim compare`: a row a target, as `nsim energy` prices it there.
+//! `nsim compare`: one row for each target, with the prices of `nsim energy` there.
 
 use serde_json::Value;
 
@@ -7,7 +7,7 @@ use crate::{MODEL, write};
 
 const INPUT: &str = "scene:noise?samples=2&steps=20&rate=0.3&seed=3";
 
-/// A network that sends integers, which Loihi 1 has no messages for.
+/// A network that sends integers, for which Loihi 1 has no messages.
 const GRADED: &str = "Network(name: \"graded\", timestep_ms: 1.0, populations: [
     Input(name: \"in\", shape: [3], message_bits: 8), Sigma(name: \"out\", shape: [2], message_bits: 16)],
   projections: [Dense(from: [\"in\"], to: \"out\", weights: [[2, 0, 4], [0, 6, 2]])], output: \"out\")";
@@ -63,7 +63,7 @@ fn a_target_that_cannot_hold_the_network_is_a_row_with_the_reason() {
     assert!(text.contains("loihi1-chip cannot hold it: ") && text.lines().all(|line| line.len() <= 80), "{text}");
     let (status, csv, _) = said(here, &format!("{line} --format csv"));
     assert!(status == 0 && csv.lines().count() == 3 && csv.starts_with("target,hardware,constants,fits,"), "{csv}");
-    // No target holds it: the answer is no.
+    // No target supports it: the answer is no.
     assert_eq!(said(here, &format!("compare g.ron --targets loihi1-chip --input {INPUT}")).0, 1);
     assert_eq!(said(here, "compare g.ron --targets no-such-board").0, 3);
 }

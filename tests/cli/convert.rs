@@ -1,5 +1,4 @@
-//! Networks with real numbers become integers, are written, and are read again as the same
-//! integers.
+//! Networks with real numbers become integers, are written, and are read again as equal integers.
 
 use std::path::Path;
 
@@ -29,8 +28,8 @@ fn graph(populations: &str, projections: &str) -> Graph {
     nsim_testing::graph(text)
 }
 
-/// Real thresholds, a convolution, a recurrent projection with a heavy tail, biases, decays of
-/// their own.
+/// Real thresholds, a convolution, a recurrent projection with a heavy tail, biases, individual
+/// decays.
 fn real() -> Graph {
     let row = |t: u32| {
         let weight = |s: u32| if (s + t).is_multiple_of(7) { -6.5 } else { 0.05 + 0.01 * f64::from(s) };
@@ -137,7 +136,7 @@ fn a_reset_by_subtraction_becomes_one_to_zero_where_the_target_has_none() {
     assert_eq!(numbers(&again), numbers(&kept.network));
 }
 
-/// What describes [`srm`] as a network to train.
+/// A training file that describes [`srm`].
 const TRAINING: &str = "Training(name: \"n\", timestep_ms: 1.0, inputs: [(name: \"in\", shape: [30])], \
     layers: [(name: \"h\", from: [\"in\"], size: 8), (name: \"o\", from: [\"h\"], size: 3)], \
     neuron: Srm(tau_sr_ms: Same(10), tau_ref_ms: 1, scale_ref: 2, theta: 10), loss: SpikeCount(right: 20, wrong: 2), \
@@ -193,7 +192,7 @@ fn fine_tuning_starts_at_the_integers_and_keeps_what_golden_confirms() {
     let tuned = task().run((shown, held), 4, &|| (), |best| kept.push(best.epoch)).unwrap();
     assert_eq!((kept.first(), kept.last()), (Some(&0), Some(&tuned.kept)));
     assert_eq!((tuned.rows.len(), tuned.samples), (5, 48));
-    // Counted by the golden interpreter.
+    // The golden interpreter counts these scores.
     let share = |right: usize, of: usize| right as f64 / of as f64;
     let (before, after) = tuned.scores();
     let unseen = tuned.held_out.unwrap();
@@ -243,7 +242,7 @@ fn an_imported_recurrent_network_coincides_without_an_exponent_by_hand() {
     };
     assert_eq!(agreed["class_agreement"], 1.0);
     assert!(coincidence(&agreed, "lif1_lif") >= 0.9 && coincidence(&agreed, "lif2") >= 0.7, "{agreed:#}");
-    // The stored network is compared as it is, and answers the same.
+    // The stored network is compared unchanged, and has equal results.
     let converted = run(&format!("convert {network} -o kept.ron"));
     assert_eq!(converted["schema"], "nsim.convert/1");
     assert!(converted["stages"].as_array().unwrap().len() >= 2, "{converted:#}");
@@ -251,7 +250,7 @@ fn an_imported_recurrent_network_coincides_without_an_exponent_by_hand() {
     assert_eq!(coincidence(&again, "lif2"), coincidence(&agreed, "lif2"));
 }
 
-/// Nothing to compare by is no reason to stop.
+/// Without spikes to compare, a conversion continues.
 #[test]
 fn a_layer_that_no_spikes_reach_is_converted_by_analysis() {
     let folder = tempfile::tempdir().unwrap();

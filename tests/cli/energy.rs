@@ -32,7 +32,7 @@ fn other_hardware_stands_beside_the_chip_with_its_source() {
     has_keys(&energy, &["ratios", "per_sample", "per_decision", "job", "transport", "time_us_per_timestep"]);
     assert_eq!(energy["ratios"].as_array().unwrap().len(), 5);
     assert_eq!(energy["per_sample"].as_array().unwrap().len(), 6);
-    // Another network has no published row, but a modelled one where it is asked for.
+    // Another network has no published row, but a modelled one if requested.
     let folder = tempfile::tempdir().unwrap();
     let model = write(folder.path(), "small.ron", MODEL);
     let small =
@@ -49,7 +49,7 @@ fn other_hardware_stands_beside_the_chip_with_its_source() {
     assert_eq!(said(&["energy", "--cpu-watts", "20,5"]).0, 2);
 }
 
-/// Accuracy of decisions is that of samples that end there, which `nsim run` counts.
+/// Accuracy of early decisions is of the shortened samples, as `nsim run` counts it.
 #[test]
 fn an_early_exit_is_priced_with_the_accuracy_that_it_has() {
     let folder = tempfile::tempdir().unwrap();
@@ -84,7 +84,7 @@ fn an_early_exit_is_priced_with_the_accuracy_that_it_has() {
     assert_eq!(small["early_exit"]["accuracy"], Value::Null);
 }
 
-/// The paper's rows of x86 and neuron cores stand by its total, with what they are here.
+/// The paper's rows of x86 and neuron cores are next to its total, each with its value here.
 #[test]
 fn every_unit_of_the_paper_s_job_stands_by_what_it_is_here() {
     for (deployment, mode, printed) in [
@@ -140,7 +140,7 @@ fn a_model_without_a_scenario_has_one_copy_everywhere() {
     assert_eq!(object(&energy, 0)["copies"], 1);
     let (code, _, stderr) = said(&[&energy[..], &["--deployment", "paper"]].concat());
     assert!(code == 2 && stderr.contains("no scenario ships"), "{stderr}");
-    // A scenario of one's own gives its copies and its numbers of cores.
+    // A user's scenario gives its copies and its numbers of cores.
     let own = "Scenario(name: \"s\", model: \"small\", target: \"nahuku-32\", copies: 2, work: \"w\", source: \"s\",
         notes: \"\", deployment: (cores_used: 7, chips_used: 2, x86_cores: 3))";
     let own = write(folder.path(), "own.ron", own);
@@ -149,8 +149,8 @@ fn a_model_without_a_scenario_has_one_copy_everywhere() {
     assert_eq!(object(&["inspect", &own], 0)["kind"], "scenario");
 }
 
-/// Relays are the chip's need: hardware that was measured without them, and a comparison with the
-/// trained network, leave them out.
+/// Relays are required by the chip alone: measured hardware without them, and a comparison with the
+/// trained network, omit them.
 #[test]
 fn relays_of_the_measured_job_are_not_the_networks() {
     let folder = tempfile::tempdir().unwrap();
@@ -199,7 +199,7 @@ fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
     assert_eq!(noted(&[&energy[..], &["--constants", &own]].concat()), 0);
 }
 
-/// A figure that follows from a changed constant has no interval, and the screen and JSON say so.
+/// A figure that depends on a changed constant has no interval; screen and JSON state this.
 #[test]
 fn figures_without_an_interval_are_named_with_the_reason() {
     let folder = tempfile::tempdir().unwrap();
@@ -240,12 +240,12 @@ fn energy_is_of_as_many_copies_as_a_mapping_has() {
     assert_eq!(said(&["map", "--copies", "2", "-o", &saved]).0, 0);
     let energy = ["energy", "--samples", "0..1", "--mapping"];
     assert_eq!(object(&[&energy[..], &[&saved]].concat(), 0)["copies"], 2);
-    // A pipe can be read but once.
+    // A pipe can be read only once.
     let piped = nsim(&[&energy[..], &["-", "--format", "json"]].concat()).pipe_stdin(&saved).unwrap().output().unwrap();
     assert_eq!(serde_json::from_slice::<Value>(&piped.stdout).unwrap()["copies"], 2);
     let other = object(&[&energy[..], &[&saved, "--copies", "3"]].concat(), 3);
     assert_eq!((&other["code"], &other["file"]), (&"mapping.copies".into(), &saved.as_str().into()));
-    // What a mapping was made with is the file's to say.
+    // The options of a saved mapping come from its file.
     assert_eq!(said(&["map", "--mapping", &saved, "--strategy", "greedy"]).0, 2);
     assert_eq!(said(&["map", "--copies", "2", "--strategy", "greedy", "-o", &saved, "--force"]).0, 0);
     assert_eq!(object(&["map", "--mapping", &saved], 0)["strategy"], "greedy");

@@ -1,4 +1,4 @@
-//! What is wrong is said with its place and what was meant.
+//! An error names its place and the intended name or value.
 
 use crate::{MODEL, has_keys, object, said, succeeds, write};
 use nsim::cli::args::removed::REMOVED;
@@ -35,7 +35,7 @@ fn a_slip_is_answered_with_what_was_meant() {
 fn a_removed_name_is_answered_with_one_that_exists() {
     for (name, instead) in REMOVED {
         let words: Vec<&str> = name.split(' ').collect();
-        // An option follows any command unless its own is named.
+        // An option follows any command, unless its own command is named.
         let line = if words[0].starts_with('-') { [&["run"][..], &words].concat() } else { words };
         let (code, _, stderr) = said(&line);
         let says = format!("`{name}` was removed: {instead}");
@@ -79,7 +79,7 @@ fn independent_errors_of_a_file_are_told_together() {
     let told = |list: &[(&str, u32)]| -> Vec<(String, String)> {
         list.iter().map(|(code, line)| (format!("\"{code}\""), line.to_string())).collect()
     };
-    // A population that cannot be read hides who names it; unknown names hide wrong values.
+    // A population that cannot be read hides its references; unknown names hide wrong values.
     assert_eq!(codes_and_lines(&line(500, "0", "x", "zz")), told(&[("model.shape", 3)]));
     let unknown = "model.unknown-population";
     assert_eq!(codes_and_lines(&line(500, "2", "x", "zz")), told(&[(unknown, 4), (unknown, 5), (unknown, 5)]));

@@ -1,8 +1,8 @@
 //! Jobs of several processes, started by `mpirun`: results of one process, files of the first rank,
-//! and ends with one message within two seconds, for any failure. With the feature `mpi` only; says
-//! so where `mpirun` is absent.
+//! and for any failure an end with one message within two seconds. It needs the feature `mpi`, and
+//! reports an absent `mpirun`.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 #![cfg(all(feature = "mpi", unix))]
 
@@ -24,7 +24,7 @@ const LONG: &str = "scene:noise?samples=400&steps=4000&seed=1&rate=0.02";
 /// Ranks that wait for others keep processor cores busy: one test at a time.
 static ALONE: Mutex<()> = Mutex::new(());
 
-/// A folder with a model, if there is an `mpirun`, without which nothing is tested.
+/// A folder with a model, if there is an `mpirun`; without it nothing is tested.
 fn ready() -> Option<(tempfile::TempDir, MutexGuard<'static, ()>)> {
     let alone = ALONE.lock().unwrap_or_else(PoisonError::into_inner);
     let found = Command::new("mpirun").arg("--version").stdout(Stdio::null()).status().is_ok();
@@ -38,8 +38,8 @@ fn ready() -> Option<(tempfile::TempDir, MutexGuard<'static, ()>)> {
     Some((folder, alone))
 }
 
-/// A job: for each group of ranks their number, their working folder below the one given, and what
-/// all run.
+/// A job: for each group of ranks their number and their working folder below `folder`, and the
+/// line that all ranks run.
 fn job(folder: &Path, groups: &[(u32, &str)], line: &[&str]) -> Command {
     let mut command = Command::new("mpirun");
     command.current_dir(folder).args(["--oversubscribe", "--allow-run-as-root", "--bind-to", "none"]);
@@ -92,7 +92,7 @@ fn a_job_finds_what_one_process_finds() {
     let alone = Command::new(env!("CARGO_BIN_EXE_nsim")).current_dir(folder.path()).args(line).output().unwrap();
     let (mut alone, mut found) = (json(&alone), json(&run(folder.path(), &[(2, "")], &line)));
     assert_eq!(found.as_object_mut().unwrap().remove("ranks").unwrap().as_array().unwrap().len(), 2);
-    // Checksums cover the rows of ranks.
+    // Checksums cover the rows of ranks, so they differ.
     for result in [&mut alone, &mut found] {
         result.as_object_mut().unwrap().remove("checksum").unwrap();
     }
@@ -128,7 +128,7 @@ fn rows_of_steps_are_those_of_one_process() {
     }
 }
 
-/// Messages of nsim in what a job printed: those of `mpirun` stand between lines of dashes.
+/// Messages of nsim in the output of a job; messages of `mpirun` are between lines of dashes.
 fn messages(output: &Output) -> Vec<String> {
     let said = [&output.stdout[..], &output.stderr[..]].concat();
     let said = String::from_utf8_lossy(&said).into_owned();
@@ -163,7 +163,7 @@ fn a_job_that_fails_says_so_once() {
         assert!(said.len() == 1 && said[0].starts_with(message), "{line:?}: {said:?}, not {message}");
         assert!(!output.status.success() && took < Duration::from_secs(30), "{line:?}: {} in {took:?}", output.status);
     }
-    // Only rank 0 writes.
+    // Rank 0 alone writes.
     let output = run(folder.path(), &[(1, ""), (1, "other")], &probed);
     let is_written = |below: &str| folder.path().join(below).join("traces/n.spikes.npy").exists();
     assert!(output.status.success() && is_written("") && !is_written("other"), "{:?}", messages(&output));
@@ -263,13 +263,13 @@ fn a_rank_that_is_killed_and_an_interrupt_end_all() {
         let output = job.wait_with_output().unwrap();
         let took = begin.elapsed();
         assert!(took < Duration::from_millis(2_500) && !output.status.success(), "{signal}: {took:?}");
-        // A killed rank is named by mpirun; rank 0 says that it was ended, if it is given the time.
+        // mpirun names a killed rank; rank 0 reports its own end, if it has the time.
         let said = String::from_utf8_lossy(&output.stderr);
         let mut distinct = messages(&output);
         distinct.dedup();
         assert!(distinct.len() <= 1, "{signal}: {distinct:?}");
         assert!(signal == "INT" || said.contains("signal 9"), "{signal}: {said}");
-        // One that has ended and is not waited for, as mpirun has ended too, is there as a zombie.
+        // A process that has ended, but was not reaped since mpirun has ended as well, is a zombie.
         let is_left = |rank: &u32| {
             let status = std::fs::read_to_string(format!("/proc/{rank}/status")).unwrap_or_default();
             !status.is_empty() && !status.lines().any(|line| line.starts_with("State:\tZ"))

@@ -1,6 +1,6 @@
-//! Commands from outside, pages and pictures, and the examples of the documents.
+//! Commands run as processes, pages and pictures, and the examples of the documents.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 mod advice;
@@ -38,17 +38,17 @@ fn nsim(arguments: &[&str]) -> Command {
     command::nsim(Path::new("."), arguments)
 }
 
-/// Runs and returns exit status, stdout and stderr.
+/// Runs a command; returns exit status, stdout and stderr.
 fn said(arguments: &[&str]) -> (i32, String, String) {
     command::said(Path::new("."), arguments)
 }
 
-/// What a command prints that has to succeed.
+/// The output of a command that has to succeed.
 fn succeeds(arguments: &[&str]) -> String {
     command::succeeds(Path::new("."), arguments)
 }
 
-/// The result object of a command that should end with this status.
+/// The result object of a command that should end with `status`.
 fn object(arguments: &[&str], status: i32) -> Value {
     command::object(Path::new("."), arguments, status)
 }

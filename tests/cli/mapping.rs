@@ -1,4 +1,4 @@
-//! `nsim map`: what fits, what does not, what is stored and pruned.
+//! `nsim map`: networks that fit or do not, stored and pruned mappings.
 
 use std::path::Path;
 
@@ -33,8 +33,7 @@ fn what_does_not_fit_is_answered_with_the_command_s_own_object() {
     }
 }
 
-/// A chip and constants of one's own: what the file states, what it inherits and from which file,
-/// and what was typed.
+/// A user's chip and constants: stated values, inherited ones with their file, and typed ones.
 #[test]
 fn each_constant_and_limit_names_the_file_that_states_it() {
     let folder = tempfile::tempdir().unwrap();
@@ -80,7 +79,7 @@ fn stages_of_the_compiler_are_shown_as_text_that_reads_back() {
     let program: Program = parse(&shown("program"), "stage").unwrap();
     let compiled = compile(network, &load_target("loihi1-chip").unwrap(), &Options::default()).unwrap();
     assert!((partition, placement, program.into()) == (compiled.partition, compiled.placement, compiled.program));
-    // Of more copies the tables of classes are the same; cores and what sits on them grow.
+    // More copies leave the tables of classes unchanged; cores and their compartments grow.
     let classes = |copies: &str| {
         let line = ["show", "vtsnn-slip", "--as", "program", "--target", "pohoiki-springs", "--copies", copies];
         let (_, text, _) = said(&line);
@@ -149,7 +148,7 @@ fn pruning_changes_no_output_and_says_what_it_left_out() {
 #[test]
 fn what_is_probed_is_not_pruned_and_what_is_pruned_not_probed() {
     let folder = tempfile::tempdir().unwrap();
-    // Compartment 1 of hidden only reaches out over a weight of 0.
+    // The only outgoing weight of compartment 1 of hidden is 0.
     let model = write(folder.path(), "small.ron", &MODEL.replace("[0, 40, -10, 8]", "[0, 0, -10, 8]"));
     let spikes = write(folder.path(), "spikes.csv", "timestep,channel\n0,0\n1,1\n3,2\n3,0\n9,1\n");
     let saved = folder.path().join("pruned.ron").display().to_string();
@@ -171,7 +170,7 @@ fn what_is_probed_is_not_pruned_and_what_is_pruned_not_probed() {
 
 #[test]
 fn every_shipped_model_maps_and_runs() {
-    // The names that scripts rely on.
+    // Names that scripts rely on.
     let names = "vtsnn-slip vtsnn-slip-srm slip-tactile slip-vision vtsnn-container container-tactile \
                  container-tactile-clock container-tactile-srm slip-tactile-rf slip-tactile-sdnn";
     // A network of the first fold of each cell of the paper's tables.
@@ -209,7 +208,7 @@ fn every_shipped_model_maps_and_runs() {
     }
 }
 
-/// Eight thousand million synapses, said in a line: no program is begun that memory would not hold.
+/// Eight thousand million synapses in one line: no program beyond the memory is begun.
 #[test]
 fn a_network_too_large_for_a_program_is_refused_where_it_is_needed() {
     let folder = tempfile::tempdir().unwrap();
@@ -227,7 +226,7 @@ fn a_network_too_large_for_a_program_is_refused_where_it_is_needed() {
     assert!(stderr.contains("written out: 8154090000 synapses,") && stderr.contains("map.described"), "{stderr}");
 }
 
-/// A target and its chip may have one name, each in its folder.
+/// A target and its chip may have one name, each in its own folder.
 #[test]
 fn a_target_that_is_named_as_its_chip_finds_it() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("mapping/targets");
@@ -269,7 +268,7 @@ fn a_network_too_large_to_write_out_is_mapped_kept_and_run_and_refused_elsewhere
     assert_eq!(found["cores_used"], made["cores_used"]);
     let other = write(folder.path(), "other.ron", &text.replacen("population: \"out\"", "population: \"in\"", 1));
     assert_eq!(map(&["--mapping", &other], 3)["code"], "mapping.population");
-    // What needs every synapse is refused before anything is made of them.
+    // A command that needs every synapse is refused before it allocates.
     let refused = |arguments: &[&str]| {
         let (code, stdout, stderr) = said(&[arguments, &["--format", "json"]].concat());
         assert_eq!(code, 3, "{arguments:?}: {stdout}{stderr}");
@@ -283,7 +282,7 @@ fn a_network_too_large_to_write_out_is_mapped_kept_and_run_and_refused_elsewhere
     let [one, two] = ["1", "2"]
         .map(|threads| object(&[&["run", &model, "--threads", threads][..], &with_mapping, &scene].concat(), 0));
     assert_eq!((&one["digest"], &one["activity"]), (&two["digest"], &two["activity"]));
-    // Other places change hops, nothing else.
+    // Other places change only hops.
     assert_eq!((&ran["digest"], &ran["activity"]["messages"]), (&one["digest"], &one["activity"]["messages"]));
     assert!(ran["activity"]["spikes"].as_u64().unwrap() > 1_000, "{ran}");
     let energy = object(&[&["energy", &model][..], &board, &scene].concat(), 0);

@@ -1,5 +1,5 @@
-//! The metrics of NeuroBench's harness against a count over matrices, step by step, on the golden
-//! interpreter and the machine.
+//! The metrics of NeuroBench's harness, compared with a step-by-step count over matrices, on the
+//! golden interpreter and the machine.
 
 use std::collections::BTreeMap;
 
@@ -15,8 +15,8 @@ use nsim::ir::spikes::{Copies, Engine, Sample};
 use nsim::session::neurobench::NeuroBench;
 use nsim::session::samples::{Running, fast, golden};
 
-/// Operations without and with numbers, all of a network without zeros, membrane updates, spikes:
-/// sums over the samples.
+/// Sums over the samples: operations with binary and with graded spikes, all operations of a
+/// network without zeros, membrane updates, spikes.
 #[derive(Debug, Default, PartialEq)]
 struct Sums {
     plain: u64,

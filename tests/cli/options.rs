@@ -1,4 +1,4 @@
-//! `--time-budget`, and the changes that `--set` makes, from the command line.
+//! `--time-budget`, and changes by `--set`, from the command line.
 
 use std::path::Path;
 
@@ -23,7 +23,7 @@ fn folder() -> tempfile::TempDir {
     folder
 }
 
-/// Exit status, JSON and what is said of a command.
+/// Exit status, JSON and stderr of a command.
 fn ran(folder: &Path, line: &str) -> (i32, Value, String) {
     let (status, printed, error) = said(folder, &format!("{line} --format json"));
     (status, serde_json::from_str(&printed).unwrap_or(Value::Null), error)

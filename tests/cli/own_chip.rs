@@ -1,4 +1,4 @@
-//! A chip that is no Loihi: its limits, its constants, what is absent, and what cannot be.
+//! A chip other than Loihi: its limits, its constants, absent values, and impossible ones.
 
 use serde_json::Value;
 
@@ -12,7 +12,7 @@ const CHIP: &str = "Chip(name: \"tern\", notes: \"\", width: 4, height: 4, cores
     pools: [(name: \"memory\", unit: \"bytes\", limit: 65536,
       costs: { stored_synapses: 1, axons_in: 4, compartments: 16 })]))";
 
-/// The constants that every preset has to give, and a spike's energy.
+/// The constants that every preset must have, and a spike's energy.
 fn constants() -> String {
     let units = [
         (
@@ -47,7 +47,7 @@ fn board() -> (tempfile::TempDir, String) {
 
 const PRICED: [&str; 5] = ["energy", "slip-tactile", "--samples", "0..1", "--baseline"];
 
-/// What a priced run says of its constants.
+/// Notes of a priced run on its constants.
 fn notes(more: &[&str]) -> String {
     let energy = object(&[&PRICED[..], more].concat(), 0);
     let notes = energy["notes"].as_array().unwrap().iter().map(|note| note.as_str().unwrap().to_string());
@@ -102,13 +102,13 @@ fn leakage_is_a_chip_s_and_counts_in_both_accountings() {
         let row = table.lines().nth(1 + place).unwrap_or_else(|| panic!("{error}"));
         assert!(row.contains(&format!(",{},", total["energy_uj"])), "{accounting}: {row}");
     }
-    // Without either of both leakage is absent, which is said.
+    // Without either constant leakage is absent, which a note states.
     let none = constants().replace("core_static_power: (value: 2,", "core_static_power: (value: 0,");
     let none = write(folder.path(), "none.ron", &none);
     assert!(notes(&["--target", &board, "--constants", &none]).contains("chip_static_power"));
 }
 
-/// What a preset states and this chip cannot use, and what it has of other hardware.
+/// Constants of a preset that this chip cannot use, and constants of other hardware.
 #[test]
 fn constants_of_a_preset_that_are_not_charged_or_borrowed_are_named() {
     let (folder, board) = board();
@@ -182,7 +182,7 @@ fn a_constant_in_another_unit_is_refused_with_its_value_in_the_right_one() {
     assert_eq!(refused["help"], "write value: 0.05, unit: us", "{refused}");
 }
 
-/// More cores in tiles of no stated size make larger ones, which is said.
+/// More cores in tiles without a stated size make larger tiles, which a note states.
 #[test]
 fn more_cores_make_larger_tiles_and_say_so() {
     let (_folder, board) = board();
@@ -191,7 +191,7 @@ fn more_cores_make_larger_tiles_and_say_so() {
     assert!(stderr.contains("17 cores make tiles of 2") && stderr.contains("cores_per_tile"), "{stderr}");
 }
 
-/// What cannot be is refused in a chip file as in a target.
+/// Impossible values are refused in a chip file as in a target.
 #[test]
 fn impossible_chips_are_refused_with_the_field_to_set() {
     let (folder, board) = board();
@@ -251,7 +251,7 @@ fn a_memory_is_set_and_swept_by_its_name() {
     assert!(inspected.contains("\"memory\"") && inspected.contains("stored_synapses * 1"), "{costs}: {inspected}");
 }
 
-/// A remedy that leaves no weight between two populations is none.
+/// A remedy that rounds all weights between two populations to 0 is not offered.
 #[test]
 fn fewer_weight_bits_are_no_remedy_where_all_weights_become_0_and_say_how_many_do() {
     let (folder, board) = board();
@@ -293,7 +293,7 @@ fn a_comparison_says_which_rows_hold_a_host_and_what_was_set() {
     assert!(alone.contains("--set changes every row: constants.spike_energy"), "{alone}");
 }
 
-/// Each message names what to write.
+/// Each message names the required text.
 #[test]
 fn messages_of_chips_and_constants_name_what_to_write() {
     let (folder, board) = board();
@@ -324,7 +324,7 @@ fn messages_of_chips_and_constants_name_what_to_write() {
         let all = format!("{} {}", refused["message"], refused["help"]);
         assert!(all.contains(says), "{line:?}: {refused}");
     }
-    // With the kind the chip holds it, and the price says what it leaves out.
+    // With the kind the chip supports it, and the price names the omitted costs.
     write(folder.path(), "tern.ron", &CHIP.replace("limits: (", "neuron_kinds: [Loihi, Microcode], limits: ("));
     let noise = "scene:noise?samples=1&steps=5";
     let priced = object(&["energy", &kind, "--target", &board, "--input", noise, "--baseline"], 0);

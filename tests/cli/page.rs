@@ -1,9 +1,8 @@
 //! The pages of `nsim report`, opened by a browser without a network.
 //!
-//! Chromium draws every section of five pages, a pointer moves over each chart, each zoom is set,
-//! each button of choices is pressed; what the page says of errors and of loads from a network is
-//! collected. Without Chromium that test says `skipped`, and what can be seen from the text of a
-//! page is still tested.
+//! Chromium draws every section of five pages. A pointer moves over each chart, each zoom is set,
+//! each button of choices is pressed, and the page's errors and network loads are collected.
+//! Without Chromium that test prints `skipped`; the text of a page is still tested.
 
 use crate::common;
 use crate::common::command::{nsim, object, said, succeeds};
@@ -120,7 +119,7 @@ fn a_page_holds_what_energy_prints_and_loads_nothing() {
     for (name, path) in pages(here) {
         let text = std::fs::read_to_string(&path).unwrap();
         let data = data(&path);
-        // What any of these begin would be fetched when the page opens.
+        // Each of these would start a load when the page opens.
         for load in [
             "src=\"http",
             "src='http",
@@ -138,8 +137,8 @@ fn a_page_holds_what_energy_prints_and_loads_nothing() {
         let (result, sample) = (&data["results"][0], &data["sample"]);
         let steps = sample["steps"].as_u64().unwrap();
         assert!(steps > 0 && steps == sample["steps_of_sample"]);
-        // The curves of a page that reduces nothing are those of the first sample: their spikes are
-        // the rasters'.
+        // A page that reduces nothing has the curves of the first sample: their spikes equal the
+        // rasters'.
         assert_eq!(sample["steps_a_point"], 1);
         let copies = result["copies"].as_u64().unwrap();
         for raster in sample["rasters"].as_array().unwrap() {
@@ -211,9 +210,9 @@ fn a_model_comes_through_a_pipe() {
     assert_eq!((&data["network"]["name"], data["origins"].as_array().unwrap().len()), (&"slip-tactile".into(), 0));
 }
 
-/// What a page's own script cannot say of itself: put after it, this moves the pointer over every
-/// chart, turns the wheel, sets its zoom, takes the focus to every control as the tabulator key
-/// does, reads what is drawn, and leaves the findings in the document.
+/// Checks that a page's own script cannot do. Appended to it, this moves the pointer over every
+/// chart, turns the wheel, sets its zoom and focuses every control as the tabulator key does. It
+/// reads the drawing, and stores the findings in the document.
 const OBSERVER: &str = r#"<script>
 (() => {
   const found = { sections: [], blank: [], silent: [], zoomed: 0, wheeled: 0, buttons: 0, unreachable: [] };

@@ -1,5 +1,4 @@
-//! Pictures as the command line draws them: each kind in each format, from models and from saved
-//! results.
+//! Pictures of the command line: each kind in each format, from models and from saved results.
 
 use crate::common::command::{said, succeeds};
 
@@ -25,7 +24,7 @@ fn a_run_is_drawn_in_every_format() {
         for (ending, magic) in [("svg", &b"<svg"[..]), ("png", &b"\x89PNG"[..]), ("pdf", &b"%PDF-1."[..])] {
             let line = format!("plot {what} m.ron --input {INPUT} -o {what}.{ending}");
             if ending != "svg" && cfg!(not(feature = "pictures")) {
-                // The name that is offered has just been written.
+                // The suggested name has just been written.
                 let (status, printed, error) = said(here, &line);
                 let offered = format!("name it {what}.svg");
                 assert!(status == 2 && printed.is_empty() && error.contains("'pictures'"), "{line}: {error}");
@@ -63,7 +62,7 @@ fn probes_choose_what_is_drawn() {
     let line = format!("plot messages m.ron --input {INPUT} --probe hidden[4] --probe out -o -");
     let (status, svg, _) = said(here, &line);
     assert!(status == 0 && svg.matches("<polyline").count() == 3, "{svg}");
-    // A spike without a payload carries 1.
+    // A spike without a payload counts as 1.
     assert!(svg.contains(">hidden[4]: 1</text>"), "{svg}");
     for (wrong, why) in [
         ("voltage m.ron --probe hidden[5] -o a.svg", "compartments 0 to 4"),

@@ -1,5 +1,5 @@
-//! Remedies that change a model or its mapping: each phrase of the advice is taken from what is
-//! printed, done, and the refusal or warning is gone. A phrase that no test knows fails.
+//! Remedies that change a model or its mapping. Each phrase of printed advice is applied, and the
+//! refusal or warning disappears. A phrase that no test knows fails.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -13,14 +13,14 @@ use crate::{object, said, write};
 struct Net {
     polarities: u32,
     side: u32,
-    /// Compartments between the input and what needs too much, one for each channel.
+    /// Compartments between the input and the demanding part, one for each channel.
     relayed: bool,
     units: u32,
     /// Projections from each source, and their delays, bits and exponents.
     delays: Vec<u32>,
     bits: u32,
     exponents: Vec<i32>,
-    /// Intermediate populations that hear a part of the sources each.
+    /// Number of intermediate populations, each with input from a part of the sources.
     parts: u32,
 }
 
@@ -88,8 +88,8 @@ impl Net {
     }
 }
 
-/// What a phrase of advice says to do: the model that it makes, and the words to type; nothing for
-/// a phrase that explains.
+/// The action of a phrase of advice: the changed model, and the words to type. `None` for a phrase
+/// that explains.
 fn done(phrase: &str, net: &Net, silent: &str) -> Option<(Net, Vec<String>)> {
     let model = |change: &dyn Fn(&mut Net)| {
         let mut net = net.clone();
@@ -121,7 +121,7 @@ fn done(phrase: &str, net: &Net, silent: &str) -> Option<(Net, Vec<String>)> {
     }
 }
 
-/// Phrases that explain, and those that represent more than one remedy.
+/// Phrases that explain, and phrases for more than one remedy.
 const EXPLAIN: [&str; 13] = [
     "and cores",
     "that carry spikes on",
@@ -145,7 +145,7 @@ fn phrases(help: &str) -> Vec<String> {
     parts.filter(|part| !part.is_empty()).collect()
 }
 
-/// Each alternative in the reasons of a network that needs a little more than there is.
+/// Each alternative in the reasons of a network that slightly exceeds a limit.
 #[test]
 fn each_phrase_of_why_a_network_does_not_fit_makes_it_fit() {
     let folder = tempfile::tempdir().unwrap();
@@ -188,7 +188,7 @@ fn each_phrase_of_why_a_network_does_not_fit_makes_it_fit() {
             let gone =
                 after["reasons"].as_array().unwrap().iter().all(|one| one["code"] != refused["reasons"][0]["code"]);
             assert!(gone, "{limit}, {phrase:?}: {}", after["reasons"]);
-            // Relays take more cores than some boards have: that is said too.
+            // Relays take more cores than some boards have, which the message states too.
             if let Some((_, board)) =
                 after["remedies"][0]["change"].as_str().and_then(|change| change.split_once("--target "))
             {
@@ -205,7 +205,7 @@ fn each_phrase_of_why_a_network_does_not_fit_makes_it_fit() {
     assert!(taken > 15, "{taken}");
 }
 
-/// Each change that `nsim map` tried is typed as it stands, and the network fits.
+/// Each change that `nsim map` tried is typed unchanged, and the network fits.
 #[test]
 fn each_change_that_was_tried_makes_it_fit() {
     let folder = tempfile::tempdir().unwrap();
@@ -231,7 +231,7 @@ fn each_change_that_was_tried_makes_it_fit() {
         for remedy in refused["remedies"].as_array().unwrap() {
             let change = remedy["change"].as_str().unwrap();
             let words: Vec<&str> = change.split_once(": ").unwrap().1.split(' ').collect();
-            // A board or a number of copies takes the place of what was typed.
+            // A board or a number of copies replaces the one on the command line.
             let place = line.iter().position(|word| *word == words[0] && *word != "--set");
             let rest =
                 line.iter().enumerate().filter(|(at, _)| place.is_none_or(|place| ![place, place + 1].contains(at)));
@@ -240,7 +240,7 @@ fn each_change_that_was_tried_makes_it_fit() {
             assert_eq!(fits["fits"], true, "{again:?}: {}", fits["reasons"]);
             kinds.insert(remedy["kind"].as_str().unwrap().to_string());
             if remedy["kind"] == "limit" {
-                // It is the least.
+                // A smaller value does not suffice.
                 let (path, least) = again.last().unwrap().split_once('=').unwrap();
                 let less = format!("{path}={}", least.parse::<u64>().unwrap() - 1);
                 assert_eq!(object_of(&[&again[..again.len() - 1], &[&less]].concat())["fits"], false, "{again:?}");
@@ -251,7 +251,7 @@ fn each_change_that_was_tried_makes_it_fit() {
     assert!(known.iter().all(|kind| kinds.contains(*kind)), "{kinds:?}");
 }
 
-/// A mapping that takes too many cores is no bound, and says what fills them.
+/// A mapping that takes too many cores is no bound, and names the population that fills them.
 #[test]
 fn a_mapping_of_too_many_cores_names_its_population_and_what_it_fills() {
     let folder = tempfile::tempdir().unwrap();
@@ -293,12 +293,12 @@ fn set(text: &str) -> String {
     behind.split_whitespace().next().unwrap().trim_end_matches([',', ';']).to_string()
 }
 
-/// Each warning of a run, and what it says to change.
+/// Each warning of a run, and the change that it suggests.
 #[test]
 fn each_warning_of_a_run_is_gone_after_the_change_that_it_names() {
     let folder = tempfile::tempdir().unwrap();
     let noise = ["--input", "scene:noise?samples=2&steps=100&rate=0.5&seed=1"];
-    // The model, the code, the words of the advice, and what to set according to them.
+    // The model, the code, the words of the advice, and the settings that they suggest.
     type Change = fn(&str) -> Vec<String>;
     let rows: [(String, &str, &str, Change); 9] = [
         (
@@ -369,12 +369,12 @@ fn each_warning_of_a_run_is_gone_after_the_change_that_it_names() {
     }
 }
 
-/// Advice that ends in something to type: it is taken from what is printed, and typed.
+/// Advice that ends in a command or option: it is taken from the output, and typed.
 #[test]
 fn what_is_printed_to_be_typed_is_typed() {
     let folder = tempfile::tempdir().unwrap();
     let at = |name: &str| folder.path().join(name).display().to_string();
-    // A mapping strategy that takes more cores than there are.
+    // A mapping strategy that takes more cores than the board has.
     let synapses: Vec<String> =
         (0..8).flat_map(|unit| (0..3).map(move |k| format!("({}, {unit}, 100)", 3 * (unit % 2) + k))).collect();
     let two = format!(
@@ -394,7 +394,7 @@ fn what_is_printed_to_be_typed_is_typed() {
     let typed = remedy["change"].as_str().unwrap().split_once(": ").unwrap().1.split(' ').collect::<Vec<_>>();
     assert_eq!(typed[0], "--strategy");
     assert_eq!(object_of(&[&line[..], &typed].concat())["fits"], true);
-    // As many cores as are said to be needed.
+    // The number of cores from the message.
     let cores = number(refused["reasons"][0]["help"].as_str().unwrap(), "a target of ");
     let board = board_of(cores, folder.path());
     let line = ["map", &two, "--target", &board, "--set", "target.limits.axons_in=3", "--strategy", "sequential"];
@@ -406,7 +406,7 @@ fn what_is_printed_to_be_typed_is_typed() {
     let typed = set(refused["help"].as_str().unwrap()).replace("NUMBER", "0.4");
     object(&[&line[..], &["--set", &typed]].concat(), 0);
 
-    // A saved mapping whose cores hold too much.
+    // A saved mapping whose cores exceed a limit.
     let saved = at("saved.ron");
     assert_eq!(said(&["map", &two, "-o", &saved]).0, 0);
     let few = ["--set", "target.limits.axons_in=3"];
@@ -418,7 +418,7 @@ fn what_is_printed_to_be_typed_is_typed() {
     assert_eq!(object_of(&[&["map", &two, "--mapping", &moved], &few[..]].concat())["fits"], true);
 }
 
-/// Refusals of a model or of a combination of options: what is refused, and each way out of it.
+/// Refusals of a model or of a combination of options, each with every remedy.
 #[test]
 fn each_way_out_of_a_refusal_is_one() {
     let folder = tempfile::tempdir().unwrap();
@@ -437,8 +437,8 @@ fn each_way_out_of_a_refusal_is_one() {
     };
     let run = || vec!["run".to_string(), "--input".into(), noise.into()];
     let map = |more: &[&str]| [&["map"], more].concat().into_iter().map(str::to_string).collect::<Vec<_>>();
-    // The command and model refused; the words of the advice, and the command and model according
-    // to them.
+    // The refused command and model; the words of the advice, and the command and model that they
+    // suggest.
     type Typed = (Vec<String>, String);
     let rows: [(Typed, Vec<(&str, Typed)>); 8] = [
         (
@@ -516,14 +516,14 @@ fn each_way_out_of_a_refusal_is_one() {
     }
 }
 
-/// The texts of a source file that a user may see: its strings, without tests and comments.
+/// The strings of a source file that a user may see, without tests and comments.
 fn strings(text: &str) -> String {
     let text = text.split("#[cfg(test)]").next().unwrap_or_default();
     text.lines().filter(|line| !line.trim_start().starts_with("//")).collect::<Vec<_>>().join("\n")
 }
 
-/// Every option and command that a message anywhere names is one of nsim's, and every value that a
-/// message sets is one that a test sets.
+/// Every option and command in any message exists in nsim, and a test sets every value that a
+/// message sets.
 #[test]
 fn messages_name_options_commands_and_values_that_exist() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
@@ -557,7 +557,7 @@ fn messages_name_options_commands_and_values_that_exist() {
         }
         known += &help;
     }
-    // Those of cargo, which builds nsim, and one of a build with the feature nvml.
+    // Options of cargo, which builds nsim, and one of a build with the feature nvml.
     let others = ["--features", "--release", "--gpu-command"];
     // Values that this file's tests, or tests/cli/advice.rs, take from the message and set.
     let tried = ["timestep_ms=", "decision=GreatestV", "populations.NAME.start_step=0", "constants.{path}="];
@@ -567,8 +567,8 @@ fn messages_name_options_commands_and_values_that_exist() {
         [&tried[..], &["PATH=VALUE", "constants.injection_time=", "weight_decay=", "layers.touch.size="]].concat();
     let mut wrong = Vec::new();
     let (mut options, mut sets) = (0, 0);
-    // A command of the feature ann, which the program under test lacks, and names that are gone,
-    // whose own test tries their replacements.
+    // A command of the feature ann, which the tested program lacks; and removed names, whose own
+    // test tries their replacements.
     let left_out = ["bench/ann.rs", "args/removed.rs"];
     for file in files.into_iter().filter(|file| !left_out.iter().any(|name| file.ends_with(name))) {
         let text = strings(&std::fs::read_to_string(&file).unwrap());
@@ -587,7 +587,7 @@ fn messages_name_options_commands_and_values_that_exist() {
         }
         for (place, _) in text.match_indices("--set ") {
             let behind = text[place + 6..].split_whitespace().next().unwrap_or_default();
-            // What was typed is repeated as it was.
+            // The user's own words are repeated unchanged.
             if !behind.contains('=') || behind.starts_with(['{', '\'']) {
                 continue;
             }
@@ -610,7 +610,7 @@ fn board_of(cores: i64, folder: &Path) -> String {
     write(folder, "many.ron", &text)
 }
 
-/// Both forms of a refusal say the same, the command that has an option included.
+/// Both forms of a refusal have equal text, including the command of an option.
 #[test]
 fn reasons_say_the_same_as_text_and_as_json() {
     let folder = tempfile::tempdir().unwrap();

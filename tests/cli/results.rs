@@ -1,4 +1,4 @@
-//! What commands print and draw.
+//! Output and pictures of commands.
 
 use std::path::Path;
 
@@ -82,7 +82,7 @@ fn results_say_what_each_population_and_core_did_and_what_to_change() {
         assert_eq!(sum(&quiet["populations"], "silent"), 5, "{arguments:?}");
         assert_eq!(quiet["cores"].as_array().unwrap().is_empty(), arguments.contains(&"golden"));
     }
-    // The threshold that the warning names makes the population fire, the next one does not.
+    // The population fires at the threshold that the warning names, and not at the next one.
     let (_, _, stderr) = said(&[&["run", &quiet][..], &input].concat());
     assert_eq!(stderr.matches("'hid'").count(), 2, "once for itself, once as the cause: {stderr}");
     let (_, named) = stderr.split_once("lower vth_mant from 9000 to ").unwrap();
@@ -123,7 +123,7 @@ fn probes_take_patterns_and_inputs_and_steps_go_to_a_file() {
     assert_eq!(run["files"].as_array().unwrap().len(), 5, "{}", run["files"]);
     let names = ["in.spikes", "hidden.v", "out.v", "hidden.spikes"].map(|name| traces.join(format!("{name}.npy")));
     assert!(names.iter().all(|name| name.exists()));
-    // The array of the input's spikes holds as many as went in.
+    // The array of the input's spikes has as many spikes as the run counted.
     let bytes = std::fs::read(&names[0]).unwrap();
     let ones = bytes[bytes.len() - 2 * 3 * 30..].iter().filter(|&&byte| byte == 1).count() as u64;
     assert_eq!(ones, run["activity"]["spikes_in"].as_u64().unwrap());
@@ -228,7 +228,7 @@ fn a_chart_and_an_export_are_written() {
     assert!(
         std::fs::read_to_string(Path::new(export).join("arch.yaml")).unwrap().contains("latency_sync: 600000.0e-12")
     );
-    // What is there is not replaced.
+    // Existing files are not replaced.
     assert_eq!(object(&both, 3)["code"], "write.exists");
 }
 
@@ -250,7 +250,7 @@ fn probes_are_written_once_and_replaced_only_by_force() {
     assert_eq!(said(&["run", &model, "--input", &spikes, "--probe", "in.v", "-o", &out]).0, 2);
 }
 
-/// Text for people stands in a terminal of ordinary width.
+/// Text fits a terminal of ordinary width.
 #[test]
 fn text_is_no_wider_than_a_wide_terminal() {
     for arguments in [&["map"][..], &["run"], &["energy"], &["energy", "--deployment", "paper", "--mode", "realtime"]] {
@@ -269,13 +269,13 @@ fn a_scene_is_drawn_with_its_onset() {
     let scene = object(&["scene", "slip", "--samples", "4", "--plot", &name], 0);
     assert_eq!(scene["samples"], 4);
     let svg = std::fs::read_to_string(&path).unwrap();
-    // The first sample with an onset is one that slips.
+    // The first sample with an onset slips.
     assert!(svg.starts_with("<svg") && svg.contains("onset ") && svg.contains(": slip<"));
     assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name]).0, 3);
     assert_eq!(said(&["scene", "slip", "--samples", "4", "--plot", &name, "--force", "--plot-sample", "4"]).0, 2);
 }
 
-/// Files of other tools, as they wrote them: the corpus that is damaged elsewhere.
+/// Unchanged files of other tools: the corpus that other tests damage.
 #[test]
 fn what_other_tools_wrote_is_inspected() {
     let corpus = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/fuzz/corpus");
@@ -294,7 +294,7 @@ fn what_other_tools_wrote_is_inspected() {
     assert_eq!(net["kind"], "netx network");
     assert!(arrays(&net).iter().any(|name| name == "layer/1/neuron/vThMant"), "{net}");
     assert!(net["import"].as_str().unwrap().starts_with("as it is: "), "{net}");
-    // What cannot be imported can be looked at, and says why.
+    // A file that cannot be imported can be inspected, with the reason.
     let alif = inspected("hdf5/netx_alif", 0, "alif.net", 0);
     assert!(alif["import"].as_str().unwrap().contains("thDecay"), "{alif}");
     let nir = inspected("hdf5/nir_recurrent", 0, "a.nir", 0);

@@ -4,8 +4,8 @@ use serde_json::Value;
 
 use crate::{MODEL, nsim, object, said, write};
 
-/// Bytes on stdin are an array or an event list by what they are; a file may have a name like a
-/// population's argument.
+/// Bytes on stdin are recognised by content as an array or an event list. The name of a file may
+/// look like a population's argument.
 #[test]
 fn spikes_come_through_a_pipe_and_from_oddly_named_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -65,7 +65,7 @@ fn repeats_count_and_remember_nothing() {
     let counts = |run: &Value| run["output_counts"].as_array().unwrap().clone();
     assert_eq!(counts(&run)[2..4], counts(&once)[..]);
     assert_eq!(run["activity"]["spikes"].as_u64(), once["activity"]["spikes"].as_u64().map(|spikes| 3 * spikes));
-    // Refused before any result has memory.
+    // Refused before any result is allocated.
     let (_, _, error) = said(&["run", "--samples", "0..5", "--repeat", "1000000"]);
     assert!(error.contains("5000000 runs, more than 4194304"), "{error}");
 }

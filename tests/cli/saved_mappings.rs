@@ -1,5 +1,5 @@
-//! Mappings: those of the suite against sequential ones and the golden interpreter, at any number
-//! of threads, and small ones against the best there is, found by trying all.
+//! Mappings: the suite's against sequential ones and the golden interpreter, for any number of
+//! threads, and small ones against the optimum of an exhaustive search.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -25,7 +25,7 @@ use nsim::study::mapping::{MeasuredMapping, map_all};
 use nsim::study::suite::cases;
 use nsim_testing::sparse;
 
-/// Those of the suite that a test has time for.
+/// Networks of the suite that are fast enough for a test.
 const SMALL: [&str; 9] = [
     "vtsnn-slip",
     "container-tactile",
@@ -43,8 +43,8 @@ fn mapped(name: &str) -> Vec<MeasuredMapping> {
     let bench = case.build().unwrap();
     let target = load_target(bench.target).unwrap();
     let mut rows = Vec::new();
-    // Compiling checks; mapping all compares spikes with golden. The perceptron is to be compared
-    // on small cores too, for which a second is too little.
+    // Compiling checks; mapping the suite compares spikes with golden. The perceptron is also
+    // compared on small cores, for which a second is too little.
     let effort_s = if name == "mlp-3x1024" { 4 } else { 1 };
     map_all(&case, &bench, &target, effort_s, |row| rows.push(row)).unwrap();
     rows
@@ -64,8 +64,8 @@ fn no_mapping_of_the_suite_has_more_hops_or_cores_or_longer_steps_than_the_seque
                     assert!(hops(row) <= hops(sequential), "{what}: {} of {} hops", hops(row), hops(sequential));
                 }
             } else {
-                // Kernels are stored once, so that cores of convolutions are bound by their
-                // synapses, not by their words.
+                // Kernels are stored once, so synapses bound the cores of convolutions, not memory
+                // words.
                 let most = if name == "dvs-gesture" { sequential.step_us / 2.0 } else { sequential.step_us };
                 assert!(row.step_us <= most, "{what}: {} of {} us", row.step_us, sequential.step_us);
             }
@@ -92,7 +92,7 @@ fn the_number_of_threads_changes_no_mapping() {
     for name in ["lenet", "small-world-1k", "scale-free-1k"] {
         let bench = cases().into_iter().find(|case| case.name == name).unwrap().build().unwrap();
         let target = load_target(bench.target).unwrap();
-        // Small cores make many of them, on several chips.
+        // Small cores give many cores, on several chips.
         let limits = Limits { axon_out_slots_off_chip: 1, ..target.limits().clone().with(Resource::Compartments, 10) };
         let options = Options { effort: Effort::Work(1), ..Options::default() };
         for target in [target.clone(), target.with_limits(limits)] {
@@ -104,8 +104,8 @@ fn the_number_of_threads_changes_no_mapping() {
     }
 }
 
-/// A recurrent network of `n` compartments, some with an input, and synapses to a few of those that
-/// follow on a ring.
+/// A recurrent network of `n` compartments, some with an input, and synapses to a few of the next
+/// ones on a ring.
 fn small(n: u32, seed: u64) -> Quantised {
     let mut net = Builder::new();
     let input = net.input("input", n);
@@ -120,7 +120,7 @@ fn small(n: u32, seed: u64) -> Quantised {
     };
     let inputs = (0..n).map(|s| if draw(s, 0, 3) == 0 { vec![s] } else { Vec::new() }).collect();
     net.connect((input, all), format(SignMode::Mixed, 0), 0, listed(inputs));
-    // Numbered across the ring, so that the order of the file is not the order in space.
+    // Numbered across the ring, so the order of the file is not the order in space.
     let at = |place: u32| place * 5 % n;
     let mut near = vec![Vec::new(); n as usize];
     for place in 0..n {
@@ -132,7 +132,7 @@ fn small(n: u32, seed: u64) -> Quantised {
     net.build()
 }
 
-/// Messages between cores of a membership, inputs' included, by counting.
+/// Counts messages between the cores of an assignment, inputs' included.
 fn messages(network: &Quantised, core_of: &[usize]) -> u64 {
     let mut sum = 0;
     for projection in network.projections() {
@@ -148,7 +148,7 @@ fn messages(network: &Quantised, core_of: &[usize]) -> u64 {
     sum
 }
 
-/// The least messages of all ways to put compartments on the fewest cores of this many.
+/// Least messages of all assignments of compartments to the fewest cores of `room` each.
 fn best_partition(network: &Quantised, n: usize, room: usize) -> u64 {
     fn go(network: &Quantised, core_of: &mut Vec<usize>, used: &mut Vec<usize>, n: usize, room: usize, best: &mut u64) {
         if core_of.len() == n {
@@ -192,16 +192,16 @@ fn partitions_of_small_networks_are_the_best_or_nearly() {
         println!("seed {seed}: {found} messages, the least is {least}");
         (ours, best) = (ours + found, best + least);
     }
-    // A network of nine messages is either at its best or more than 5 % off; together they have to
-    // be within it.
+    // A network of nine messages is either optimal or more than 5 % off, so the bound is on the sum
+    // of all networks.
     println!("{ours} messages, the least is {best}");
     assert!(ours as f64 <= 1.05 * best as f64, "{ours} messages, the least is {best}");
 }
 
-/// Source block, or none for inputs, blocks reached, and rate.
+/// Source block (none for inputs), reached blocks, and rate.
 type Told = (Option<usize>, Vec<usize>, u64);
 
-/// Links of the tree and of all ways, by walking them; links are bits.
+/// Counts the links of a multicast tree and of all its routes by walking them; a link is a bit.
 struct Walker {
     mesh: Mesh,
 }
@@ -238,8 +238,8 @@ impl Walker {
     }
 }
 
-/// The least cost of any places, by branch and bound: blocks that have no place yet cost nothing,
-/// so what is placed is a lower bound.
+/// The least cost of any places, by branch and bound: blocks without a place cost nothing, so the
+/// cost of the placed blocks is a lower bound.
 fn best_places(walker: &Walker, nets: &[Told], blocks: usize, known: u64) -> u64 {
     fn go(walker: &Walker, nets: &[Told], places: &mut Vec<Option<(u32, u32)>>, block: usize, best: &mut u64) {
         let bound: u64 = nets.iter().map(|net| walker.cost(net, places)).sum();

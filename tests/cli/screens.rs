@@ -1,4 +1,4 @@
-//! Screens: what a command prints fits the columns of a terminal and breaks no word, and `-h` is
+//! Screens: the output of a command fits the columns of a terminal and breaks no word, and `-h` is
 //! one screen.
 
 use std::collections::BTreeSet;
@@ -8,8 +8,8 @@ use crate::{MODEL, SRM, nsim, write};
 /// Longest `-h`, in lines.
 const HELP_LINES: usize = 30;
 
-/// Commands on files that the tests write, about cores and energy. Of those marked `timed`, figures
-/// differ between runs.
+/// Commands on files that the tests write, about cores and energy. Figures of commands marked
+/// `true` differ between runs.
 const NETWORK: [(&str, bool); 9] = [
     ("map vtsnn-slip", true),
     ("map m.ron --target tiny --copies 3 --prune static", true),
@@ -22,7 +22,7 @@ const NETWORK: [(&str, bool); 9] = [
     ("energy m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --baseline --set constants.turn_time=0.4us", false),
 ];
 
-/// About the trained network, and other tools.
+/// Commands about the trained network and other tools.
 const AGREEMENT: [(&str, bool); 5] = [
     ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --calibration-samples 2", false),
     ("agree srm.ron --input scene:noise?samples=4&steps=20&rate=0.3 --against c.ron --against c.ron", false),
@@ -31,7 +31,7 @@ const AGREEMENT: [(&str, bool); 5] = [
     ("export m.ron -o net.nir --force", false),
 ];
 
-/// Tables of many runs.
+/// Commands that print tables of many runs.
 const STUDY: [(&str, bool); 6] = [
     ("bench step --network vtsnn-1pct --steps 2", true),
     ("bench pareto m.ron --input scene:noise?samples=2&steps=20&rate=0.3 --seconds 0.01", true),
@@ -41,7 +41,7 @@ const STUDY: [(&str, bool); 6] = [
     ("sweep sweep.ron -o table.csv --force", true),
 ];
 
-/// What nsim knows of models, chips, scenes and itself.
+/// Commands that describe models, chips, scenes and nsim itself.
 const INSPECTION: [(&str, bool); 7] = [
     ("inspect nahuku-32", false),
     ("inspect loihi1-evidence", false),
@@ -52,14 +52,14 @@ const INSPECTION: [(&str, bool); 7] = [
     ("stress --case weight-exponent-least thresholds-at-both-ends denormals-f64", false),
 ];
 
-/// What a command prints where a terminal has this many columns.
+/// The output of a command in a terminal with this many columns.
 fn printed(folder: &std::path::Path, words: &[&str], columns: usize) -> String {
     let output = nsim(words).current_dir(folder).env("COLUMNS", columns.to_string()).output().unwrap();
     assert!(output.status.success(), "{words:?}: {}", String::from_utf8_lossy(&output.stderr));
     String::from_utf8(output.stdout).unwrap()
 }
 
-/// Whether each of these commands fits its columns and breaks no word.
+/// Checks that each command fits its columns and breaks no word.
 fn check_screens(screens: &[(&str, bool)]) {
     let folder = tempfile::tempdir().unwrap();
     write(folder.path(), "m.ron", MODEL);

@@ -25,7 +25,7 @@ fn converted_and_fine_tuned_stand_beside_the_trained_network() {
     let both = ["agree", "vtsnn-slip-srm", "--against", "converted.ron", "--against", "tuned.ron", "--input", input];
     let agreed = object(here, &both, 0);
     assert_eq!((agreed["networks"].as_array().unwrap().len(), agreed["layers"].as_array().unwrap().len()), (2, 6));
-    // Each is what it is alone.
+    // Each row equals the result of the file alone.
     for (place, file) in ["converted.ron", "tuned.ron"].iter().enumerate() {
         let alone = format!("agree vtsnn-slip-srm --against {file} --input {input} --attribution off");
         let alone = object(here, &alone, 0);

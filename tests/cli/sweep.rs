@@ -1,5 +1,5 @@
-//! `nsim sweep`: its rows are those of the single commands, and ending it at any moment changes
-//! nothing.
+//! `nsim sweep`: its rows equal the results of single commands, and an interruption at any moment
+//! changes nothing.
 
 use std::process::{Command, Stdio};
 use std::time::Duration;
@@ -100,7 +100,7 @@ fn rows_are_those_of_the_single_commands() {
             );
             let own = [" --copies 3 --mode realtime", " --copies 3 --deployment packed", " --constants davies2018"];
             let line = own.iter().fold(line.replace(" --host none", ""), |line, own| line.replace(own, ""));
-            // The reference engine is what runs spike response neurons otherwise.
+            // The reference engine runs spike response neurons by default.
             let run = object(folder, &format!("run {line} --engine fast --samples 0..2"), 0);
             for (column, value) in [
                 ("digest", &run["digest"]),
@@ -134,7 +134,7 @@ fn threads_shards_and_kills_change_nothing() {
     assert_eq!(rows(std::str::from_utf8(&whole).unwrap()).len(), 93);
     assert!(!folder.join("whole.csv.journal").exists());
     assert_eq!(ran(folder, "sweep s.ron --threads 1").as_bytes(), whole);
-    // Killed at moments that are spread over the run; what was finished is not run again.
+    // Killed at moments throughout the run; finished rows are not run again.
     let (mut kept, mut kills) = (0, 0);
     for after in 0..400 {
         let mut child = Command::new(assert_cmd::cargo::cargo_bin("nsim"))
@@ -147,7 +147,7 @@ fn threads_shards_and_kills_change_nothing() {
         std::thread::sleep(Duration::from_millis(20 + 37 * (after % 10)));
         let _ = child.kill();
         child.wait().unwrap();
-        // The journal goes when the table is written, which may be just before a process is killed.
+        // The table is written before its journal is removed, and a kill may come between.
         let ended = folder.join("k.csv").exists() && !folder.join("k.csv.journal").exists();
         let journal = std::fs::read_to_string(folder.join("k.csv.journal")).unwrap_or_default();
         assert!(ended || journal.lines().count() >= kept, "rows are lost");
@@ -163,7 +163,7 @@ fn threads_shards_and_kills_change_nothing() {
     }
     assert!(std::fs::read(folder.join("k.csv")).unwrap() == whole, "after {kills} kills");
     assert!(!folder.join("k.csv.journal").exists());
-    // A journal whose last line is cut goes on after the one before.
+    // A journal whose last line is incomplete continues after the previous line.
     for shard in 1..=3 {
         ran(folder, &format!("sweep s.ron -o {shard}.csv --shard {shard}/3"));
     }
@@ -200,7 +200,7 @@ fn a_table_says_what_limits_and_what_is_on_the_front() {
     std::fs::write(folder.join("s.ron"), text).unwrap();
     ran(folder, "sweep s.ron -o t.csv --plot t.svg --axes cores,latency_us");
     let table = std::fs::read_to_string(folder.join("t.csv")).unwrap();
-    // A whole table is drawn again without a run, over these columns or others.
+    // A whole table is plotted again without a run, over its columns or others.
     for (axes, same) in [("cores,latency_us", true), ("latency_us,accuracy", false)] {
         ran(folder, &format!("sweep s.ron --merge t.csv -o again.csv --plot again.svg --axes {axes} --force"));
         let [first, again] = ["t.svg", "again.svg"].map(|name| std::fs::read_to_string(folder.join(name)).unwrap());
@@ -220,11 +220,11 @@ fn a_table_says_what_limits_and_what_is_on_the_front() {
         let used = figure(row, "used_percent").unwrap();
         assert!(if cell(row, "axons") == "100" { used > 100.0 } else { used <= 100.0 }, "{row:?}");
     }
-    // Two compartments of a core are all of its limit.
+    // Two compartments of a core are its whole limit.
     assert_eq!((cell(&found[0], "tightest"), cell(&found[0], "used_percent")), ("compartments 100 %", "100"));
     let picture = std::fs::read_to_string(folder.join("t.svg")).unwrap();
     assert!(picture.contains("on the front") && picture.contains("64, 4096"), "{picture}");
-    // Of what a chip has less is better; rows that are equal are counted.
+    // A smaller size is better; equal rows are counted.
     let text = ran(folder, "sweep s.ron -o size.csv --axes compartments,axons");
     assert!(text.contains("; 1 on the front"), "{text}");
     let sized = rows(&std::fs::read_to_string(folder.join("size.csv")).unwrap());
@@ -234,7 +234,7 @@ fn a_table_says_what_limits_and_what_is_on_the_front() {
     assert!(!text.contains("front"), "{text}");
     let text = ran(folder, "sweep s.ron -o ties.csv --axes chips,spikes");
     assert!(text.contains(" on the front, 3 of them equal to another in both columns"), "{text}");
-    // A path that the target lacks says so on the screen.
+    // A path that the target lacks is reported on the screen.
     let wrong = r#"Sweep(model: "slip-tactile", samples: "0..1", list: [{"target.limits.memry": 5}])"#;
     std::fs::write(folder.join("wrong.ron"), wrong).unwrap();
     let text = ran(folder, "sweep wrong.ron -o wrong.csv");
@@ -242,7 +242,7 @@ fn a_table_says_what_limits_and_what_is_on_the_front() {
         text.contains("1 variant; 1 could not be run") && text.contains("\nthe first: ") && text.contains("memry"),
         "{text}"
     );
-    // Words of a reason go through a journal and the tables of parts.
+    // Words of a reason survive a journal and the tables of parts.
     for shard in 1..=2 {
         ran(folder, &format!("sweep s.ron -o {shard}.csv --shard {shard}/2"));
     }
@@ -287,7 +287,7 @@ fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
     let (sweep, energy) = (object(folder, "sweep s.ron", 3), object(folder, "energy own.ron", 3));
     assert_eq!((&sweep["code"], &sweep["message"]), (&energy["code"], &energy["message"]));
     assert_eq!(sweep["code"], "energy.input");
-    // The printed remedy.
+    // The suggested remedy.
     let help = sweep["help"].as_str().unwrap();
     let field = help.split(", or ").nth(1).and_then(|field| field.strip_suffix(" to try")).unwrap();
     std::fs::write(folder.join("s.ron"), format!("Sweep(model: \"own.ron\", {field})")).unwrap();
@@ -295,7 +295,7 @@ fn a_model_without_a_scene_is_refused_as_energy_refuses_it() {
     assert_eq!(cell(&table[0], "error"), "");
 }
 
-/// Hidden sizes are trained, mapped and priced in one table, as the single commands do it.
+/// Hidden sizes are trained, mapped and priced in one table, as by the single commands.
 #[test]
 fn variants_train_networks_of_their_own() {
     let folder = tempfile::tempdir().unwrap();

@@ -1,4 +1,4 @@
-//! Training: threads and interruptions change nothing, and what was trained is what is deployed.
+//! Training: threads and interruptions change nothing, and the deployed network is the trained one.
 
 #![allow(clippy::unwrap_used)]
 
@@ -33,8 +33,8 @@ const CONFIG: &str = r#"Training(
     test: ["FOLDER/set.ron"],
 )"#;
 
-/// Three classes of 24 samples: each fires its own third of the channels more often. Returns the
-/// text of config.ron, which trains on them.
+/// Three classes in 24 samples: each fires its own third of the channels more often. Returns the
+/// text of config.ron, which trains on these.
 fn samples(folder: &Path) -> String {
     let mut entries = String::new();
     for sample in 0..24u64 {
@@ -83,7 +83,7 @@ fn threads_and_interruptions_change_nothing() {
     assert_eq!(weights(folder, "one.ron"), weights(folder, "three.ron"));
     assert_eq!(std::fs::read_to_string(folder.join("one.csv")).unwrap().lines().count(), 13);
 
-    // The state after ten epochs is stored; a run that begins with it ends where the others did.
+    // The state after ten epochs is stored; a run resumed from it ends as the others.
     nsim(folder, &["train", "config.ron", "-o", "whole.ron", "--checkpoint", "state"]);
     assert_eq!(weights(folder, "one.ron"), weights(folder, "whole.ron"));
     let again = nsim(folder, &["train", "config.ron", "-o", "again.ron", "--checkpoint", "state"]);
@@ -93,7 +93,7 @@ fn threads_and_interruptions_change_nothing() {
     assert!(status == 3 && error.contains("other settings"), "{error}");
 }
 
-/// A checkpoint without what a version without checksums did not write.
+/// A checkpoint without the entries that a version without checksums did not write.
 fn without_checksum(file: &[u8]) -> Vec<u8> {
     let length = u64::from_le_bytes(file[..8].try_into().unwrap()) as usize;
     let mut header: Value = serde_json::from_slice(&file[8..8 + length]).unwrap();
@@ -128,7 +128,7 @@ fn a_damaged_checkpoint_is_refused() {
         for at in (0..file.len()).step_by(file.len() / 20) {
             let mut damaged = file.clone();
             damaged[at] ^= 1 << (at % 8);
-            // What is read of a finished training without checksum is the weights.
+            // A finished training without checksum is read for its weights alone.
             let same = || weights(folder, "again.ron") == weights(folder, "whole.ron");
             assert!(!resumed(&damaged) || name == "old" && same(), "{name}: byte {at}");
             assert!(!resumed(&file[..at]), "{name}: cut at {at}");
@@ -143,7 +143,7 @@ fn a_damaged_checkpoint_is_refused() {
     }
 }
 
-/// Trains by this text: the network learns, and m.ron decides as it did, spike by spike.
+/// Trains by this text: the network learns, and m.ron decides equally, spike by spike.
 fn decides_as_trained(folder: &Path, config: &str, epochs: &str) {
     std::fs::write(folder.join("trained.ron"), config).unwrap();
     let trained = nsim(folder, &["train", "trained.ron", "--epochs", epochs, "-o", "m.ron", "--force"]);
@@ -204,7 +204,7 @@ fn neurons_of_loihi_2_decide_as_they_were_trained() {
     assert!(refused(folder, &changes).contains("layer 'out' sends changes"));
 }
 
-/// What `nsim train` says of a training file that it refuses.
+/// The message of `nsim train` that refuses a training file.
 fn refused(folder: &Path, config: &str) -> String {
     std::fs::write(folder.join("refused.ron"), config).unwrap();
     let (status, _, error) = ran(folder, "train refused.ron --epochs 1");
@@ -225,13 +225,13 @@ fn potentials_decide_where_the_output_never_spikes_and_nowhere_else() {
         nsim(folder, &["train", "mended.ron", "--epochs", "1"]);
     };
 
-    // The output spikes: its layer gets the printed threshold.
+    // The output spikes, so its layer gets the printed threshold.
     let potential = "Potential(decision: LastV, temperature: 1)";
     let said = refused(folder, &by(&spiking, potential));
     assert!(said.contains("layer 'out' spikes") && said.contains("theta: inf"), "{said}");
     trains(&by(&silent, potential));
 
-    // The output never spikes, and spikes are counted: the printed loss, or the printed threshold.
+    // The output never spikes, but the loss counts spikes: the printed loss or threshold helps.
     let said = refused(folder, &silent);
     assert!(said.contains("layer 'out' is read out by its potential"), "{said}");
     assert!(said.contains(potential) && said.contains("theta: 10"), "{said}");
@@ -241,7 +241,7 @@ fn potentials_decide_where_the_output_never_spikes_and_nowhere_else() {
     let said = refused(folder, &by(&spiking, potential).replace("size: 8", &OUTPUT.replace("size: 3", "size: 8")));
     assert!(said.contains("layer 'a' is read out by its potential"), "{said}");
 
-    // Spikes are no potential: the printed loss, or a printed decision.
+    // Spikes are no potential: the printed loss or a printed decision helps.
     let said = refused(folder, &by(&silent, "Potential(decision: Spikes, temperature: 1)"));
     assert!(said.contains("not by Spikes") && said.contains("CrossEntropy(scale: 0.5)"), "{said}");
     trains(&by(&spiking, "CrossEntropy(scale: 0.5)"));
@@ -277,7 +277,7 @@ fn cells_of_the_paper_are_trained_anew_and_taken_up_where_they_were_left() {
     let note = cell("accuracy", "count", "accuracy")["note"].as_str().unwrap();
     assert!(note.contains("2 of 2 folds, 2 epochs"), "{note}");
     assert_eq!(cell("srm", "weighted", "accuracy")["published"], 0.91);
-    // What a training says of the same folds.
+    // The results of a training with equal folds.
     let config = concat!(env!("CARGO_MANIFEST_DIR"), "/models/train/paper/slip-tactile.ron");
     let scenes = "scene:slip?samples=12&seed=1&shear=0.32&edge_px=2";
     let trained = nsim(folder, &["train", config, "--train", scenes, "--epochs", "2", "--folds", "2"]);
@@ -319,7 +319,7 @@ fn tables_of_the_paper_are_of_the_cells_and_neurons_that_are_asked_for() {
     }
     let grid = said("--format latex --cell slip-both").1;
     assert!(grid.contains("CNN-3D & 1.000* (0.77)") && !grid.contains("container"), "{grid}");
-    // A training file ships by its own name.
+    // A training file is shipped under its own name.
     let shown = nsim(folder.path(), &["show", "paper-slip-both"]);
     assert_eq!(shown["name"], "models/train/paper/slip-both");
     assert_eq!(ran(folder.path(), "train paper-slip-tactile --epochs 0 --train scene:slip?samples=4").0, 0);

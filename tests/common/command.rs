@@ -1,11 +1,11 @@
-//! Runs `nsim` as it is typed.
+//! Runs the `nsim` command.
 
 use std::path::Path;
 
 use assert_cmd::Command;
 use serde_json::Value;
 
-/// Words of a line: a line split at its blanks, or the words.
+/// Words of a command line: a string split at its blanks, or a list of words.
 pub trait Words {
     fn words(self) -> Vec<String>;
 }
@@ -54,7 +54,7 @@ pub fn said(folder: &Path, line: impl Words) -> (i32, String, String) {
     (output.status.code().unwrap(), text(&output.stdout), text(&output.stderr))
 }
 
-/// What a command prints that has to succeed.
+/// The output of a command that has to succeed.
 pub fn succeeds(folder: &Path, line: impl Words) -> String {
     let words = line.words();
     let words: Vec<&str> = words.iter().map(String::as_str).collect();
@@ -63,7 +63,7 @@ pub fn succeeds(folder: &Path, line: impl Words) -> String {
     out
 }
 
-/// The result object of a command that ends with this status.
+/// The result object of a command that ends with `status`.
 pub fn object(folder: &Path, line: impl Words, status: i32) -> Value {
     let words = line.words();
     let words: Vec<&str> = words.iter().map(String::as_str).chain(["--format", "json"]).collect();

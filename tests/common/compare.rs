@@ -1,5 +1,5 @@
-//! The engines against each other: everything that an engine shows, step by step, and the machine
-//! in all its settings against the interpreter.
+//! Compares engines: all their observable values, step by step, and the machine in all its settings
+//! with the interpreter.
 
 use std::sync::Arc;
 
@@ -14,7 +14,7 @@ use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 
-/// A target whose cores hold any mix of parameters, formats, delays and sources.
+/// A target whose cores accept any mix of parameters, formats, delays and sources.
 pub fn roomy(name: &str) -> Target {
     let target = load_target(name).unwrap();
     let mut limits = target.limits().clone();
@@ -24,7 +24,7 @@ pub fn roomy(name: &str) -> Target {
     target.with_limits(limits)
 }
 
-/// A roomy target whose cores hold this many compartments.
+/// A target without other limits, of this many compartments a core.
 pub fn small_cores(name: &str, compartments: u32) -> Target {
     let target = roomy(name);
     let limits = target.limits().clone().with(Resource::Compartments, compartments);
@@ -42,10 +42,10 @@ pub fn with_neurons(network: &Quantised, change: impl Fn(Neuron) -> Neuron) -> Q
     Quantised::new(parts).unwrap()
 }
 
-/// What an engine shows after a step: messages by source with what they carry, and all words.
+/// Observable values after a step: messages by source with payloads, and all words of state.
 pub type Shown = (Vec<(CompartmentId, i32)>, Vec<i32>);
 
-/// What an engine shows of a sample.
+/// Observable values of an engine over a sample.
 #[derive(Debug, PartialEq)]
 pub struct Trace {
     pub steps: Vec<Shown>,
@@ -54,7 +54,7 @@ pub struct Trace {
 }
 
 impl Trace {
-    /// Panics at the first step that differs, without printing all of both.
+    /// Panics at the first step that differs, without printing both traces.
     pub fn assert_same(&self, other: &Trace, what: &str) {
         for (step, (meant, found)) in self.steps.iter().zip(&other.steps).enumerate() {
             assert_eq!(meant.0, found.0, "{what}: messages of step {step}");
@@ -66,7 +66,7 @@ impl Trace {
     }
 }
 
-/// Runs a sample; silence is skipped where the engine can, whole or by single steps.
+/// Runs a sample; silence is skipped if the engine can, in one call or by single steps.
 pub fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> Trace {
     let neurons = network.populations().iter().flat_map(Population::each_neuron);
     let kinds: Vec<NeuronKind> = neurons.map(|neuron| neuron.kind).collect();
@@ -86,7 +86,7 @@ pub fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> T
     Trace { steps, totals: engine.totals(), overflow: engine.overflow() }
 }
 
-/// What an engine shows after a step, whose compartments are of these kinds.
+/// Observable values of an engine after a step; `kinds` are the kinds of its compartments.
 pub fn shown(engine: &dyn Engine, kinds: &[NeuronKind]) -> Shown {
     assert!(engine.payloads().is_empty() || engine.payloads().len() == engine.spikes().len());
     let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
@@ -102,9 +102,9 @@ pub fn shown(engine: &dyn Engine, kinds: &[NeuronKind]) -> Shown {
     (sent, words)
 }
 
-/// Runs a program on the machine, in 1, 2 and 8 shares, with skipping and without, and holds all
-/// that it shows to `expected`. Returns its counts by core, which are the same in every setting,
-/// and the chunks of weights that sources share.
+/// Runs a program on the machine, in 1, 2 and 8 shards, with skipping and without, and compares all
+/// observable values with `expected`. Returns its counts by core, which are equal in every setting,
+/// and the number of chunks of shared weights.
 pub fn assert_on_machine(
     network: &Quantised,
     program: &Arc<Program>,

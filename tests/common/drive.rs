@@ -1,12 +1,12 @@
 //! Feeds any integer of up to 17 bits and a sign into a compartment in one step, over ordinary
 //! synapses.
 //!
-//! A number is written in binary: one channel for each of the bits 0 to 13, and seven channels that
-//! each represent 2^14, of which as many spike as are needed. Each compartment has such channels
-//! for positive and for negative numbers. Bits 0 to 6 are weights 1, 2, .., 64 with exponent 0;
-//! bits 7 to 13 the same with exponent 7; a unit of 2^14 is the weight 128 with exponent 7.
-//! Positive weights are excitatory, negative ones inhibitory, since mixed weights are even. By
-//! equation (1) a number `acc` so adds `64 * acc` to the accumulator.
+//! A number is written in binary: one channel for each of the bits 0 to 13, and seven channels of
+//! 2^14 each, of which the required number spikes. Each compartment has such channels for positive
+//! and for negative numbers. Bits 0 to 6 are weights 1, 2, .., 64 with exponent 0; bits 7 to 13 are
+//! these weights with exponent 7; a unit of 2^14 is the weight 128 with exponent 7. Positive
+//! weights are excitatory, negative ones inhibitory, since mixed weights are even. By equation (1)
+//! a number `acc` so adds `64 * acc` to the accumulator.
 
 use nsim::ir::base::fixed::SignMode;
 use nsim::ir::base::id::{ChannelId, PopulationId};
@@ -39,7 +39,7 @@ impl Drive {
         Drive { compartments, populations }
     }
 
-    /// Connects them to the population that they drive.
+    /// Connects the channels to the population that they drive.
     pub fn connect(&self, net: &mut Builder, target: PopulationId) {
         for &(sign, channels, source) in &self.populations {
             let synapses = self.compartments * channels;
@@ -53,7 +53,7 @@ impl Drive {
         }
     }
 
-    /// The channels that spike, ascending, so that compartment i gets `acc(i)`.
+    /// The channels that spike, ascending, so that compartment i receives `acc(i)`.
     pub fn spikes(&self, acc: impl Fn(usize) -> i64) -> Vec<ChannelId> {
         let mut spikes = Vec::new();
         let mut first = 0;

@@ -1,16 +1,16 @@
-//! The memory of a test, measured in a process of its own: other tests of a binary run in threads
-//! of the same process.
+//! The memory of a test, measured in a separate process: other tests of a binary run in threads of
+//! one process.
 
 use std::process::Command;
 
-/// Set in the process that runs one test alone, to the name of the test.
+/// Environment variable of the process that runs one test alone; its value is the test's name.
 const ALONE: &str = "NSIM_TEST_ALONE";
 
-/// Runs the body of a test in a process that runs nothing else, and passes it what measures the
-/// growth of that process. `module` and `test` are the path and the name of the calling test.
+/// Runs the body of a test in a process that runs nothing else, and passes it a meter of the growth
+/// of that process. `module` and `test` are the path and the name of the calling test.
 ///
 /// # Panics
-/// When the body does.
+/// If the body panics.
 pub fn alone(module: &str, test: &str, body: impl FnOnce(&Growth)) {
     let within = module.split_once("::").map_or(String::new(), |(_, module)| format!("{module}::"));
     let test = &format!("{within}{test}");
@@ -25,14 +25,14 @@ pub fn alone(module: &str, test: &str, body: impl FnOnce(&Growth)) {
     assert!(out.contains("1 passed"), "{test} alone: {}\n{out}\n{err}", output.status);
 }
 
-/// How much a process has grown.
+/// Growth of a process since the body began.
 pub struct Growth {
     before_kib: Option<u64>,
 }
 
 impl Growth {
-    /// KiB by which the process's peak has grown since the body began; none, and a word about it,
-    /// where no /proc says so.
+    /// Growth of the process's peak since the body began, in KiB. Without /proc it is none, with a
+    /// message.
     pub fn kib(&self) -> Option<u64> {
         let grown = self.before_kib.zip(peak_kib()).map(|(before, after)| after - before);
         match grown {
@@ -43,7 +43,7 @@ impl Growth {
     }
 }
 
-/// The most memory that this process ever held, in KiB.
+/// Peak memory of this process, in KiB.
 fn peak_kib() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;

@@ -1,8 +1,6 @@
-//! What several integration tests share: the engines that they run over, networks built by hand,
-//! recorded data.
+//! Helpers of several integration tests: engines, networks built by hand, recorded data.
 
-// Each test file is a crate of its own and uses a part of this; a helper of tests may unwrap as
-// they do.
+// Each test file is a crate of its own and uses a part of this. Test helpers may unwrap.
 #![allow(dead_code, clippy::unwrap_used)]
 
 pub mod command;
@@ -26,14 +24,13 @@ use nsim::ir::quantised::{Neuron, Quantised};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 
-/// How networks are compiled whose programs are run alone: nothing is searched for.
+/// Options for programs that are run alone: no places are searched for.
 pub fn unsearched() -> Options {
     Options { place: false, effort: Effort::Work(0), ..Options::default() }
 }
 
-/// Every engine that must give the same answers, ready to begin: the interpreter, and the machine
-/// on as few cores as possible, with every core limit but the number of compartments out of the
-/// way.
+/// Every engine that must give equal results, ready to begin: the interpreter, and the machine on
+/// as few cores as possible. Only the number of compartments limits a core.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     let compiled = compile(network.clone(), &compare::roomy("oheo-gulch"), &unsearched()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
@@ -41,8 +38,8 @@ pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
     vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
 }
 
-/// A folder of recorded data, in `$NSIM_DATA` or `../shared/data` next to the repository; without
-/// it a message and nothing, or a failure where `NSIM_REQUIRE_DATA` is 1.
+/// A folder of recorded data, in `$NSIM_DATA` or `../shared/data` next to the repository. Without
+/// it, `None` with a message, or a failure if `NSIM_REQUIRE_DATA` is 1.
 pub fn data(folder: &str) -> Option<PathBuf> {
     let root = std::env::var_os("NSIM_DATA")
         .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/data"), PathBuf::from);
@@ -56,7 +53,7 @@ pub fn data(folder: &str) -> Option<PathBuf> {
     None
 }
 
-/// The recordings of containers in these parts (`train`, `test`), in order, under their folder.
+/// Recordings in the containers of these parts (`train`, `test`) below a folder, in order.
 pub fn recordings(folder: &Path, parts: &[&str]) -> Vec<Sample> {
     let spikes = parts.iter().flat_map(|part| read_source(&folder.join(part), 78).unwrap());
     spikes
@@ -67,15 +64,15 @@ pub fn recordings(folder: &Path, parts: &[&str]) -> Vec<Sample> {
         .collect()
 }
 
-/// Spikes by chance: of each channel with its own probability in every step.
+/// Random spikes: each channel has its own probability in every step.
 pub fn noise((channels, steps): (u32, u32), seed: u64, rate: impl Fn(u32) -> f64, label: Option<u32>) -> Sample {
     let all = (0..steps).flat_map(|t| (0..channels).map(move |c| (t, ChannelId(c))));
     let events: Vec<_> = all.filter(|&(t, c)| rng::unit(seed, c.0.into(), t.into()) < rate(c.0)).collect();
     Sample::new(steps, &events, label).unwrap()
 }
 
-/// Says something that is seen even when the test passes: the harness keeps what `println!` prints
-/// to itself.
+/// Prints a message that is visible even if the test passes: the harness hides the output of
+/// `println!`.
 pub fn say(text: &str) {
     use std::io::Write;
     writeln!(std::io::stderr().lock(), "{text}").unwrap();
@@ -107,7 +104,7 @@ impl Array {
         Array { shape, values }
     }
 
-    /// The value at an index of as many numbers as the array has dimensions.
+    /// The value at an index.
     pub fn at<const N: usize>(&self, index: [usize; N]) -> i64 {
         assert_eq!(self.shape.len(), N);
         let mut flat = 0;
@@ -130,12 +127,12 @@ pub fn neuron(du: i64, dv: i64, vth_mant: i64, refractory: i64) -> Neuron {
     }
 }
 
-/// The compartment with a bias.
+/// This compartment with a bias.
 pub fn biased(neuron: Neuron, mantissa: i64, exponent: i64) -> Neuron {
     Neuron { bias_mant: BiasMantissa::new(mantissa).unwrap(), bias_exp: BiasExponent::new(exponent).unwrap(), ..neuron }
 }
 
-/// Eight bits of this sign mode with this exponent.
+/// A format of eight bits with this sign mode and exponent.
 pub fn format(sign: SignMode, exponent: i64) -> SynapseFormat {
     nsim_testing::format(exponent, sign, 8)
 }

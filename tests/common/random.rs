@@ -1,5 +1,5 @@
-//! Random small networks over the whole language: every kind of projection, sign, exponent, delay,
-//! field and semantics.
+//! Random small networks over the whole model language: every kind of projection, sign, exponent,
+//! delay, field and semantics.
 
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::fixed::{
@@ -66,7 +66,7 @@ fn random_format(draw: &mut Draw) -> SynapseFormat {
     SynapseFormat { bits: WeightBits::new(bits).unwrap(), ..super::format(sign, exponent) }
 }
 
-/// Geometries for which the window makes the target of the source, if any is found.
+/// Windows that map the source to the target, if any is found.
 fn window(draw: &mut Draw, source: Shape, target: Shape, pool: bool) -> Option<Window> {
     let (source, target) = (source.volume()?, target.volume()?);
     let mut fitting = Vec::new();
@@ -138,12 +138,12 @@ pub fn network(seed: u64) -> Quantised {
     drawn(seed, 1)
 }
 
-/// A network with neurons of one to three compartments, each of which receives spikes.
+/// A network with neurons of one to three compartments, each with input spikes.
 pub fn joined(seed: u64) -> Quantised {
     drawn(seed ^ 0x0c41d, 3)
 }
 
-/// A network whose neurons have this many compartments at most.
+/// A network whose neurons have `most` compartments at most.
 fn drawn(seed: u64, most: usize) -> Quantised {
     let draw = &mut Draw::new(seed);
     let semantics = match most {
@@ -193,7 +193,7 @@ fn drawn(seed: u64, most: usize) -> Quantised {
             *neurons = neurons.try_map(allowed).unwrap();
         }
     }
-    // Every population of compartments is reached; some twice, some by themselves or by later ones.
+    // Every population of compartments has input; some twice, some from themselves or later ones.
     for target in inputs..ids.len() {
         for count in 0..draw.from(1, 3) {
             let source = match count {
@@ -230,8 +230,8 @@ fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
     nsim::dynamics::neuron(kind, &values).unwrap()
 }
 
-/// A random network in which populations are of any kind, inputs carry any messages, and what leads
-/// to resonators any port.
+/// A random network with populations of any kind, any messages of inputs, and any port of
+/// projections to resonators.
 pub fn mixed(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0x10_412);
     let mut parts = network(seed).parts().clone();
@@ -280,7 +280,7 @@ pub fn mixed(seed: u64) -> Quantised {
                 projection.format.exponent = WeightExponent::new(draw.from(-8, -1)).unwrap();
             }
         } else if !table.registers && projection.format.exponent < WeightExponent::ZERO {
-            // Sums in finer units, which are shifted once.
+            // Sums are in finer units, and shifted once.
             let lost = projection.format.exponent.get().unsigned_abs();
             projection.format.exponent = WeightExponent::ZERO;
             if let Units::Compartments { neurons, .. } = &mut parts.populations[projection.target].units {
@@ -311,7 +311,7 @@ pub fn sample(network: &Quantised, seed: u64) -> Sample {
     Sample::new(steps, &events, None).unwrap()
 }
 
-/// A mapping that deals the compartments out to random cores in random order.
+/// A mapping that assigns the compartments to random cores in random order.
 pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
     let draw = &mut Draw::new(seed ^ 0x3a99);
     let mut all: Vec<Run> = network
@@ -345,9 +345,9 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
     }
 }
 
-/// Convolutions and poolings over a few channels, one after the other, that depend on the seed
-/// only: strides, four paddings, dilations and groups of all kinds, delays, layers that reach
-/// themselves or come back from the layer after.
+/// A chain of convolutions and poolings over a few channels, determined by the seed: strides, four
+/// paddings, dilations and groups of all kinds, delays, recurrent layers, feedback from the next
+/// layer.
 pub fn convolutional(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0xc0_4401);
     let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
@@ -419,7 +419,7 @@ fn ready_neuron(draw: &mut Draw, semantics: Semantics) -> Neuron {
     if draw.chance(85) { Neuron { vth: ThresholdMantissa::new(vth).unwrap(), ..neuron } } else { neuron }
 }
 
-/// A window of this side that keeps the shape, which an odd side does.
+/// A window that preserves the shape, with this side or the next odd one.
 fn recurrent(shape: (u32, u32, u32), side: u32) -> Window {
     let side = side | 1;
     let (kernel, padding) = ((side, side), (side / 2, side / 2));

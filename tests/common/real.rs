@@ -1,4 +1,4 @@
-//! Spikes of a model in real numbers, for inputs that tests compute too.
+//! Spikes of a model in real numbers, for inputs that other tests compute as well.
 
 use std::path::Path;
 
@@ -12,7 +12,7 @@ use nsim::reference::{Model, Options as RealOptions, Reference};
 
 pub const STEPS: usize = 60;
 
-/// Whether an input channel spikes.
+/// Whether an input channel spikes in a step.
 pub fn input(step: usize, channel: usize) -> bool {
     rng::below(10, 77, step as u64, channel as u64) < 4
 }

@@ -1,6 +1,6 @@
-//! Checkpoints as torch writes them.
+//! Checkpoints in torch's formats.
 
-// Each test file is a crate of its own; a helper of tests may unwrap as they do.
+// Each test file is a crate of its own; test helpers may unwrap.
 #![allow(dead_code, clippy::unwrap_used)]
 
 use std::io::Write as _;

@@ -1,5 +1,5 @@
-//! The stages from a trained network to the machine: both ends are what they claim, and every stage
-//! is real.
+//! The stages from a trained network to the machine: both ends equal the networks that they
+//! represent, and every stage makes a difference.
 
 use std::process::Command;
 
@@ -24,7 +24,7 @@ use nsim::reference::{Kernel, Model, Reference};
 use nsim::train::convert::search::search;
 use nsim_testing::graph;
 
-/// As the paper's tactile network, small: weights of both signs, high rates.
+/// A small network like the paper's tactile one: weights of both signs, high rates.
 const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
     Input(name: "in", shape: [30]),
     Srm(name: "h", shape: [12], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10),
@@ -34,8 +34,8 @@ const SRM: &str = r#"Network(name: "srm", timestep_ms: 1.0, populations: [
         Dense(from: ["h"], to: "o", weights: Uniform(low: -2, high: 3, seed: 2))],
     output: "o")"#;
 
-/// A network of spike response neurons that distinguishes the classes of [`samples`]: each hidden
-/// neuron has a class's channels of its own, each output a class's hidden neurons.
+/// A network of spike response neurons that distinguishes the classes of [`samples`]. Each hidden
+/// neuron has its own channels of one class, each output its own hidden neurons.
 fn decided() -> String {
     let row = |own: u32, columns: u32, strong: f64, seed: u64| {
         let weight = |c: u32| {
@@ -64,7 +64,7 @@ const REAL: &str = r#"Network(name: "real", timestep_ms: 1.0, populations: [
 
 fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
     let one = |seed: u64| {
-        // Each class has channels of its own that spike more, and so does another, less.
+        // Each class has its own channels with many spikes; another class has somewhat more.
         let draw = |what: u64| rng::unit(seed, 1_000, what);
         let (strong, weak) = (0.06 + 0.06 * draw(0), 0.035 + 0.05 * draw(1));
         let other = (seed + 1 + (3.0 * draw(2)) as u64) % 4;
@@ -82,12 +82,12 @@ fn borrowed(samples: &[Sample]) -> Vec<&Sample> {
     samples.iter().collect()
 }
 
-/// How far a comparison stage is from another.
+/// Distance between two comparison stages.
 fn distance(ladder: &Ladder, (from, to): (Rung, Rung), output: &Layer, samples: &[&Sample]) -> Distance {
     measured((ladder, from), &[(ladder, to)], output, samples)[0].distance
 }
 
-/// Fits with every free integer away from the analytic start.
+/// Fits whose free integers all differ from the analytic start.
 fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
     let moved = |fit: Fit, count: u32| Fit {
         dv: nsim::ir::base::fixed::Decay::new(900).unwrap(),
@@ -127,7 +127,7 @@ fn without_a_cause_it_is_the_trained_network() {
     }
 }
 
-/// Networks whose parameters the chip's fields do not hold, in many ways.
+/// Networks whose parameters do not fit the chip's fields, in many ways.
 fn unrounded() -> [String; 4] {
     let [h, o, own] =
         [integers((6, 30), 1, (-7, 15), 2), integers((3, 6), 1, (-30, 61), 3), integers((3, 3), 1, (-9, 7), 4)];
@@ -143,7 +143,7 @@ fn unrounded() -> [String; 4] {
                     Dense(from: ["h"], to: "o", weights: {o}), Dense(from: ["o"], to: "o", weights: {own}, delay: 2)],
                 output: "o")"#
         ),
-        // Long time constants, of which 4096ths hold little.
+        // Long time constants, which 4096ths represent coarsely.
         r#"Network(name: "slow", timestep_ms: 1.0, populations: [
             Input(name: "in", shape: [30]),
             Loihi(name: "h", shape: [8], tau_u_ms: 900.0, tau_v_ms: 1700.0, vth: 30, start_step: 3),
@@ -191,7 +191,7 @@ fn it_begins_where_the_reference_engine_ends() {
     assert!(spikes > 500, "{spikes} spikes show little");
 }
 
-/// The last stage against the golden interpreter and the machine, in every spike and every voltage.
+/// Compares the last stage with the golden interpreter and the machine, in all spikes and v.
 fn is_the_machine(graph: &Graph, fits: &[Option<Fit>], samples: &[Sample], some: usize) {
     let ladder = Ladder::new(graph, fits).unwrap();
     let network = ladder.deployed();
@@ -243,7 +243,7 @@ fn with_every_cause_it_is_the_machine_bit_for_bit() {
 fn every_rung_is_real() {
     let graph = graph(SRM);
     let ladder = Ladder::new(&graph, &chosen(&graph)).unwrap();
-    // A spike response network was trained with a step a layer.
+    // A spike response network was trained with a latency of one step a layer.
     let of_srm = || Cause::ALL.into_iter().filter(|&cause| cause != Cause::Pipeline);
     assert_eq!(ladder.causes(), of_srm().collect::<Vec<_>>());
     let (samples, output) = (samples(0..12), ladder.layers()[1].clone());
@@ -252,7 +252,7 @@ fn every_rung_is_real() {
     for cause in of_srm() {
         let next = rung.with(cause);
         let away = distance(&ladder, (rung, next), &output, &samples);
-        // With equal decays the kernel is the alpha kernel itself: that stage shows in time alone.
+        // With equal decays the kernel is the alpha kernel itself: this stage shifts time alone.
         match cause {
             Cause::Kernel => {
                 let traces = [rung, next].map(|rung| ladder.run(rung, samples[0], false));
@@ -263,10 +263,10 @@ fn every_rung_is_real() {
         }
         rung = next;
     }
-    // Against the trained network, taking the hard reset or the decays away changes the figure.
+    // Compared with the trained network, each stage that is taken away changes the figure.
     let all = distance(&ladder, (ladder.trained(), Rung::MACHINE), &output, &samples);
-    // Decaying current and voltage have no end, so that nothing is left to truncate once they are
-    // there.
+    // Decaying current and voltage are not truncated, so once they are there the truncation has no
+    // effect.
     for missing in of_srm().filter(|&cause| cause != Cause::Untruncated) {
         let without = Cause::ALL.into_iter().filter(|&c| c != missing).fold(Rung::TRAINED, Rung::with);
         let away = distance(&ladder, (ladder.trained(), without), &output, &samples);
@@ -285,7 +285,7 @@ fn shares_add_up_to_the_disagreement() {
     let sum = |pick: fn(&nsim::agree::attribution::Share) -> f64| attribution.shares.iter().map(pick).sum::<f64>();
     assert!((sum(|s| s.forward) - attribution.disagreement).abs() < 1e-9);
     assert!((sum(|s| s.reversed) - attribution.disagreement).abs() < 1e-9);
-    // Shares are of the whole, or there are none.
+    // Shares are fractions of the whole, or there are none.
     let shares: Vec<f64> = attribution.shares.iter().filter_map(|share| share.share).collect();
     assert!(shares.is_empty() || (shares.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{shares:?}");
     assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)), "{shares:?}");
@@ -342,7 +342,7 @@ fn the_recorded_spikes_of_the_chip_agree_exactly() {
     assert_eq!(said(folder.path(), &line).0, 1);
 }
 
-/// A matrix of multiples of a step.
+/// A matrix of random multiples of a step.
 fn integers((rows, columns): (u32, u32), step: i64, (low, high): (i64, i64), seed: u64) -> String {
     let weight = |at: u32| step * (low + rng::below((high - low + 1) as u64, seed, at.into(), 0) as i64);
     let row = |row: u32| {
@@ -352,7 +352,7 @@ fn integers((rows, columns): (u32, u32), step: i64, (low, high): (i64, i64), see
     format!("[{}]", (0..rows).map(row).collect::<Vec<_>>().join(", "))
 }
 
-/// The words of the command that a result names, as a shell splits them.
+/// The words of a result's suggested command, as a shell splits them.
 fn next_words(result: &serde_json::Value) -> Vec<String> {
     let command = result["next"]["command"].as_str().unwrap_or_else(|| panic!("nothing is named: {result:#}"));
     let line = Command::new("sh").args(["-c", &format!("printf '%s\\n' {command}")]).output().unwrap();
@@ -400,7 +400,7 @@ fn each_command_that_is_named_does_what_it_says() {
         let out = succeeds(folder, &words.join(" "));
         let after: serde_json::Value = serde_json::from_str(&out).unwrap();
         assert!(disagreement(&after) < disagreement(&before) - 0.005, "{words:?}: {what}");
-        // The picture is drawn where no option helps.
+        // A picture is suggested where no option helps.
         if after["next"]["cause"].is_null() && after["next"].is_object() {
             let words = next_words(&after);
             assert_eq!(said(folder, &words.join(" ")).0, 0, "{words:?}");
@@ -424,7 +424,7 @@ fn agree_and_convert_blame_the_same_cause() {
         assert_eq!(blamed(&agree), blamed(&convert), "{name}: {agree:#} {convert:#}");
         assert_eq!(agree["lost"], convert["lost"], "{name}");
     }
-    // A reset that the target lacks is what costs, not the rounding of weights.
+    // The missing reset of the target is the cost, not the rounding of weights.
     let soft = r#"Network(name: "soft", timestep_ms: 1.0, populations: [Input(name: "in", shape: [30]),
         SoftReset(name: "h", shape: [8], tau_u_ms: 4, tau_v_ms: 12, vth: 1.1),
         SoftReset(name: "o", shape: [3], tau_u_ms: 4, tau_v_ms: 12, vth: 1.3)],
@@ -458,7 +458,7 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
         text.replace("vth_mant: 20", "vth_mant: 160").replace("exp: -2", "exp: 1").replace("exp: -3", "exp: 0");
     lower_and_quantise(&raised).unwrap();
 
-    // A loop that loses no bits next to the projection that does.
+    // A loop without lost bits, next to a projection with them.
     let network = lower_and_quantise(&text.replace("exp: -2", "exp: 1")).unwrap();
     let graph = graph(text.replace("exp: -2", "exp: 1"));
     let matrix = |text: &str| -> Vec<Vec<i64>> { serde_json::from_str(text).unwrap() };

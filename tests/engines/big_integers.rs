@@ -1,6 +1,6 @@
-//! The integer neuron against a model in 128-bit integers that shares nothing with it, over random
-//! parameters; decay and rounding at every power of two and its neighbours. Then the stability
-//! suite itself, in short.
+//! The integer neuron against a model in 128-bit integers without shared code, over random
+//! parameters; decay and rounding at every power of two and its neighbours. Then a short form of
+//! the stability suite.
 
 use std::cell::Cell;
 
@@ -17,11 +17,11 @@ use nsim::ir::base::fixed::{Decay, VmaxExponent, VminExponent, WeightExponent};
 use proptest::prelude::*;
 use proptest::test_runner::{Config, TestRunner};
 
-/// Neuron-steps that a normal run does.
+/// Neuron-steps of a normal run.
 const NEURON_STEPS: u64 = 10_000_000;
 const CASES_RUN: u64 = 2_500;
 
-/// The ends of a field as often as everything between.
+/// Samples the ends of a field as often as all other values.
 fn field(low: i64, high: i64) -> impl Strategy<Value = i64> {
     prop_oneof![Just(low), Just(low + 1), Just(high - 1), Just(high), low..=high, low..=high, low..=high, low..=high]
 }
@@ -47,9 +47,9 @@ fn ten_million_neuron_steps_are_those_of_a_model_without_limits() {
     let each = NEURON_STEPS / CASES_RUN;
     let mut runner =
         TestRunner::new(Config { cases: CASES_RUN as u32, failure_persistence: None, ..Config::default() });
-    // The runner takes a closure that cannot change what it captures.
+    // The runner takes a closure that cannot change its captured variables.
     let (steps, spikes, overflows) = (Cell::new(0u64), Cell::new(0u64), [const { Cell::new(0u64) }; 3]);
-    // How much arrives: from nothing to what 4,096 axons of the greatest exponent bring.
+    // Size of the arrivals: from nothing to the sum of 4,096 axons of the greatest exponent.
     let drive = (any::<u64>(), 0u32..27, 0u32..8);
     runner
         .run(&(parameters(), drive), |(p, (seed, size, silence))| {
@@ -89,7 +89,7 @@ fn ten_million_neuron_steps_are_those_of_a_model_without_limits() {
         .unwrap();
     let (steps, spikes, overflows) = (steps.get(), spikes.get(), overflows.map(|count| count.get()));
     assert!(steps >= NEURON_STEPS, "{steps}");
-    // Every edge was met, often.
+    // Every edge occurred, often.
     assert!(spikes > 10_000 && overflows.iter().all(|&count| count > 10_000), "{spikes} {overflows:?}");
 }
 

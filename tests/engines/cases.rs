@@ -1,8 +1,8 @@
-//! Stages of the compiler on the models of `tests/cases`, against what they made of them before.
+//! Stages of the compiler on the models of `tests/cases`, compared with their stored results.
 //!
-//! `tests/cases/STAGE/NAME.ron` is a model file. Its first lines say what it shows, and in a line
-//! that begins with `// options: ` how the stage is called. `NAME.out.ron` is what the stage makes
-//! of it, or why it refuses it. `NSIM_BLESS=1` writes these files anew.
+//! `tests/cases/STAGE/NAME.ron` is a model file. Its first lines describe its purpose; a line that
+//! begins with `// options: ` has the options of the stage. `NAME.out.ron` is the result of the
+//! stage, or the reason for its refusal. `NSIM_BLESS=1` writes these files anew.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,16 +23,16 @@ use nsim::quantise::integers;
 use nsim::quantise::prune::{Plan, prune};
 use serde::{Deserialize, Serialize};
 
-/// How a stage is called.
+/// Options of a stage.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, default)]
 struct Call {
     /// Chips of Loihi 1 from west to east.
     chips: u32,
-    /// Limits of a core that are not those of Loihi 1.
+    /// Limits of a core that differ from Loihi 1's.
     limits: LimitChanges,
     copies: u32,
-    /// Populations that are probed.
+    /// Probed populations.
     probed: Vec<String>,
 }
 
@@ -42,7 +42,7 @@ impl Default for Call {
     }
 }
 
-/// What pruning leaves, and what it took.
+/// The pruned network, and the record of removed parts.
 #[derive(Serialize)]
 struct Pruned<'a> {
     rows: &'a [Row],
@@ -50,7 +50,7 @@ struct Pruned<'a> {
     projections: &'a IdVec<ProjectionId, Projection>,
 }
 
-/// Why a stage makes nothing of a model.
+/// Reasons for which a stage refuses a model.
 #[derive(Serialize)]
 struct Refused(Vec<String>);
 
@@ -64,7 +64,7 @@ fn quantised(source: SourceText) -> Result<Quantised, Diagnostic> {
     integers(&lower(&Network::new(NetworkFile::parse(&source)?, source, BTreeMap::new())?)?)
 }
 
-/// What a stage makes of a model, as text.
+/// The result of a stage on a model, as text.
 fn made(stage: &str, model: SourceText, call: &Call) -> Result<String, Refused> {
     let network = quantised(model)?;
     let board = format!("Target(base: \"loihi1-chip\", chips_x: {})", call.chips);

@@ -1,4 +1,4 @@
-//! Neurons of several compartments: each parent adds what its child pushes in the same step.
+//! Neurons of several compartments: each parent adds the value that its child pushes in a step.
 
 use std::sync::Arc;
 
@@ -20,12 +20,12 @@ use nsim::ir::quantised::{Child, Neuron, Parts, Quantised, Units};
 use nsim::quantise::prune::{Plan, prune};
 use rayon::prelude::*;
 
-/// Populations of the network below.
+/// Populations of the network of [`pairs`].
 const CHILD: PopulationId = PopulationId(1);
 const PARENT: PopulationId = PopulationId(2);
 
 /// Neurons of two compartments, each with a channel into the child and one into the parent. The
-/// child keeps half of its voltage, the parent half of its current.
+/// child keeps half of its voltage in a step, the parent half of its current.
 fn pairs(neurons: u32) -> Builder {
     let mut net = Builder::new();
     let input = net.input("in", 2 * neurons);
@@ -115,7 +115,7 @@ fn pruning_changes_no_neuron() {
 fn compartments_of_a_neuron_that_are_apart_are_found() {
     let (network, target) = (pairs(4).build(), roomy("loihi1-chip"));
     let compiled = compile(network.clone(), &target, &Options::default()).unwrap();
-    // Children of two neurons change places: every compartment still has its parameters.
+    // Children of two neurons exchange places: every compartment still has its parameters.
     let mut parts = (*compiled.program).clone().into_parts();
     let [a, b] = [CompartmentId(0), CompartmentId(1)];
     let (at_a, at_b) = (parts.seats[a], parts.seats[b]);
@@ -125,7 +125,7 @@ fn compartments_of_a_neuron_that_are_apart_are_found() {
     let swapped = Program::new(parts).unwrap();
     assert_eq!(verify(&swapped, &target), Ok(()));
     assert_eq!(check_copies(&network, &swapped, 1), Err(Difference::Neuron(a)));
-    // No compartment pushes what a parent pops.
+    // No compartment pushes the value that a parent pops.
     for slot in [0, 1] {
         let mut parts = (*compiled.program).clone().into_parts();
         let class = parts.classes.iter_mut().next().unwrap();

@@ -1,5 +1,5 @@
 //! The fast machine against the golden interpreter, bit for bit, on random networks: under three
-//! partitions, with skipping on and off, in 1, 2 and 8 shares run by as many threads.
+//! partitions, with skipping and without, in 1, 2 and 8 shards run by as many threads.
 
 use std::sync::LazyLock;
 
@@ -31,18 +31,18 @@ use rayon::prelude::*;
 
 static CHIP: LazyLock<Target> = LazyLock::new(|| roomy("loihi1-chip"));
 
-/// Three partitions: as few cores as possible, at most this many compartments a core, assigned at
+/// Three partitions: on as few cores as possible, with at most `few` compartments a core, and at
 /// random.
 fn partitions(network: &Quantised, few: u32, seed: u64) -> Vec<(&'static str, Mapping)> {
-    // Searching for places takes most of the time and decides nothing here; assigned at random,
-    // cores stand anywhere.
+    // The search for places takes most of the time and does not matter here; the random mapping
+    // places cores anywhere.
     let options = Options { place: seed.is_multiple_of(8), ..unsearched() };
     let few = CHIP.limits().clone().with(Resource::Compartments, few);
     let mut compiled = vec![
         ("sequential", compile(network.clone(), &CHIP, &options)),
         ("small cores", compile(network.clone(), &CHIP.clone().with_limits(few), &options)),
     ];
-    // More might be assigned to one core than it holds.
+    // A random mapping might assign more to one core than its limit.
     if network.compartments() <= CHIP.limits()[Resource::Compartments] {
         let mapping = random::mapping(network, &Mesh::for_target(&CHIP), seed);
         compiled.push(("distributed", load(network.clone(), &CHIP, &options, &mapping)));
@@ -50,7 +50,7 @@ fn partitions(network: &Quantised, few: u32, seed: u64) -> Vec<(&'static str, Ma
     compiled.into_iter().map(|(name, result)| (name, result.unwrap_or_else(|e| panic!("{seed} {name}: {e}")))).collect()
 }
 
-/// One network on every partition and setting; returns its number of spikes.
+/// Compares one network on every partition and setting; returns its number of spikes.
 fn compare(seed: u64) -> u64 {
     let network = random::network(seed);
     let sample = random::sample(&network, seed);
@@ -59,8 +59,8 @@ fn compare(seed: u64) -> u64 {
     golden.totals.spikes
 }
 
-/// A golden trace against the machine's on every mapping and setting; returns the number of chunks
-/// of shared weights it added.
+/// Compares a golden trace with the machine's on every mapping and setting. Returns the number of
+/// chunks of shared weights that it added.
 fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<(&str, Mapping)>, seed: u64) -> usize {
     let compared = |(name, compiled): (&str, Mapping)| {
         assert_on_machine(network, &compiled.program, sample, golden, &format!("network {seed}, {name}")).1
@@ -68,8 +68,8 @@ fn compare_on(golden: &Trace, network: &Quantised, sample: &Sample, mapped: Vec<
     mapped.into_iter().map(compared).sum()
 }
 
-/// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles,
-/// compartments assigned at random, and the program written box by box where kernels stay kernels.
+/// Convolutions in rows of shared weights: as few cores as possible, small cores of tiles, a random
+/// mapping, and the program written box by box, where kernels stay kernels.
 #[test]
 fn random_convolutions_are_the_same_in_both_engines() {
     let board = load_target("nahuku-32").unwrap();
@@ -111,7 +111,7 @@ fn random_networks_are_the_same_in_both_engines() {
     assert!(silent < networks as usize / 3, "{silent} of {networks} networks never spike: they test too little");
 }
 
-/// What spikes near the ends of samples lose is summed by source over all samples.
+/// Events lost near the ends of samples are summed by source over all samples.
 #[test]
 fn counts_taken_after_many_samples_are_those_taken_after_each() {
     let mut shortened = 0;
@@ -145,7 +145,7 @@ fn counts_taken_after_many_samples_are_those_taken_after_each() {
     assert!(shortened > 10, "{shortened} short samples");
 }
 
-/// Lists of synapses that take the form of three bytes each, and shares of them that do not.
+/// Lists of synapses of three bytes each, and shards whose lists have another form.
 #[test]
 fn a_large_random_network_is_the_same_in_both_engines() {
     let sizes = Random { compartments: 4_500, background: 4, driven: 100, period: 30 };
@@ -157,9 +157,8 @@ fn a_large_random_network_is_the_same_in_both_engines() {
     assert_on_machine(&network, &compiled.program, &bench.period, &golden, "large");
 }
 
-/// Where channels with rows have different numbers of synapses, steps count by a mean, and what
-/// that missed is made up from how often each spiked: whenever it is asked for, and whenever these
-/// numbers are taken.
+/// Channels with rows may have different numbers of synapses. Steps then count by a mean, and the
+/// error is corrected from the spike counts of the channels: whenever the counts are read or reset.
 #[test]
 fn events_of_uneven_rows_are_right_after_every_step() {
     let network = front(&load_model("vtsnn-slip").unwrap()).unwrap().into_quantised();
@@ -188,7 +187,7 @@ fn events_of_uneven_rows_are_right_after_every_step() {
     }
 }
 
-/// One convolution, 3 x 3 over 64 channels to 64, of a square side of inputs, without a border.
+/// One 3 x 3 convolution without a border, of 64 channels to 64, over a square of inputs.
 fn wide_convolution(side: u32) -> Quantised {
     let (from, to) = ((64, side, side), (64, side - 2, side - 2));
     let mut net = Builder::new();
@@ -203,8 +202,7 @@ fn wide_convolution(side: u32) -> Quantised {
     net.build()
 }
 
-/// The machine runs a network of more synapses than are written out; golden runs regions of it,
-/// alone.
+/// The machine runs a network with too many synapses to write out; golden runs regions of it alone.
 #[test]
 fn regions_of_a_network_too_large_to_write_out_spike_as_they_do_alone() {
     const SIDE: u32 = 88;
@@ -223,7 +221,7 @@ fn regions_of_a_network_too_large_to_write_out_spike_as_they_do_alone() {
     let golden = wide_convolution(PART);
     let mut compared = 0;
     for (top, left) in [(0, 0), (37, 51), (SIDE - PART, SIDE - PART)] {
-        // Where a unit of the part is in the whole.
+        // The unit of the whole that is this unit of the part.
         let place = |unit: u32, part: u32, side: u32| {
             (unit / (part * part) * side + unit / part % part + top) * side + unit % part + left
         };

@@ -1,6 +1,5 @@
-//! Ending a sample when it is decided: the same class as the whole sample for `certain`, the first
-//! steps of the whole sample for every rule, the same on every engine; and what the command line
-//! says of it.
+//! Ending a decided sample early. `certain` gives the class of the whole sample; every rule gives
+//! its first steps; all engines agree. The report of the command line is tested too.
 
 use std::num::NonZeroU32;
 use std::path::Path;
@@ -29,7 +28,7 @@ fn margin(margin: u32) -> Rule {
     Rule::Margin(NonZeroU32::new(margin).unwrap())
 }
 
-/// The same but for what skipping may change.
+/// The outcome without the number that skipping may change.
 fn skipping_aside(outcome: &Outcome) -> Outcome {
     Outcome { skipped_steps: 0, ..outcome.clone() }
 }
@@ -68,7 +67,7 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
                 for (name, engine) in &mut engines {
                     assert_eq!(skipping_aside(&run(engine.as_mut(), Some(rule))), golden, "{what}, {name}");
                 }
-                // A decision that is only noted changes nothing else.
+                // A decision that is only recorded changes nothing else.
                 let watched = Keep { early_exit: Some(EarlyExit::watched(rule, &network)), ..keep(&network, None) };
                 let Outcome { decided_at, decided_class, steps_saved, .. } = golden;
                 let noted = Outcome { decided_at, decided_class, steps_saved, ..skipping_aside(&whole) };
@@ -199,7 +198,7 @@ fn the_energy_saved_is_that_of_the_steps_left_off() {
     for rule in ["certain", "3"] {
         let run = object(&["run", "container-tactile", "--samples", "0..6", "--early-exit", rule]);
         let early = energy(&["--early-exit", rule]);
-        // The table stays that of whole samples.
+        // The table remains one of whole samples.
         assert_eq!((&early["rows"], &early["timesteps"]), (&whole["rows"], &whole["timesteps"]));
         let saved = &early["early_exit"];
         assert_eq!(saved["rule"], rule);
@@ -210,11 +209,11 @@ fn the_energy_saved_is_that_of_the_steps_left_off() {
         assert!(uj > saved_before && uj < all_uj, "{rule}: {uj} of {all_uj}");
         saved_before = uj;
         assert!((saved["energy_saved_share"].as_f64().unwrap() - uj / all_uj).abs() < 1e-9);
-        // At the least, all power but the neuron cores' dynamic one during the time saved.
+        // The least saving is all power but the neuron cores' dynamic one, over the saved time.
         let always_mw = total(&whole, "total_mw") - whole["rows"][1]["dynamic_mw"].as_f64().unwrap();
         assert!(uj > always_mw * us / 1e3 && uj < 1.5 * always_mw * us / 1e3 + all_uj * 0.5, "{uj} uJ in {us} us");
     }
-    // In real time each step lasts 20 ms, regardless of what happens in it.
+    // In real time each step lasts 20 ms, for any activity.
     let paced = &energy(&["--early-exit", "3", "--mode", "realtime"])["early_exit"];
     let (us, steps) = (paced["time_saved_us"].as_f64().unwrap(), paced["steps_saved"].as_f64().unwrap());
     assert!((us - 20_000.0 * steps).abs() < 1e-3 * us, "{us} us for {steps} steps");

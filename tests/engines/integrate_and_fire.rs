@@ -1,5 +1,5 @@
-//! An `If` population against a `Loihi` one with du = 4096 and dv = 0: the same numbers from every
-//! engine.
+//! An `If` population against a `Loihi` one with du = 4096 and dv = 0: every engine gives equal
+//! numbers.
 
 use std::path::Path;
 
@@ -22,7 +22,7 @@ use nsim::quantise::quantise::quantise;
 use nsim::reference::{Model, Options as RealOptions, Reference};
 use nsim::session::decision::Pace;
 
-/// The network with every compartment of this kind, without memory of currents and without leaks.
+/// The network with all compartments of one kind, without memory of currents and without leaks.
 fn with_kind(network: &Quantised, kind: NeuronKind) -> Quantised {
     let hardware = Parts { semantics: Semantics::Hardware, ..network.parts().clone() };
     let simple = |neuron| Neuron { kind, du: Decay::MAX, dv: Decay::MIN, ..neuron };
@@ -83,7 +83,7 @@ fn a_model_file_names_it_and_every_stage_follows() {
     }
     let sample = random::sample(&a, 3);
     assert_eq!(trace(&mut Golden::new(&a), &a, &sample), trace(&mut Golden::new(&b), &b, &sample));
-    // In real numbers, with bounds for pruning and for early exit.
+    // Models in real numbers, with bounds for pruning and for early exit.
     let [x, y] = [
         Model::<f64>::new(&loihi, RealOptions::default()).unwrap(),
         Model::<f64>::new(&simple, RealOptions::default()).unwrap(),

@@ -1,6 +1,5 @@
-//! Rules that change weights at the end of each epoch: both engines do the same, in parts and
-//! ranks, with skipping and without, also where weights are written; rules that cannot act are
-//! refused.
+//! Rules that change weights at the end of each epoch. Both engines agree, in parts and ranks, with
+//! skipping and without, also with written weights; rules that cannot act are refused.
 
 use std::iter::repeat;
 use std::sync::Arc;
@@ -23,7 +22,7 @@ use rayon::prelude::*;
 
 const NETWORKS: u64 = 200;
 
-/// Counts epochs in which a source is noted up and those in which a target is noted down. All
+/// Adds `by` in an epoch in which the source is noted, and subtracts it if the target is. All
 /// weights decay.
 #[derive(Debug)]
 struct Counter {
@@ -42,7 +41,7 @@ impl LearningRule for Counter {
     }
 }
 
-/// A network, what is shown to it, what is written, and its rule.
+/// A network, its sample, the written weights, and its rule.
 struct Case {
     network: Quantised,
     sample: Sample,
@@ -66,7 +65,7 @@ impl Case {
     }
 }
 
-/// The weights of the synapses that a machine holds are those of the interpreter.
+/// Asserts that the weights of a machine's local synapses equal the interpreter's.
 fn assert_weights(projections: &[PlasticProjection], machine: &Machine, golden: &Golden, what: &str) {
     for PlasticProjection { id, name, places, .. } in projections {
         let mut held = places[0].iter().zip(golden.weights(*id)).filter(|(place, _)| place.is_some());
@@ -95,7 +94,7 @@ fn learned_weights_act_alike_in_both_engines() {
                     let mut machine = Machine::new(&image, Settings { skip, per_step: false });
                     machine.set_rule(rule.clone());
                     let write = |machine: &mut Machine, id, weights: &[i16]| write(&projections, machine, id, weights);
-                    // The second sample begins with the weights of the network again, and no notes.
+                    // The second sample begins with the network's own weights, and no notes.
                     for _ in 0..2 {
                         expected.assert_same(&trace(&mut machine, case.shown(), writes, write), &what);
                         assert_weights(&projections, &machine, &golden, &what);
@@ -110,7 +109,7 @@ fn learned_weights_act_alike_in_both_engines() {
     assert!(spikes > 10_000 && differing > 80, "{spikes} spikes, {differing} networks that the rule changes");
 }
 
-/// Every rank notes the spikes of the others that its synapses carry.
+/// Every rank notes the spikes of other ranks that its synapses receive.
 #[test]
 fn ranks_learn_the_same() {
     let spikes: u64 = (0..40u64)
@@ -148,8 +147,8 @@ fn ranks_learn_the_same() {
     assert!(spikes > 2_000, "{spikes} spikes");
 }
 
-/// By hand, in epochs of two steps that begin with step 1: inputs count with the step in which they
-/// are shown, spikes with the next.
+/// Computed by hand, in epochs of two steps from step 1 on. Inputs count in their own step, spikes
+/// in the next.
 #[test]
 fn an_epoch_changes_weights_by_what_it_delivered() {
     let network = chain().build();
@@ -182,8 +181,7 @@ fn an_epoch_changes_weights_by_what_it_delivered() {
 /// Spikes and plastic weights after each step.
 type Seen = Vec<(Vec<u32>, Vec<Vec<i16>>)>;
 
-/// A copy of a session within an epoch goes on as the session does, and skipping keeps
-/// what was noted.
+/// A copy of a session within an epoch continues as the session does, and skipping keeps the notes.
 #[test]
 fn copies_and_skips_keep_what_an_epoch_noted() {
     let mut skipped = 0;
@@ -230,7 +228,7 @@ fn copies_and_skips_keep_what_an_epoch_noted() {
     assert!(skipped > 10, "{skipped} steps skipped");
 }
 
-/// Skipped steps end the epoch that they begin in and those that follow.
+/// Skipped steps end their current epoch and the later ones that they contain.
 #[test]
 fn epochs_end_in_skipped_steps() {
     let network = chain().build();
@@ -241,7 +239,7 @@ fn epochs_end_in_skipped_steps() {
         golden.set_rule(rule.clone());
         golden.begin(u32::MAX);
         for step in 0u32..30 {
-            // Idle since step 12, with notes of the epoch that ends with step 14.
+            // It has been idle since step 12, with notes of the epoch that ends with step 14.
             if step == 12 && session.skip(skipped) {
                 (0..skipped).for_each(|_| golden.step(Spikes::default()));
             } else {
@@ -267,7 +265,7 @@ fn rules_that_cannot_act_are_refused_by_name() {
         assert!(refused.help.unwrap().contains("1 to 63"));
     }
     learning.set_rule(rule(63)).unwrap();
-    // What was shown is no sample that could be run again without the rule.
+    // The recorded input is no sample that could be run again without the rule.
     learning.reset();
     assert_eq!(learning.sample().unwrap_err().code, "session.weights.written");
     let mut net = chain();

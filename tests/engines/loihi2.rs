@@ -1,5 +1,5 @@
-//! The kinds of neurons of Loihi 2 against what lava and lava-dl recorded, and both engines against
-//! each other on networks of mixed kinds, messages and ports.
+//! The kinds of neurons of Loihi 2 against recordings of lava and lava-dl, and both engines
+//! compared on networks of mixed kinds, messages and ports.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -31,7 +31,7 @@ use nsim_testing::{cases, sparse};
 use rayon::prelude::*;
 use serde_json::Value;
 
-/// Neurons of a kind, each with the inputs of its own as they are.
+/// Neurons of a kind, each with its own inputs, unweighted.
 fn alone(kind: NeuronKind, rows: &[Vec<i64>]) -> Quantised {
     let mut net = Builder::new();
     let count = rows.len() as u32;
@@ -49,7 +49,7 @@ fn alone(kind: NeuronKind, rows: &[Vec<i64>]) -> Quantised {
     net.build()
 }
 
-/// The inputs `[neuron][step]` of each port.
+/// A sample of the inputs `[neuron][step]` of each port.
 fn shown(inputs: &[Array]) -> Sample {
     let (count, steps) = (inputs[0].shape[0], inputs[0].shape[1]);
     let mut events = Vec::new();
@@ -61,7 +61,7 @@ fn shown(inputs: &[Array]) -> Sample {
     Sample::with_values(steps as u32, &events, None).unwrap()
 }
 
-/// Files of a recording: inputs by port, messages, and words of state in the order of the kind's.
+/// Files of a recording: inputs by port, messages, and words of state in the kind's order.
 #[derive(Clone, Copy)]
 struct Files {
     ports: &'static [&'static str],
@@ -77,16 +77,16 @@ const fn files(ports: &'static [&'static str], columns: &'static [&'static str])
     Files { ports, out: "s_out", columns }
 }
 
-/// What a recording shows of a word of state, from the words after the step and whether a message
-/// was sent; `None` where it shows nothing that is stored.
+/// Recorded value of a word of state, from the words after the step and whether a message was sent.
+/// `None` if the recording has nothing that is stored.
 type Shown = fn(words: &[i64], column: usize, row: &[i64], sent: bool) -> Option<i64>;
 
-/// Recordings that show the words after the step.
+/// Recordings of the words after the step.
 const AFTER: Shown = |words, column, _, _| Some(words[column]);
-/// Recordings that show the words before a reset.
+/// Recordings of the words before a reset.
 const BEFORE_RESET: Shown = |words, column, _, sent| (!sent).then_some(words[column]);
-/// Recordings that show the threshold (`words[2]`) and the refractory state (`words[3]`) before a
-/// spike raises them; a row has the step of the threshold in place 5.
+/// Recordings of the threshold (`words[2]`) and the refractory state (`words[3]`) before a spike
+/// raises them. Column 5 of a row is the step of the threshold.
 const BEFORE_RAISE: Shown = |words, column, row, sent| {
     let theta = words[2] - if sent { row[5] } else { 0 };
     Some(match column {
@@ -96,8 +96,8 @@ const BEFORE_RAISE: Shown = |words, column, row, sent| {
     })
 };
 
-/// Holds every engine to recorded messages, and to recorded words of state; the number of numbers
-/// that were compared.
+/// Compares every engine with recorded messages and words of state; returns the number of compared
+/// numbers.
 fn matches_recording(folder: &Path, kind: NeuronKind, rows: &[Vec<i64>], files: Files, shown_as: Shown) -> u64 {
     let read = |name: &&str| Array::read(&folder.join(format!("{name}.npy")));
     let sample = shown(&files.ports.iter().map(read).collect::<Vec<_>>());
@@ -133,10 +133,10 @@ fn parameters(folder: &Path) -> serde_json::Map<String, Value> {
     serde_json::from_str::<Value>(&text).unwrap().as_object().unwrap().clone()
 }
 
-/// Regimes that pin products of 32 bits in the tool, which nsim computes exactly.
+/// Regimes of products wrapped to 32 bits by the tool, which nsim computes exactly.
 const FAULTS_OF_THE_TOOL: [&str; 3] = ["int_delta_32bit_product", "int32_product_wraps", "product_wraps_32"];
 
-/// lava's processes, every regime that does not pin a fault of the tool.
+/// lava's processes, in every regime without a fault of the tool.
 #[test]
 fn recorded_neurons_of_lava_match_bit_for_bit() {
     use NeuronKind::*;
@@ -165,7 +165,7 @@ fn recorded_neurons_of_lava_match_bit_for_bit() {
             if FAULTS_OF_THE_TOOL.contains(&regime.as_str()) {
                 continue;
             }
-            // A number for all neurons, or one each.
+            // The file has one number for all neurons, or one each.
             let of = |n: usize, key: &str| {
                 let value = given[key].as_array().map_or(&given[key], |each| &each[n]);
                 value.as_i64().unwrap_or_else(|| i64::from(*value == Value::Bool(true)))
@@ -210,7 +210,7 @@ fn recorded_neurons_of_lava_match_bit_for_bit() {
     assert!(compared > 600_000, "{compared} numbers");
 }
 
-/// lava's encoder of the host, as a model file states it.
+/// lava's encoder of the host, as stated by a model file.
 #[test]
 fn a_recorded_delta_encoder_matches_bit_for_bit() {
     let Some(folder) = data("loihi2/neuron/DeltaEncoder") else { return };
@@ -228,7 +228,7 @@ fn a_recorded_delta_encoder_matches_bit_for_bit() {
     assert!(compared > 10_000, "{compared} numbers");
 }
 
-/// lava-dl's neurons, in integers.
+/// lava-dl's neurons in integers.
 #[test]
 fn recorded_neurons_of_lava_dl_match_bit_for_bit() {
     use NeuronKind::*;
@@ -263,7 +263,7 @@ fn recorded_neurons_of_lava_dl_match_bit_for_bit() {
                 }
                 Loihi => vec![of("iDecay"), of("vDecay"), of("vThMant"), 0, 0, 1, 23, 7],
                 GradedLif => vec![of("iDecay"), of("vDecay"), of("vThMant")],
-                // Messages have the unit of the state, thresholds and biases 64 times it.
+                // Messages have the unit of the state; thresholds and biases have 64 of it.
                 _ => {
                     let bias = &given["bias_64ths"];
                     let bias = bias.as_array().map_or(bias, |each| &each[n]).as_i64().unwrap_or(0);
@@ -319,7 +319,7 @@ fn recorded_layers_of_resonators_match_bit_for_bit() {
     }
 }
 
-/// A model text of a source that sends what its input gives and of a target that sends its sums.
+/// A model file with a source that sends its inputs and a target that sends its sums.
 fn connection(source: &str, target: &str, bits: i64, projections: &[String]) -> String {
     format!(
         "Network(name: \"connection\", timestep_ms: 1.0, output: \"target\", target: \"oheo-gulch\", populations: [
@@ -336,12 +336,12 @@ fn listed((from, to): (&str, &str), synapses: &[(usize, usize, i64)], rest: &str
     format!("Sparse(from: [\"{from}\"], to: \"{to}\", synapses: {synapses:?}, {rest})")
 }
 
-/// Weights of any sign, parity and size up to 15 bits: projections of one sign (`sign` with its
-/// mode) whose weights have the low seven bits or, shifted, the others.
+/// Weights of any sign, parity and size up to 15 bits. Each projection has one sign (`sign` with
+/// its mode), and the low seven bits of the weights or, shifted, the others.
 const PARTS: [(i64, &str, i64); 4] =
     [(1, "Excitatory", 0), (1, "Excitatory", 7), (-1, "Inhibitory", 0), (-1, "Inhibitory", 7)];
 
-/// The part of a weight that is in a projection of [`PARTS`].
+/// The part of a weight in a projection of [`PARTS`].
 fn part_of(weight: i64, (sign, _, exponent): (i64, &str, i64)) -> i64 {
     let magnitude = if weight.signum() == sign { weight.abs() } else { 0 };
     sign * if exponent == 0 { magnitude % 128 } else { magnitude / 128 }
@@ -360,8 +360,8 @@ fn quantised(text: String) -> Result<Quantised, String> {
     front(&network).map(nsim::compile::Front::into_quantised).map_err(|problem| problem.to_string())
 }
 
-/// Holds the sums that every engine takes to the recorded ones; unit n of a recording is unit
-/// `place(n)` of the network. Whether sums wrapped.
+/// Compares the sums of every engine with recorded ones; unit n of a recording is unit `place(n)`
+/// of the network. Returns whether sums wrapped.
 fn sums_match(what: &str, text: String, input: &Array, sums: &Array, places: [&dyn Fn(usize) -> usize; 2]) -> bool {
     let network = quantised(text).unwrap();
     let steps = *sums.shape.last().unwrap();
@@ -395,7 +395,7 @@ fn sums_match(what: &str, text: String, input: &Array, sums: &Array, places: [&d
     wrapped[0] > 0
 }
 
-/// lava's Dense and Sparse with delays or without, its convolutions in space and in time.
+/// lava's Dense and Sparse, with delays and without, and its convolutions in space and in time.
 #[test]
 fn recorded_connections_of_lava_match_bit_for_bit() {
     let Some(folder) = data("loihi2/connection") else { return };
@@ -414,7 +414,7 @@ fn recorded_connections_of_lava_match_bit_for_bit() {
                 let weights = read("weight");
                 let (i, o) = (&input.shape, &sums.shape);
                 let [out, kx, ky, channels] = weights.shape[..] else { panic!("{:?}", weights.shape) };
-                // [x, y, channel] there, [channel, x, y] here, and the kernel turned about.
+                // Recordings have [x, y, channel] and a flipped kernel, models [channel, x, y].
                 let kernel = |part: (i64, &str, i64)| {
                     let weight = |o, c, x, y| weights.at([o, kx - 1 - x, ky - 1 - y, c]);
                     let row = |o, c, x| (0..ky).map(|y| part_of(weight(o, c, x, y), part)).collect::<Vec<_>>();
@@ -479,7 +479,7 @@ fn recorded_connections_of_lava_match_bit_for_bit() {
     assert!(regimes > 8, "{regimes}");
 }
 
-/// What a target sends in each step, by unit, for messages `(step, channel, value)` on each engine.
+/// Messages of a target in each step, by unit, for messages `(step, channel, value)`, by engine.
 fn answers(network: &Quantised, steps: u32, messages: &[(u32, u32, i32)]) -> Vec<(Vec<BTreeMap<u32, i32>>, Overflow)> {
     let events: Vec<_> = messages.iter().map(|&(step, channel, value)| (step, ChannelId(channel), value)).collect();
     let sample = Sample::with_values(steps, &events, None).unwrap();
@@ -506,7 +506,7 @@ fn a_convolution_wraps_where_its_sum_can_reach_24_bits() {
                 Conv2d(from: [\"in\"], to: \"target\", weights: [[[[2]]]], sign: Excitatory, delay: 1)])"
         );
         let network = quantised(text).unwrap();
-        // The first two are one convolution, of which only the bound counts.
+        // The first two are one convolution, so only its bound counts.
         let apart: Vec<_> = network.projections().iter().map(|p| p.format.apart.map(|apart| apart.wraps)).collect();
         assert_eq!(apart, vec![wraps.then_some(true); 3], "{payload}");
         for (sent, overflow) in answers(&network, 3, &[(0, 2, 1)]) {
@@ -536,7 +536,7 @@ fn sums_of_each_declaration_and_delay_are_shifted_apart() {
             "\"b\"" => 2..3,
             _ => 0..3,
         };
-        // Twice the weights, which mixed signs need, at half of the scale.
+        // The weights are doubled, as mixed signs need, and the scale is halved.
         let rows: Vec<Vec<i64>> = weights.iter().map(|row| row[used.clone()].iter().map(|w| 2 * w).collect()).collect();
         let exponent = exponent - 1;
         format!("Dense(from: [{from}], to: \"target\", weights: {rows:?}, weight_exp: {exponent}, delay: {delay})")
@@ -574,8 +574,8 @@ fn sums_of_each_declaration_and_delay_are_shifted_apart() {
     assert!(many(3).unwrap_err().contains("its arrivals make 66 sums that lava narrows apart, at most 64"));
 }
 
-/// A trained sigma-delta network from its own file: outputs of every input, and the messages of
-/// every layer for a scene that moves, by sums that their order and signs enter.
+/// A trained sigma-delta network from its own file: outputs of every input, and for a moving scene
+/// the messages of every layer, by sums that depend on order and signs.
 #[test]
 fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     let Some(folder) = data("loihi2/pilotnet_sdnn") else { return };
@@ -633,7 +633,7 @@ fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     }
 }
 
-/// Without a leak the voltage stays as it is, so that the neuron would be idle but for its reset.
+/// Without a leak the voltage stays constant, so the neuron would be idle but for its reset.
 #[test]
 fn a_neuron_is_reset_after_a_silence() {
     let network = alone(NeuronKind::LifReset, &[vec![4096, 0, 131_071, 0, 0, 9, 0]]);
@@ -666,7 +666,7 @@ fn a_target_whose_messages_carry_nothing_refuses_a_payload_by_name() {
     assert!(refused.to_string().contains(said), "{refused}");
     let CompileError::Input(diagnostic) = refused else { panic!("{refused}") };
     assert!(diagnostic.help.is_some_and(|help| help.starts_with("set message_bits: 3 in a chip of your own")));
-    // The remedy.
+    // The proposed remedy.
     let chip = Chip { message_bits: 3, ..loihi1.chip().clone() };
     compile(network, &loihi1.with_chip(chip), &unsearched()).unwrap();
 }

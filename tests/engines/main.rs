@@ -1,6 +1,6 @@
-//! The engines against each other, against silicon and recordings, and against changed programs.
+//! The engines compared with each other, with silicon and recordings, and with changed programs.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 mod agreement;

@@ -1,5 +1,5 @@
-//! Neurons whose rule a model file states: the kinds of Loihi 2 stated so are those that nsim has,
-//! on random networks; and what a model states is preserved by every text.
+//! Neurons whose rule a model file states. The kinds of Loihi 2 as such rules equal nsim's own, on
+//! random networks; stated rules are preserved by every text.
 
 use std::collections::BTreeMap;
 
@@ -33,7 +33,7 @@ fn stated_kinds_are_the_same_as_those_that_nsim_has() {
         .into_par_iter()
         .map(|seed| {
             let network = random::mixed(seed);
-            // With every kind stated that there is a text for.
+            // Every kind that has a text is stated.
             let own = with_neurons(&network, |neuron| Neuron { kind: stated(neuron.kind), ..neuron });
             if own == network {
                 return (false, false, false);

@@ -52,7 +52,7 @@ fn matches_recording(folder: &Path, semantics: Semantics, prefix: &str) {
             engine.step((&drive.spikes(|n| acc.at([n, step]))).into());
             for n in 0..compartments {
                 let id = CompartmentId(n as u32);
-                // SLAYER's trace shows dv at a spike: it is a read-out, as the chip's
+                // SLAYER's trace shows dv at a spike: a read-out like the chip's
                 // (`docs/semantics.md`, probes).
                 let voltage = if semantics == Semantics::Slayer { engine.v_register(id) } else { engine.v(id) };
                 let got = (i64::from(engine.spikes().contains(&id)), i64::from(engine.u(id)), i64::from(voltage));
@@ -75,8 +75,7 @@ fn every_recorded_regime_matches_bit_for_bit() {
     }
 }
 
-/// A copy without one of the recordings, or with one that no regime names, is not what was
-/// compared.
+/// A folder that lacks a recording, or has one that no regime names, was not compared.
 #[test]
 fn every_recording_is_there_and_no_other() {
     let Some(folder) = data("neuron") else { return };

@@ -1,9 +1,9 @@
-//! Where values leave their fields: the least cases in which the peers disagree, and what is
-//! counted.
+//! Values that leave their fields: the smallest cases in which the peers disagree, and the counts
+//! of overflow.
 //!
-//! The registers of the first two groups are those of nengo-loihi 1.1.0 (hardware), lava-nc b6822fb
-//! and SLAYER's Loihi kernel (slayerPytorch 01beeeb) on the same input; the rest follows from
-//! `docs/semantics.md`.
+//! The expected registers of the first two groups are recordings of nengo-loihi 1.1.0 (hardware),
+//! lava-nc b6822fb and SLAYER's Loihi kernel (slayerPytorch 01beeeb), on equal input. The others
+//! follow from `docs/semantics.md`.
 
 use std::path::Path;
 
@@ -17,7 +17,7 @@ use nsim::ir::base::id::CompartmentId;
 use nsim::ir::graph::Shape;
 use nsim::ir::quantised::Neuron;
 
-/// Drives a compartment, and holds the last u, v and the counts of overflow to what is expected.
+/// Drives a compartment, and compares the last u, v and the counts of overflow.
 fn ends_in(semantics: Semantics, neuron: Neuron, acc: &[i64], (u, v): (i32, i32), expected: Overflow) {
     let mut net = Builder::with(semantics);
     let drive = Drive::new(&mut net, 1);
@@ -46,9 +46,9 @@ fn values_leave_their_fields_as_each_tool_has_it() {
     let forgets_slowly = neuron(1, 4096, 131_071, 1);
     let up = [0, 28_672, 28_679, 28_686, 28_693, 16_412];
     let down = up.map(|x| -x);
-    // On the chip a current of 2^23 wraps, and takes the voltage below its least value; in lava it
-    // stays, the voltage is above its greatest, is clipped, and spikes; in SLAYER it collapses. At
-    // the other end it is lava that wraps (`wrapped_curr <= -max_uv_val` in its
+    // On the chip a current of 2^23 wraps, and takes the voltage below its least value. In lava it
+    // stays: the voltage exceeds its greatest value, is clipped, and spikes. In SLAYER it
+    // collapses. At the other end lava wraps (`wrapped_curr <= -max_uv_val` in its
     // `proc/lif/models.py`).
     ends_in(Hardware, forgets_slowly, &up, (-8_388_608, -8_388_607), counts(0, 1, 1, 5));
     ends_in(Lava, forgets_slowly, &up, (8_388_608, 0), counts(0, 0, 1, 5));
@@ -79,14 +79,14 @@ fn values_leave_their_fields_as_each_tool_has_it() {
     ends_in(Hardware, narrow, &[0, -1], (-64, -15), counts(0, 0, 1, 1));
     ends_in(Lava, narrow, &[33], (2112, 2112), NONE);
     ends_in(Slayer, narrow, &[0, 33], (2112, 2112), NONE);
-    // A clip is not counted while a refractory period holds the voltage: it spikes in step 0 by its
-    // bias; inputs of -1 would take v below 0 in every step after it, but v moves in steps 3 and 4
+    // A clip is not counted while a refractory period holds the voltage. It spikes in step 0 by its
+    // bias; inputs of -1 would take v below 0 in every later step, but v changes in steps 3 and 4
     // only.
     let held = Neuron { vmin: VminExponent::new(0).unwrap(), ..biased(neuron(4096, 0, 0, 3), 1, 0) };
     ends_in(Hardware, held, &[0, -1, -1, -1, -1], (-64, 0), counts(0, 0, 2, 3));
 }
 
-/// The same on 1,000 scenes of each model: `benches/overflow.sh`.
+/// A short form of `benches/overflow.sh`, which runs 1,000 scenes of each model.
 #[test]
 fn shipped_models_and_converted_ones_neither_wrap_nor_clip() {
     let slip = "scene:slip?samples=10&seed=31";

@@ -76,7 +76,7 @@ fn populations_and_cores_sum_to_the_totals() {
     assert!(wrapped > 100 && clipped > 100 && spikes > 10_000, "{wrapped} wrapped, {clipped} clipped, {spikes} spikes");
 }
 
-/// A metered run on the machine.
+/// Compares metered runs on the machine with the expected counts.
 fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &ByPopulation, what: &str) {
     let program = &compiled.program;
     let table = CostTable::new(&target.constants()[0]).unwrap();
@@ -114,8 +114,7 @@ fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &
     }
 }
 
-/// Copies see the same samples, and a row is of all of them, whether all of them run or one does
-/// for all.
+/// Copies of a network run the samples; a row counts all copies, even if one represents them all.
 #[test]
 fn copies_count_together() {
     let network = random::network(3);
@@ -144,7 +143,7 @@ fn copies_count_together() {
     assert!(one.inputs.iter().zip(&three.inputs).all(|(one, three)| one.spikes * 3 == three.spikes));
 }
 
-/// A metered run with a row for each step, and the file.
+/// A metered run with a row for each step, and its file.
 fn recorded(
     compiled: &Mapping,
     target: &Target,
@@ -173,8 +172,7 @@ fn assert_rows_add_up(compiled: &Mapping, target: &Target, samples: &[&Sample], 
     let mut places =
         samples.iter().zip(0u64..).flat_map(|(sample, n)| (0..u64::from(sample.steps())).map(move |t| (n, t)));
     for record in reader.records() {
-        // Every figure is an integer of its finest unit: what is after the point has a fixed
-        // number of digits.
+        // Every figure is an integer of its finest unit: the number of decimals is fixed.
         let cells: Vec<u64> = record.unwrap().iter().map(|cell| cell.replace('.', "").parse().unwrap()).collect();
         assert_eq!(places.next(), Some((cells[0], cells[1])), "{what}: rows are in run order");
         sums.iter_mut().zip(cells).for_each(|(sum, cell)| *sum += cell);
@@ -224,7 +222,7 @@ fn rows_of_steps_sum_to_the_totals() {
     }
 }
 
-/// A sample with more numbers than are stored writes its rows as they come.
+/// A sample with too many numbers to store writes its rows as they are produced.
 #[test]
 fn rows_of_a_long_sample_sum_to_its_totals() {
     let network = random::network(5);

@@ -1,6 +1,6 @@
-//! Graded spikes: a network whose spikes carry 3 is the same as one of binary spikes over weights
-//! times 3, in the interpreter and in the machine, on random networks; and the two engines agree on
-//! payloads of any size, past every overflow.
+//! Graded spikes. A network with spikes of payload 3 equals one of binary spikes over weights times
+//! 3, in both engines, on random networks. Both engines agree on payloads of any size, past every
+//! overflow.
 
 use crate::common::compare::{Shown, Trace, assert_on_machine, roomy, trace};
 use crate::common::random::{self, Draw};
@@ -19,7 +19,7 @@ use nsim::ir::spikes::{Message, Sample};
 use nsim_testing::sparse;
 use rayon::prelude::*;
 
-/// What the machine shows, held to what the interpreter shows; returns that.
+/// Compares the machine's trace with the interpreter's; returns the trace.
 fn compared(network: &Quantised, sample: &Sample, what: &str) -> Trace {
     let compiled = compile(network.clone(), &roomy("oheo-gulch"), &unsearched()).unwrap();
     let expected = trace(&mut Golden::new(network), network, sample);
@@ -27,8 +27,8 @@ fn compared(network: &Quantised, sample: &Sample, what: &str) -> Trace {
     expected
 }
 
-/// The network with every weight a multiple of 6 and no larger than 8 bits hold three times, and
-/// exponents that lose no bits.
+/// The network with weights that are multiples of 6 and fit 8 bits when tripled, and with exponents
+/// that lose no bits.
 fn tame(network: &Quantised) -> Parts {
     let mut parts = network.parts().clone();
     for projection in parts.projections.iter_mut() {
@@ -52,7 +52,7 @@ fn map_weights(connectivity: &Connectivity, f: impl Fn(i16) -> i16) -> Connectiv
     connectivity
 }
 
-/// Random synapses as listed ones, so that their weights can be multiplied.
+/// Writes random synapses as lists, so that their weights can be multiplied.
 fn list_random(parts: &mut Parts) {
     for index in 0..parts.projections.len() {
         let projection = &mut parts.projections.as_mut_slice()[index];
@@ -79,7 +79,7 @@ fn spikes_that_carry_3_are_binary_spikes_over_weights_times_3() {
             let parts = tame(&Quantised::new(listed).unwrap());
             let (mut graded, mut binary) = (parts.clone(), parts.clone());
             let draw = &mut Draw::new(seed);
-            // All populations, or some: then binary spikes occur along with those that carry 3.
+            // All populations, or some: binary spikes then occur along with spikes of payload 3.
             let all = draw.chance(50);
             for population in graded.populations.iter_mut().filter(|_| all || draw.chance(50)) {
                 population.message = Message::Payload(Payload::new(3).unwrap());
@@ -128,8 +128,8 @@ fn the_engines_agree_on_payloads_of_any_size() {
     assert!(overflows.count() > 40);
 }
 
-/// Enough lanes and sources for every form of list and dense block, and a product that the
-/// accumulator wraps.
+/// Enough lanes and sources for every form of list and dense block, and a product that wraps in the
+/// accumulator.
 #[test]
 fn every_form_of_synapses_carries_payloads() {
     // Dense blocks; lists of three bytes a synapse in runs of 4, 8 and 16; lists of words.
@@ -160,8 +160,8 @@ fn every_form_of_synapses_carries_payloads() {
     }
 }
 
-/// Values grow until sums no longer fit 32 bits, while others are on their way; sources of a
-/// convolution have more rows of weights than are queued unchecked.
+/// Values grow until sums no longer fit 32 bits, while others are in flight. Sources of a
+/// convolution have more rows of weights than the unchecked queue takes.
 #[test]
 fn values_may_outgrow_the_sums_that_they_began_with() {
     let (from, to, once) = ((2, 24, 24), (4, 14, 14), (1, 1));

@@ -1,5 +1,5 @@
-//! Weights that are written between steps: both engines do the same, in parts and ranks, with
-//! skipping and without, over delays and with payloads; what cannot have such weights is refused.
+//! Weights written between steps. Both engines agree, in parts and ranks, with skipping and
+//! without, over delays and with payloads; unsupported projections are refused.
 
 use std::sync::Mutex;
 
@@ -40,8 +40,8 @@ fn synapses(network: &Parts, projection: &Projection) -> Vec<Vec<(u32, i16)>> {
     lists.collect()
 }
 
-/// A random network of any kinds, in which most projections are plastic that can be: kernels are
-/// listed first.
+/// A random network of any kinds, in which most eligible projections are plastic; kernels are first
+/// written as lists.
 pub fn plastic(seed: u64) -> Quantised {
     let mut network = match seed % 4 {
         0 => random::mixed(seed),
@@ -62,7 +62,7 @@ pub fn plastic(seed: u64) -> Quantised {
     network
 }
 
-/// A random sample, whose messages carry an integer where they can.
+/// A random sample; messages have an integer where they can.
 pub fn sample(network: &Quantised, seed: u64) -> Sample {
     let (plain, draw) = (random::sample(network, seed), &mut Draw::new(seed ^ 0x7a1e));
     let ids = (0..plain.steps()).flat_map(|step| plain.at(step).iter().map(move |&channel| (step, channel)));
@@ -70,7 +70,7 @@ pub fn sample(network: &Quantised, seed: u64) -> Sample {
     Sample::with_values(plain.steps(), &events, None).unwrap()
 }
 
-/// What is written before a step.
+/// Weights written before a step.
 pub type Writes = Vec<(ProjectionId, Vec<i16>)>;
 
 fn written(network: &Quantised, draw: &mut Draw, percent: i64) -> Writes {
@@ -88,7 +88,7 @@ pub fn schedule(network: &Quantised, sample: &Sample, seed: u64) -> Vec<Writes> 
     (0..sample.steps()).map(|_| written(network, draw, 20)).collect()
 }
 
-/// Runs a sample; before each step weights are written.
+/// Runs a sample; weights are written before each step.
 pub fn trace<E: Engine>(
     engine: &mut E,
     (network, sample): (&Quantised, &Sample),
@@ -114,7 +114,7 @@ fn on_golden(network: &Quantised, sample: &Sample, writes: &[Writes]) -> Trace {
     trace(&mut Golden::new(network), (network, sample), writes, Golden::write_weights)
 }
 
-/// Writes weights of the only copy, and reads what was written.
+/// Writes weights of the only copy, and reads them back.
 pub fn write(projections: &[PlasticProjection], machine: &mut Machine, id: ProjectionId, weights: &[i16]) {
     let places = &projections.iter().find(|projection| projection.id == id).unwrap().places[0];
     assert_eq!(places.len(), weights.len());
@@ -123,8 +123,8 @@ pub fn write(projections: &[PlasticProjection], machine: &mut Machine, id: Proje
     read.for_each(|(&place, &weight)| assert_eq!(machine.weight(place), weight));
 }
 
-/// Holds the machine to a trace in 1, 2 and 8 shards, with skipping and without. Returns its counts
-/// by core.
+/// Compares the machine with a trace in 1, 2 and 8 shards, with skipping and without. Returns its
+/// counts by core.
 fn assert_on_machine(
     network: &Quantised,
     sample: &Sample,
@@ -146,7 +146,7 @@ fn assert_on_machine(
                 let weights = projection.places[0].iter().map(|&place| machine.weight(place));
                 assert!(first.iter().flatten().map(|synapse| synapse.1).eq(weights), "{what}: {}", projection.name);
             }
-            // The second sample begins with the weights of the network again.
+            // The second sample begins with the network's own weights.
             for _ in 0..2 {
                 let write = |machine: &mut Machine, id, weights: &[i16]| write(&projections, machine, id, weights);
                 expected.assert_same(&trace(&mut machine, (network, sample), writes, write), &what);
@@ -179,14 +179,13 @@ fn written_weights_act_alike_in_both_engines() {
     assert!(spikes > 10_000 && plastic > 200 && differing > 80, "{what}");
 }
 
-/// Weights that are written before the first step act as if the network had them, counts by core
-/// included.
+/// Weights written before the first step act as the network's own, counts by core included.
 #[test]
 fn weights_written_first_are_those_of_a_network_that_has_them() {
     let compared = (0..80u64).into_par_iter().filter(|&seed| {
         let mut parts = plastic(seed).parts().clone();
         for id in parts.projections.ids() {
-            // Written as lists in both, they are on the same cores.
+            // Written as lists in both networks, they are on equal cores.
             parts.projections[id].connectivity = sparse(synapses(&parts, &parts.projections[id]));
         }
         let network = Quantised::new(parts.clone()).unwrap();
@@ -213,7 +212,7 @@ fn weights_written_first_are_those_of_a_network_that_has_them() {
     assert!(compared.count() > 40);
 }
 
-/// Every rank is given all weights, and takes those of its synapses.
+/// Every rank receives all weights, and takes those of its synapses.
 #[test]
 fn written_weights_act_alike_on_any_number_of_ranks() {
     let events: u64 = (0..40u64)
@@ -278,15 +277,15 @@ pub fn session(network: &Quantised, copies: u32) -> Session {
     Session::open(&Image::new(&compiled.program, 1).unwrap(), &compiled.one, copies)
 }
 
-/// By hand: an input of step t is delivered in step t, a spike of a compartment in step t + 1, both
-/// at the weight of then.
+/// Computed by hand: an input of step t is delivered in step t, a compartment's spike in step t +
+/// 1. The weight of the step of delivery counts.
 #[test]
 fn a_weight_holds_from_the_next_delivery_on() {
     let network = chain().build();
     let mut session = session(&network, 1);
     let mut golden = Golden::new(&network);
     golden.begin(8);
-    // What is written before the step, whether the channel spikes, and u of both compartments.
+    // The weight written before the step, whether the channel spikes, and u of both compartments.
     let steps = [
         (None, true, [0, 0]),
         (Some((IN, 20)), true, [0, 0]),
@@ -309,8 +308,8 @@ fn a_weight_holds_from_the_next_delivery_on() {
     }
 }
 
-/// A copy of a session has weights of its own, `reset` takes all writes back, and every copy of the
-/// network has the same.
+/// A copy of a session has its own weights, `reset` undoes all writes, and every copy of the
+/// network has equal weights.
 #[test]
 fn snapshots_carry_weights() {
     let (mut spikes, mut parted) = (0, 0);
@@ -376,7 +375,7 @@ fn what_cannot_be_written_is_refused_by_name() {
         assert!(refused.help.unwrap().contains("multiples of 2 from -256 to 254"));
     }
     assert_eq!(session.weights(IN).unwrap(), [10]);
-    // What was shown is no sample that could be run again with these weights.
+    // The recorded input is no sample that could be run again with these weights.
     assert!(session.sample().is_ok());
     session.write_weights(IN, &[12]).unwrap();
     assert_eq!(session.sample().unwrap_err().code, "session.weights.written");

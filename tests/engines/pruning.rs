@@ -1,5 +1,5 @@
-//! Pruned networks against the whole ones, over the interpreter: the same spikes wherever something
-//! is left, and enough pruned of each kind for that to mean something.
+//! Pruned networks against whole ones, over the interpreter: equal spikes of all remaining units,
+//! and enough pruned of each kind for a meaningful test.
 
 use crate::common;
 use std::collections::BTreeMap;
@@ -28,8 +28,7 @@ use nsim::session::{Keep, digest, run_sample};
 use nsim_testing::cases;
 use rayon::prelude::*;
 
-/// A random network in which there is something to prune: thresholds raised, weights taken, another
-/// output.
+/// A random network with prunable parts: raised thresholds, removed weights, another output.
 fn network(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0x9123);
     let mut parts = random::network(seed).parts().clone();
@@ -39,7 +38,7 @@ fn network(seed: u64) -> Quantised {
         if let Units::Compartments { neurons, .. } = &mut population.units
             && draw.chance(50)
         {
-            // Between what a weight or two reach and what none does.
+            // Greatest thresholds, from within reach of a weight or two to out of reach.
             let greatest = draw.one_of(&[100, 1000, 10_000, 131_071]);
             let mut raised = |index| {
                 let vth = ThresholdMantissa::new(draw.from(10, greatest)).unwrap();
@@ -48,7 +47,7 @@ fn network(seed: u64) -> Quantised {
             *neurons = PerCompartment::Each((0..n).map(&mut raised).collect());
         }
     }
-    // A reset by subtraction is the chip's arithmetic only.
+    // A reset by subtraction has the chip's arithmetic only.
     for population in parts.populations.iter_mut().filter(|_| parts.semantics == Semantics::Hardware) {
         if let Units::Compartments { neurons, .. } = &mut population.units
             && draw.chance(20)
@@ -76,7 +75,7 @@ fn network(seed: u64) -> Quantised {
     Quantised::new(parts).unwrap()
 }
 
-/// A sample in which only some channels ever spike, and those at every rate up to all in one step.
+/// A sample in which only some channels ever spike, at every rate up to all in one step.
 fn sample(network: &Quantised, seed: u64) -> Sample {
     let draw = &mut Draw::new(seed ^ 0x71f3);
     let living: Vec<bool> = (0..network.channels()).map(|_| draw.chance(50)).collect();
@@ -106,7 +105,7 @@ fn numbers(pruned: &Quantised) -> Vec<CompartmentId> {
     numbers
 }
 
-/// Steps all engines through a sample: all that is left spikes and stands the same.
+/// Steps all engines through a sample: spikes and state of all remaining units are equal.
 pub fn assert_same(
     whole: &mut dyn Engine,
     engines: &mut [(String, &mut dyn Engine)],
@@ -139,7 +138,7 @@ pub fn assert_same(
     }
 }
 
-/// Shares of a network, and whether idle compartments are skipped: pruning is right under each.
+/// Numbers of shards, with skipping or without; pruning must be right under each.
 const SETTINGS: [(usize, bool); 6] = [(1, true), (1, false), (2, true), (2, false), (8, true), (8, false)];
 
 type Counts = BTreeMap<Kind, (u64, u64)>;
@@ -165,22 +164,22 @@ fn count(pruned: &Quantised, counts: &mut Counts) {
     }
 }
 
-/// A few compartments a core, so that there is something to share out.
+/// Cores of five compartments, so that there are several shards.
 fn chip() -> Target {
     small_cores("oheo-gulch", 5)
 }
 
-/// Mapped in order: how well does not matter here.
+/// A mapping in order: its quality does not matter here.
 fn plain() -> Options {
     Options { strategy: Strategy::Sequential, place: false, ..Options::default() }
 }
 
-/// One network pruned in three ways, and how much went; also the spikes of its compartments and of
-/// its output.
+/// Prunes one network by three methods. Returns the pruned numbers, and the spikes of its
+/// compartments and of its output.
 fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
     let whole = network(seed);
     let shown = sample(&whole, seed);
-    // What is pruned for any input is shown all channels together, in every step, too.
+    // A network pruned for any input also runs with all channels spiking in every step.
     let all: Vec<_> = (0..60).flat_map(|step| (0..whole.channels()).map(move |c| (step, ChannelId(c)))).collect();
     let loud = Sample::new(60, &all, None).unwrap();
     let (mut fixed, mut scene) = (Counts::new(), Counts::new());
@@ -209,7 +208,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
         for sample in &samples {
             check_stimulus(&pruned, &[sample], 0).unwrap();
             let mut engines: Vec<(String, &mut dyn Engine)> = vec![("golden".to_string(), &mut interpreter)];
-            // Each setting has two networks of three: a thousand.
+            // Each setting runs two networks of three: a thousand.
             let settings = SETTINGS.iter().zip(&mut machines).enumerate();
             for (_, ((shares, skip), machine)) in
                 settings.filter(|(index, _)| !(seed + *index as u64).is_multiple_of(3))
@@ -307,7 +306,7 @@ fn single(seed: u64) -> Quantised {
         _ => draw.from(40, 4096),
     };
     let (du, dv) = (decay(draw), decay(draw));
-    // Between thresholds of every size: that of half a spike to the greatest.
+    // Thresholds of every size: from half a spike to the greatest.
     let magnitude = draw.from(0, 17);
     let vth = draw.from(0, 1 << magnitude).min(131_071);
     let mut neuron = neuron(du, dv, vth, draw.one_of(&[0, 1, 3]));
@@ -329,7 +328,7 @@ fn single(seed: u64) -> Quantised {
     net.build()
 }
 
-/// Inputs that drive a compartment as high, as low, and as far back as they can.
+/// Inputs that drive a compartment to its extremes, and back as far as possible.
 fn worst(network: &Quantised, seed: u64) -> Vec<Sample> {
     let draw = &mut Draw::new(seed ^ 0x3041);
     let (steps, each) = (400, network.channels() / 2);
@@ -381,8 +380,8 @@ fn no_input_makes_a_compartment_spike_that_is_said_to_be_silent() {
         let (spiking, silent) = (of(|v| v.2), of(|v| v.1));
         let (unproven, wrapped) = (of(|v| !v.1 && !v.2), of(|v| v.3));
         println!("{name}: {spiking} spike, {silent} proved silent, {unproven} silent without proof; {wrapped} wrapped");
-        // The bound is worth having: it finds most of those that no input here makes spike.
-        // (SLAYER's products lose bits from 2^20 on, where nothing is claimed.)
+        // The bound is useful: it finds most of the compartments that no input here makes spike.
+        // (SLAYER's products lose bits from 2^20 on, so no bound is claimed there.)
         assert!(silent > 500 && spiking > 500 && silent > unproven, "{name}");
     }
 }
@@ -408,9 +407,9 @@ fn the_bound_is_the_highest_that_v_can_be_driven() {
 
 #[test]
 fn what_may_wrap_is_claimed_by_nobody() {
-    // Nothing but inhibition: only a wrap can make it spike, and it does.
+    // There is only inhibition: it can spike by a wrap alone, and it does.
     for (semantics, weight, exponent, du, dv) in [
-        // -2^21 - 2^14 in the accumulator comes back as a positive number.
+        // -2^21 - 2^14 in the accumulator wraps to a positive number.
         (Semantics::Hardware, -129, 7, 4096, 4096),
         // u passes -2^23, the accumulator does not wrap.
         (Semantics::Hardware, -100, 7, 0, 4096),

@@ -1,5 +1,5 @@
-//! One network on several ranks against the same network on one: spikes, counts, probes, times and
-//! energies, bit for bit; and that no rank holds more than its part. Here ranks are threads;
+//! One network on several ranks against one rank: spikes, counts, probes, times and energies are
+//! equal bit for bit, and each rank stores its part only. Here ranks are threads;
 //! `tests/cli/jobs.rs` starts them as processes.
 
 use crate::common::compare::small_cores;
@@ -30,14 +30,14 @@ pub fn share(rank: u32, ranks: u32, whole: bool) -> Share {
     if ranks > 1 { Share { rank, ranks, whole } } else { Share::ALL }
 }
 
-/// What the ranks return, each on a thread of its own; the first's.
+/// Runs each rank on its own thread; returns the first rank's result.
 pub fn on_ranks<T: Send>(count: u32, run: impl Fn(u32, Option<&Ranks>) -> T + Sync) -> T {
     if count == 1 {
         return run(0, None);
     }
     let all: Vec<T> = std::thread::scope(|scope| {
         let run = &run;
-        // Each in a pool of its own: threads of one pool would wait for each other.
+        // Each rank has its own pool: threads of one pool would wait for each other.
         let pool = || rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
         let start = |ranks: Ranks| scope.spawn(move || pool().install(|| run(ranks.rank(), Some(&ranks))));
         let threads: Vec<_> = ranks(count).into_iter().map(start).collect();
@@ -46,7 +46,7 @@ pub fn on_ranks<T: Send>(count: u32, run: impl Fn(u32, Option<&Ranks>) -> T + Sy
     all.into_iter().next().unwrap()
 }
 
-/// A network with its input and what is stored of its run.
+/// A network with its input and its recorded quantities.
 struct Case {
     network: Quantised,
     target: Target,
@@ -77,7 +77,7 @@ impl Case {
         compile(self.network.clone(), &self.target, &options).unwrap_or_else(|e| panic!("{}: {e}", self.what))
     }
 
-    /// With probes, on parts that are written as such.
+    /// Runs with probes, on parts that were written as parts.
     fn plain(&self, count: u32) -> Run<()> {
         let samples: Vec<&Sample> = self.samples.iter().collect();
         on_ranks(count, |rank, ranks| {
@@ -98,7 +98,7 @@ impl Case {
         })
     }
 
-    /// Metered, with samples that are decided early; rank 0 has the whole program.
+    /// Runs metered, with early exit; rank 0 has the whole program.
     fn metered(&self, count: u32, rule: Option<Rule>) -> Run<StepMeter> {
         let samples: Vec<&Sample> = self.samples.iter().collect();
         on_ranks(count, |rank, ranks| {
@@ -134,7 +134,7 @@ fn assert_same<M>(one: &Run<M>, several: &Run<M>, ranks: u32, what: &str) {
     for (one, several) in one.outcomes.iter().zip(&several.outcomes) {
         assert_eq!((one.totals, one.overflow), (several.totals, several.overflow), "{what}: totals");
         assert_eq!((&one.spikes, &one.counts), (&several.spikes, &several.counts), "{what}: outputs");
-        // What is passed over depends on how compartments lie in memory.
+        // The number of skipped steps depends on the layout of compartments in memory.
         let alike = Outcome { skipped_steps: one.skipped_steps, ..several.clone() };
         assert!(*one == alike, "{what}: probes, or when a sample was decided");
     }
@@ -180,7 +180,7 @@ fn random_networks_do_the_same_on_any_number_of_ranks() {
     assert!(spikes > 10_000 && parts > 300, "{spikes} spikes, {parts} runs in which every rank had a part");
 }
 
-/// Threads of a rank share its cores: with enough synapses, in a pool of three.
+/// Threads of a rank share its cores; the network has enough synapses for a pool of three.
 #[test]
 fn threads_of_a_rank_change_nothing() {
     use nsim::study::networks::{Random, random as driven};

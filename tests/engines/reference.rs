@@ -1,5 +1,5 @@
-//! The reference engine over whole networks: against SLAYER's own order of operations, and against
-//! the machine where both mean the same.
+//! The reference engine over whole networks, compared with SLAYER's order of operations, and with
+//! the machine where their semantics coincide.
 
 use crate::common::noise;
 use nsim::files::lower::lower;
@@ -26,7 +26,7 @@ fn sample(channels: u32, steps: u32, rate: f64, seed: u64) -> Sample {
     noise((channels, steps), seed, |_| rate, None)
 }
 
-/// SLAYER's way: a layer at a time over all steps, kernels before weights (`spike(fc(psp(x)))`).
+/// SLAYER's method: a layer at a time over all steps, kernels before weights (`spike(fc(psp(x)))`).
 fn layer(
     inputs: &[Vec<f64>],
     weights: impl Fn(usize, usize) -> f64,
@@ -87,8 +87,8 @@ fn a_network_of_spike_response_neurons_is_what_slayer_computes() {
     assert!(spikes > 300, "{spikes} spikes show little");
 }
 
-/// Decays and weights whose products stay whole numbers, so that the integer machine rounds nothing
-/// away.
+/// Decays and weights whose products stay whole numbers, so that the integer machine loses nothing
+/// by rounding.
 const WHOLE: &str = r#"Network(name: "whole", timestep_ms: 1.0, populations: [
     Input(name: "in", shape: [4, 3, 3]),
     Loihi(name: "pool", shape: [4, 2, 2], du: 4096, dv: 4096, vth_mant: 3, refractory: 2, start_step: 3),
@@ -110,7 +110,7 @@ fn without_anything_to_round_it_is_the_golden_interpreter() {
 fn in_the_arithmetic_of_other_tools_too_it_is_the_golden_interpreter() {
     let of =
         |semantics: &str| WHOLE.replace("timestep_ms: 1.0,", &format!("timestep_ms: 1.0, semantics: {semantics},"));
-    // lava has no refractory period, and limits of its own for v; SLAYER neither limits nor bias.
+    // lava has no refractory period, and its own limits for v; SLAYER has neither limits nor bias.
     for text in [
         of("Lava"),
         of("Lava").replace("vth_mant: 20,", "vth_mant: 20, vmax_exp: 0,"),
@@ -122,7 +122,7 @@ fn in_the_arithmetic_of_other_tools_too_it_is_the_golden_interpreter() {
     }
 }
 
-/// Number of spikes, which are the same in both.
+/// Number of spikes, which are equal in both engines.
 fn agrees_with_golden(text: &str) -> usize {
     let network = network(text);
     let (graph, quantised): (Graph, _) = real_and_integers(&network).unwrap();

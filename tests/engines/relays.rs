@@ -1,5 +1,5 @@
-//! Networks with relays against the golden interpreter of the same networks without, and changed
-//! relays against the checker.
+//! Networks with relays against the golden interpreter of these networks without relays, and
+//! changed relays against the checker.
 
 use crate::common;
 use std::collections::BTreeSet;
@@ -22,8 +22,7 @@ use nsim::quantise::relays::{Relayed, relayed};
 
 const NETWORKS: u64 = 400;
 
-/// The spikes of the compartments of the original, each this many steps earlier as its population
-/// is late.
+/// The spikes of the original's compartments, shifted earlier by the delay of their population.
 fn spikes(
     engine: &mut dyn Engine,
     network: &Quantised,
@@ -46,7 +45,7 @@ fn spikes(
     spikes
 }
 
-/// Random networks with relays where there is time for them.
+/// Random networks with relays, where delays leave time for them.
 fn with_relays() -> impl Iterator<Item = (u64, Quantised, u32, Relayed)> {
     (0..NETWORKS).filter_map(|seed| {
         let network = random::network(seed);
@@ -84,7 +83,7 @@ fn original_compartments_spike_as_without_relays() {
     assert!(compared >= 40 && padded >= 10 && spiking >= 25 && deep >= 5);
 }
 
-/// A synapse of a projection, changed; projections that relays are the ends of come first.
+/// Changes a synapse of a projection; projections to and from relays come first.
 fn synapse(parts: &mut Parts, draw: &mut Draw, change: impl Fn(&mut Vec<u32>, &mut Vec<i16>, usize, u32, i16)) -> bool {
     let lists = |p: &nsim::ir::quantised::Projection| matches!(&p.connectivity, Connectivity::Sparse { targets, .. } if !targets.is_empty());
     let ids: Vec<ProjectionId> = parts.projections.enumerate().filter(|(_, p)| lists(p)).map(|(id, _)| id).collect();
@@ -160,11 +159,11 @@ fn changed_relays_are_rejected() {
             if !mutate(&mut parts, &mut draw, own) {
                 continue;
             }
-            // What is no network any more needs no checker.
+            // An invalid network needs no checker.
             let Ok(mutated) = Quantised::new(parts) else { continue };
             match check(&network, &mutated, &later) {
                 Err(_) => rejected[kind] += 1,
-                // Synapses of one source that change places mean the same.
+                // Exchanging synapses of one source changes no meaning.
                 Ok(()) if *name == "sources swapped" || *name == "delay of what a relay sends or gets" => same += 1,
                 Ok(()) => panic!("network {seed}: {name} was not noticed"),
             }
@@ -181,7 +180,7 @@ fn changed_relays_are_rejected() {
 fn what_relays_cannot_do_is_said() {
     use nsim::ir::graph::Shape;
     let neuron = common::neuron(4096, 4096, 10, 1);
-    // All to all among eight, without delay: a circle.
+    // All-to-all connections among eight, without delay, form a loop.
     let mut net = common::Builder::new();
     let all = net.each("all", Shape::Line(8), &[neuron; 8], 0);
     net.matrix(all, all, 0, &[2; 64]);
@@ -196,7 +195,7 @@ fn what_relays_cannot_do_is_said() {
     let found = relayed(&network, 4).unwrap();
     assert_eq!((found.relays, found.later.as_slice()), (8 * 2, &[0][..]));
     check(&network, &found.network, &found.later).unwrap();
-    // A chain is padded.
+    // A chain is padded with delays.
     let mut net = common::Builder::new();
     let from = net.each("from", Shape::Line(1), &[neuron], 0);
     let to = net.each("to", Shape::Line(8), &[neuron; 8], 0);

@@ -1,4 +1,4 @@
-//! Stepping does what running does, and a copy of a session goes on from the same step.
+//! Stepping equals running, and a copy of a session continues from its step.
 
 use crate::common::compare::roomy;
 use crate::common::random;
@@ -28,17 +28,17 @@ fn seen(session: &Session, network: &Quantised) -> Seen {
     (session.spikes(CompartmentId(0), n), registers.collect())
 }
 
-/// One step of a sample; of steps without input that can be passed over, one is.
+/// Runs one step of a sample; of the steps that can be skipped, every second one is.
 fn step(session: &mut Session, sample: &Sample, step: u32) {
     if sample.at(step).is_empty() && step % 2 == 1 && session.skip(1) {
         return;
     }
-    // Any order, and a channel twice, are one spike.
+    // Channels in any order, one of them twice, are one spike each.
     let channels = sample.at(step).iter().rev().chain(sample.at(step).first());
     session.step(channels.map(|&channel| (channel, 1))).unwrap();
 }
 
-/// The same network; every population may send graded spikes.
+/// The network; if `graded`, every population may send graded spikes.
 fn graded_if(graded: bool, network: &Quantised) -> Quantised {
     let mut parts = network.parts().clone();
     parts
@@ -60,7 +60,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
         let copies = 1 + seed as u32 % 3;
         let Ok(mapped) = compile(network.clone(), &chip, &Options { copies, ..unsearched() }) else { continue };
         let image = Image::new(&mapped.program, 1 + seed as usize % 2).unwrap();
-        // The obvious way: a run with probes.
+        // The simplest method: a run with probes.
         let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
         let probes = [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into();
         let keep = Keep { probes, ..Keep::new(network.output()) };
@@ -89,7 +89,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
             all.push(now);
         }
         assert_eq!(session.sample().unwrap(), sample.clone().with_label(None), "network {seed}: what was shown");
-        // Back to the middle, twice: neither changes what the other goes back to.
+        // Resumes from the middle twice: neither run changes the stored session.
         let middle = middle.unwrap();
         for _ in 0..2 {
             session = middle.clone();

@@ -1,12 +1,12 @@
-//! What a Loihi chip did, bit for bit: a recorded network, and two published traces of the voltage
-//! register.
+//! Behaviour of a Loihi chip, bit for bit: a recorded network, and two published traces of the
+//! voltage register.
 
 use crate::common::drive::Drive;
 use crate::common::{Array, Builder, data, engines, neuron};
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
 
-/// One compartment (du 1024, dv 128) that one spike over a weight of 2 reaches in step 1, with its
+/// One compartment (du 1024, dv 128) that receives one spike over a weight of 2 in step 1, and its
 /// register after each step. The figures are from slayerPytorch 01beeeb,
 /// `test/test_files/Loihi/LoihiData/LoihiVth05.txt`.
 fn register_trace(vth_mant: i64, refractory: i64, expected: &[i32]) {
@@ -44,7 +44,7 @@ fn a_voltage_below_its_threshold_decays_as_on_the_chip() {
     register_trace(7, 5, &expected);
 }
 
-/// A compartment's spikes by step, as the engine shows them.
+/// Marks the spikes of an engine's compartments in a step.
 fn mark(spikes: &mut [Vec<bool>], engine: &dyn nsim::ir::spikes::Engine, step: usize) {
     for id in engine.spikes() {
         spikes[id.0 as usize][step] = true;
@@ -94,8 +94,8 @@ fn the_recorded_network_equals_the_chip() {
 
 #[test]
 fn a_number_that_is_driven_is_the_number_that_arrives() {
-    // The other tests lean on `Drive`; with du and dv 4096 the current is what arrives, so here it
-    // is held to itself.
+    // The other tests rely on `Drive`. With du and dv 4096 the current equals the arrivals, so here
+    // it is tested itself.
     let numbers = [0, 1, -1, 127, 128, -129, 16_383, 16_384, -16_385, 32_767, -32_768];
     let mut net = Builder::new();
     let drive = Drive::new(&mut net, 1);

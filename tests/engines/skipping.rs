@@ -1,6 +1,6 @@
-//! What is skipped at run time changes nothing: recordings of a real sensor and networks by hand,
-//! with skipping on and off, in 1, 2 and 8 shares and threads, against the interpreter; and how
-//! much is skipped.
+//! Skipping at run time changes nothing: recordings of a real sensor and hand-made networks, with
+//! skipping and without, in 1, 2 and 8 shards and threads, against the interpreter. The number of
+//! skipped steps is tested too.
 
 use crate::common;
 use std::collections::hash_map::DefaultHasher;
@@ -34,8 +34,8 @@ fn keep(network: &Quantised) -> Keep {
     }
 }
 
-/// An outcome without what skipping may change, its traces as a number, and the number of skipped
-/// steps.
+/// An outcome without the values that skipping may change, a hash of its traces, and the number of
+/// skipped steps.
 fn essence(outcome: Outcome) -> (Outcome, u64, u64) {
     let mut hasher = DefaultHasher::new();
     outcome.probes.hash(&mut hasher);
@@ -43,7 +43,7 @@ fn essence(outcome: Outcome) -> (Outcome, u64, u64) {
     (Outcome { probes: Vec::new(), skipped_steps: 0, ..outcome }, hasher.finish(), skipped)
 }
 
-/// A model on cores of at most five compartments, so that there is something to share out.
+/// A model on cores of at most five compartments, so that there are several shards.
 fn on_small_cores(model: &str) -> Mapping {
     let chip = load_target("loihi1-chip").unwrap();
     let mut limits = chip.limits().clone();
@@ -51,8 +51,8 @@ fn on_small_cores(model: &str) -> Mapping {
     compile(front(&load_model(model).unwrap()).unwrap(), &chip.with_limits(limits), &Options::default()).unwrap()
 }
 
-/// What the interpreter makes of a sample, and the steps of which it shows that they could be
-/// skipped: no input, no spike in the step before, every register zero.
+/// The interpreter's outcome of a sample, and the number of steps that could be skipped: no input,
+/// no spike in the previous step, every register zero.
 fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u64, u64) {
     let (mut idle, mut at_rest) = (0, true);
     let outcome = run_sample(&mut Golden::new(network), sample, keep, |engine: &Golden, passed: Passed| {
@@ -64,8 +64,8 @@ fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u
     (outcome, traces, idle)
 }
 
-/// Runs the samples with every setting, compares, and returns (steps without input, skipped steps,
-/// all steps).
+/// Runs the samples with every setting and compares. Returns the numbers of steps without input, of
+/// skipped steps and of all steps.
 fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
     let compiled = on_small_cores(model);
     assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
@@ -109,8 +109,8 @@ fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
     (samples.iter().map(silent).sum(), golden.iter().map(|(_, _, idle)| idle).sum(), steps)
 }
 
-/// A network whose compartments keep nothing from one step to the next, so that every silent step
-/// can be skipped.
+/// A network whose compartments keep no state between steps, so that every silent step can be
+/// skipped.
 const FORGETFUL: &str = r#"Network(name: "forgetful", timestep_ms: 20.0, populations: [
     Input(name: "tactile", shape: [78]),
     Loihi(name: "hidden", shape: [32], du: 4096, dv: 4096, vth_mant: 20),
@@ -132,13 +132,13 @@ fn recordings_are_the_same_with_and_without_skipping() {
         let (silent, skipped, steps) = compare(model, &samples);
         let share = |part: u64| 100.0 * part as f64 / steps as f64;
         println!("{model}: {:.2} % of {steps} steps without input, {:.2} % skipped", share(silent), share(skipped));
-        // The figure of the recordings' description.
+        // This figure is from the description of the recordings.
         assert!((share(silent) - 32.5).abs() < 0.05, "{silent} of {steps} steps have no input");
         assert!(skipped > 0 && skipped <= silent);
     }
 }
 
-/// Runs a sample on every engine and returns what all agree on, and the steps that were skipped.
+/// Runs a sample on every engine; returns the common outcome and the number of skipped steps.
 fn agreed(network: &Quantised, sample: &Sample) -> (Outcome, u64) {
     let keep = keep(network);
     let mut agreed: Option<(Outcome, u64)> = None;
@@ -159,7 +159,7 @@ fn spikes_at(steps: u32, at: &[u32]) -> Sample {
     Sample::new(steps, &at.iter().map(|&step| (step, ChannelId(0))).collect::<Vec<_>>(), None).unwrap()
 }
 
-/// One channel to one compartment, by a weight of 8 over this delay; thresholds are far above
+/// One channel to one compartment, by a weight of 8 over this delay. Thresholds are out of reach
 /// unless given.
 fn one(neuron: nsim::ir::quantised::Neuron, start_step: u32, delay: i64) -> Builder {
     let mut net = Builder::new();
@@ -174,8 +174,8 @@ fn a_silent_network_is_skipped_whole() {
     let network = one(neuron(1024, 128, 80, 1), 0, 0).build();
     let (outcome, skipped) = agreed(&network, &spikes_at(1000, &[]));
     assert_eq!((skipped, outcome.totals.compartment_updates, outcome.totals.active_updates), (1000, 1000, 0));
-    // Until the first spike, too, and again once it is forgotten: step 501 still holds what step
-    // 500 left.
+    // Steps are skipped until the first spike, and again once it is forgotten: step 501 still has
+    // the state of step 500.
     let network = one(neuron(4096, 4096, 80, 1), 0, 0).build();
     assert_eq!(agreed(&network, &spikes_at(1000, &[500])).1, 500 + 498);
 }
@@ -192,7 +192,7 @@ fn slow_decays_rest_when_the_integers_have_reached_zero() {
         steps += 1;
     }
     assert_eq!(agreed(&network, &spikes_at(200, &[0])).1, 200 - steps);
-    // A current that never decays never rests.
+    // A current that never decays is never idle.
     assert_eq!(agreed(&one(neuron(0, 4096, 80, 1), 0, 0).build(), &spikes_at(200, &[0])).1, 0);
 }
 
@@ -212,11 +212,11 @@ fn a_bias_is_never_skipped_but_where_there_is_none() {
 
 #[test]
 fn a_spike_in_flight_is_waited_for() {
-    // It enters in step 0, arrives in step 10, is forgotten in step 11.
+    // The spike enters in step 0, arrives in step 10, and is forgotten in step 11.
     let network = one(neuron(4096, 4096, 80, 1), 0, 10).build();
     let (outcome, skipped) = agreed(&network, &spikes_at(50, &[0]));
     assert_eq!((skipped, outcome.totals.synaptic_events), (50 - 12, 1));
-    // One that would arrive after the end is not waited for: only its own step is computed.
+    // A spike that would arrive after the end is not awaited: only its own step is computed.
     let (outcome, skipped) = agreed(&one(neuron(4096, 4096, 80, 1), 0, 62).build(), &spikes_at(50, &[3]));
     assert_eq!((skipped, outcome.totals.synaptic_events), (50 - 1, 0));
     // Between compartments: a spike in step 0 arrives in step 6 and is forgotten in step 7.
@@ -233,11 +233,11 @@ fn a_spike_in_flight_is_waited_for() {
 #[test]
 fn a_refractory_period_is_no_rest() {
     // It spikes in step 2 and is free again in step 12: steps 0, 1 and 12 on are idle. A counter
-    // that runs out in the update of step 12 may take that step too.
+    // that expires in the update of step 12 may occupy that step too.
     let (outcome, skipped) = agreed(&one(neuron(4096, 4096, 5, 10), 0, 0).build(), &spikes_at(50, &[2]));
     assert_eq!(outcome.counts[0], 1);
     assert!((2 + 37..=2 + 38).contains(&skipped), "{skipped}");
-    // What comes within the period changes nothing but u.
+    // Arrivals within the period change only u.
     let (outcome, _) = agreed(&one(neuron(4096, 4096, 5, 10), 0, 0).build(), &spikes_at(50, &[2, 11, 12]));
     assert_eq!(outcome.spikes, [(2, 0), (12, 0)]);
     // SLAYER's period of 0 never ends.
@@ -249,14 +249,14 @@ fn a_refractory_period_is_no_rest() {
 
 #[test]
 fn a_reset_brings_rest_and_comes_in_time_after_it() {
-    // Nothing decays, so that only the resets before steps 10, 20, .. bring rest.
+    // Nothing decays, so only the resets before steps 10, 20, .. make it idle.
     let mut net = one(neuron(0, 0, 100_000, 1), 0, 0);
     net.reset(10, 0);
     let network = net.build();
     // Not idle from step 3 to step 10, whose update finds zero; again from 27 to 30.
     let (_, skipped) = agreed(&network, &spikes_at(100, &[3, 27]));
     assert_eq!(skipped, 3 + (27 - 11) + (100 - 31));
-    // A reset in the step of an arrival, after a long rest: what arrives in step 50 counts from
+    // A reset in the step of an arrival, after a long idle time: the arrival of step 50 counts from
     // zero.
     let (outcome, skipped) = agreed(&network, &spikes_at(60, &[50]));
     assert_eq!((skipped, outcome.totals.active_updates), (50, 10));
@@ -268,7 +268,7 @@ fn before_its_start_a_population_rests_whatever_arrives() {
     assert_eq!((outcome.totals.spikes, skipped), (0, 40 - 2));
     let (outcome, skipped) = agreed(&one(neuron(4096, 4096, 5, 1), 20, 0).build(), &spikes_at(40, &[4, 20]));
     assert_eq!((outcome.spikes, skipped), (vec![(20, 0)], 40 - 3));
-    // A bias that is held back until then.
+    // A bias is held back until the start step.
     let (outcome, _) = agreed(&one(biased(neuron(4096, 4096, 0, 1), 1, 0), 20, 0).build(), &spikes_at(40, &[]));
     assert_eq!(outcome.totals.spikes, 20);
 }

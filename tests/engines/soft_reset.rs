@@ -1,4 +1,4 @@
-//! Reset by subtraction: integrators lose nothing, and only targets that name it have it.
+//! Reset by subtraction: integrators lose nothing, and only targets that name it support it.
 
 use crate::common::random;
 use nsim::agree::causes::Rung;
@@ -54,7 +54,7 @@ fn integrators_lose_nothing_and_equal_the_real_ones() {
         }
     }
     assert!(spiked.iter().sum::<i64>() > 20, "{spiked:?}");
-    // The last comparison stage too.
+    // The last comparison stage agrees too.
     let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
     let trains = ladder.run(Rung::MACHINE, &sample, false).trains;
     let spikes: usize = trains.iter().map(Vec::len).sum();

@@ -1,5 +1,5 @@
-//! Each stage of the compiler as text: what is written reads back as itself, and a text that was
-//! changed is a valid stage or is refused.
+//! Each stage of the compiler as text: a written text reads back as the stage, and a changed text
+//! is a valid stage or is refused.
 
 use std::fmt::Debug;
 
@@ -24,14 +24,14 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     parse(&SourceText::new("stage.ron", text), "stage.syntax").map_err(|problem| problem.message)
 }
 
-/// The text of a stage, which reads back as the stage.
+/// The text of a stage; it reads back as the stage.
 fn text<T: Serialize + DeserializeOwned + PartialEq + Debug>(stage: &T, depth: usize) -> String {
     let text = pretty(stage, depth).unwrap();
     assert!(read::<T>(&text).unwrap() == *stage, "{text}");
     text
 }
 
-/// The text with another number in place of one that it has.
+/// The text with one of its digits replaced by a number.
 fn changed(text: &str, draw: &mut Draw) -> String {
     let digits: Vec<usize> = text.match_indices(|c: char| c.is_ascii_digit()).map(|(at, _)| at).collect();
     let at = digits[draw.from(0, digits.len() as i64 - 1) as usize];
@@ -57,7 +57,7 @@ fn the_text_of_each_stage_reads_back_as_the_stage() {
         if seed % 10 > 0 {
             return;
         }
-        // Changed texts: what is accepted can be run, where that takes little memory.
+        // An accepted changed text can be run, if it takes little memory.
         let draw = &mut Draw::new(seed);
         for _ in 0..10 {
             let other = read::<Quantised>(&changed(&written, draw)).ok();

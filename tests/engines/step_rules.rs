@@ -1,5 +1,4 @@
-//! The rules of a timestep that are not arithmetic: when a spike arrives, who is held, what is
-//! reset, what is counted.
+//! The rules of a timestep other than arithmetic: arrival of spikes, holding, reset, counts.
 
 use crate::common::{Builder, biased, engines, format, neuron};
 use nsim::ir::activity::Totals;
@@ -13,8 +12,8 @@ use nsim::ir::spikes::Engine;
 
 const FIRST: CompartmentId = CompartmentId(0);
 
-/// Runs every engine over (step, channel) input spikes and returns what `f` sees after each step,
-/// once it is sure that all engines see the same.
+/// Runs every engine over (step, channel) input spikes. Returns the values of `f` after each step,
+/// which are equal on all engines.
 fn watch<T: PartialEq + std::fmt::Debug>(
     network: &Quantised,
     steps: u32,
@@ -23,7 +22,7 @@ fn watch<T: PartialEq + std::fmt::Debug>(
 ) -> (Vec<T>, Totals) {
     let mut seen: Option<(Vec<T>, Totals)> = None;
     for (name, mut engine) in engines(network) {
-        // The second time nothing of the first may be left.
+        // The second round must not depend on the first.
         for round in 0..2 {
             engine.begin(steps);
             let mut trace = Vec::new();
@@ -89,7 +88,7 @@ fn deliveries_after_the_last_step_are_not_counted() {
     let b = net.each("b", Shape::Line(3), &[neuron(4096, 4096, 1, 1); 3], 0);
     net.matrix(input, a, 2, &[2]);
     net.matrix(a, b, 0, &[2, 2, 0]);
-    // Enters a in step 5; its spike would enter b in step 6.
+    // The spike enters a in step 5; its spike would enter b in step 6.
     let network = net.build();
     let events = |steps| spikes(&network, steps, &[(3, 0)]).1.synaptic_events;
     assert_eq!([events(5), events(6), events(7), events(8)], [0, 1, 4, 4]);
@@ -102,7 +101,7 @@ fn a_population_is_held_at_zero_before_its_start() {
     let late = net.each("late", Shape::Line(1), &[biased(neuron(4096, 0, 131_071, 1), 10, 0)], 3);
     net.matrix(input, late, 0, &[2]);
     let (v, totals) = watch(&net.build(), 6, &[(2, 0), (4, 0)], |engine| engine.v(FIRST));
-    // What arrives in step 2 is lost, and so is the bias of three steps.
+    // Arrivals of step 2 are lost, and so is the bias of three steps.
     assert_eq!(v, [0, 0, 0, 10, 148, 158]);
     assert_eq!((totals.synaptic_events, totals.compartment_updates, totals.active_updates), (2, 6, 3));
 }
@@ -155,7 +154,7 @@ fn a_refractory_period_of_zero_is_one_on_the_chip_and_for_ever_in_slayer() {
     assert_eq!(run(Semantics::Hardware, 0), (every.clone(), vec![128; 8]));
     assert_eq!(run(Semantics::Hardware, 1), (every.clone(), vec![128; 8]));
     assert_eq!(run(Semantics::Hardware, 3), (vec![0, 3, 6], vec![384, 385, 386, 384, 385, 386, 384, 385]));
-    // lava knows no refractory period.
+    // lava has no refractory period.
     assert_eq!(run(Semantics::Lava, 3), (every, vec![0; 8]));
     // SLAYER skips step 0 and shows dv at a spike.
     assert_eq!(run(Semantics::Slayer, 3), (vec![1, 4, 7], vec![0, 77, 0, 0, 77, 0, 0, 77]));
@@ -189,11 +188,11 @@ fn a_compartment_is_active_unless_nothing_can_move_it() {
     // A bias keeps its compartment active in all ten steps.
     let silent = totals(&[]);
     assert_eq!((silent.compartment_updates, silent.active_updates), (30, 10));
-    // Arrivals that cancel are six events and move nothing.
+    // Arrivals that cancel are six events and change nothing.
     let cancelled = totals(&[(2, 0), (2, 1)]);
     assert_eq!((cancelled.synaptic_events, cancelled.active_updates, cancelled.spikes), (6, 10, 0));
-    // The plain one is active in step 2 and, since u is not zero at its start, in step 3; the one
-    // that spikes also in steps 4 and 5, while its refractory period runs.
+    // The plain one is active in step 2 and, since u is not zero at its start, in step 3. The
+    // spiking one is also active in steps 4 and 5, during its refractory period.
     let moved = totals(&[(2, 0)]);
     assert_eq!((moved.synaptic_events, moved.active_updates, moved.spikes), (3, 16, 1));
 }

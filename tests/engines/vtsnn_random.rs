@@ -1,5 +1,5 @@
-//! The two-modality network of the VT-SNN paper with random weights: every spike of ten samples, as
-//! nengo-loihi, lava and brian2-loihi all give them.
+//! The two-modality network of the VT-SNN paper with random weights: every spike of ten samples
+//! equals nengo-loihi's, lava's and brian2-loihi's.
 
 use crate::common::{Array, Builder, data, engines, neuron};
 use nsim::ir::base::id::ChannelId;

@@ -1,6 +1,6 @@
-//! The table of fields in `tests/files/fields.md`: a field that is changed to a value that means
-//! something else changes the model or is refused, and a field without meaning changes nothing.
-//! `docs/import.md` has each field in a row of its layer.
+//! The table of fields in `tests/files/fields.md`: a field with another valid value changes the
+//! model or is refused, and a field without meaning changes nothing. `docs/import.md` has each
+//! field in a row of its layer.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -15,7 +15,7 @@ use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 use serde_json::Value;
 
-/// A row: what the field is of, its name, the other value.
+/// A row: the owner of the field, its name, the other value.
 struct Row {
     owner: String,
     field: String,
@@ -33,7 +33,7 @@ fn rows() -> Vec<Row> {
         .collect()
 }
 
-/// A value of the table as an item of a file: nested lists, a number, a word.
+/// A value of the table as an item of a file: nested lists, a number or a word.
 fn item(text: &str) -> Item {
     fn flat(value: &Value, depth: usize, shape: &mut Vec<usize>, numbers: &mut Vec<f64>) {
         match value {
@@ -58,17 +58,17 @@ fn item(text: &str) -> Item {
     Numbers::f64(&shape, &numbers).into()
 }
 
-/// A group with these members, each a value as the table writes it.
+/// A group with these members, each a value in the table's notation.
 fn group(members: &[(&str, &str)]) -> Group {
     members.iter().fold(Group::default(), |group, (key, value)| group.with(key, item(value)))
 }
 
-/// The model of a file, or nothing where it is refused.
+/// The model of a file; `None` if it is refused.
 fn model(root: &Group, options: &Options) -> Option<NetworkFile> {
     let bytes = hdf5::write(root).unwrap();
     let mut model = foreign::from_bytes(Path::new("net.nir"), bytes, options).ok()?.model;
     lower(&model.build(Path::new("net.nir")).ok()?).ok()?;
-    // Notes are in it.
+    // The provenance has the notes of the import.
     model.provenance = None;
     Some(model)
 }
@@ -77,11 +77,11 @@ const LIF: [(&str, f64); 4] = [("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_
 const CUBA: [(&str, f64); 5] = [("tau_syn", 0.004), ("tau_mem", 0.008), ("w_in", 4.0), ("r", 8.0), ("v_leak", 0.0)];
 const LINEAR: [(&str, &str); 2] = [("type", "Linear"), ("weight", "[[1, 2, 3, 4], [2, 3, 4, 5], [3, 4, 5, 6]]")];
 
-/// A graph with a node of this type, `x`, that has this field if nodes of the type may have it.
+/// A graph with a node `x` of this type, which has this field if its type supports it.
 fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
     let line = |nodes: Vec<(&'static str, Group)>| nodes;
     let lif = |units: usize| tree::node("LIF", &[units], &LIF);
-    // Neurons whose one set of parameters fits any shape.
+    // Neurons with one set of parameters, which fits any shape.
     let any = || lif(1);
     let (input, output) =
         (|| group(&[("type", "Input"), ("shape", "[4]")]), || group(&[("type", "Output"), ("shape", "[3]")]));
@@ -168,8 +168,8 @@ fn nir(kind: &str, change: Option<&(&str, Item)>) -> Group {
     root
 }
 
-/// A netx file of an input, a convolution and a dense layer, with a field of one of them, or of the
-/// neurons, changed.
+/// A netx file of an input, a convolution and a dense layer; a field of one of them, or of the
+/// neurons, is changed.
 fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     let changed = |mut group: Group, name: &str| {
         if let Some((field, value)) = change.filter(|_| owner == name) {
@@ -180,8 +180,8 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     let neuron = || {
         let members = [("type", "LOIHI"), ("iDecay", "1024"), ("vDecay", "128"), ("vThMant", "80"), ("theta", "5120")];
         let mut neuron = group(&members).with("refDelay", item("1"));
-        // The threshold is said twice: a change of one is a contradiction, of the mantissa alone a
-        // change.
+        // The file has the threshold twice, so a change of one is a contradiction. Without theta, a
+        // change of the mantissa is valid.
         if change.is_some_and(|(field, _)| *field == "vThMant") {
             neuron.items.remove("theta");
         }
@@ -258,8 +258,8 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     Group::default().with("layer", layers).with("simulation", simulation)
 }
 
-/// A set of weights as VT_SNN saves them, or a state dict for neurons of real numbers, with a
-/// neuron of this text.
+/// A set of weights in VT_SNN's form, or a state dict for neurons of real numbers, with a neuron of
+/// this text.
 fn described(kind: &str, change: Option<(&str, &str)>) -> Option<NetworkFile> {
     let mut fields: Vec<(&str, &str)> = match kind {
         "simulation" => vec![("Ts", "1"), ("tSample", "9")],
@@ -291,7 +291,7 @@ fn described(kind: &str, change: Option<(&str, &str)>) -> Option<NetworkFile> {
     Some(model)
 }
 
-/// A state dict of one recurrent layer of a tool, with a tensor of this name changed.
+/// A state dict of a tool's recurrent layer, with one tensor changed.
 fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFile> {
     let number = |name, x: f32| -> Entry { (name, vec![], vec![x]) };
     let weights: Entry = ("weight", vec![2, 3], vec![0.5, 1.0, 1.5, -0.5, 0.75, 1.25]);
@@ -357,7 +357,7 @@ fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFi
     Some(model)
 }
 
-/// Tensors of state dicts have names of their own; the page lists them by tool.
+/// Tensors of state dicts have their own names; the page lists them by tool.
 #[test]
 fn each_field_is_described_in_the_row_of_its_layer() {
     let page = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/import.md")).unwrap();
@@ -392,7 +392,7 @@ fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
             }
             "netx" => {
                 let change = (field.as_str(), item(value));
-                // The timestep is the file's, and an image drives an input layer with neurons.
+                // The file has the timestep, and an image drives an input layer with neurons.
                 let image = (kind == "input").then(|| image.clone());
                 let options = Options { image, ..Options::default() };
                 (model(&netx(kind, None), &options), model(&netx(kind, Some(&change)), &options))

@@ -1,9 +1,9 @@
-//! Foreign files: what peers wrote reads as what they wrote, round trips lose nothing, and damaged
-//! files are refused within their bound of memory.
+//! Foreign files: files of peers give their contents, round trips lose nothing, and damaged files
+//! are refused within a bound on memory.
 //!
 //! The files of `tests/fuzz/corpus` were made by h5py 3.16, nir 1.0.8, expelliarmus 1.1.12 and
-//! dv-processing 2.0.4 from random numbers (headers shortened); the checkpoints by
-//! hand, as torch's `serialization.py` writes them.
+//! dv-processing 2.0.4 from random numbers (headers shortened); the checkpoints by hand, as torch's
+//! `serialization.py` writes them.
 
 use crate::common;
 use crate::memory;
@@ -25,7 +25,7 @@ use nsim::ir::base::fixed::SignMode;
 use nsim::ir::base::rng;
 use proptest::prelude::*;
 
-/// What any file may take: 96 MiB and 32 times its size.
+/// Bound on the memory for any file: 96 MiB and 32 times its size.
 const FIXED_KIB: u64 = 96 << 10;
 const RATIO: u64 = 32;
 
@@ -53,7 +53,7 @@ fn files(target: &str) -> Vec<(String, Vec<u8>)> {
     files
 }
 
-/// A file damaged by a few changes that depend on a number alone.
+/// A file damaged by a few changes that a seed determines.
 fn damaged(bytes: &[u8], seed: u64) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     let draw = |i: u64, below: usize| rng::below(below.max(1) as u64, seed, i, 1) as usize;
@@ -86,14 +86,14 @@ fn corpora_and_damaged_files_neither_panic_nor_take_memory_beyond_the_bound() {
         module_path!(),
         "corpora_and_damaged_files_neither_panic_nor_take_memory_beyond_the_bound",
         |growth| {
-            // More rounds than a test should take: NSIM_FUZZ_FACTOR=15 for a minute or two.
+            // `NSIM_FUZZ_FACTOR=15` runs more rounds than suit a test, for a minute or two.
             let factor = std::env::var("NSIM_FUZZ_FACTOR").map_or(1, |factor| factor.parse().unwrap());
             let mut largest = 0;
             for (target, run) in TARGETS {
                 for (name, bytes) in files(target) {
                     largest = largest.max(bytes.len() as u64);
                     run(&bytes);
-                    // Large files are slow to read in a test's build.
+                    // Large files are slow to read in a test build.
                     let changes = factor * if bytes.len() > 20_000 { 40 } else { 400 };
                     for seed in 0..changes {
                         run(&damaged(&bytes, seed ^ (name.len() as u64) << 32));
@@ -109,7 +109,7 @@ fn corpora_and_damaged_files_neither_panic_nor_take_memory_beyond_the_bound() {
 #[test]
 fn a_small_file_that_claims_much_is_refused_before_it_is_unpacked() {
     memory::alone(module_path!(), "a_small_file_that_claims_much_is_refused_before_it_is_unpacked", |growth| {
-        // Zeros compress a thousand times: 40 MiB are more than a small file may decode to.
+        // Zeros compress by a factor of a thousand: 40 MiB exceed the decoded size of a small file.
         let path = PathBuf::from("bomb.net");
         let mut file = hdf5_pure::FileBuilder::new();
         let zeros = vec![0.0f64; 5 << 20];
@@ -123,7 +123,7 @@ fn a_small_file_that_claims_much_is_refused_before_it_is_unpacked() {
         assert!(bytes.len() < 1 << 20, "{} bytes", bytes.len());
         let error = foreign::from_bytes(&path, bytes, &Options::default()).unwrap_err();
         assert_eq!(error.code, "hdf5.too-large", "{error}");
-        // A shape that the stored weights do not fill.
+        // A shape larger than the stored weights.
         let layer = hdf5::Group::default()
             .with("type", "dense")
             .with("shape", Numbers::i64(&[3], &[1 << 20, 1 << 20, 1 << 20]))
@@ -135,7 +135,7 @@ fn a_small_file_that_claims_much_is_refused_before_it_is_unpacked() {
     });
 }
 
-/// Keeps every event.
+/// A sink that keeps every event.
 #[derive(Default)]
 struct All(Vec<(i64, u32, u32, bool)>, Counts);
 
@@ -154,7 +154,7 @@ impl Sink for All {
     }
 }
 
-/// The events that all recordings of the corpus hold.
+/// The events in all recordings of the corpus.
 fn recorded() -> Vec<(i64, u32, u32, bool)> {
     let text = std::fs::read_to_string(corpus().join("../events.csv")).unwrap();
     text.lines()
@@ -183,15 +183,15 @@ fn recordings_that_peers_wrote_hold_what_they_wrote() {
         let mut all = All::default();
         events::decode(format, &EventOptions::default(), &mut &bytes[1..], &mut all)
             .unwrap_or_else(|error| panic!("{name}: {error}"));
-        // Events of one time have no order among themselves in a vector of EVT3, whose writer left
-        // high halves of the time out: the file has them.
+        // Simultaneous events have no order in a vector of EVT3, whose writer omitted high halves
+        // of the time; the file has them.
         let sorted = |mut events: Vec<_>| {
             events.sort_unstable();
             events
         };
         assert_eq!(sorted(all.0), sorted(expected.clone()), "{name}");
     }
-    // One-dimensional: channels and no rows; cells of a finger: two of the eighty are none.
+    // One-dimensional: channels without rows; cells of a finger, where two of eighty are absent.
     let flat = |name: &str, format| {
         let bytes = std::fs::read(corpus().join("events").join(name)).unwrap();
         let mut all = All::default();
@@ -243,7 +243,7 @@ fn crop_pool_bins_and_polarities_follow_their_definition() {
     wanted.sort_unstable();
     wanted.dedup();
     assert_eq!((part.steps, part.events), (5, wanted));
-    // What does not fit is said with what it makes.
+    // A recording that does not fit is refused, with the number of its channels.
     let error = read(expected(100), &[]).unwrap_err();
     assert!(error.code == "input.shape" && error.message.contains("512 channels"), "{error}");
     assert!(EventOptions::parse(&[("crop".into(), "1,2".into())]).is_err());
@@ -253,7 +253,7 @@ fn crop_pool_bins_and_polarities_follow_their_definition() {
 #[test]
 fn a_million_events_take_the_memory_of_their_spikes() {
     memory::alone(module_path!(), "a_million_events_take_the_memory_of_their_spikes", |growth| {
-        /// Two million events on sixteen pixels within a millisecond, made as they are read.
+        /// Two million events on sixteen pixels within a millisecond, generated during reading.
         struct Endless(u64);
         impl std::io::Read for Endless {
             fn read(&mut self, buffer: &mut [u8]) -> std::io::Result<usize> {
@@ -334,7 +334,7 @@ fn arrays_of_tree(group: &hdf5::Group, path: &str, found: &mut Arrays) {
     }
 }
 
-/// The arrays of a file as another crate reads it.
+/// The arrays of a file, read by another crate.
 fn arrays_of_another_reader(group: &hdf5_reader::group::Group, path: &str, found: &mut Arrays) {
     use hdf5_reader::Datatype::{Enum, FixedPoint, FloatingPoint, String, VarLen};
     let (groups, datasets) = group.members().unwrap();
@@ -367,7 +367,7 @@ fn arrays_of_another_reader(group: &hdf5_reader::group::Group, path: &str, found
     }
 }
 
-/// One crate reads and writes HDF5 for nsim; another reads the same from the files of peers and
+/// nsim reads and writes HDF5 by one crate; another reads equal arrays from the files of peers and
 /// from nsim's own.
 #[test]
 fn another_hdf5_reader_finds_the_same_arrays() {
@@ -390,7 +390,7 @@ fn another_hdf5_reader_finds_the_same_arrays() {
     assert!(compared >= 8, "{compared} files");
 }
 
-/// Files that `tests/layouts/make.py` wrote.
+/// Reads the files that `tests/layouts/make.py` wrote.
 #[test]
 fn layouts_and_links_of_hdf5_are_read_or_refused_by_their_names() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/layouts");
@@ -493,7 +493,7 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
     }
 }
 
-/// Models of every kind of population and projection that a model holds.
+/// Models of every kind of population and projection that a model file can have.
 fn models() -> impl Strategy<Value = NetworkFile> {
     let real = || prop_oneof![Just(0.0), -1e3..1e3f64, Just(1.0 / 3.0), Just(-1e-300)];
     let whole = |low: i64, high: i64| (low..=high).prop_map(|x| x as f64);
@@ -564,8 +564,7 @@ fn models() -> impl Strategy<Value = NetworkFile> {
         })
 }
 
-/// A model that is used as it was imported, one that was written and read again, and one that was
-/// parsed from its text are equal.
+/// Three models are equal: as imported, written and read again, and parsed from its text.
 #[test]
 fn every_imported_model_equals_the_one_that_is_read_from_its_files() {
     let folder = tempfile::tempdir().unwrap();
@@ -627,7 +626,7 @@ fn an_exported_file_that_was_changed_is_not_restored() {
     let read = foreign::from_bytes(Path::new("m.nir"), hdf5::write(&tree).unwrap(), &Options::default()).unwrap();
     assert!(read.notes[0].contains("are not those"), "{:?}", read.notes);
     let out = read.model.population("out").unwrap();
-    // The same neuron by way of its equations, with the weight that somebody wrote.
+    // This neuron by its equations, with the weight of the file.
     assert_eq!(out.parameter("du"), Some(&Parameter::Same(1024.0)));
     assert_eq!(out.parameter("dv"), Some(&Parameter::Same(0.0)));
     assert_eq!(out.parameter("vth"), Some(&Parameter::Same(64.0)));

@@ -1,4 +1,4 @@
-//! The examples of `docs/formats.md` are true: each is read by what reads such files.
+//! The examples of `docs/formats.md` are valid: each is read by the reader of its format.
 
 use std::path::Path;
 
@@ -13,7 +13,7 @@ use nsim::ir::mapping::MappingFile;
 use nsim::ir::spanned::parse;
 use nsim::quantise::quantise::quantise;
 
-/// The fenced blocks of a language, under the line that they begin at.
+/// The fenced blocks of a language, each with its line number.
 fn blocks(language: &str) -> Vec<(SourceText, String)> {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/formats.md");
     let text = std::fs::read_to_string(&path).expect("the project has docs/formats.md");
@@ -61,8 +61,8 @@ fn the_csv_example_is_read() {
     assert_eq!((samples[0].steps, samples[0].events.clone()), (150, vec![(3, 17), (3, 18), (149, 0)]));
 }
 
-/// Each field of a model file is described: the reader's own list of fields, as its errors give it,
-/// is held against the text.
+/// Each field of a model file is described: the reader's own list of fields, from its errors, is
+/// compared with the text.
 #[test]
 fn every_field_of_a_model_is_described() {
     let text = std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/formats.md")).unwrap();

@@ -1,5 +1,5 @@
-//! Networks that other tools wrote, through import, map and the fast engine, against what those
-//! tools recorded.
+//! Networks of other tools, through import, map and the fast engine, compared with the recordings
+//! of those tools.
 
 use crate::common;
 use crate::tree::{int, ints, typed};
@@ -45,8 +45,8 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
     outcome.spikes.into_iter().collect()
 }
 
-/// The network that a foreign file becomes when it is written and read again; reading it on the fly
-/// gives the same text but for the name of the file with the arrays.
+/// The network of a foreign file that is written and read again. Reading it directly gives an equal
+/// text, apart from the name of the file with the arrays.
 fn import(path: &Path, options: &Options) -> Network {
     let folder = tempfile::tempdir().unwrap();
     let model = folder.path().join("model.ron");
@@ -86,7 +86,7 @@ fn the_oxford_network_of_lava_dl_gives_its_recorded_spikes() {
         spikes(&network, "layer1", 2000, input.clone()).into_iter().map(|(step, unit)| (step + 1, unit)).collect()
     };
     assert_eq!(run(&Options { threshold: Some(ThresholdTest::Inclusive), ..Options::default() }), recorded);
-    // The comparison of the chip is another network: a wrong convention does not pass unseen.
+    // The chip's comparison gives another network, so a wrong convention would be noticed.
     assert_eq!(run(&Options::default()).symmetric_difference(&recorded).count(), 3014);
 }
 
@@ -105,7 +105,7 @@ fn the_tiny_network_of_lava_dl_gives_its_recorded_spikes() {
 fn an_image_drives_the_input_layer_as_recorded() {
     let Some(data) = common::data("netx") else { return };
     let data = data.join("tiny");
-    // The recorded drive is [width, height, channels] and 2 * 36 x - 36 + 34 of the image.
+    // The recorded drive is [width, height, channels] and, for an image x, 2 * 36 x - 36 + 34.
     let drive = npy::read(&data.join("input_bias.npy")).unwrap();
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("image.npy");
@@ -139,7 +139,7 @@ fn the_oxford_checkpoint_of_slayer_gives_its_recorded_spikes() {
     let spikes: Spikes =
         spikes(&network, "fc2", 1900, input).into_iter().map(|(step, unit)| (step + 1, unit)).collect();
     assert_eq!(spikes.symmetric_difference(&recorded).count(), 0);
-    // Its quantised weights are those that were published with it.
+    // Its quantised weights equal the published ones.
     for (layer, file) in [("fc1", "weights_1.npy"), ("fc2", "weights_2.npy")] {
         let theirs = npy::read(&data.join(file)).unwrap();
         let imported = foreign::read(&data.join("oxfordNet.pt"), &options).unwrap();
@@ -184,19 +184,19 @@ fn cuba(du: i64, dv: i64, vth: i64) -> Group {
     decays.with("vThMant", int(vth)).with("refDelay", int(1))
 }
 
-/// A layer whose type is an array of one text, as h5py writes some.
+/// A layer whose type is an array of one text, a form that h5py writes.
 fn layer(kind: &str) -> Group {
     Group::default().with("type", Item::Texts(vec![1], vec![kind.to_string()]))
 }
 
-/// Small numbers that look random, even ones.
+/// Small pseudo-random even numbers.
 fn noise(count: usize, seed: u64, amplitude: i64) -> Vec<i64> {
     (0..count as u64)
         .map(|i| 2 * (nsim::ir::base::rng::below(2 * amplitude as u64 + 1, seed, i, 0) as i64 - amplitude))
         .collect()
 }
 
-/// A layer of the network below, for the file and for the sums.
+/// A layer of the network of [`presented`], for the file and for the sums.
 struct Layer {
     shape: [usize; 3],
     /// `[out][in][kh][kw]`.
@@ -207,8 +207,8 @@ struct Layer {
     bias: Vec<i64>,
 }
 
-/// What a network does in SLAYER's time, all layers in the same step, for one presentation of an
-/// image: computed from the equations, without any of nsim.
+/// Spikes of a network in SLAYER's time, with all layers in one step, for one presentation of an
+/// image. They are computed from the equations, without any code of nsim.
 fn presented(image: &[i64], input: [usize; 3], layers: &[Layer], steps: usize) -> Vec<Vec<Vec<bool>>> {
     let decay = |x: i64, d: i64| x * (4096 - d) / 4096;
     let mut v: Vec<Vec<i64>> = std::iter::once(vec![0; image.len()])
@@ -301,7 +301,7 @@ fn a_deep_network_with_an_image_and_resets_gives_what_its_equations_give() {
         });
         from = shape;
     }
-    // The last is dense and has a bare 1-D shape and 1-D weights.
+    // The last layer is dense, with a 1-D shape and 1-D weights.
     assert_eq!([from[1], from[2]], [4, 3]);
     let dense = noise(5 * from[0] * 12, 50, 12);
     let first = layer("input")

@@ -1,4 +1,4 @@
-//! Recordings as people have them: arrays with labels next to them, archives, event lists with a
+//! Recordings in common forms: arrays with labels next to them, archives, event lists with a
 //! header.
 
 use std::path::Path;

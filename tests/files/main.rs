@@ -1,6 +1,6 @@
 //! Files of nsim and of other tools: each field read, checked or refused.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../common/mod.rs"]

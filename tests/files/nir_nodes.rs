@@ -1,5 +1,5 @@
-//! Nodes of NIR and layers of netx: what each means, what an export keeps of it, and that no field
-//! is passed over.
+//! Nodes of NIR and layers of netx: their semantics, their export, and the check that no field is
+//! ignored.
 
 use std::path::Path;
 
@@ -26,12 +26,12 @@ fn weights(shape: &[usize], seed: u64) -> Numbers {
     Numbers::f64(shape, &noise(shape.iter().product(), seed))
 }
 
-/// A file of these nodes in a row.
+/// A file whose nodes form a chain.
 fn file(nodes: &[(&str, Group)]) -> Group {
     file_with(nodes, &[], &[])
 }
 
-/// A file of these nodes in a row, and more nodes and edges.
+/// A file whose nodes form a chain, with more nodes and edges.
 fn file_with(nodes: &[(&str, Group)], others: &[(&str, Group)], more: &[(&str, &str)]) -> Group {
     let row = nodes.windows(2).map(|pair| (pair[0].0, pair[1].0));
     nir(nodes.iter().chain(others).cloned(), row.chain(more.iter().copied()))
@@ -52,12 +52,12 @@ fn import(root: &Group) -> NetworkFile {
     read(root, &step()).unwrap().model
 }
 
-/// Leaky neurons of which a step takes an eighth, with weights that count as they are.
+/// Leaky neurons that lose an eighth in a step, with unscaled weights.
 fn lif(axes: &[usize]) -> Group {
     node("LIF", axes, &[("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)])
 }
 
-/// Leaky neurons with a current of which a step takes a quarter.
+/// Leaky neurons with a current that loses a quarter in a step.
 fn cuba(axes: &[usize]) -> Group {
     let fields =
         [("tau_syn", 0.004), ("w_in", 4.0), ("tau_mem", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)];
@@ -76,7 +76,7 @@ fn linear(targets: usize, sources: usize, seed: u64) -> Group {
     typed("Linear").with("weight", weights(&[targets, sources], seed))
 }
 
-/// Neurons of `lif` with these currents.
+/// Spikes of `lif` neurons with these currents.
 fn leaky(currents: &[Vec<f64>]) -> Vec<Vec<bool>> {
     let mut v = vec![0.0; currents[0].len()];
     let step = |current: &Vec<f64>| {
@@ -109,7 +109,7 @@ fn same_padding_of_even_kernels_puts_the_greater_half_behind() {
             let at = |y: usize, x: usize| -> f64 {
                 let mut sum = 0.0;
                 for (ky, kx) in (0..kh).flat_map(|ky| (0..kw).map(move |kx| (ky, kx))) {
-                    // torch: one of three columns is before, two after; the row is after.
+                    // torch pads one of three columns before and two after, and the row after.
                     let (Some(sy), Some(sx)) = ((y + ky).checked_sub(0), (x + kx).checked_sub(1)) else { continue };
                     if sy < height && sx < width && input(step, sy * width + sx) {
                         sum += kernel[ky * kw + kx];
@@ -123,17 +123,17 @@ fn same_padding_of_even_kernels_puts_the_greater_half_behind() {
     let right = leaky(&currents);
     assert!(total(&right) > 50);
     assert_eq!(spikes(&model, "n", height * width), right);
-    // In NIR, which has one padding an axis, a kernel with zeros does the same.
+    // NIR has one padding an axis, so the kernel is padded with zeros, to an equal result.
     assert_eq!(spikes(&bare(&model), "n", height * width), right);
 }
 
-/// What another tool keeps of an export: the nodes.
+/// The part of an export that another tool preserves: its nodes.
 fn bare(model: &NetworkFile) -> NetworkFile {
     let (tree, notes) = nir_export::export(model).unwrap();
     assert!(notes.iter().all(|note| !note.contains("nir.read")), "{notes:?}");
     let graph = tree.group("node").unwrap();
     for node in graph.group("nodes").unwrap().items.values() {
-        // Python's reader takes kernels for square and without groups.
+        // Python's reader assumes square kernels without groups.
         let Item::Group(node) = node else { panic!() };
         if node.text("type") == Some("Conv2d") {
             let axes = node.numbers("weight").unwrap().shape();
@@ -220,7 +220,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
         assert_eq!((taken.reset, taken.assumed), (Some(reset), None));
     }
     assert!(says(&unsaid, None).unwrap() && !says(&unsaid, Some(ResetMode::SubtractLater)).unwrap());
-    // The command says it on stderr, and its reset is the one that was taken.
+    // The command prints the assumed reset on stderr, and uses it.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("net.nir");
     std::fs::write(&path, hdf5::write(&unsaid).unwrap()).unwrap();
@@ -238,7 +238,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
     }
     let other = with(lif(&[3]).with("v_reset", reals(&[0.5; 3])));
     assert_eq!(says(&other, None).unwrap_err().code, "import.unsupported");
-    // An export holds a model; options that contradict it are refused, those that repeat it are
+    // An export has a model; options that contradict it are refused, options that repeat it are
     // not.
     let (tree, _) = nir_export::export(&import(&unsaid)).unwrap();
     assert_eq!(says(&tree, Some(ResetMode::Subtract)).unwrap_err().code, "import.option");
@@ -355,11 +355,11 @@ fn every_kind_of_node_keeps_its_spikes_over_an_export_that_another_tool_rewrote(
         let right = spikes(&model, "n", channels);
         assert!(total(&right) > 10, "{name}: {}", total(&right));
         assert_eq!(spikes(&bare(&model), "n", channels), right, "{name}");
-        // A file that is rewritten with its metadata is restored.
+        // A file rewritten with its metadata is restored.
         let (tree, _) = nir_export::export(&model).unwrap();
         assert_eq!(read(&tree, &Options::default()).unwrap().model, model, "{name}");
     }
-    // Integrators stay what they are: no neuron that never spikes.
+    // Integrators stay integrators, not neurons that never spike.
     for kind in ["LI", "CubaLI", "I"] {
         let node = match kind {
             "LI" => node(kind, &[3], &[("tau", 0.016), ("r", 16.0), ("v_leak", 0.0)]),
@@ -408,7 +408,7 @@ fn a_pool_of_slayer_has_silent_rows_behind_where_the_file_says_so() {
     assert!(beyond.code == "model.window" && beyond.help.unwrap().contains("padding_after"));
 }
 
-/// A netx file of dense layers, each with two units and these neurons.
+/// A netx file of dense layers, each with two units and one of these neurons.
 fn dense_layers(neurons: &[Group]) -> Group {
     let layers = neurons.iter().enumerate().fold(Group::default(), |layers, (number, neuron)| {
         let matrix = || Numbers::i64(&[2, 2], &[2, 4, -6, 8]);
@@ -472,11 +472,11 @@ fn adaptive_and_graded_neurons_of_netx_keep_what_netx_drops() {
     assert!(error.code == "import.option" && error.message.contains("--spike-exp"), "{error}");
 }
 
-/// A model that came from netx goes back there: whole, with nsim's text; and by its layers alone.
+/// A model imported from netx is exported to it: with nsim's text, and by its layers alone.
 fn goes_back_to_netx(model: &NetworkFile, options: &Options) {
     let (tree, notes) = netx_export::export(model).unwrap();
     assert!(notes.is_empty(), "{notes:?}");
-    // A text has the parameters of a population in the order of their table.
+    // The text of a model has the parameters of a population in the order of their table.
     let in_order = |mut model: NetworkFile| {
         model
             .populations
@@ -564,7 +564,7 @@ fn a_bias_reaches_a_current_from_the_first_step_on_and_layers_wait_for_it() {
     assert!(total(&right) > 20);
     assert_eq!((model.population("n").unwrap().start_step, model.drain), (1, 2));
     assert_eq!(spikes(&model, "n", 4)[1..], right[..STEPS - 1]);
-    // Waits are the import's: a file that another tool rewrites does not have them twice.
+    // The import adds the delays, so a file that another tool rewrites does not have them twice.
     assert_eq!(bare(&model).projections.iter().map(|p| p.delay).max(), model.projections.iter().map(|p| p.delay).max());
     assert_eq!(spikes(&bare(&model), "m", 4), spikes(&model, "m", 4));
 }
@@ -582,8 +582,8 @@ fn a_bias_that_two_ways_pass_counts_once() {
             ("m", neurons(&[2])),
             ("o", output()),
         ];
-        // The input reaches the weights of the second layer, too: by the same node, by one without
-        // a bias, by another with it.
+        // The input reaches the weights of the second layer as well: by one shared node, by one
+        // without a bias, by another with it.
         let shared = import(&file_with(&nodes, &[], &[("i", "x")]));
         let second = |node: Group| import(&file_with(&nodes, &[("y", node)], &[("i", "y"), ("y", "m")]));
         let right = spikes(&second(typed("Linear").with("weight", w.clone())), "m", 3);
@@ -653,7 +653,7 @@ fn options_are_used_or_refused() {
     }
     let inclusive = read(&root, &Options { threshold: Some(ThresholdTest::Inclusive), ..step() }).unwrap().model;
     assert_eq!(inclusive.threshold, ThresholdTest::Inclusive);
-    // A time constant shorter than a step has a meaning where states decay exponentially.
+    // A time constant below a step is valid where states decay exponentially.
     let exponential = Options { decay: Some(DecayRule::Exponential), dt_ms: Some(16.0), ..Options::default() };
     assert!(read(&root, &Options { decay: Some(DecayRule::Euler), ..exponential.clone() }).is_err());
     let model = read(&root, &exponential).unwrap().model;

@@ -1,6 +1,6 @@
-//! What decides a sample: spikes of the output, or its potential. Every engine, every command and
-//! every reader by the same rule. And the number of its steps, so that the last layer answers to
-//! the last step of the input.
+//! The decision of a sample, by spikes of the output or by its potential: every engine, command and
+//! reader uses one rule. And the number of its steps, so that the last layer responds to the last
+//! step of the input.
 
 use crate::common;
 use crate::common::command::{object, said as nsim, succeeds};
@@ -19,7 +19,7 @@ use nsim::session::{Keep, Outcome, Probe, Quantity, run_sample};
 use rayon::prelude::*;
 use serde_json::Value;
 
-/// The class by the definition, from the potentials `[output][step]` from the output's first step
+/// The class by its definition, from the potentials `[output][step]` from the output's start step
 /// on.
 fn class(read_out: ReadOut, v: &[Vec<i32>]) -> Option<u32> {
     let score = |v: &Vec<i32>| match read_out {
@@ -57,7 +57,7 @@ fn every_engine_decides_by_the_potentials_that_a_probe_reads() {
                 let from = (network.output().start_step as usize).min(whole.steps as usize);
                 let rows = whole.probes[0].chunks(sample.steps().max(1) as usize).map(|row| row[from..].to_vec());
                 assert_eq!(whole.class(), class(decision, &rows.collect::<Vec<_>>()), "{what}");
-                // Nothing is certain before the last step, which no early exit then leaves off.
+                // Nothing is certain before the last step, so no early exit skips a step.
                 let certain = Outcome {
                     probes: whole.probes.clone(),
                     skipped_steps: whole.skipped_steps,
@@ -82,8 +82,8 @@ const STEPS: usize = 40;
 const SAMPLES: usize = 6;
 const CHANNELS: usize = 4;
 
-/// Random spikes `[samples, channels, steps]` with `empty` steps without any at the end; the last
-/// sample has none.
+/// Random spikes `[samples, channels, steps]`, with `empty` silent steps at the end; the last
+/// sample is silent.
 fn write_input(folder: &Path, name: &str, empty: usize) {
     let spike = |i: u64| u8::from((i as usize) < (SAMPLES - 1) * CHANNELS * STEPS && rng::below(5, 3, i, 0) == 0);
     let spikes: Vec<u8> = (0..(SAMPLES * CHANNELS * STEPS) as u64).map(spike).collect();
@@ -100,7 +100,7 @@ fn write_array(folder: &Path, name: &str, shape: [usize; 3], bytes: &[u8]) {
 
 const WEIGHTS: [f64; 12] = [0.5, -0.25, 0.125, 0.25, -0.5, 0.75, 0.25, -0.125, 0.25, 0.5, -0.75, 0.125];
 
-/// A NIR file: an input, weights, and this node as its output.
+/// A NIR file of an input, weights, and this node as its output.
 fn write_nir(folder: &Path, node: Option<(&str, &[(&str, f64)])>) {
     let weights = typed("Linear").with("weight", Numbers::f64(&[3, CHANNELS], &WEIGHTS));
     let input = typed("Input").with("shape", ints(&[CHANNELS as i64]));
@@ -142,7 +142,7 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
     for (node, output, decision, name) in [
         (Some(LEAKY), ("own", 0), ReadOut::GreatestV, "greatest_v"),
         (Some(integrator), ("own", 0), ReadOut::LastV, "last_v"),
-        // A layer after the first: a step more, from step 1 on.
+        // A second layer: one more step, from step 1 on.
         (None, ("output", 1), ReadOut::SumOfV, "sum_of_v"),
     ] {
         write_nir(folder, node);
@@ -153,7 +153,7 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
         assert_eq!((&run["decision"], &run["undecided"]), (&name.into(), &1.into()));
         assert_eq!(predicted(&run), by_probe(folder, "m.ron", output, decision), "{name}");
         assert!(predicted(&run)[..SAMPLES - 1].iter().all(Option::is_some), "{run}");
-        // Nothing advises to make it spike, and a sample without input is no reason to warn.
+        // No message suggests making it spike, and a sample without input causes no warning.
         assert_eq!(run["warnings"], Value::Array(Vec::new()), "{name}");
         for engine in ["golden", "reference", "fast --early-exit certain", "fast --neurobench"] {
             let other = object(folder, &format!("run m.ron --input in.npy --engine {engine}"), 0);
@@ -162,7 +162,7 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
         let agree = object(folder, "agree m.ron --input in.npy --require-class-agreement 1", 0);
         assert_eq!((&agree["compared"], &agree["class_agreement"]), (&5.into(), &1.0.into()), "{name}");
         assert_eq!(agree["attribution"][0]["class_agreement"], 1.0, "{name}");
-        // What the import chose, its option and the model's field decide otherwise.
+        // The option of the import and the model's field change the decision that the import chose.
         for other in ["greatest_v", "sum_of_v", "last_v"] {
             object(folder, &format!("import net.nir --dt 1 --decision {other} -o other.ron --force"), 0);
             let run = object(folder, "run other.ron --input in.npy", 0);
@@ -171,7 +171,7 @@ fn an_output_that_never_spikes_is_read_out_by_its_potential() {
             let set = object(folder, &format!("run m.ron --input in.npy --set decision={read_out:?}"), 0);
             assert_eq!((&set["predicted"], &set["decision"]), (&run["predicted"], &other.into()), "{name} by {other}");
         }
-        // An exported file gives it back.
+        // An exported file preserves it.
         assert_eq!(nsim(folder, "export m.ron -o back.nir --force").0, 0);
         assert_eq!(object(folder, "run back.nir --input in.npy", 0)["decision"], name);
     }
@@ -186,7 +186,7 @@ fn samples_without_a_decision_are_no_agreement() {
     object(folder, "import net.nir --dt 1 --decision spikes -o silent.ron", 0);
     let run = object(folder, "run silent.ron --input in.npy", 0);
     assert_eq!((&run["undecided"], &run["decision"]), (&SAMPLES.into(), &"spikes".into()));
-    // The remedy that is printed decides every sample with input.
+    // The suggested remedy decides every sample with input.
     let message = run["warnings"][0]["message"].as_str().unwrap();
     assert!(message.contains("--set decision=GreatestV"), "{message}");
     let remedied = object(folder, "run silent.ron --input in.npy --set decision=GreatestV", 0);
@@ -197,7 +197,7 @@ fn samples_without_a_decision_are_no_agreement() {
     assert_eq!(code, 0);
     let in_one_line = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
     assert!(in_one_line(&text).contains("not compared: 6 neither decides"), "{text}");
-    // Two networks, each by its own decision.
+    // Two networks, each with its own decision.
     object(folder, "import net.nir --dt 1 -o decided.ron", 0);
     let line = "agree decided.ron --input in.npy --against silent.ron";
     assert_eq!(object(folder, line, 0)["compared"], 0);
@@ -207,7 +207,7 @@ fn samples_without_a_decision_are_no_agreement() {
     let both = object(folder, &several, 1);
     assert_eq!(both["networks"][0]["compared"], 0);
     assert_eq!((&both["networks"][1]["compared"], &both["networks"][1]["class_agreement"]), (&5.into(), &1.0.into()));
-    // A network in which nothing reaches the output still has its warning.
+    // A network whose output receives nothing still has its warning.
     let nothing = "run decided.ron --input scene:noise?samples=1&steps=20&rate=0";
     let run = object(folder, nothing, 0);
     assert_eq!(run["warnings"][0]["code"], "silent-output");
@@ -236,7 +236,7 @@ fn a_conversion_keeps_what_decides() {
     assert!(same >= SAMPLES - 1, "{trained} {converted}");
 }
 
-/// The share of the voltage that a step takes away, which no number of 4096ths is.
+/// Fraction of the voltage lost in a step, which is no multiple of 1/4096.
 const FRACTION: f64 = 1.0 / 7.3;
 /// Units of the layers of [`layered`].
 const SIZES: [usize; 4] = [CHANNELS, 5, 6, 3];
@@ -247,8 +247,8 @@ fn weights(from: usize, to: usize) -> Vec<f64> {
     (0..count as u64).map(|i| 1.5 * rng::unit(9, (8 * from + to) as u64, i) - 0.45).collect()
 }
 
-/// A file of three layers of LIF neurons with a leak potential, and these ways: (from, to), 0 for
-/// the input.
+/// A file of three layers of LIF neurons with a leak potential, and projections (from, to), where 0
+/// is the input.
 fn write_layered(folder: &Path, ways: &[(usize, usize)]) {
     let names = ["in", "a", "b", "c"];
     let shaped = |kind, n: usize| typed(kind).with("shape", ints(&[n as i64]));
@@ -266,8 +266,8 @@ fn write_layered(folder: &Path, ways: &[(usize, usize)]) {
     std::fs::write(folder.join("net.nir"), hdf5::write(&root).unwrap()).unwrap();
 }
 
-/// The output's spike counts of each sample as a tool counts them whose layers all answer in one
-/// step, a loop in the next.
+/// The output's spike counts of each sample in a tool whose layers all respond in one step, and
+/// whose loops take effect in the next.
 fn counted(input: &common::Array, ways: &[(usize, usize)]) -> Vec<Vec<u64>> {
     let sample = |sample: usize| {
         let mut v: Vec<Vec<f64>> = SIZES.iter().map(|&n| vec![0.0; n]).collect();
@@ -314,7 +314,7 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
         let counts: Vec<Vec<u64>> = serde_json::from_value(run["output_counts"].clone()).unwrap();
         assert_eq!(counts, counted(&input, &ways), "{ways:?}");
         assert!(counts.iter().flatten().sum::<u64>() > 30, "{counts:?}");
-        // Two layers after the first: two steps more, counted everywhere and printed.
+        // Two layers after the first: two more steps, counted everywhere and printed.
         let steps = (SAMPLES * (STEPS + 2)) as u64;
         assert_eq!((&run["drain"], &run["timesteps"]), (&2.into(), &steps.into()), "{ways:?}");
         let mapped = object(folder, "run m.ron --input in.npy", 0);
@@ -324,11 +324,11 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
             (&steps.into(), &updates.into())
         );
         assert!(nsim(folder, "run m.ron --input in.npy").1.contains("of each sample 2 after its last input step"));
-        // Without them the last answers are missing, or the layers differ in time.
+        // Without them the last responses are missing, or the layers differ in time.
         let cut = object(folder, "run m.ron --input in.npy --engine reference --set drain=0", 0);
         assert_ne!(cut["output_counts"], run["output_counts"], "{ways:?}");
-        // Trained means as the file says: the decays are rounded on the chip alone, and the stages
-        // say so.
+        // The trained network has the file's semantics: the decays are rounded on the chip alone,
+        // and the stages report this.
         let agree = object(folder, "agree m.ron --input in.npy", 0);
         let causes: Vec<&str> =
             agree["attribution"].as_array().unwrap().iter().map(|c| c["cause"].as_str().unwrap()).collect();
@@ -336,7 +336,7 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
     }
 }
 
-/// What `agree` says of the first cause, and the words of the command that it prints.
+/// The first cause that `agree` reports, and the words of its suggested command.
 fn first_cause(agree: &Value) -> (String, Vec<String>) {
     let cause = agree["attribution"][0]["cause"].as_str().unwrap().to_string();
     let command = agree["next"]["command"].as_str().unwrap_or_default();
@@ -350,7 +350,7 @@ fn first_cause(agree: &Value) -> (String, Vec<String>) {
 fn layers_that_answer_late_are_told_from_rounded_weights() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();
-    // Samples of a few steps end before the third layer has answered.
+    // Samples of a few steps end before the third layer has responded.
     let spikes = (0..24 * CHANNELS as u64 * 9).map(|i| u8::from(rng::below(3, 8, i, 0) == 0));
     write_array(folder, "in.npy", [24, CHANNELS, 9], &spikes.collect::<Vec<u8>>());
     let chain = [(0, 1), (1, 2), (2, 3)];
@@ -358,7 +358,7 @@ fn layers_that_answer_late_are_told_from_rounded_weights() {
         let ways = [&chain[..], more].concat();
         write_layered(folder, &ways);
         object(folder, "import net.nir -o m.ron --force", 0);
-        // As it is written for the chip: every layer from the first step on, no step at the end.
+        // The model as for the chip: every layer from the first step on, no step at the end.
         let text = std::fs::read_to_string(folder.join("m.ron")).unwrap();
         let plain = text.lines().filter(|line| !line.trim_start().starts_with("provenance"));
         let plain: String = plain.map(|line| format!("{line}\n")).collect();
@@ -374,7 +374,7 @@ fn layers_that_answer_late_are_told_from_rounded_weights() {
         assert_eq!(agree["next"]["cause"], "pipeline-delay", "{ways:?}: {agree:#}");
         let (_, text, _) = nsim(folder, steps);
         assert!(text.contains("Classes agree in") && text.contains("without pipeline delay"), "{text}");
-        // The command gives the network what import gives it.
+        // The command makes the changes that import makes.
         let line = words.join(" ");
         assert!(line.starts_with("agree chip.ron --input") && line.contains("--set drain=2"), "{line}");
         let mended = object(folder, &line.replace('\'', ""), 0);
@@ -387,7 +387,7 @@ fn layers_that_answer_late_are_told_from_rounded_weights() {
         let sets = line.split(" --set ").skip(1).map(|set| format!(" --set {set}")).collect::<String>();
         let chip = object(folder, &format!("run chip.ron --input in.npy --engine reference{sets}"), 0);
         assert_eq!(chip["output_counts"], imported["output_counts"], "{ways:?}");
-        // Nothing is lost to it where import did what is needed.
+        // An import with these changes loses nothing to the pipeline.
         assert_ne!(first_cause(&object(folder, "agree m.ron --input in.npy", 0)).0, "pipeline-delay");
     }
 }
@@ -402,7 +402,7 @@ fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
     let (code, _, stderr) = nsim(folder, "convert m.ron --input in.npy --fine-tune 1");
     assert!(code == 3 && stderr.contains("its potentials decide"), "{code}: {stderr}");
     assert!(stderr.contains("nsim train, with the loss Potential"), "{stderr}");
-    // An imported network is refused before it is converted, and nothing advises to fine-tune it.
+    // An imported network is refused before its conversion, and no message suggests fine-tuning it.
     write_layered(folder, &[(0, 1), (1, 2), (2, 3)]);
     let (code, _, stderr) = nsim(folder, "convert net.nir --input in.npy --fine-tune 1");
     assert!(code == 3 && stderr.contains("not spike response neurons"), "{code}: {stderr}");
@@ -434,8 +434,7 @@ fn public_cases_have_the_classes_of_their_potentials() {
         let column: Vec<Option<u32>> = column(place);
         object(folder.path(), &format!("import net.nir --decision {decision} -o m.ron --force"), 0);
         for engine in ["fast", "golden", "reference"] {
-            // They are those of the chip's steps, without the one that the second layer answers
-            // later.
+            // The potentials are of the chip's steps, without the extra step of the second layer.
             let line = format!("run m.ron --input in=in.npy --set drain=0 --engine {engine}");
             let run = object(folder.path(), &line, 0);
             assert_eq!(predicted(&run), column, "{decision}, {engine}");

@@ -1,4 +1,4 @@
-//! Recordings and arrays that other programs wrote, read as what their descriptions say they hold.
+//! Recordings and arrays of other programs, read with the contents that their descriptions state.
 
 use crate::common;
 use std::collections::{BTreeMap, BTreeSet};
@@ -31,13 +31,13 @@ fn three_hundred_container_recordings() {
         }
         all.extend(samples);
     }
-    // The description's figures: 2,564 spikes a sample, 1,098 to 5,683, mean density 0.101.
+    // Figures of the description: 2,564 spikes a sample, 1,098 to 5,683, mean density 0.101.
     let counts: Vec<usize> = all.iter().map(|sample| sample.events.len()).collect();
     assert_eq!((counts.iter().min(), counts.iter().max()), (Some(&1098), Some(&5683)));
     assert_eq!(spikes(&all) / 300, 2564);
     let density = spikes(&all) as f64 / (300.0 * 78.0 * 325.0);
     assert!((density - 0.101).abs() < 5e-4, "{density}");
-    // In order of the numbers, not of the names: sample 2 comes before sample 10.
+    // Samples are in numeric order: sample 2 comes before sample 10.
     let listed = list_folder(&data.join("test")).unwrap();
     assert_eq!(listed.iter().map(|entry| entry.0).collect::<Vec<_>>(), (0..60).collect::<Vec<_>>());
     let error = read_source(&data, 78).unwrap_err();
@@ -56,7 +56,7 @@ fn one_recording_and_ten() {
     let vision = read_source(&random.join("vision.npy"), 3150).unwrap();
     let rate = spikes(&vision) as f64 / (10.0 * 3150.0 * 150.0);
     assert!((rate - 0.01).abs() < 2e-4, "{rate}");
-    // The array of counts was made from the array of spikes by another program.
+    // Another program made the array of counts from the array of spikes.
     let counts = npy::read(&random.join("output_counts.npy")).unwrap();
     let output = read_source(&random.join("output_spikes.npy"), 2).unwrap();
     let mut own = Vec::new();
@@ -68,7 +68,7 @@ fn one_recording_and_ten() {
     assert!(error.message.contains("10 samples 156 in each"), "{error}");
 }
 
-/// A recording, the options that it is read with, and what is changed of it for each field of
+/// A recording, the options of its reader, and a changed recording for each field of
 /// `tests/files/fields.md`.
 struct Format {
     name: &'static str,
@@ -78,7 +78,7 @@ struct Format {
     fields: Vec<(&'static str, Vec<u8>)>,
 }
 
-/// Bytes with others from a place on.
+/// The bytes with new ones from a position on.
 fn with(bytes: &[u8], at: usize, new: &[u8]) -> Vec<u8> {
     let mut bytes = bytes.to_vec();
     bytes[at..at + new.len()].copy_from_slice(new);
@@ -94,7 +94,7 @@ fn words<const N: usize>(header: &str, words: &[[u8; N]]) -> Vec<u8> {
     [header.as_bytes(), &words.concat()].concat()
 }
 
-/// An archive of these files.
+/// A zip archive of these files.
 pub fn npz(files: &[(&str, &[u8])]) -> Vec<u8> {
     let mut zip = zip::ZipWriter::new(std::io::Cursor::new(Vec::new()));
     for (name, bytes) in files {
@@ -321,7 +321,7 @@ fn formats() -> Vec<Format> {
         bytes
     };
     let zipped = npz(&[("spikes.npy", &usual), ("y.npy", &labels(1)), ("more.npy", &silent)]);
-    // The method of compression stands before each array and in the list after them.
+    // The compression method is in the header of each array and in the central list.
     let mut bzip2 = zipped.clone();
     for (mark, method) in [(*b"PK\x03\x04", 8), (*b"PK\x01\x02", 10)] {
         let places: Vec<usize> = (0..bzip2.len() - 4).filter(|&at| bzip2[at..at + 4] == mark).collect();
@@ -377,7 +377,7 @@ fn formats() -> Vec<Format> {
     formats
 }
 
-/// Another value of a field changes what is read, or is refused; and one without meaning changes
+/// Another value of a field changes the result or is refused; a field without meaning changes
 /// nothing.
 #[test]
 fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
@@ -452,14 +452,14 @@ fn the_unit_of_times_is_named_or_asked_for() {
     for (unit, unit_us) in [("s", 1e6), ("ms", 1e3), ("ns", 1e-3)] {
         let error = read_text(&rows("t", unit_us), "").unwrap_err();
         assert_eq!(error.code, "input.unit", "{unit}: {error}");
-        // Both remedies that it names.
+        // Both remedies in the message.
         let help = error.help.unwrap();
         assert!(help.contains(&format!("t_{unit}")) && help.contains("?unit="), "{help}");
         assert_eq!(read_text(&rows(&format!("t_{unit}"), unit_us), "").unwrap(), right, "{unit}");
         assert_eq!(read_text(&rows("timestamp", unit_us), &format!("unit={unit}")).unwrap(), right, "{unit}");
         assert_eq!(read_text(&rows("t_us", 1.0), &format!("unit={unit}")).unwrap_err().code, "input.option");
     }
-    // Whole milliseconds, within a timestep if they were microseconds.
+    // Whole milliseconds, which would all be within a timestep if they were microseconds.
     let error = read_text("time,x,y\n1,1,1\n2,1,1\n9,1,1\n", "").unwrap_err();
     assert!(error.code == "input.unit" && error.message.contains("3 events in 0.008 ms"), "{error}");
     assert_eq!(read_bytes("a.bin", &[0; 5], "unit=s").unwrap_err().code, "input.option");
@@ -500,12 +500,12 @@ fn clocks_step_back_and_turn_as_their_formats_say() {
         let (events, counts) = read_bytes("a.raw", bytes, "size=16,16&start_ms=0").unwrap();
         (events.iter().map(|event| event.0).collect::<Vec<_>>(), counts.clock_turns, counts.disordered)
     };
-    // A low half that is 5 us less stays as written; a fall over half the range is a high half that
-    // was omitted.
+    // A low half that is lower by 5 us stays as written; a drop over half the range means an
+    // omitted high half.
     assert_eq!(steps(&evt3(&[0x8001, 0x6400, 1, 0x2801, 0x63fb, 0x2802])), (vec![5, 5], 0, 1));
     assert_eq!(steps(&evt3(&[0x8001, 0x6fff, 1, 0x2801, 0x6000, 0x2802])), (vec![8, 8], 1, 0));
     assert_eq!(steps(&evt3(&[0x8fff, 0x6fff, 0x8000, 0x6000, 1, 0x2802])), (vec![16_777], 1, 0));
-    // A step back over a turn is undone: 4 ms back and forth, and no second turn.
+    // A step back over a wrap is undone: 4 ms back and forth, and no second wrap.
     let over = [0x8fff, 0x6ff8, 1, 0x2801, 0x8000, 0x2802, 0x8fff, 0x6ffa, 0x2803, 0x8000, 0x6001, 0x2804];
     let (events, counts) = read_bytes("a.raw", &evt3(&over), "size=16,16&start_ms=0&bin_ms=10000").unwrap();
     assert_eq!(events.iter().map(|event| event.0).collect::<BTreeSet<_>>(), [1].into());
@@ -518,7 +518,7 @@ fn clocks_step_back_and_turn_as_their_formats_say() {
     assert_eq!(counts.span_us, Some((i64::from(u32::MAX) - 5, (1 << 32) + 9)));
     let (_, counts) = read_bytes("a.raw", &evt3(&[1, 0x2801, 0x8001, 0x2801]), "").unwrap();
     assert_eq!((counts.events, counts.dropped), (2, 1), "before any time");
-    // Data may begin as a header line does, but for the space.
+    // Data may begin like a header line, except for the space.
     let (events, _) = read_bytes("a.raw", &evt3(&[0x8025, 0x2801]), "").unwrap();
     assert_eq!(events.len(), 1);
     let (marked, counts) = read_bytes("a.bin", &[1, 1, 0, 0, 0, 0, 240, 0, 0, 0, 1, 1, 0, 0, 0], "").unwrap();
@@ -558,7 +558,7 @@ fn events_in_hdf5_are_refused_by_their_names() {
     for (tree, name) in [(metavision, "Metavision"), (dsec, "DSEC")] {
         let error = hdf5::tree(Path::new("a.h5"), hdf5::write(&tree).unwrap()).unwrap_err();
         assert!(error.code == "hdf5.events" && error.message.contains(name) && error.help.is_some(), "{error}");
-        // A file that is too large to be read is named as well.
+        // The message also names a file that is too large.
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("large.h5");
         std::fs::write(&path, hdf5::write(&tree).unwrap()).unwrap();

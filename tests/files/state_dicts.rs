@@ -1,8 +1,7 @@
-//! State dicts of PyTorch: each family of names gives the network that the equations of its tool
-//! give.
+//! State dicts of PyTorch: each family of names gives the network of its tool's equations.
 //!
-//! The pickles are written by hand, as torch's `serialization.py` does; the sums are computed here,
-//! without any of nsim.
+//! The pickles are written by hand, as torch's `serialization.py` does; the expected sums are
+//! computed here, without any code of nsim.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -28,14 +27,14 @@ fn import(entries: &[Entry], options: &Options) -> Result<Imported, Diagnostic> 
     Ok(imported)
 }
 
-/// Options with a neuron of this text.
+/// Options with a neuron of this YAML text.
 fn neuron(folder: &tempfile::TempDir, text: &str) -> Options {
     let path: PathBuf = folder.path().join(format!("{}.yml", folder.path().read_dir().unwrap().count()));
     std::fs::write(&path, format!("neuron: {{{text}}}\n")).unwrap();
     Options { neuron: Some(path), ..Options::default() }
 }
 
-/// `[target][source]` times spikes.
+/// Sums of `[target][source]` weights over the spikes.
 fn times(weights: &[f32], spikes: &[bool]) -> Vec<f64> {
     weights
         .chunks(spikes.len())
@@ -43,8 +42,8 @@ fn times(weights: &[f32], spikes: &[bool]) -> Vec<f64> {
         .collect()
 }
 
-/// snnTorch's rules for one layer: `alpha` of 0 has no current, `own` weights reach the layer a
-/// step later.
+/// snnTorch's rules for one layer. An `alpha` of 0 means no current; `own` weights reach the layer
+/// a step later.
 struct Snn {
     units: usize,
     alpha: f64,
@@ -64,7 +63,7 @@ impl Snn {
                 syn[i] = self.alpha * syn[i] + current[i] + back[i];
                 mem[i] = match self.subtracts {
                     true => self.beta * mem[i] + syn[i] - reset * self.threshold,
-                    // snnTorch 1.0.0: `_base_zero` of Leaky, and that of the other neurons.
+                    // snnTorch 1.0.0: `_base_zero` of Leaky, and `_base_zero` of the other neurons.
                     false if self.alpha == 0.0 && self.own.is_empty() => self.beta * mem[i] * (1.0 - reset) + syn[i],
                     false => (self.beta * mem[i] + syn[i]) * (1.0 - reset),
                 };
@@ -76,7 +75,7 @@ impl Snn {
     }
 }
 
-/// The currents that a layer of weights and biases makes of spikes.
+/// The currents of a layer with weights and biases, from spikes.
 fn currents(weights: &[f32], bias: &[f32], spikes: &[Vec<bool>]) -> Vec<Vec<f64>> {
     let row = |spikes: &Vec<bool>| {
         let sums = times(weights, spikes).into_iter().enumerate();
@@ -89,7 +88,7 @@ fn given(channels: usize) -> Vec<Vec<bool>> {
     (0..STEPS).map(|step| (0..channels).map(|c| input(step, c)).collect()).collect()
 }
 
-/// A layer of snnTorch as a state dict has it.
+/// A layer of snnTorch in the form of a state dict.
 fn leaky(name: [&'static str; 4], beta: f32, threshold: f32, reset: f32) -> Vec<Entry> {
     name.into_iter().zip([threshold, 1.0, reset, beta]).map(|(name, number)| (name, vec![], vec![number])).collect()
 }
@@ -119,7 +118,7 @@ fn snntorch_gives_what_its_rules_give_with_both_resets_and_biases() {
         let out = layer(3, 0.5, 0.75).run(&currents(&second, &[], &later));
         assert!(total(&out) > 10);
         assert_eq!(spikes(&imported.model, "lif2", 5), out, "subtracts: {subtracts}");
-        // The file says how it resets: what contradicts it is refused.
+        // The file states its reset, so a contradicting option is refused.
         let other = if subtracts { ResetMode::Zero } else { ResetMode::SubtractLater };
         let error = import(&entries, &Options { reset: Some(other), ..Options::default() }).unwrap_err();
         assert_eq!(error.code, "import.option", "{error}");
@@ -155,7 +154,7 @@ fn a_description_stands_for_neurons_that_the_file_lacks() {
     let folder = tempfile::tempdir().unwrap();
     let weights = noise(4 * 5, 21);
     let entries: Vec<Entry> = vec![("0.weight", vec![4, 5], weights.clone())];
-    // Without one, and with one of integers: refused, with a remedy that is tried here.
+    // No neuron, and a neuron of integers, are refused with a remedy, which is tried here.
     assert_eq!(import(&entries, &Options::default()).unwrap_err().code, "import.option");
     let integers = neuron(&folder, "type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024");
     let error = import(&entries, &integers).unwrap_err();
@@ -174,7 +173,7 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
     let (weights, own) = (noise(5 * 5, 31), noise(25, 32));
     let entries: Vec<Entry> =
         vec![("l.input_weights", vec![5, 5], weights.clone()), ("l.recurrent_weights", vec![5, 5], own.clone())];
-    // Shares of 1/4 and 1/8 in a step of 1 ms.
+    // Fractions of 1/4 and 1/8 in a step of 1 ms.
     let options = neuron(&folder, "type: LIF, tau_syn_inv: 250, tau_mem_inv: 125, v_th: 0.25, v_leak: 0.125");
     let imported = import(&entries, &options).unwrap();
     let (mut v, mut current, mut z) = (vec![0.0f64; 5], vec![0.0f64; 5], vec![false; 5]);
@@ -194,7 +193,7 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
     assert!(total(&right) > 20, "{}", total(&right));
     assert_eq!(spikes(&imported.model, "l", 5), right);
     assert!(imported.notes.iter().any(|note| note.contains("v_leak")), "{:?}", imported.notes);
-    // A neuron that rests where it resets is one that rests at 0.
+    // A neuron whose rest and reset are equal equals one with both at 0.
     let shifted =
         neuron(&folder, "type: LIF, tau_syn_inv: 250, tau_mem_inv: 125, v_th: -50, v_leak: -65, v_reset: -65");
     let plain = neuron(&folder, "type: LIF, tau_syn_inv: 250, tau_mem_inv: 125, v_th: 15");
@@ -202,8 +201,8 @@ fn norse_gives_what_its_steps_give_recurrent_weights_included() {
     assert_eq!(shifted, plain);
 }
 
-/// `NSIM_PEERS` names a Python with the tools (`tests/check_peers.py` says which); without one this
-/// is skipped.
+/// `NSIM_PEERS` names a Python with the tools listed in `tests/check_peers.py`; without one this is
+/// skipped.
 #[test]
 fn the_tools_themselves_give_the_same_spikes_and_classes() {
     let Some(python) = std::env::var_os("NSIM_PEERS") else {
@@ -241,8 +240,8 @@ fn lava_dl_counts_in_64ths_with_the_decays_of_the_file() {
     let line = &imported.layers[0];
     assert_eq!((line.scale, line.shape.clone()), (64.0, vec![2, 3]));
     assert!((line.zeroed - 1.0 / 6.0).abs() < 1e-12 && (line.greatest_error - (9.0 - 254.0 / 64.0)).abs() < 1e-12);
-    // A config of SLAYER gives the threshold, the file the decays; without the file's, the config
-    // has to.
+    // A SLAYER config gives the threshold, the file the decays; if the file has none, the config
+    // must.
     let slayer = neuron(&folder, "type: LOIHI, vThMant: 80, vDecay: 5, iDecay: 6, refDelay: 1");
     let with_slayer = import(&entries, &slayer).unwrap();
     assert_eq!(with_slayer.model.populations, imported.model.populations);
@@ -284,7 +283,7 @@ fn weight_norm_is_multiplied_out_in_both_namings() {
         let imported = import(&entries, &options).unwrap();
         assert_eq!(dense_weights(&imported, 0), right);
         assert_eq!(imported.model.output, "fc1");
-        // One length for the whole matrix, and lengths of columns.
+        // One norm for the whole matrix, and norms of columns.
         let whole: Vec<Entry> = vec![(names[0], vec![], vec![27.856_777]), (names[1], vec![2, 2], directions.clone())];
         assert_eq!(dense_weights(&import(&whole, &options).unwrap(), 0), [6.0, -8.0, 10.0, 24.0]);
         let missing = import(&entries[1..], &options).unwrap_err();
@@ -309,14 +308,14 @@ fn a_kernel_over_all_of_its_input_is_a_dense_layer() {
         other => panic!("{other:?}"),
     };
     assert_eq!(shape(&imported.model.projections[0].kind), [6, 24]);
-    // Alone it can be either: the shape of the input decides, as the message says.
+    // A single layer may be either: the shape of the input decides, and the message names it.
     let error = import(std::slice::from_ref(&image), &options).unwrap_err();
     assert!(error.code == "import.option" && error.help.unwrap().contains("--input-shape 2,3,4"));
     let shaped = Options { input_shape: Some(vec![2, 3, 4]), ..options.clone() };
     let alone = import(std::slice::from_ref(&image), &shaped).unwrap();
     assert_eq!(alone.model.populations[0].shape, [2, 3, 4]);
     assert_eq!(dense_weights(&alone, 0), as_it_is);
-    // A larger input is one that it slides over.
+    // A larger input makes it a convolution.
     let larger = Options { input_shape: Some(vec![2, 8, 8]), ..options.clone() };
     assert_eq!(import(&[image.clone(), next], &larger).unwrap_err().code, "import.unsupported");
     let kernels: Entry = ("fc2.weight", vec![3, 6, 2, 2, 1], vec![8.0; 72]);
@@ -345,12 +344,12 @@ fn what_the_network_may_depend_on_is_used_or_refused() {
         let said = format!("{} {}", error.message, error.help.unwrap_or_default());
         assert!(said.contains(says), "{}: {said}", entry.0);
     }
-    // Small weights next to large ones may vanish, all of them may not.
+    // Some small weights may round to zero next to large ones; all of them may not.
     let sparse: Entry = ("fc1.weight", vec![1, 4], vec![0.1, -0.2, 0.3, 90.0]);
     assert!((import(&[sparse], &loihi).unwrap().layers[0].zeroed - 0.75).abs() < 1e-12);
     let lost: Entry = ("fc1.weight", vec![1, 4], vec![0.1, -0.2, 0.9, 1.1]);
     assert_eq!(import(&[lost], &loihi).unwrap_err().code, "import.slayer");
-    // snnTorch: graded spikes and no reset have no counterpart, and the file's neurons are not
+    // snnTorch: graded spikes and no reset are unsupported, and the file's neurons are not
     // described twice.
     let layer = |change: usize, value: f32| {
         let mut entries: Vec<Entry> = vec![("fc1.weight", vec![1, 1], vec![1.0])];
@@ -363,7 +362,7 @@ fn what_the_network_may_depend_on_is_used_or_refused() {
         assert_eq!(import(&layer(change, value), &Options::default()).unwrap_err().code, "import.state-dict");
     }
     assert_eq!(import(&layer(1, 1.0), &loihi).unwrap_err().code, "import.option");
-    // Every parameter that is read changes the model.
+    // Every imported parameter changes the model.
     let plain = import(&layer(1, 1.0), &Options::default()).unwrap().model;
     for (change, value) in [(0, 0.5), (1, 0.5), (3, 1.0), (4, 0.25)] {
         assert_ne!(import(&layer(change, value), &Options::default()).unwrap().model, plain, "{change}");
@@ -385,18 +384,18 @@ fn a_note_says_in_what_order_layers_were_taken() {
     assert!(assumed.contains(": fc1 -> lif1 (Leaky) -> fc2 -> b (Synaptic);"), "{assumed}");
     assert!(["forward()", "inhibition", "reset_delay", "nsim.from_torch"].iter().all(|word| assumed.contains(word)));
     assert!(imported.notes.contains(&assumed));
-    // A network that is loaded keeps it.
+    // A loaded network keeps the assumption.
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("net.pt");
     std::fs::write(&path, checkpoint(&entries)).unwrap();
     let network = nsim::load_model(path.to_str().unwrap()).unwrap();
     assert_eq!(network.conventions().assumed.as_ref(), Some(&assumed));
     assert_eq!(network.conventions().notes, imported.notes);
-    // A command says it once.
+    // A command prints it once.
     let map = std::process::Command::new(env!("CARGO_BIN_EXE_nsim")).arg("map").arg(&path).output().unwrap();
     let stderr = String::from_utf8_lossy(&map.stderr);
     assert!(map.status.success() && stderr.matches(&assumed).count() == 1, "{stderr}");
-    // Of integers, and of neurons that a user describes.
+    // The neurons are integers, or described by the user.
     for text in ["type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024", "type: Leaky, beta: 0.75"] {
         let dense = |name| (name, vec![2, 2], vec![20.0; 4]);
         let imported = import(&[dense("a.weight"), dense("b.weight")], &neuron(&folder, text)).unwrap();
@@ -419,7 +418,7 @@ fn neurons_that_a_state_dict_cannot_tell_or_that_are_not_read_are_refused() {
         assert!(words.iter().all(|word| said.contains(word)), "{said}");
         assert!(said.contains("nsim.from_torch(net, sample)") && !said.contains("del state"), "{said}");
     };
-    // Alpha requires alpha above beta, and has the names of Synaptic; a recurrent layer is none.
+    // Alpha requires alpha above beta, and has Synaptic's names; a recurrent layer is none.
     refused(&[("lif1.alpha", vec![], vec![0.875])], &["Synaptic", "Alpha"]);
     refused(&[("lif1.alpha", vec![2], vec![0.875, 0.8125])], &["Synaptic", "Alpha"]);
     let mut entries: Vec<Entry> = vec![("fc1.weight", vec![2, 2], vec![1.0; 4])];
@@ -429,12 +428,12 @@ fn neurons_that_a_state_dict_cannot_tell_or_that_are_not_read_are_refused() {
     entries.pop();
     entries.extend([("lif1.alpha", vec![], vec![0.875]), ("lif1.recurrent.weight", vec![2, 2], vec![0.5; 4])]);
     import(&entries, &Options::default()).unwrap();
-    // Every tensor of Lapicque, alone too.
+    // Every tensor of Lapicque, also alone.
     for name in ["lif1.time_step", "lif1.R", "lif1.C"] {
         refused(&[(name, vec![], vec![1.0])], &[name, "Lapicque"]);
     }
     refused(&[("lif1.tau", vec![], vec![1.0])], &["lif1.tau", "StateLeaky"]);
     refused(&[("lif1.other", vec![], vec![1.0])], &["lif1.other", "another kind"]);
-    // Two layers with the neurons of one.
+    // Two layers with the neurons of a single one.
     refused(&[("fc2.weight", vec![2, 2], vec![1.0; 4])], &["fc1, fc2", "share neurons"]);
 }

@@ -1,4 +1,4 @@
-//! Trees of files that other tools write.
+//! Trees of files in the form of other tools.
 
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 
@@ -20,7 +20,7 @@ pub fn reals(x: &[f64]) -> Numbers {
     Numbers::f64(&[x.len()], x)
 }
 
-/// A node with these reals for each of its units.
+/// A node with one real value of each field for all of its units.
 pub fn node(kind: &str, axes: &[usize], fields: &[(&str, f64)]) -> Group {
     let all = |value: f64| Numbers::f64(axes, &vec![value; axes.iter().product()]);
     fields.iter().fold(typed(kind), |node, (key, value)| node.with(key, all(*value)))

@@ -1,8 +1,7 @@
-//! Inputs and surroundings that used to break the command line: it answers with a status of its
-//! contract, in bounded time and memory. Every run is a process of its own with 3 GB of address
-//! space.
+//! Inputs and environments that used to break the command line. It ends with a documented status,
+//! in bounded time and memory. Every run is a process of its own with 3 GB of address space.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 #![cfg(unix)]
 
@@ -37,14 +36,14 @@ impl Place {
         std::fs::write(self.path(name), content).unwrap();
     }
 
-    /// Runs a line of a shell in which `nsim` is the program.
+    /// Runs a shell line in which `nsim` is the program.
     fn run(&self, line: &str) -> Output {
         let program = assert_cmd::cargo::cargo_bin("nsim");
         let script = format!("ulimit -v 3000000; program={}; nsim() {{ $program \"$@\"; }}; {line}", program.display());
         Command::new("bash").args(["-c", &script]).current_dir(self.0.path()).stdin(Stdio::null()).output().unwrap()
     }
 
-    /// Runs it and checks how it ends, and that it does not panic.
+    /// Runs a line, and checks its exit status and that it does not panic.
     fn ends(&self, line: &str, statuses: &[i32]) -> Output {
         let output = self.run(line);
         let err = String::from_utf8_lossy(&output.stderr).into_owned();
@@ -54,7 +53,7 @@ impl Place {
         output
     }
 
-    /// The object that it prints.
+    /// The JSON object that a line prints.
     fn object(&self, line: &str, status: i32) -> Value {
         let output = self.ends(&format!("{line} --format json"), &[status]);
         serde_json::from_slice(&output.stdout).unwrap_or_else(|e| panic!("{line}: {e}"))
@@ -66,7 +65,7 @@ fn model_with(old: &str, new: &str) -> String {
     MODEL.replace(old, new)
 }
 
-/// The kinds of pictures that this build draws.
+/// Formats of pictures in this build.
 const PICTURES: [&str; if cfg!(feature = "pictures") { 3 } else { 1 }] =
     *["svg", "png", "pdf"].first_chunk().expect("there are three");
 
@@ -179,7 +178,7 @@ fn a_row_that_names_a_far_sample_costs_nothing() {
         assert_eq!(error["code"], "input.step", "{error}");
         assert!(begin.elapsed() < Duration::from_secs(20), "{:?}", begin.elapsed());
     }
-    // Files that are short, and together too long.
+    // Short files that are too long together.
     std::fs::create_dir(place.path("d")).unwrap();
     for sample in 0..9 {
         place.put(&format!("d/sample_{sample}_label_0.bs2"), [0, 0, 0, 0, 0]);
@@ -228,7 +227,7 @@ fn pipes_without_a_writer_do_not_hang() {
 fn a_path_that_changes_nothing_is_refused() {
     let place = Place::new();
     let line = format!("energy ok.ron --input '{NOISE}' --baseline");
-    // Which paths and values are refused is tested in `nsim_files::changes`.
+    // `nsim_files::changes` tests the refused paths and values.
     for (set, code) in [
         ("constants=nonsense(", "set.path"),
         ("target.=3", "set.path"),
@@ -341,7 +340,7 @@ fn a_result_that_was_changed_is_refused() {
             assert!(said.contains("error[report.result]") && said.contains("help"), "{line}: {said}");
         }
     }
-    // Layout is no part of it.
+    // The layout of the text does not matter.
     place.put("again.json", serde_json::from_str::<Value>(&good).unwrap().to_string());
     place.ends("nsim report again.json -o again.html", &[0]);
 }
@@ -360,7 +359,7 @@ fn nested_brackets_cost_nothing() {
     }
 }
 
-/// Seconds of a processor that a command takes.
+/// Processor time of a command in seconds.
 fn processor_s(place: &Place, line: &str) -> f64 {
     let output = place.ends(&format!("TIMEFORMAT='%U'; time {line} > /dev/null 2> /dev/null"), &[0]);
     let said = String::from_utf8_lossy(&output.stderr).replace(',', ".");
@@ -390,7 +389,7 @@ fn four_times_the_populations_take_about_four_times_as_long() {
     for line in ["inspect N.ron", "map N.ron", &format!("report N.ron {noise}")] {
         let [few, many] =
             ["4000", "16000"].map(|count| processor_s(&place, &format!("nsim {}", line.replace('N', count))));
-        // Without a square: 16 times as long.
+        // A quadratic cost would take 16 times as long.
         assert!(many < 8.0 * few + 1.0, "{line}: {few} s and {many} s");
     }
 }
@@ -403,8 +402,8 @@ fn a_file_beyond_its_limit_is_an_error_and_leaves_nothing() {
     assert_eq!(left, ["ok.ron"]);
 }
 
-/// A line of a shell that runs the program, sends it a signal once a file is there, and ends as it
-/// ends.
+/// A shell line that runs the program, sends it a signal once a file exists, and ends with its
+/// status.
 fn signalled(signal: &str, file: &str, arguments: &str) -> String {
     format!(
         "$program {arguments} & pid=$!; while kill -0 $pid && [ ! -e {file} ]; do sleep 0.02; done 2>/dev/null; \
@@ -464,7 +463,7 @@ fn options_that_cannot_be_met_are_refused() {
 #[test]
 fn one_process_is_enough() {
     let place = Place::new();
-    // Without the right to start threads the command runs on its own; root is never limited.
+    // Without the right to start threads the command runs on one; root is never limited.
     let program = assert_cmd::cargo::cargo_bin("nsim");
     place.ends(&format!("ulimit -u 1; exec {} run ok.ron --input '{NOISE}' --threads 4", program.display()), &[0]);
 }
@@ -484,7 +483,7 @@ fn stored_trainings_are_the_same_bytes_however_they_were_interrupted() {
         nsim::files::npy::write(&mut npy, &[4, 30], spikes).unwrap();
         place.put(&format!("d/sample_{sample}_label_{}.npy", sample % 3), npy);
     }
-    // A signal keeps the last finished epoch, and the same command goes on from there.
+    // After a signal the last finished epoch is kept, and the command resumes from it.
     let line = "train t.ron --train d --set epochs=EPOCHS --checkpoint c.st --log c.csv -o c.ron --force --format json";
     let line = line.replace("EPOCHS", "4000");
     let output = place.run(&signalled("INT", "c.st", &line));
@@ -506,7 +505,7 @@ fn stored_trainings_are_the_same_bytes_however_they_were_interrupted() {
 fn a_scene_whose_writer_was_killed_is_refused_and_made_anew() {
     let place = Place::new();
     place.ends("nsim scene slip --samples 40 --seed 1 -o s", &[0]);
-    // What a kill leaves: the marker without a lock, and no manifest.
+    // State after a kill: the marker without a lock, and no manifest.
     std::fs::remove_file(place.path("s/dataset.ron")).unwrap();
     place.put("s/.nsim-unfinished", "");
     place.ends("nsim run vtsnn-slip --input s/dataset.ron", &[3]);

@@ -1,11 +1,11 @@
-//! The whole command line on generated and mutated input: for any input it ends with a status of
-//! its contract.
+//! The whole command line on generated and mutated input: for any input it ends with a documented
+//! status.
 //!
-//! Input: the number of a case, from which files and arguments are generated. A model, a training
-//! file or a data set is made by a grammar whose numbers are often at or beyond a limit; or a
-//! stored file of any kind has bytes, digits or pieces of it changed. Output: a status of 0 to 3
-//! within a bound on time and a bound on memory, without a panic. `NSIM_FUZZ=A..B` runs other cases
-//! than the default ones; a failure names the number of its case and leaves its files.
+//! Input: the number of a case, from which files and arguments are generated. A grammar makes a
+//! model, a training file or a data set, with numbers that are often at or beyond a limit; or a
+//! stored file of any kind has bytes, digits or pieces changed. Output: a status of 0 to 3 within
+//! bounds on time and memory, without a panic. `NSIM_FUZZ=A..B` runs other cases than the default
+//! ones. A failure names its case and keeps its files.
 
 use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
@@ -18,12 +18,11 @@ use rayon::prelude::*;
 
 /// Cases of the normal tests; `.ci/nightly` runs ten times as many.
 const CASES: u64 = 1_000;
-/// What one may take of a processor, and by the clock: machines that run tests and other work
-/// are slow.
+/// Limits of processor time and of elapsed time: machines that run tests and other work are slow.
 const LONGEST: Duration = Duration::from_secs(20);
 const LONGEST_WAIT: Duration = Duration::from_secs(600);
-/// Memory that one may take: so much, this many times its input, and this many bytes a weight that
-/// its model generates from a seed.
+/// Memory limit: a constant, this multiple of the input, and this many bytes for each weight that
+/// the model generates from a seed.
 const MOST_KIB: u64 = 256 << 10;
 const MOST_TIMES: u64 = 32;
 const MOST_DRAWN: u64 = 48;
@@ -51,7 +50,7 @@ impl Draw {
         self.one(&line.split(' ').collect::<Vec<_>>())
     }
 
-    /// A number as text: mostly of a usual size, sometimes at a limit or beyond.
+    /// A number as text: mostly an ordinary one, sometimes one at a limit or beyond.
     fn number(&mut self) -> &'static str {
         let usual = "0 1 2 3 4 8 64 128 255";
         let rare = "-1 -8 1000 4096 5000 65536 1000000 100000000 4294967296 9223372036854775807 \
@@ -60,7 +59,7 @@ impl Draw {
     }
 }
 
-/// A model; its last layers are of spike response neurons when it is to be converted.
+/// A model; for a conversion its last layers are spike response neurons.
 fn model(draw: &mut Draw, real: bool) -> String {
     let mut text = String::from("Network(name: \"f\", timestep_ms: ");
     let _ = write!(
@@ -176,7 +175,7 @@ fn training(draw: &mut Draw) -> String {
     )
 }
 
-/// A target, with a chip of its own or a shipped one.
+/// A target whose chip is its own or a shipped one.
 fn target(draw: &mut Draw) -> String {
     format!(
         "Target(name: \"t\", chip: \"{}\", chips_x: {}, chips_y: {}, constants: [\"{}\"])",
@@ -187,13 +186,13 @@ fn target(draw: &mut Draw) -> String {
     )
 }
 
-/// Changes bytes, digits or pieces.
+/// Changes bytes, digits or pieces of a file.
 fn mutate(draw: &mut Draw, bytes: &mut Vec<u8>) {
     for _ in 0..1 + draw.below(4) {
         if bytes.is_empty() {
             return;
         }
-        // Most of what matters is at the beginning.
+        // Most significant bytes are at the beginning.
         let reach = if draw.chance(50) { bytes.len().min(256) } else { bytes.len() };
         let at = draw.below(reach);
         match draw.below(7) {
@@ -212,7 +211,7 @@ fn mutate(draw: &mut Draw, bytes: &mut Vec<u8>) {
                 }
             }
             5 => {
-                // A number of the text becomes another.
+                // A number in the text is replaced by another.
                 if let Some(start) = bytes[at..].iter().position(u8::is_ascii_digit) {
                     let start = at + start;
                     let length = bytes[start..].iter().take_while(|byte| byte.is_ascii_digit()).count();
@@ -246,7 +245,7 @@ fn seeds() -> Vec<PathBuf> {
     found
 }
 
-/// The extension under which a stored file of the corpus is read.
+/// The extension for a stored file of the corpus.
 fn extension(draw: &mut Draw, path: &Path) -> String {
     let folder = path.parent().and_then(Path::file_name).unwrap_or_default().to_string_lossy().into_owned();
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
@@ -267,7 +266,7 @@ fn extension(draw: &mut Draw, path: &Path) -> String {
     }
 }
 
-/// Files in a folder, and the arguments that use them.
+/// Writes files to a folder, and returns the arguments that use them.
 fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     let draw = &mut Draw { case: number, at: 0 };
     let command = draw.below(18);
@@ -351,7 +350,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
         },
         11 => [words("agree"), vec![model], words("--attribution off --steps 20 --input"), vec![source]].concat(),
         12 => {
-            // What shipped trainings train on takes minutes.
+            // The data of shipped trainings take minutes.
             let (config, few) = if draw.chance(80) { ("t.ron".to_string(), draw.chance(50)) } else { (input, true) };
             let options = ["-o out.ron", "--log l.csv", "--checkpoint input.ron", "--folds 2"];
             let train = if few { vec!["--train".to_string(), source] } else { Vec::new() };
@@ -424,7 +423,7 @@ fn case(number: u64, seeds: &[PathBuf], folder: &Path) -> Vec<String> {
     arguments
 }
 
-/// Number of weights that the models of a folder generate from seeds: their cost follows from
+/// Number of weights that the models of a folder generate from seeds. Their cost follows from
 /// shapes, not from the file's size.
 fn drawn(folder: &Path) -> u64 {
     use nsim::files::network::{ProjectionDesc, ProjectionKind, Source, Weights};
@@ -450,8 +449,8 @@ fn drawn(folder: &Path) -> u64 {
     ["m.ron", "input.ron"].iter().filter_map(|name| weights(name)).sum()
 }
 
-/// Processor time of a process: the 14th and 15th field of `/proc/PID/stat`, in hundredths of a
-/// second (proc(5)).
+/// Processor time of a process: fields 14 and 15 of `/proc/PID/stat`, in hundredths of a second
+/// (proc(5)).
 fn busy(process: u32) -> Duration {
     let text = std::fs::read_to_string(format!("/proc/{process}/stat")).unwrap_or_default();
     // The second field, the name in parentheses, may hold spaces.
@@ -460,7 +459,7 @@ fn busy(process: u32) -> Duration {
     Duration::from_millis(10 * ticks)
 }
 
-/// Runs a case; what is wrong with how it ends, if anything.
+/// Runs a case; returns its failure, if any.
 fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &AtomicU64) -> Option<String> {
     let folder = tempfile::Builder::new().prefix("nsim-fuzz-").tempdir().unwrap();
     let arguments = case(number, seeds, folder.path());
@@ -491,7 +490,7 @@ fn judge(number: u64, seeds: &[PathBuf], peak_kib: &AtomicU64, slowest_ms: &Atom
             most = most.saturating_add((MOST_DRAWN * drawn(folder.path()).min(1 << 40)) / 1024);
         }
         let wait = begin.elapsed();
-        // A process that has not waited longer has not computed longer, on two threads.
+        // Two threads compute for at most twice the elapsed time.
         let busy = if wait > LONGEST / 2 { busy(child.id()) } else { Duration::ZERO };
         if busy > LONGEST || wait > LONGEST_WAIT || peak > most {
             let _ = child.kill();

@@ -1,6 +1,6 @@
 //! Hostile input and generated command lines.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 mod input;

@@ -1,6 +1,6 @@
-//! `nsim energy` takes as much memory as `nsim run`, but for what does not grow with the run.
+//! `nsim energy` takes the memory of `nsim run`, and a part that does not grow with the run.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 #![cfg(feature = "cli")]
 
@@ -8,12 +8,12 @@ use crate::common;
 use std::ffi::OsString;
 use std::process::{Command, ExitCode};
 
-/// Set in a process that runs one command alone, to its line.
+/// Environment variable of a process that runs one command alone: its command line.
 const LINE: &str = "NSIM_TEST_LINE";
-/// In KiB.
+/// Most additional memory of `nsim energy`, in KiB.
 const MOST: u64 = 64 << 10;
 
-/// In a process that is asked for it: runs a command and says how much memory that process took.
+/// In a process that requests it, runs a command and prints the peak memory of the process.
 #[test]
 fn a_command_alone() {
     let Some(line) = std::env::var_os(LINE) else { return };
@@ -24,7 +24,7 @@ fn a_command_alone() {
     println!("\npeak {}", peak.trim().trim_end_matches(" kB"));
 }
 
-/// The most memory that a command takes, in KiB; the input is noise of this many samples and steps.
+/// Peak memory of a command in KiB; the input is noise of this many samples and steps.
 fn peak_kib(command: &[&str], samples: u32, steps: u32) -> u64 {
     let input = format!("scene:noise?samples={samples}&steps={steps}&rate=0.02&seed=3");
     let line =
@@ -43,7 +43,7 @@ fn energy_takes_no_memory_for_its_steps() {
         common::say("skipped: no /proc/self/status says how much memory this takes");
         return;
     }
-    // Few steps, 500,000 in long samples and in many, and samples that copies share.
+    // Few steps, 500,000 in long samples and in many samples, and samples shared by copies.
     for (copies, samples, steps) in [("1", 1, 2_000), ("1", 5, 100_000), ("1", 1_000, 500), ("3", 100, 500)] {
         let run = peak_kib(&["run"], samples, steps);
         let energy = peak_kib(&["energy", "--copies", copies, "--baseline", "--early-exit", "certain"], samples, steps);

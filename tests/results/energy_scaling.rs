@@ -1,5 +1,5 @@
-//! What more copies and more traffic do to time and energy: no more than what the chips' hosts hand
-//! over, and never less.
+//! The effect of more copies and more traffic on time and energy: at most the transfers of the
+//! chips' hosts, and never a gain.
 
 use std::sync::Arc;
 
@@ -36,21 +36,21 @@ fn network() -> Quantised {
     net.build()
 }
 
-/// A board whose cores hold one copy each.
+/// A board whose cores have room for one copy each.
 fn board() -> Target {
     let target = load_target("pohoiki-springs").unwrap();
     let limits = target.limits().clone().with(Resource::Compartments, 8);
     target.with_limits(limits)
 }
 
-/// Every step `spikes` channels.
+/// A sample with `spikes` channels spiking in every step.
 fn sample(spikes: u32) -> Sample {
     let events: Vec<(u32, ChannelId)> =
         (0..STEPS).flat_map(|step| (0..spikes).map(move |k| (step, ChannelId((k + step) % CHANNELS)))).collect();
     Sample::new(STEPS, &events, None).unwrap()
 }
 
-/// The time of each step of `options.copies` copies of a network, and where they are.
+/// The time of each step of `options.copies` copies of a network, and their deployment.
 fn times(target: &Target, options: &Options, spikes: u32, work: HostWork) -> (Vec<StepTime>, Deployment, CostTable) {
     let copies = options.copies;
     let compiled = compile(network(), target, options).unwrap();
@@ -136,7 +136,7 @@ fn copies_on_a_chip_share_a_stream_unless_each_has_its_own_and_nothing_is_inject
             assert_eq!(own.injection.0, u64::from(copies.min(128)) * one.injection.0);
             assert_eq!((none.injection.0, none.turn.0), (0, 0));
             assert_eq!(shared.slowest_core, one.slowest_core);
-            // Inputs of one chip cross its mesh together: at most one link time each.
+            // Inputs of one chip cross its mesh together: one link time each at most.
             let messages = u64::from(spikes * copies.min(128));
             let most = one.transport.0 + messages * table.link_time.0 + 16 * table.hop_ns_time.0;
             assert!((one.transport.0..=most).contains(&shared.transport.0), "{copies}: {one:?} {shared:?}");
@@ -217,7 +217,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
             assert_eq!(fast.activity, obvious.activity, "seed {seed}");
             assert_eq!(fast.meter.lanes(), obvious.meter.lanes(), "seed {seed} {transport:?}");
             assert_eq!(fast.outcomes[0].spikes, obvious.outcomes[0].spikes, "seed {seed}");
-            // Nothing is a group here: the whole program on its own cores.
+            // There are no groups here: the whole program runs on its own cores.
             let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
             let settings = Arc::new(settings(&routes));
             let running = Running { copies: Copies { copies, channels }, per_step: true, ..Running::new(&keep) };

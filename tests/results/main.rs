@@ -1,6 +1,6 @@
 //! Energies compared with published work and other tools, and the memory that commands take.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 #[path = "../common/mod.rs"]

@@ -1,7 +1,7 @@
-//! The published tables: reproduced cell by cell by constants that were fitted to one of them,
-//! predicted by constants of other works, and how far predictions of each work are off.
+//! The published tables, reproduced cell by cell by constants fitted to one of them, and predicted
+//! by constants of other works. Errors of each work's predictions.
 //!
-//! With `NSIM_BLESS=1` the table in `docs/energy.md` is written anew.
+//! `NSIM_BLESS=1` writes the table in `docs/energy.md` anew.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -14,9 +14,9 @@ use nsim::ir::hardware::constants::{ClassError, FigureClass};
 use nsim::study::published::{PublishedRow, factors_by_work, geometric_mean, rows};
 use serde_json::Value;
 
-/// How far predictions of each class were off: at the finite-sample rank of the works' largest
-/// errors, as split conformal prediction with works as groups has it (Vovk, Gammerman and Shafer
-/// 2005, chapter 4).
+/// Errors of the predictions of each class: the finite-sample quantile of the works' largest
+/// errors, by split conformal prediction with works as groups (Vovk, Gammerman and Shafer 2005,
+/// chapter 4).
 fn class_errors(rows: &[PublishedRow]) -> Vec<ClassError> {
     let counted: Vec<&PublishedRow> = rows.iter().filter(|row| row.left_out).collect();
     let step = |row: &PublishedRow| {
@@ -74,12 +74,12 @@ fn figure(rows: &[Value], unit: &str, name: &str) -> f64 {
     rows.iter().find(|row| row["hardware"] == "loihi" && row["unit"] == unit).unwrap()[name].as_f64().unwrap()
 }
 
-/// How far a figure lies outside an interval, as a share of its middle.
+/// Distance of a figure from an interval, as a fraction of the interval's middle.
 fn outside(value: f64, (low, high): (f64, f64)) -> f64 {
     (low - value).max(value - high).max(0.0) / ((low + high) / 2.0)
 }
 
-/// A printed cell's interval.
+/// The interval of a printed cell.
 fn printed(table: &MeasurementsFile, unit: &str, figure: &str) -> (f64, f64) {
     let cell = table.cells.iter().find(|cell| cell.unit.value == unit && cell.figure.value == figure).unwrap();
     let (value, half) = cell.value().unwrap();
@@ -98,7 +98,7 @@ fn hold(name: &str, mode: &str, limit: f64) {
         println!("{mode} {unit} {name}: {model:.5} against {} ({:.2} % outside)", cell.printed.value, 100.0 * off);
         assert!(off <= limit, "{mode} {unit} {name}: {model} against {}", cell.printed.value);
     }
-    // Physically: the product of the printed power and the printed latency.
+    // By physics: the product of the printed power and the printed latency.
     let physical = reproduced(mode, "physical");
     let latency = printed(&table, "total", "latency_us");
     for unit in ["x86", "neuron", "total"] {
@@ -121,13 +121,13 @@ fn the_offline_table_is_reproduced_within_two_percent() {
 #[test]
 fn the_real_time_table_is_predicted_within_six_percent() {
     hold("vtsnn-realtime", "realtime", 0.06);
-    // The host's 39.9 us are in no offline figure: what is predicted is the bin alone, in every
+    // No offline figure includes the host's 39.9 us, so the prediction is the bin alone, in every
     // step.
     let rows = reproduced("realtime", "physical");
     assert_eq!(figure(&rows, "total", "latency_us"), 1000.0);
 }
 
-/// Both tables by the default constants, none of which rests on the paper alone.
+/// Both tables are predicted by the default constants, none of which rests on the paper alone.
 #[test]
 fn both_tables_are_predicted_by_constants_of_several_works() {
     for (name, mode) in [("vtsnn-offline", "offline"), ("vtsnn-realtime", "realtime")] {
@@ -148,8 +148,8 @@ fn nothing_is_fitted_to_the_real_time_table() {
     assert!(preset.contains("offline") && !preset.contains("real"));
 }
 
-/// Predictions of each work without its authors' findings: how far they are off, the errors that
-/// the constants state, and the page.
+/// Predictions of each work without its authors' findings: their errors, the errors that the
+/// constants state, and the page.
 #[test]
 fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() {
     let workloads = nsim::energy::published::workload::shipped().unwrap();
@@ -173,8 +173,8 @@ fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() 
         assert!(row.cause.is_some(), "{} {}: {}", row.workload, row.quantity.name(), row.factor());
     }
     let of_works: Vec<_> = rows.iter().filter(|row| row.left_out && row.first_hand && row.interval.is_some()).collect();
-    // Intervals as they would be without the figure's own work: of the same rates, with the factor
-    // that the errors of the other works give.
+    // Intervals without the figure's own work: at equal rates, with the factor from the errors of
+    // the other works.
     let within =
         |errors: &[ClassError], class| errors.iter().find(|error| error.class == class).unwrap().within_80.ln();
     let inside = of_works.iter().filter(|row| {
@@ -193,12 +193,12 @@ fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() 
     fresh += &format!("\nOf {all} figures so predicted, {inside} lie within the 80 % interval of the other works.\n");
     let readme = std::fs::read_to_string(root("README.md")).unwrap();
     assert!(readme.contains(&format!("{inside} of {all}")), "README.md: {inside} of {all} figures");
-    // What tables of energy say of their intervals is what was found here.
+    // The intervals in the tables of energy state these errors.
     assert_eq!(class_errors(&rows), constants.errors, "mapping/constants/loihi1-evidence.ron: errors");
     hold_block("docs/energy.md", "published", &fresh);
 }
 
-/// What early exits of shipped networks decide and cost, in the results of the paper's tables and
+/// Decisions and costs of early exits of shipped networks, in the results of the paper's tables and
 /// on the page of training.
 #[test]
 fn early_exits_are_those_that_energy_prints() {
@@ -248,7 +248,7 @@ fn early_exits_are_those_that_energy_prints() {
     hold_block("docs/training.md", "exits", &fresh);
 }
 
-/// Holds what stands between the marks of this name in a page; with `NSIM_BLESS=1` writes it.
+/// Compares the block between a page's marks of this name; with `NSIM_BLESS=1` writes it.
 fn hold_block(page: &str, name: &str, block: &str) {
     let page = root(page);
     let text = std::fs::read_to_string(&page).unwrap();

@@ -1,4 +1,4 @@
-//! Energy and time of random mapped networks against SANA-FE, where a Python has it.
+//! Energy and time of random mapped networks against SANA-FE, if a Python has it.
 
 use crate::common;
 use std::process::Command;

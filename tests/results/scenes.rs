@@ -1,5 +1,5 @@
-//! Scenes are functions of their parameters, seed and sample number: the same spikes at any number
-//! of threads, and the same as ever.
+//! Scenes are functions of their parameters, seed and sample number: spikes are equal for any
+//! number of threads, and equal to recorded digests.
 
 use std::collections::BTreeSet;
 use std::process::Command;
@@ -12,7 +12,7 @@ use nsim::ir::stimulus::SceneArg;
 use nsim::scene;
 use nsim::session::{Outcome, digest, inputs};
 
-/// The digest of all input spikes, (sample, step, channel), of a scene made by this many threads.
+/// The digest of all input spikes, (sample, step, channel), of a scene made with this many threads.
 fn made(network: &Quantised, argument: &str, threads: usize) -> String {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
     let argument = SceneArg::parse(argument).unwrap();
@@ -42,7 +42,7 @@ fn scenes_are_the_same_at_any_number_of_threads_and_as_recorded() {
     assert!(other != recorded[0].1);
 }
 
-/// A network with these inputs, which is only shown spikes.
+/// A network with these inputs, used only to receive spikes.
 fn with_inputs(inputs: &str) -> Quantised {
     let from = if inputs.contains("vision") { "vision" } else { "tactile" };
     let text = format!(
@@ -77,7 +77,7 @@ fn planes_of_polarity_hold_what_is_seen_without_them() {
     command.args("scene slip --samples 3 --seed 4 --polarity -o".split(' ')).arg(folder.path());
     assert!(command.output().unwrap().status.success());
     let sources = [folder.path().join("dataset.ron").display().to_string()];
-    // What is written is what is made: the data set holds touch, too.
+    // The written data set equals the generated one, and has touch as well.
     let network = with_inputs("Input(name: \"tactile\", shape: [156]), Input(name: \"vision\", shape: [2, 63, 50])");
     let written = inputs::stimulus(&network, &sources, None, None).unwrap().samples;
     let made = scene::stimulus(&network, &SceneArg::parse("slip?samples=3&seed=4").unwrap()).unwrap().samples;

@@ -1,9 +1,9 @@
-//! Rules of the source tree: which crate may use which, cycles, sizes, module docs, names, and
-//! paths that documents name.
+//! Rules of the source tree: dependencies of crates, cycles, sizes, module docs, names, and paths
+//! in documents.
 //!
 //! Each rule prints all its violations.
 
-// A test that cannot go on has failed.
+// A test that cannot continue has failed.
 #![allow(clippy::unwrap_used)]
 
 mod source;
@@ -17,18 +17,18 @@ use petgraph::algo::tarjan_scc;
 use petgraph::graph::DiGraph;
 use source::{SourceFile, Sources};
 
-/// Files in a folder within a crate besides `mod.rs`.
+/// Most files in a folder within a crate, besides `mod.rs`.
 const MOST_FILES: usize = 12;
 
-/// Lines of a crate, its tests within included.
+/// Most lines of a crate, with the tests in `src`.
 const MOST_LINES: usize = 13_000;
-/// Crates of the workspace, the command line among them.
+/// Most crates of the workspace, the command line included.
 const MOST_CRATES: usize = 22;
 
-/// Crates in which no board is named: what differs from board to board is in its target file.
+/// Crates that name no board: differences between boards are in target files.
 const BOARDLESS: [&str; 5] = ["compile", "cost", "report", "machine", "ir"];
 
-/// The crates of the workspace and Python's, by name: `nsim` is the command line.
+/// The crates of the workspace and Python's, by name; `nsim` is the command line.
 static CRATES: LazyLock<BTreeMap<String, Sources>> = LazyLock::new(|| {
     let mut folders: Vec<PathBuf> =
         fs::read_dir(root().join("crates")).unwrap().map(|entry| entry.unwrap().path()).collect();
@@ -52,7 +52,7 @@ fn sources() -> impl Iterator<Item = (String, &'static SourceFile)> {
     })
 }
 
-/// The crates of the workspace that a crate names in its manifest, without those for tests only.
+/// The crates of the workspace in a crate's manifest, without dependencies for tests.
 fn uses(name: &str) -> BTreeSet<String> {
     let manifest = fs::read_to_string(root().join(format!("crates/{name}/Cargo.toml"))).unwrap();
     let dependencies = manifest.split("[dependencies]").nth(1).unwrap().split("\n[").next().unwrap().to_string();
@@ -60,7 +60,7 @@ fn uses(name: &str) -> BTreeSet<String> {
     dependencies.lines().filter_map(named).collect()
 }
 
-/// All crates that a crate reaches.
+/// All crates that a crate depends on, directly or not.
 fn reach(name: &str) -> BTreeSet<String> {
     let mut reached = BTreeSet::new();
     let mut next: Vec<String> = uses(name).into_iter().collect();
@@ -88,13 +88,13 @@ fn files(folder: &Path, extension: &str, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// Fails with all violations.
+/// Fails with all violations of a rule.
 fn hold(rule: &str, violations: impl IntoIterator<Item = String>) {
     let violations: Vec<String> = violations.into_iter().collect();
     assert!(violations.is_empty(), "{rule}:\n{}", violations.join("\n"));
 }
 
-/// The lines of code, without tests, of some crates that something is true of.
+/// The wrong lines of code, without tests, in some crates.
 fn lines_with(within: impl Fn(&str) -> bool, wrong: impl Fn(&str) -> bool) -> Vec<String> {
     let files = sources().filter(|(path, _)| within(path));
     let lines = files.flat_map(|(path, file)| file.product_lines().map(move |(line, text)| (path.clone(), line, text)));
@@ -102,7 +102,7 @@ fn lines_with(within: impl Fn(&str) -> bool, wrong: impl Fn(&str) -> bool) -> Ve
     wrong.map(|(path, line, text)| format!("{path}:{line}: {}", text.trim())).collect()
 }
 
-/// A crate with each kind of path that the rules have to see, and some that they must not.
+/// A crate with each kind of path that the rules must find, and some that they must not.
 #[test]
 fn every_kind_of_path_is_read() {
     let folder = tempfile::tempdir().unwrap();
@@ -208,7 +208,7 @@ fn every_file_is_part_of_its_crate_and_says_what_it_is() {
 #[test]
 fn folders_hold_at_most_a_dozen_files() {
     let mut folders: BTreeMap<String, usize> = BTreeMap::new();
-    // A crate's own folder holds as many as the crate has subjects.
+    // The folder `src` of a crate has one entry for each subject of the crate.
     for (path, _) in sources().filter(|(path, _)| !path.ends_with("/mod.rs")) {
         let folder = path.rsplit_once('/').unwrap().0.to_string();
         if !folder.ends_with("/src") && folder != "src" {
@@ -229,7 +229,7 @@ fn functions_say_what_they_return() {
     hold("`of` alone is no name", called_of);
 }
 
-/// Whether a text holds a number, written alone.
+/// Whether a text has a number as a word.
 fn holds_number(text: &str, number: &str) -> bool {
     let numeric = |c: char| c.is_ascii_digit() || c == '_' || c == '.';
     text.split(|c| !numeric(c)).any(|digits| digits.trim_end_matches('.') == number)
@@ -247,8 +247,7 @@ fn boards_are_named_in_their_files_only() {
     files(&root().join("mapping/targets"), "ron", &mut targets);
     let mut names: BTreeSet<String> = BTreeSet::new();
     for stem in targets.iter().map(|path| path.file_stem().unwrap().to_string_lossy().to_lowercase()) {
-        // The family's name says as much as the board's; "tiny" and "loihi1" are words of their
-        // own.
+        // The family's name denotes the board as well; "tiny" and "loihi1" are also ordinary words.
         let family = stem.split('-').next().unwrap().to_string();
         names.extend((!["tiny", "loihi1"].contains(&family.as_str())).then_some(family));
         names.extend((stem != "tiny").then_some(stem));
@@ -258,17 +257,17 @@ fn boards_are_named_in_their_files_only() {
     hold("boards are named in their target files only", lines_with(in_boardless, named));
 }
 
-/// Folders whose files documents name by their path.
+/// Folders whose files are named by path in documents.
 const NAMED_FOLDERS: &str = ".ci .github assets benches crates docs examples mapping models python results src tests";
 
 /// Paths in the repositories of other projects, which comments cite.
 const CITED: [&str; 2] = ["docs/source/primitives.md", "docs/spec.md"];
 
-/// Words of a page of `docs`, and of all pages with the README and CONTRIBUTING; the pages of
+/// Most words of a page of `docs`, and of all pages with the README and CONTRIBUTING; the pages of
 /// commands are generated.
 const MOST_WORDS: (usize, usize) = (4_100, 35_600);
 
-/// Words of no field, in place of the terms of this one.
+/// Words to avoid, in place of the field's terms.
 const DIALECT: &str = "alike, at once, beside, comes to, dealt, for want of, foretold, handed, hears, in turn, \
                        leads nowhere, left out, nobody, so many, stands for, told, twins, whoever";
 
@@ -279,7 +278,7 @@ fn dialect(text: &str) -> impl Iterator<Item = &'static str> + use<> {
     DIALECT.split(", ").filter(move |term| text.contains(&format!(" {term} ")))
 }
 
-/// The pages that people write, by their path.
+/// The hand-written pages, by their path.
 fn pages() -> Vec<(String, String)> {
     let mut paths: Vec<PathBuf> = ["README.md", "CONTRIBUTING.md"].map(|name| root().join(name)).into();
     files(&root().join("docs"), "md", &mut paths);
@@ -316,7 +315,7 @@ fn comments_are_in_words_of_the_field() {
     hold("comments are in words of the field", wrong);
 }
 
-/// The names by which links reach the headings of a page.
+/// The names of links to the headings of a page.
 fn anchors(page: &str) -> impl Iterator<Item = String> {
     page.lines().filter_map(|line| line.strip_prefix('#')).map(|heading| {
         let plain = heading.trim_matches(['#', ' ']).to_lowercase().replace(' ', "-");
@@ -324,7 +323,7 @@ fn anchors(page: &str) -> impl Iterator<Item = String> {
     })
 }
 
-/// The paths that a text names between backquotes.
+/// The paths between backquotes in a text.
 fn quoted_paths(text: &str) -> impl Iterator<Item = &str> {
     let quoted = text.split('`').skip(1).step_by(2);
     quoted.filter(|quoted| {

@@ -1,10 +1,10 @@
-//! A crate's source files as a graph: which file names something of which other file.
+//! A crate's source files as a graph: for each file, the other files that its code names.
 //!
 //! Input: `src`, from `lib.rs` and `main.rs` along the `mod` declarations. Output: every
-//! [`SourceFile`] with the paths that its code names, resolved to files. Read are `use` trees,
-//! paths in expressions, types, patterns and attributes' strings, and the tokens of macro calls; a
-//! path begins with `crate`, `self`, `super`, or a child module. A re-export counts as the file
-//! that holds the `pub use`: who names it depends on all that this file depends on.
+//! [`SourceFile`] with the paths in its code, resolved to files. Paths are read from `use` trees,
+//! expressions, types, patterns, attributes' strings, and the tokens of macro calls. A path begins
+//! with `crate`, `self`, `super`, or a child module. A re-export counts as the file with the
+//! `pub use`: its users depend on all dependencies of this file.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -15,11 +15,11 @@ use proc_macro2::{Delimiter, Span, TokenStream, TokenTree};
 use syn::spanned::Spanned;
 use syn::visit::{self, Visit};
 
-/// A place where a file names something of another module of the crate.
+/// A place where a file names an item of another module of the crate.
 pub struct Import {
     /// The path from the crate's root.
     pub path: Vec<String>,
-    /// Whether the last name can be a module: it can in a `use`, not in a call.
+    /// Whether the last name can be a module, as in a `use`; in a call it cannot.
     pub ends_in_module: bool,
     /// The line.
     pub line: usize,
@@ -29,7 +29,7 @@ pub struct Import {
 
 /// A file of the crate.
 pub struct SourceFile {
-    /// Where it is, from the root of the repository.
+    /// Its path from the root of the repository.
     pub path: String,
     /// Its module path; empty for `lib.rs`.
     pub module: Vec<String>,
@@ -48,14 +48,14 @@ impl SourceFile {
         (self.test_lines, self.imports, self.functions) = Default::default();
     }
 
-    /// The lines that are not for tests only, with their numbers.
+    /// The lines that are not for tests only, with their line numbers.
     pub fn product_lines(&self) -> impl Iterator<Item = (usize, &str)> {
         let tests_only = |line: usize| self.test || self.test_lines.iter().any(|range| range.contains(&line));
         (1..).zip(self.text.lines()).filter(move |(line, _)| !tests_only(*line))
     }
 }
 
-/// All files, by path.
+/// All files of a crate.
 pub struct Sources {
     pub files: Vec<SourceFile>,
     by_module: BTreeMap<Vec<String>, usize>,
@@ -77,8 +77,8 @@ impl Sources {
         for (file, syntax) in files.iter_mut().zip(&syntax) {
             let (here, test) = (file.module.clone(), file.test);
             let mut reader = Reader { modules: &modules, here, test, renamed: BTreeMap::new(), file };
-            // The first reading finds the modules that `use` brings into scope, the second the
-            // paths through them.
+            // The first pass finds the modules that `use` brings into scope, the second the paths
+            // through them.
             reader.visit_file(syntax);
             reader.file.forget();
             reader.visit_file(syntax);
@@ -86,13 +86,13 @@ impl Sources {
         Sources { files, by_module }
     }
 
-    /// The file that an import leads to: the one of the longest module path that begins it.
+    /// The file of an import: the one with the longest module path that begins its path.
     pub fn target(&self, import: &Import) -> usize {
         let most = import.path.len() - usize::from(!import.ends_in_module && !import.path.is_empty());
         (0..=most).rev().find_map(|n| self.by_module.get(&import.path[..n])).copied().expect("lib.rs is the root")
     }
 
-    /// Of each file, the files that its code names, with what and where; without test code.
+    /// For each file, the files that its code names, with the names and lines; without test code.
     pub fn graph(&self) -> Vec<BTreeMap<usize, Vec<String>>> {
         let edges = |(index, file): (usize, &SourceFile)| {
             let mut edges: BTreeMap<usize, Vec<String>> = BTreeMap::new();
@@ -108,7 +108,7 @@ impl Sources {
     }
 }
 
-/// Whether attributes say that an item is built for tests only.
+/// Whether attributes mark an item as built for tests only.
 pub fn is_test(attributes: &[syn::Attribute]) -> bool {
     attributes.iter().any(|attribute| {
         let syn::Meta::List(list) = &attribute.meta else { return false };
@@ -134,7 +134,7 @@ fn read_module(root: &Path, path: &Path, module: Vec<String>, test: bool, files:
     files.push((file, syntax));
 }
 
-/// Reads the files that `mod` declarations name.
+/// Reads the files of `mod` declarations.
 fn declared(
     root: &Path,
     folder: &Path,
@@ -163,13 +163,13 @@ struct Reader<'a> {
     modules: &'a BTreeSet<Vec<String>>,
     here: Vec<String>,
     test: bool,
-    /// Modules that a `use` of this file names, by the name that it gives them.
+    /// Modules in the `use` items of this file, by local name.
     renamed: BTreeMap<String, Vec<String>>,
     file: &'a mut SourceFile,
 }
 
 impl Reader<'_> {
-    /// Notes a path; returns what it is from the crate's root, if it is the crate's.
+    /// Records a path; returns its form from the crate's root, if it is in the crate.
     fn name(&mut self, path: &[String], ends_in_module: bool, span: Span) -> Option<Vec<String>> {
         let mut here = self.here.clone();
         let rest = match path.first().map(String::as_str) {
@@ -224,7 +224,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Paths among tokens that are not parsed: names joined by two colons.
+    /// Finds paths among unparsed tokens: names joined by two colons.
     fn tokens(&mut self, tokens: TokenStream) {
         let (mut path, mut colons, mut begin) = (Vec::new(), 0, None);
         for token in tokens {
@@ -266,7 +266,7 @@ impl Reader<'_> {
         path.clear();
     }
 
-    /// Runs a visit of an item, noting whether it is for tests only.
+    /// Visits an item, and records whether it is for tests only.
     fn item(&mut self, attributes: &[syn::Attribute], span: Span, visit: impl FnOnce(&mut Self)) {
         let before = self.test;
         if is_test(attributes) && !before {
@@ -278,7 +278,7 @@ impl Reader<'_> {
     }
 }
 
-/// Overrides for nodes that can be built for tests only.
+/// Overrides for nodes that may be built for tests only.
 macro_rules! items {
     ($($method:ident: $node:ident),*) => {
         $(fn $method(&mut self, node: &'ast syn::$node) {

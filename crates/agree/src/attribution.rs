@@ -1,12 +1,12 @@
-//! Which cause takes what share of a disagreement.
+//! Shares of the causes in a disagreement.
 //!
-//! The stages begin at the network as its tool runs it ([`as_trained`]) and are run through twice:
-//! *forward*, one cause after the other; and *reversed*, the last cause first. What a cause adds to
-//! the disagreement depends on what was switched on before it; its share is the mean of the two,
-//! and their difference the interaction. Where causes give back what others take, means are
-//! negative or beyond the whole, and there are no shares. *Alone* a cause brings back what the
-//! machine gains with real numbers in its place: by this one is blamed, since it is what one change
-//! can gain. Disagreement is 1 minus the coincidence factor of all spikes of all layers against the
+//! The stages begin at the network as its tool runs it ([`as_trained`]) and run twice: *forward*,
+//! with the causes switched on in order, and *reversed*, from the last cause to the first. The
+//! disagreement added by a cause depends on the causes before it. Its share is the mean of both
+//! orders; their difference is the interaction. Where causes undo losses of others, means are
+//! negative or above the whole, and there are no shares. *Alone* is the gain of the machine with
+//! real numbers in place of one cause. It decides which cause is blamed, since one change can gain
+//! as much. Disagreement is 1 minus the coincidence factor of all spikes of all layers with the
 //! trained network's.
 
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ use super::metrics::TrainSums;
 use super::trace::{Comparison, Layer, Trace};
 use nsim_ir::spikes::Sample;
 
-/// How far a stage is from the trained network.
+/// Distance of a stage from the trained network.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Distance {
     /// Share of samples with the same class, of those that both decide; `None` when there are none.
@@ -30,7 +30,7 @@ pub struct Distance {
 }
 
 impl Distance {
-    /// Of a network from itself.
+    /// Distance of a network from itself.
     pub const EQUAL: Distance = Distance { class_agreement: Some(1.0), coincidence: 1.0, potential_rmse: Some(0.0) };
 }
 
@@ -46,20 +46,20 @@ pub struct Share {
     /// The disagreement that it adds reversed.
     pub reversed: f64,
     /// Mean of the two, relative to the whole disagreement, 0 when there is none; `None` where
-    /// causes give back what others take.
+    /// causes undo losses of others.
     pub share: Option<f64>,
     /// The machine without this cause.
     pub without: Distance,
 }
 
 impl Share {
-    /// How much the order matters.
+    /// Effect of the order: forward minus reversed disagreement.
     pub fn interaction(&self) -> f64 {
         self.forward - self.reversed
     }
 }
 
-/// What a layer loses to the causes.
+/// Loss of a layer, by cause.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LayerLoss {
     /// The population.
@@ -68,9 +68,9 @@ pub struct LayerLoss {
     pub spikes: (u64, u64),
     /// 1 minus the coincidence of the machine's layer with the trained one's.
     pub disagreement: f64,
-    /// What each cause adds: the mean of forward and reversed, in forward order.
+    /// Disagreement that each cause adds: the mean of forward and reversed, in forward order.
     pub causes: Vec<(Cause, f64)>,
-    /// What the machine's layer would gain without each cause.
+    /// Coincidence that the machine's layer would gain without each cause.
     pub alone: Vec<(Cause, f64)>,
 }
 
@@ -81,7 +81,7 @@ const BLAMED: f64 = 0.1;
 /// Means below zero by less than this share of the whole are noise.
 const NOISE: f64 = 0.02;
 
-/// The cause that brings back most of a loss; `None` where nothing is lost or no cause does.
+/// The cause that brings back most of a loss; `None` where the loss or each regain is small.
 fn worst(lost: f64, alone: impl Iterator<Item = (Cause, f64)>) -> Option<(Cause, f64)> {
     let enough = alone.filter(|&(_, back)| lost >= LITTLE && back >= (BLAMED * lost).max(LITTLE));
     enough.reduce(|most, next| if next.1 > most.1 { next } else { most })
@@ -99,12 +99,12 @@ fn shares(means: &[f64]) -> Option<Vec<f64>> {
 }
 
 impl LayerLoss {
-    /// Whether the layer loses more than is worth a word.
+    /// Whether the loss is large enough to report.
     pub fn is_lossy(&self) -> bool {
         self.disagreement >= LITTLE
     }
 
-    /// The cause without which the layer would gain most, and how much.
+    /// The cause without which the layer would gain most, and the gain.
     pub fn worst(&self) -> Option<(Cause, f64)> {
         worst(self.disagreement, self.alone.iter().copied())
     }
@@ -115,9 +115,9 @@ impl LayerLoss {
 pub struct Attribution {
     /// 1 minus the coincidence of the machine with the trained network.
     pub disagreement: f64,
-    /// Samples that it is of.
+    /// Number of compared samples.
     pub samples: usize,
-    /// How far the machine is from the trained network.
+    /// Distance of the machine from the trained network.
     pub machine: Distance,
     /// A row for each cause, in the order of the forward stages.
     pub shares: Vec<Share>,
@@ -126,7 +126,7 @@ pub struct Attribution {
 }
 
 impl Attribution {
-    /// The cause without which most classes would agree again, and the share of those.
+    /// The cause without which most classes would agree again, and the regained share of samples.
     pub fn worst_of_classes(&self) -> Option<(Cause, f64)> {
         let now = self.machine.class_agreement?;
         let back = |share: &Share| Some((share.cause, share.without.class_agreement? - now));
@@ -141,12 +141,12 @@ impl Attribution {
     }
 }
 
-/// How far a stage is from the trained network, in all and layer by layer.
+/// Distance of a stage from the trained network, in total and by layer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
     /// Over all layers.
     pub distance: Distance,
-    /// In the order of the network's layers.
+    /// Sums of each layer, in the order of the network.
     pub layers: Vec<TrainSums>,
     /// The classes of the samples.
     pub classes: ClassTally,
@@ -154,7 +154,7 @@ pub struct Measured {
     pub accuracy: Option<(f64, f64)>,
 }
 
-/// One sample by two networks: the sums of each layer, and the class by each.
+/// Comparison of one sample: the sums of each layer, and the class by each network.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ComparedSample {
     layers: Vec<TrainSums>,
@@ -174,7 +174,7 @@ impl ComparedSample {
 }
 
 impl Measured {
-    /// The samples of a network of this many layers together.
+    /// Merges samples of a network with this number of layers.
     pub fn new<'s>(layers: usize, samples: impl Iterator<Item = &'s ComparedSample>) -> Self {
         let (mut by_layer, mut all) = (vec![TrainSums::default(); layers], TrainSums::default());
         let mut classes = ClassTally::default();
@@ -192,7 +192,7 @@ impl Measured {
     }
 }
 
-/// Compares stages, perhaps of several sequences for one network, with one of them over samples.
+/// Compares stages, of one or more `Ladder`s of a network, with one of them over samples.
 pub fn measured(
     (first, from): (&Ladder, Rung),
     to: &[(&Ladder, Rung)],
@@ -203,7 +203,7 @@ pub fn measured(
     let of_sample = |sample: &&Sample| {
         let trained = first.run(from, sample, true);
         let one = |&(ladder, rung): &(&Ladder, Rung)| {
-            // What a network does not answer that is cut off, it answers with silence.
+            // Steps after the end of a shorter trace count as silent.
             let trace = ladder.run(rung, sample, true).silent_until(trained.steps);
             ComparedSample::new(&layers, output, (&trained, &trace), ladder.shift(rung) - first.shift(from))
         };
@@ -225,8 +225,8 @@ pub fn measured(
     (0..to.len()).map(of_rung).collect()
 }
 
-/// The network as its tool runs it: kernels without end, as the reference engine has them, and
-/// layers that answer to every step of the input where another class follows from that.
+/// Stage of the network as its tool runs it. Kernels are infinite, as in the reference engine.
+/// Layers answer every step of the input where this changes a class.
 pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung {
     let in_step = ladder.trained().with(Cause::Untruncated);
     let as_it_is = in_step.with(Cause::Pipeline);
@@ -236,12 +236,12 @@ pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung 
     if matters { in_step } else { as_it_is }
 }
 
-/// Goes through the stages both ways, and omits each cause alone.
+/// Runs the stages in both orders, and the machine without each single cause.
 pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attribution {
     attribute_from(ladder, as_trained(ladder, output, samples), output, samples)
 }
 
-/// The attribution from a known stage.
+/// The attribution from a given trained stage.
 pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &[&Sample]) -> Attribution {
     let causes: Vec<Cause> = ladder.causes().iter().copied().filter(|&cause| !trained.has(cause)).collect();
     let climb = |causes: &[Cause]| {
@@ -258,7 +258,7 @@ pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &
     rungs.extend(causes.iter().map(|&cause| Rung::MACHINE.without(cause)));
     let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
     let found = measured((ladder, trained), &to, output, samples);
-    // Losses of the stages, by a measure; the first loss of a sequence is counted from none.
+    // Losses added in both orders, by a measure; the first loss of an order is relative to 0.
     let added = |lost: &dyn Fn(usize) -> f64, place: usize| {
         let step = |first: usize, place: usize| {
             lost(first + place) - place.checked_sub(1).map_or(0.0, |below| lost(first + below))

@@ -4,12 +4,12 @@
 use nsim_ir::base::names::named_variants;
 
 named_variants! {
-    /// Something in which the machine differs from the trained network.
+    /// A difference of the machine from the trained network.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
     pub enum Cause {
-        /// Layers that answer a step later each, in samples that end with their input.
+        /// Each layer answers a step later, in samples that end with their input.
         Pipeline = "pipeline-delay",
-        /// The response and refractory kernels without end instead of cut.
+        /// Infinite response and refractory kernels instead of truncated ones.
         Untruncated = "exact-kernel",
         /// Decaying current and voltage instead of the alpha kernel: a step earlier, a step longer.
         Kernel = "cuba-kernel",
@@ -17,7 +17,7 @@ named_variants! {
         HardReset = "hard-reset",
         /// Decays in 4096ths.
         Decays = "quantised-decays",
-        /// Thresholds and synapses onto itself as searched instead of as analysed.
+        /// Thresholds and self-synapses from a search instead of the analysis.
         Calibration = "calibration",
         /// Integer weights, thresholds and biases.
         Weights = "quantised-weights",
@@ -27,7 +27,7 @@ named_variants! {
 }
 
 impl Cause {
-    /// What a layer loses to it.
+    /// The cause in words, as the loss of a layer.
     pub fn words(self) -> &'static str {
         match self {
             Cause::Pipeline => {
@@ -43,7 +43,7 @@ impl Cause {
         }
     }
 
-    /// What makes it cost less, where that is known of every network.
+    /// Advice that lowers its cost, where one holds for every network.
     pub fn remedy(self) -> Option<&'static str> {
         (self == Cause::Weights).then_some(
             "weights of a layer that are similar in size (decay or clip large ones in training), since 8 bits divide \
@@ -52,7 +52,7 @@ impl Cause {
     }
 }
 
-/// Which causes are switched on.
+/// Set of the causes that are switched on: a comparison stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Rung([bool; 8]);
 

@@ -1,9 +1,9 @@
-//! How often two networks decide identically.
+//! Agreement of the classes of two networks.
 //!
 //! Input: the classes of samples by both. Output: shares of the samples that both decide. A sample
 //! that either leaves undecided is not compared, so networks that decide nothing agree in nothing.
 
-/// Samples by what two networks decide.
+/// Numbers of samples by the decisions of two networks.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ClassTally {
     /// Samples of the same class.
@@ -43,7 +43,7 @@ impl ClassTally {
         if decided == 0 { 1.0 } else { self.same as f64 / decided as f64 }
     }
 
-    /// The samples that were not compared, in words: nothing where all were.
+    /// Text on the samples that were not compared; empty where all were.
     pub fn undecided(&self) -> String {
         let parts =
             [(self.only_a, "a decides alone"), (self.only_b, "b decides alone"), (self.neither, "neither decides")];

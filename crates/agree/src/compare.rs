@@ -25,7 +25,7 @@ use nsim_quantise::analytic::{self, Fit};
 use nsim_reference::{Model, Options, Reference};
 use nsim_session::samples::Progress;
 
-/// What the deployed network is compared with.
+/// Network or recording to compare with the deployed network.
 #[derive(Debug)]
 pub enum Counterpart {
     /// Spike response neurons, as they were trained.
@@ -34,12 +34,12 @@ pub enum Counterpart {
     Cuba,
     /// The golden interpreter of the same integers.
     Golden,
-    /// Recorded spikes: a population's samples each.
+    /// Recorded spikes: the samples of each recorded population.
     Recorded(Vec<(Layer, Vec<PopulationSpikes>)>),
 }
 
 impl Counterpart {
-    /// As it is printed.
+    /// Printed name.
     pub fn name(&self) -> &'static str {
         match self {
             Counterpart::Srm => "srm",
@@ -55,20 +55,20 @@ impl Counterpart {
     }
 }
 
-/// A network, what it became, and what both are shown.
+/// A network, its deployed form, and the samples for both.
 #[derive(Debug, Clone, Copy)]
 pub struct Deployed<'a> {
     /// The network in real numbers.
     pub graph: &'a Graph,
     /// The converted form of each spike response population.
     pub fits: &'a [Option<Fit>],
-    /// The steps from real numbers to integers.
+    /// Comparison stages from real numbers to integers.
     pub ladder: &'a Ladder,
-    /// The integers, mapped.
+    /// Program of the mapped integer network.
     pub program: &'a Arc<Program>,
-    /// In run order.
+    /// Samples, in run order.
     pub samples: &'a [&'a Sample],
-    /// Compare only this many steps of each sample.
+    /// Number of steps to compare in each sample; all when `None`.
     pub steps: Option<u32>,
 }
 
@@ -79,16 +79,16 @@ pub struct LayerRow {
     pub name: String,
     /// Steps by which the deployed network answers later; negative, earlier.
     pub shift: i32,
-    /// How far they agree.
+    /// Comparison of the layer.
     pub comparison: Comparison,
 }
 
-/// How far a deployed network and its counterpart agree.
+/// Agreement of a deployed network with its counterpart.
 #[derive(Debug)]
 pub struct Agreement {
-    /// Layer by layer.
+    /// Row of each layer.
     pub layers: Vec<LayerRow>,
-    /// The classes of the two; `None` when those of the first are not known.
+    /// Classes of the two; `None` when the output is not compared.
     pub classes: Option<ClassTally>,
     /// Share of right classes of counterpart and deployed network, when samples have labels.
     pub accuracy: Option<(f64, f64)>,
@@ -127,7 +127,7 @@ fn recorded_trace(
     trace
 }
 
-/// Traces of the network in real numbers with these integers, potentials in thresholds.
+/// Returns a function from a sample to the trace in real numbers, potentials in thresholds.
 ///
 /// # Errors
 /// `model.no-real-form`.
@@ -140,7 +140,7 @@ pub fn real_trace(graph: &Graph, integers: &Quantised) -> Result<impl Fn(&Sample
     })
 }
 
-/// What a mapped network does in a sample.
+/// Returns a function from a sample to the trace of a mapped network.
 fn machine_trace<'a>(
     network: &Quantised,
     program: &'a Arc<Program>,
@@ -153,9 +153,9 @@ fn machine_trace<'a>(
     })
 }
 
-/// Compares a network with another that is mapped: as it was trained, or on cores of its own where
-/// `mapped` is its program. Their populations of compartments have the same names and sizes, in any
-/// order. The shift of each layer is measured on the first samples.
+/// Compares a network with a second, mapped one. The first runs as it was trained, or on its own
+/// cores where `mapped` is its program. Their populations of compartments have the same names and
+/// sizes, in any order. The shift of each layer is measured on the first samples.
 ///
 /// # Errors
 /// `agree.populations` when the second lacks a population of the first or has it in another size;
@@ -178,7 +178,7 @@ pub fn compare_models(
         })
     };
     let pairs = own.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
-    // The second's compartments at the first's places.
+    // Moves the second network's compartments to the first's places.
     let placed = |trace: Trace| {
         let all = own.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0) as usize;
         let row = trace.steps as usize;
@@ -205,8 +205,8 @@ pub fn compare_models(
 /// The shift of a layer, from the first traces.
 type ShiftOf<'a> = &'a dyn Fn(&Layer, &[(&Trace, &Trace)]) -> i32;
 
-/// Compares the two traces that `both` has of each sample, given its number and itself, up to this
-/// many steps.
+/// Compares the two traces that `both` returns for the number of a sample and the sample, up to
+/// `steps` steps.
 fn agreement(
     layers: Vec<Layer>,
     output: &Layer,

@@ -1,15 +1,13 @@
-//! Comparison stages: networks from the trained one to the machine, each differing from the last in
-//! one thing.
+//! Comparison stages: networks from the trained one to the machine; each adds one cause.
 //!
 //! Input: a graph, and the converted form of its spike response populations ([`Fit`]). Output:
 //! [`Trace`]s of the network with any set of the [`Cause`]s switched on. One simulation (`state`,
-//! `links`) serves all stages: potentials and thresholds are in register units throughout, so that
-//! two stages differ in their causes alone. Tests hold both ends: with no cause it spikes as
-//! `reference` does (spike response kernels cut), with all causes it equals the machine bit for
-//! bit.
+//! `links`) serves all stages: potentials and thresholds are always in register units, so two
+//! stages differ only in their causes. Tests fix both ends. With no cause it spikes as `reference`
+//! does (with truncated spike response kernels); with all causes it equals the machine bit for bit.
 //!
 //! Arithmetic is in doubles. With all causes, every number is an integer below 2^53 and every
-//! product one of 24 by 13 bits, so that the doubles hold exactly what the chip's registers hold.
+//! product one of 24 by 13 bits, so the doubles equal the chip's registers exactly.
 
 use std::sync::OnceLock;
 
@@ -35,11 +33,11 @@ use super::pipeline::Pipeline;
 use super::state::State;
 use super::trace::{Layer, Trace};
 
-/// What a population was before it was converted.
+/// Neurons of a population before conversion.
 #[derive(Debug, Clone)]
 enum Origin {
     Srm(SrmParameters, Fit),
-    /// Whether its spikes subtract the threshold where the deployed ones clear the voltage.
+    /// `subtracts`: whether its spikes subtract the threshold, where the deployed network clears v.
     Loihi {
         parameters: NeuronParameters,
         subtracts: bool,
@@ -51,7 +49,7 @@ struct Population {
     origin: Option<Origin>,
     first: u32,
     count: u32,
-    /// Register units for a real unit.
+    /// Register units per real unit.
     scale: f64,
 }
 
@@ -64,13 +62,13 @@ pub struct Ladder {
     fits: Vec<Option<Fit>>,
     plain: Vec<Option<Fit>>,
     detail: Detail,
-    /// Register units for a real unit of each population whose scale is chosen.
+    /// Register units per real unit of each population whose scale is chosen.
     units: Vec<Option<f64>>,
-    /// By `links`: made when a stage first needs them.
+    /// Synapses of stages, indexed as in `links()`; made on first use.
     links: [OnceLock<Vec<Link>>; 8],
     compartments: u32,
     slots: usize,
-    /// What the layers lack to answer to every step of the input.
+    /// Steps missing in the layers for an answer to every input step; `None` if none is missing.
     pipeline: Option<Pipeline>,
     test: ThresholdTest,
     reset: Option<Reset>,
@@ -90,7 +88,7 @@ impl Ladder {
         Ladder::with_exponents(graph, fits, Detail::default())
     }
 
-    /// The stages of a network with exponents chosen this finely.
+    /// The stages of a network with exponents chosen at this level of detail.
     ///
     /// # Errors
     /// As [`quantise`](nsim_quantise::quantise::quantise).
@@ -100,8 +98,8 @@ impl Ladder {
             .populations()
             .zip(fits)
             .map(|((_, population), fit)| match (&population.kind, fit) {
-                // Peaks match and no synapse leads to its own source: only a search would choose
-                // otherwise.
+                // Without a search the kernels' peaks match, and no neuron has a synapse onto
+                // itself.
                 (PopulationKind::Srm(srm), Some(fit)) => {
                     let threshold = analytic::matched_threshold_of(srm, timestep_ms, fit);
                     Some(Fit { threshold, own: Vec::new(), ..fit.clone() })
@@ -111,7 +109,7 @@ impl Ladder {
             .collect();
         let chosen = analytic::with_fits(graph, fits);
         let calibrated = quantise_with(&chosen, detail)?;
-        // Everything is in the register units of the network that is deployed.
+        // All stages use the register units of the deployed network.
         let units = scales(&chosen, detail)?;
         let (mut channels, mut compartments) = (0, 0);
         let mut populations = Vec::new();
@@ -159,7 +157,7 @@ impl Ladder {
         Ok(ladder)
     }
 
-    /// The stages that begin at another network, whose resets by subtraction became those to zero.
+    /// These stages, begun at network `given`, whose resets by subtraction became resets to zero.
     #[must_use]
     pub fn from_subtraction(mut self, given: &Graph) -> Ladder {
         for (population, (_, before)) in self.populations.iter_mut().zip(given.populations()) {
@@ -173,7 +171,7 @@ impl Ladder {
         self
     }
 
-    /// Whether input is copied: only current and voltage with own decays need copies.
+    /// Whether a stage has delayed copies of synapses; only two decays need them.
     fn copied(&self, rung: Rung) -> bool {
         let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
         single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)
@@ -196,7 +194,8 @@ impl Ladder {
                 true if chosen && copied => self.integer_links(&self.calibrated, &self.units),
                 true => match (quantise_with(&of, self.detail), scales(&of, self.detail)) {
                     (Ok(network), Ok(units)) => self.integer_links(&network, &units),
-                    // What the deployed network's parameters allow, fewer of them allow too.
+                    // Not reached: the deployed network quantises, and this one has fewer
+                    // parameters.
                     _ => self.real_links(&of),
                 },
             })
@@ -222,7 +221,7 @@ impl Ladder {
         graph.projections().map(link).collect()
     }
 
-    /// A network rounded at a scale of its own, in the units of the deployed one.
+    /// Synapses of a network rounded at its own scale, in units of the deployed network.
     fn integer_links(&self, network: &Quantised, own: &[Option<f64>]) -> Vec<Link> {
         let link = |projection: &quantised::Projection| {
             let (source, target) = (projection.source.0 as usize, projection.target.0 as usize);
@@ -244,7 +243,7 @@ impl Ladder {
         network.projections().iter().map(link).collect()
     }
 
-    /// The network in integers of a stage, without what a search chose unless the stage has it.
+    /// Quantised network of a stage; it has the searched parameters if the stage has calibration.
     fn network(&self, rung: Rung) -> &Quantised {
         if rung.has(Cause::Calibration) {
             return &self.calibrated;
@@ -255,7 +254,7 @@ impl Ladder {
         })
     }
 
-    /// Register units for a real unit of each population whose scale is chosen.
+    /// Register units per real unit of each population whose scale is chosen.
     pub fn units(&self) -> &[Option<f64>] {
         &self.units
     }
@@ -272,7 +271,7 @@ impl Ladder {
         };
         let subtracts =
             |population: &Population| matches!(population.origin, Some(Origin::Loihi { subtracts: true, .. }));
-        // A note is of weights between two steps of their format; a negative exponent drops bits.
+        // Notes report weights between two steps of their format; a negative exponent drops bits.
         let rounds = || {
             let noted = self.calibrated.parts().notes.iter().any(|note| note.rounded.is_some_and(|r| r.changed > 0));
             let drops = self.calibrated.projections().iter().any(|projection| projection.format.exponent.get() < 0);
@@ -290,7 +289,7 @@ impl Ladder {
         Cause::ALL.into_iter().filter(holds).collect()
     }
 
-    /// The trained network: a cause without effect here counts as switched on.
+    /// Stage of the trained network; a cause without effect here counts as switched on.
     pub fn trained(&self) -> Rung {
         Cause::ALL.into_iter().filter(|cause| !self.causes.contains(cause)).fold(Rung::TRAINED, Rung::with)
     }
@@ -305,7 +304,7 @@ impl Ladder {
         -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
     }
 
-    /// What the layers lack to answer to every step of the input.
+    /// Steps missing in the layers for an answer to every input step; `None` if none is missing.
     pub fn pipeline(&self) -> Option<&Pipeline> {
         self.pipeline.as_ref()
     }
@@ -320,7 +319,7 @@ impl Ladder {
         layers(&self.calibrated)
     }
 
-    /// A compartment as a stage has it.
+    /// Parameters of a compartment in a stage.
     fn neuron(&self, (population, origin): (usize, &Origin), index: u32, rung: Rung) -> RealForm {
         let of = &self.populations[population];
         let network = self.network(rung);
@@ -344,14 +343,14 @@ impl Ladder {
                     false => analytic::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1),
                 };
                 let chosen = rung.has(Cause::Calibration);
-                // The factor by which a search moved the threshold from where the peaks match.
+                // Ratio of the searched threshold to the threshold at which the peaks match.
                 let moved = if chosen { fit.threshold / at } else { 1.0 };
                 let real = matched * moved * of.scale;
                 let weights = rung.has(Cause::Weights);
                 RealForm {
                     keep_u: keeps.0,
                     keep_v: keeps.1,
-                    // The mantissa's own when decays and calibration are the deployed ones.
+                    // The deployed mantissa where decays and calibration are the deployed ones.
                     threshold: match (weights, chosen && copied) {
                         (true, true) => integers.threshold,
                         (true, false) => (real / 64.0).round_ties_even() * 64.0,
@@ -364,7 +363,7 @@ impl Ladder {
                 }
             }
             Origin::Loihi { parameters, subtracts } => {
-                // As the reference engine has it; a real threshold has no registers to clip in.
+                // Parameters of the reference engine; a real threshold has no registers to clip in.
                 let real = nsim_dynamics::model(parameters, index, self.timestep_ms, semantics);
                 let pick = |cause: Cause, integer: f64, real: f64| if rung.has(cause) { integer } else { real };
                 RealForm {
@@ -398,7 +397,7 @@ impl Ladder {
         Some(State::new((neurons, floors), response, (resets_from.max(first), resets_from), self.test, rung))
     }
 
-    /// The missing steps that the layers of a stage are given.
+    /// The steps that a stage adds to its layers; `None` in stages without them.
     fn in_step(&self, rung: Rung) -> Option<&Pipeline> {
         self.pipeline.as_ref().filter(|_| !rung.has(Cause::Pipeline))
     }
@@ -407,7 +406,7 @@ impl Ladder {
     pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
         let Some(pipeline) = self.in_step(rung) else { return self.run_as_it_is(rung, sample, potentials) };
         let mut trace = self.run_as_it_is(rung, &sample.clone().followed_by(pipeline.more_steps()), potentials);
-        // A layer before the last has steps more than the tool's.
+        // A layer before the last runs more steps here than in the tool.
         for (index, population) in self.populations.iter().enumerate().filter(|(_, p)| p.origin.is_some()) {
             let end = pipeline.window(index, sample.steps());
             let trains = &mut trace.trains[population.first as usize..][..population.count as usize];
@@ -439,7 +438,7 @@ impl Ladder {
         for now in 0..steps {
             for link in links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
                 let of = &self.populations[link.source];
-                // Spike response kernels are 0 at their start.
+                // Spike response kernels are 0 at their start, so input counts a step later.
                 let late = states[link.target].as_ref().is_some_and(|state| state.late);
                 let mine = sample.at(now).iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
                 let at = now + u32::from(late) + wait(link);
@@ -492,7 +491,7 @@ pub(super) fn layer(population: &quantised::Population) -> Option<Layer> {
     Some(Layer { name: population.name.clone(), first, count: population.shape.len() })
 }
 
-/// Bits by which lava shifts what arrives at a population.
+/// Bits by which lava shifts the sums of a population.
 fn shift_of(population: &quantised::Population) -> u8 {
     population.neurons().map_or(0, |neurons| neurons.get(0).shift)
 }

@@ -1,11 +1,11 @@
-//! Where and why two networks disagree.
+//! Differences of two networks, and their causes.
 //!
-//! Input: a network as it was trained, what it became, samples. Output: how far spikes and
-//! potentials differ layer by layer ([`trace`], [`metrics`]), which of the steps from real numbers
-//! to the machine is to blame ([`ladder`], [`attribution`]).
+//! Input: a network as it was trained, its deployed form, samples. Output: differences of spikes
+//! and potentials by layer ([`trace`], [`metrics`]), and the step from real numbers to the machine
+//! that causes them ([`ladder`], [`attribution`]).
 //!
-//! Results do not depend on threads: samples are taken in parallel, their sums added in the order
-//! of the run.
+//! Results do not depend on the number of threads: samples run in parallel, and their sums are
+//! added in the order of the run.
 
 pub mod attribution;
 pub mod causes;

@@ -1,8 +1,8 @@
-//! Synapses of a comparison stage: who spikes, what that adds, and when.
+//! Synapses of a comparison stage: sources, targets, weights and delays.
 //!
-//! Input: spikes of a population. Output: weights added to what arrives at another. Delayed copies
-//! between the same two populations are one link, whose weights from one source follow one another,
-//! so that a spike reads memory in order.
+//! Input: spikes of a population. Output: weights added to the arrivals of another. Delayed copies
+//! between the same two populations are one link. Its weights from one source are contiguous, so a
+//! spike reads memory in order.
 
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;
@@ -12,20 +12,20 @@ use nsim_reference::synapses::Synapses;
 /// The synapses from one population to another.
 #[derive(Debug)]
 pub(super) struct Link {
-    /// The population that spikes.
+    /// Source population.
     pub source: usize,
-    /// The one that they lead to.
+    /// Target population.
     pub target: usize,
-    /// Several: of delayed copies, whose weights from one source then follow one another.
+    /// Delays in steps; several for delayed copies, whose weights from one source are contiguous.
     pub delays: Vec<u32>,
-    /// Whether it represents what a hard reset takes.
+    /// Whether it represents the voltage that a hard reset takes away.
     pub restores: bool,
-    /// In register units.
+    /// Synapses, weights in register units.
     pub synapses: Synapses<f64>,
 }
 
 impl Link {
-    /// Adds a spike that arrives without delay at this step to what arrives at its targets.
+    /// Adds a neuron's spike to the arrivals of its targets; `step` is the arrival without delay.
     pub fn deliver(&self, neuron: u32, step: u32, arrivals: &mut [Vec<f64>]) {
         let slots = arrivals.len();
         let slot = |delay: u32| (step + delay) as usize % slots;
@@ -42,7 +42,7 @@ impl Link {
         }
     }
 
-    /// Dense links from one population to another as one: a spike then reads memory in order.
+    /// Merges dense links between the same populations, so that a spike reads memory in order.
     pub fn merged(links: Vec<Link>) -> Vec<Link> {
         let mut merged: Vec<Vec<Link>> = Vec::new();
         for link in links {
@@ -81,7 +81,7 @@ impl Link {
     }
 }
 
-/// Integer synapses as what they add to the accumulator.
+/// Synapses whose weights are the accumulator's increments times `factor`.
 pub(super) fn integer_synapses(projection: &quantised::Projection, sources: u32, factor: f64) -> Synapses<f64> {
     let mut synapses = Vec::new();
     for source in 0..sources {

@@ -1,8 +1,8 @@
 //! The distance between two networks' spikes and potentials.
 //!
-//! Input: spike trains as ascending steps, potentials relative to their thresholds. Output: sums
-//! that can be added over neurons and samples in any grouping that keeps their order, and from them
-//! the figures. All times are timesteps.
+//! Input: spike trains as ascending steps, potentials relative to their thresholds. Output: sums,
+//! and metrics computed from them. Sums can be added over neurons and samples in any grouping that
+//! keeps their order. All times are timesteps.
 //!
 //! - *Coincidence factor* (Kistler, Gerstner, van Hemmen 1997; Jolivet, Lewis, Gerstner 2004):
 //!   (N_coinc - p N_a) / ((N_a + N_b) / 2) / (1 - p), with p the chance that a train of b's rate nu
@@ -10,13 +10,13 @@
 //!   for low rates is their 2 nu Delta. 1 means equal, 0 chance. Delta is 2 steps, or less where nu
 //!   (2 Delta + 1) would pass 1/2: at such rates any train coincides with any other.
 //! - *van Rossum distance* (2001): of the trains filtered with a decaying exponential of 10 steps;
-//!   a spike too many is worth the square root of 1/2.
-//! - *Victor-Purpura distance* (1996): the cheapest way to turn one train into the other, where
+//!   a single surplus spike gives the square root of 1/2.
+//! - *Victor-Purpura distance* (1996): the least cost of turning one train into the other, where
 //!   adding or removing a spike costs 1 and moving it 1/10 a step.
 
 /// Time constant of van Rossum's filter, and the inverse of Victor and Purpura's cost, in steps.
 pub const TAU: f64 = 10.0;
-/// The widest window of a coincidence.
+/// Greatest Delta of a coincidence, steps.
 const WIDEST: u32 = 2;
 
 /// Sums over neurons and samples.
@@ -24,13 +24,13 @@ const WIDEST: u32 = 2;
 pub struct TrainSums {
     /// Spikes of the first network.
     pub spikes_a: u64,
-    /// Spikes of the second.
+    /// Spikes of the second network.
     pub spikes_b: u64,
-    /// Differences of the counts of single neurons and samples, without sign.
+    /// Sum of the absolute differences of spike counts, by neuron and sample.
     pub count_differences: u64,
     /// Coincidences beyond chance.
     beyond_chance: f64,
-    /// What they could be at most.
+    /// Maximum of the coincidences beyond chance.
     at_most: f64,
     van_rossum: f64,
     victor_purpura: f64,
@@ -64,7 +64,7 @@ impl TrainSums {
         self.potentials += 1;
     }
 
-    /// Adds what another part counted.
+    /// Adds the sums of another part.
     pub fn merge(&mut self, other: &TrainSums) {
         self.spikes_a += other.spikes_a;
         self.spikes_b += other.spikes_b;
@@ -114,7 +114,7 @@ pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
         b.get(from).is_some_and(|&y| y <= x + delta)
     };
     let found = a.iter().filter(near).count() as f64;
-    // A train that spikes in every step leaves nothing to chance: it counts as it is.
+    // A train that spikes in every step has chance 1; the limit avoids a division by 0.
     let chance = (1.0 - libm::pow(1.0 - rate, window(delta))).min(0.999);
     let mean = (a.len() + b.len()) as f64 / 2.0;
     (found - chance * a.len() as f64, mean * (1.0 - chance))
@@ -125,7 +125,7 @@ fn van_rossum(a: &[u32], b: &[u32]) -> f64 {
     let (mut i, mut j, mut height, mut at, mut sum) = (0, 0, 0.0f64, 0u32, 0.0f64);
     loop {
         let Some(&next) = a.get(i).into_iter().chain(b.get(j)).min() else {
-            // What is left decays for ever.
+            // The remaining height decays without end.
             return (sum + height * height / 2.0).sqrt();
         };
         let decayed = height * libm::exp(-f64::from(next - at) / TAU);

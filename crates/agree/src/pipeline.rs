@@ -1,8 +1,8 @@
-//! What a network lacks to answer as a tool whose layers all answer in one step.
+//! Missing steps of a network, compared with a tool whose layers all answer in one step.
 //!
-//! Input: a network. Output: the depth of each population, the steps that spikes wait which skip
-//! layers, and the steps that a sample needs after its input. A population of depth k does in step
-//! t + k what the tool's does in step t (`docs/import.md`, Time). A sample that ends with its input
+//! Input: a network. Output: the depth of each population, the waits of spikes that skip layers,
+//! and the steps that a sample needs after its input. A population of depth k computes in step t +
+//! k the result of the tool's step t (`docs/import.md`, Time). A sample that ends with its input
 //! cuts off the last answers of the output, which may give another class.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
@@ -14,24 +14,24 @@ use nsim_ir::graph::{Graph, PopulationKind};
 /// The delays of a network's layers.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pipeline {
-    /// Of each population, in the order of the file.
+    /// Depth of each population, in the order of the file.
     depths: Vec<u32>,
     inputs: Vec<bool>,
-    /// What an input reaches, inputs included.
+    /// Whether each population is an input or reached by one.
     layers: Vec<bool>,
     loops: BTreeSet<(usize, usize)>,
-    /// Whether spikes that skip layers are still to be delayed.
+    /// Whether spikes that skip layers still need a delay.
     waits: bool,
     /// Steps that each sample has after its input.
     drained: u32,
-    /// Steps that it needs.
+    /// Steps that each sample needs after its input.
     pub drain: u32,
 }
 
 impl Pipeline {
-    /// What a network lacks; `None` where its samples have a step for each layer after the first,
-    /// where a layer's step is part of training (spike response neurons; integers that a tool of
-    /// the chip wrote), or where there is one layer.
+    /// Missing steps of a network. `None` where its samples have a step for each layer after the
+    /// first, or it has one layer. Also `None` where training includes a layer's step (spike
+    /// response neurons; integers that a tool of the chip wrote).
     pub fn missing(graph: &Graph) -> Option<Pipeline> {
         let kinds: Vec<&PopulationKind> = graph.populations().map(|(_, population)| &population.kind).collect();
         let inputs: Vec<bool> = kinds.iter().map(|kind| matches!(kind, PopulationKind::Input)).collect();
@@ -44,7 +44,7 @@ impl Pipeline {
         let order = reached(&inputs, &ways);
         let mut place = vec![0; order.len()];
         order.iter().enumerate().for_each(|(at, &population)| place[population] = at);
-        // What no input reaches, such as a compartment that represents a bias, is no layer.
+        // A population without a path from an input is no layer, such as a compartment for a bias.
         let layers = driven(&inputs, &ways);
         let mut sources = vec![Vec::new(); order.len()];
         let between = ways.iter().filter(|(from, _)| layers[*from]);
@@ -62,7 +62,7 @@ impl Pipeline {
         self.depths[population]
     }
 
-    /// Steps that a spike waits to meet those of longer ways.
+    /// Steps that a spike waits for spikes on longer paths.
     pub fn wait(&self, from: usize, to: usize) -> u32 {
         let arrives = match self.inputs[from] {
             true => 0,
@@ -76,18 +76,18 @@ impl Pipeline {
         self.depths.iter().copied().max().unwrap_or(0)
     }
 
-    /// Steps that a sample gets besides those that it has.
+    /// Steps to add to a sample.
     pub fn more_steps(&self) -> u32 {
         self.drain - self.drained
     }
 
-    /// The steps of a sample of `steps` in which the tool's population runs too.
+    /// End of the steps in which the tool's population runs too, for a sample of `steps`.
     pub fn window(&self, population: usize, steps: u32) -> u32 {
         steps - self.drained.min(steps) + self.depths[population]
     }
 
-    /// What `--set` takes to give the network what it lacks; `None` where spikes of one declared
-    /// projection would need several delays.
+    /// Arguments of `--set` that add the missing steps and delays. `None` where spikes of one
+    /// declared projection would need several delays, or a delay is out of range.
     pub fn changes(&self, graph: &Graph) -> Option<Vec<String>> {
         let mut changes = vec![format!("drain={}", self.drain)];
         for (node, population) in graph.populations() {
@@ -110,7 +110,7 @@ impl Pipeline {
     }
 }
 
-/// Whether an input reaches each population, or it is one.
+/// Whether each population is an input or reached by one.
 fn driven(inputs: &[bool], ways: &BTreeSet<(usize, usize)>) -> Vec<bool> {
     let mut driven = inputs.to_vec();
     let mut next: Vec<usize> = (0..inputs.len()).filter(|&node| inputs[node]).collect();
@@ -124,7 +124,7 @@ fn driven(inputs: &[bool], ways: &BTreeSet<(usize, usize)>) -> Vec<bool> {
     driven
 }
 
-/// Populations in the order in which spikes reach them: inputs and what nothing leads to first.
+/// Populations in the order in which spikes reach them; inputs and sourceless ones come first.
 fn reached(inputs: &[bool], ways: &BTreeSet<(usize, usize)>) -> Vec<usize> {
     let fed: BTreeSet<usize> = ways.iter().filter(|(from, to)| from != to).map(|&(_, to)| to).collect();
     let mut order: Vec<usize> = (0..inputs.len()).filter(|&node| inputs[node]).collect();

@@ -1,8 +1,8 @@
 //! A population of a comparison stage while it runs.
 //!
-//! Input: what arrives in a step, in register units. Output: spikes and potentials. Arithmetic is
-//! in doubles, with the rounding, wrapping and clipping of the chip's registers where the stage has
-//! integer state.
+//! Input: the arrivals of a step, in register units. Output: spikes and potentials. Arithmetic is
+//! in doubles. Where the stage has integer state, it rounds, wraps and clips as the chip's
+//! registers do.
 
 use super::causes::{Cause, Rung};
 use nsim_dynamics::RealForm;
@@ -20,20 +20,20 @@ fn wrapped(x: f64, bits: i32) -> f64 {
 pub(super) struct State {
     /// Its compartments, in register units.
     pub neurons: Vec<RealForm>,
-    /// Whether what arrives in a step is rounded down to multiples of 64, as lava shifts sums.
+    /// Whether sums of arrivals are rounded down to multiples of 64, as lava's shift does.
     floors: bool,
-    /// The first step in which it takes part.
+    /// First step in which it is updated.
     pub start_step: u32,
-    /// The step that resets are counted from.
+    /// Step from which reset intervals are counted.
     pub resets_from: u32,
-    /// Whether input spikes count a step later.
+    /// Whether input spikes arrive a step later.
     pub late: bool,
     strict: bool,
     integers: bool,
     hard: bool,
     u: Vec<f64>,
     v: Vec<f64>,
-    /// With truncated kernels: the response's taps, past inputs, and the rest of resets and biases.
+    /// Truncated kernels: the response's taps, past inputs, decaying rest of resets and biases.
     taps: Vec<f64>,
     past: Vec<Vec<f64>>,
     newest: usize,
@@ -52,9 +52,8 @@ pub(super) struct State {
 }
 
 impl State {
-    /// Before its first step: its compartments and whether sums are rounded down, its first step
-    /// and the one that resets are counted from; `response` and the timestep in ms are those of
-    /// spike response neurons.
+    /// State before the first step, from compartments and `floors`, `start_step` and `resets_from`.
+    /// `response` has the parameters of spike response neurons and the timestep in ms.
     pub fn new(
         (neurons, floors): (Vec<RealForm>, bool),
         response: Option<(&SrmParameters, f64)>,
@@ -69,7 +68,7 @@ impl State {
         });
         let hard = !srm || rung.has(Cause::HardReset);
         let truncated = srm && !rung.has(Cause::Untruncated) && !rung.has(Cause::Kernel);
-        // (k + 1) r^k, cut where the alpha kernel that it is falls below SLAYER's limit.
+        // (k + 1) r^k, an alpha kernel, cut where that kernel falls below SLAYER's limit.
         let taps: Vec<f64> = match response.filter(|_| truncated) {
             Some((srm, timestep_ms)) => {
                 let alpha = Alpha { peak: 1.0, tau: srm.tau_sr_ms / timestep_ms };
@@ -109,7 +108,7 @@ impl State {
         }
     }
 
-    /// Back to rest.
+    /// Resets the registers to rest.
     pub fn clear(&mut self) {
         for zero in
             [&mut self.u, &mut self.v, &mut self.left, &mut self.nu_first, &mut self.nu_second, &mut self.spiked]
@@ -141,7 +140,7 @@ impl State {
         relative * threshold
     }
 
-    /// One step with what arrives; `spike` gets each compartment that spikes.
+    /// Runs one step with these arrivals; calls `spike` for each compartment that spikes.
     pub fn step(&mut self, arrivals: &[f64], mut spike: impl FnMut(u32)) {
         let integers = self.integers;
         let narrow = |x: f64| if integers { x.trunc() } else { x };
@@ -182,7 +181,7 @@ impl State {
             let fires = over && !held;
             self.shown[i] = v;
             if self.hard && (held || fires) {
-                // The reset leaves 0 here, and what it took away decays as the voltage does.
+                // The reset leaves 0. With truncated kernels the removed voltage decays in `left`.
                 self.held[i] = if fires { n.refractory - 1 } else { self.held[i] - 1 };
                 if truncated {
                     self.left[i] -= free;

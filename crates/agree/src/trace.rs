@@ -1,4 +1,4 @@
-//! What a network did in one sample, and the comparison of two such traces.
+//! Trace of a network in one sample, and the comparison of two traces.
 
 use super::metrics::TrainSums;
 use nsim_ir::arithmetic::ReadOut;
@@ -7,7 +7,7 @@ use nsim_ir::potentials::Potentials;
 use nsim_ir::quantised::Output;
 use nsim_ir::spikes::{Engine, Sample};
 
-/// A population as a trace has it: its neurons' place in the network.
+/// A population of a trace: a range of compartments of the network.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Layer {
     /// Its name.
@@ -27,14 +27,14 @@ pub struct Trace {
     pub trains: Vec<Vec<u32>>,
     /// `[compartment][step]`: potential after each step in thresholds; may be empty.
     pub potentials: Vec<f32>,
-    /// What decides.
+    /// Quantity that decides the class.
     pub decision: ReadOut,
     /// The potentials of the outputs after each step where potentials decide; else empty.
     pub deciding: Vec<Vec<f64>>,
 }
 
 impl Trace {
-    /// Runs a sample and records it; `potential` reads a compartment's in thresholds.
+    /// Runs a sample and records it; `potential` reads a compartment's potential in thresholds.
     pub fn record<E: Engine>(
         engine: &mut E,
         sample: &Sample,
@@ -65,7 +65,7 @@ impl Trace {
         trace
     }
 
-    /// The first steps only.
+    /// Truncates the trace to `steps` steps.
     #[must_use]
     pub fn until(mut self, steps: u32) -> Trace {
         let (kept, all) = (steps.min(self.steps), self.steps.max(1) as usize);
@@ -76,7 +76,7 @@ impl Trace {
         self
     }
 
-    /// A longer trace, in which nothing happens any more and no potential is known.
+    /// Extends the trace to `steps` steps, without spikes and with unknown potentials.
     #[must_use]
     pub fn silent_until(mut self, steps: u32) -> Trace {
         if steps > self.steps {
@@ -89,7 +89,7 @@ impl Trace {
         self
     }
 
-    /// The class: by spikes the output with most, the lowest index on a tie, none when silent.
+    /// The class. By spikes: the output with most, the lowest index on a tie, none when silent.
     pub fn class(&self, output: &Layer) -> Option<u32> {
         let outputs = self.deciding.first().map_or(0, Vec::len);
         if let Some(mut potentials) = Potentials::new(self.decision, outputs as u32) {
@@ -111,7 +111,7 @@ impl Trace {
     }
 }
 
-/// Where two networks first differ.
+/// First difference of two networks.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Divergence {
     /// The sample, in the order of the run.
@@ -120,13 +120,13 @@ pub struct Divergence {
     pub timestep: u32,
     /// The neuron within its layer.
     pub neuron: u32,
-    /// Whether the first spiked there.
+    /// Whether the first network spiked there.
     pub a: bool,
-    /// Whether the second did.
+    /// Whether the second network spiked there.
     pub b: bool,
-    /// Their potentials in thresholds, where known.
+    /// Potential of the first network in thresholds, where known.
     pub potential_a: Option<f64>,
-    /// See `potential_a`.
+    /// Potential of the second network in thresholds, where known.
     pub potential_b: Option<f64>,
 }
 
@@ -137,11 +137,11 @@ pub struct Around {
     pub from: u32,
     /// Potentials of the first network from there on.
     pub a: Vec<f64>,
-    /// Those of the second, moved by the shift.
+    /// Potentials of the second network, moved by the shift.
     pub b: Vec<f64>,
-    /// Steps in which the first spiked.
+    /// Steps in which the first network spiked.
     pub spikes_a: Vec<u32>,
-    /// Steps in which the second did, in the first's time.
+    /// Steps in which the second network spiked, in the first's time.
     pub spikes_b: Vec<u32>,
 }
 
@@ -149,7 +149,7 @@ pub struct Around {
 const AROUND: u32 = 25;
 
 impl Around {
-    /// What two traces hold around a step, of those in `steps` that both have.
+    /// Excerpt of two traces around a step, within the `steps` that both have.
     fn new((a, b): (&Trace, &Trace), compartment: u32, at: u32, steps: std::ops::Range<u32>, shift: i32) -> Self {
         let (from, to) = (at.saturating_sub(AROUND).max(steps.start), (at + AROUND + 1).min(steps.end));
         let moved = |step: u32| step.saturating_add_signed(shift);
@@ -163,14 +163,14 @@ impl Around {
     }
 }
 
-/// A layer of the two networks over all samples so far.
+/// Comparison of one layer of two networks over all samples so far.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Comparison {
-    /// Sums.
+    /// Sums over neurons and samples.
     pub tally: TrainSums,
-    /// The first sample, in it the first step, in it the lowest neuron in which they differ.
+    /// First difference: the first sample, in it the first step, in it the lowest neuron.
     pub first_divergence: Option<Divergence>,
-    /// Both potentials around it.
+    /// Both potentials around the first divergence.
     pub around: Option<Around>,
 }
 
@@ -199,8 +199,8 @@ impl Comparison {
                         *at += usize::from(here);
                         here
                     };
-                    // Where one spikes, the other's convention decides what is read: a reset, or
-                    // the peak.
+                    // At a spike the potential depends on the network's convention (reset or peak),
+                    // so it is not compared.
                     let (a_spikes, b_spikes) = (spiked(&own, &mut i), spiked(&other, &mut j));
                     if !a_spikes
                         && !b_spikes
@@ -236,8 +236,8 @@ fn first_difference(a: &[u32], b: &[u32]) -> Option<u32> {
     a.get(same).into_iter().chain(b.get(same)).min().copied()
 }
 
-/// The constant delay by which the second's spikes of a layer come later, of those within +-4
-/// steps: the one at which most spikes coincide, the smallest on a tie.
+/// Constant delay of the second network's spikes of a layer, -4..=4 steps: the one at which most
+/// spikes coincide, the smallest on a tie.
 pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
     let coincident = |shift: i32| {
         let of = |(a, b): &(&Trace, &Trace)| {
@@ -251,7 +251,7 @@ pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
         };
         pairs.iter().map(of).sum::<usize>()
     };
-    // A tie goes to the last that is looked at, the first of this list.
+    // `max_by_key` returns the last maximum, so a tie goes to the first of this list.
     let candidates = [0, -1, 1, -2, 2, -3, 3, -4, 4];
     candidates.into_iter().rev().max_by_key(|&shift| coincident(shift)).unwrap_or(0)
 }

@@ -1,16 +1,14 @@
-//! Networks without spikes, trained on the same samples: what Taunyazov et al. 2020 compare spiking
-//! networks with.
+//! Networks without spikes, trained on equal samples: the baselines of Taunyazov et al. 2020.
 //!
 //! Input: labelled samples, a kind of network, settings. Output: its accuracy on samples that it
-//! was not trained on, its parameters, operations and time a sample. The same seed gives the same
-//! network on the same machine: initial weights and the order of samples are functions of it; sums
-//! are floating-point numbers, whose last digits another processor may round otherwise.
+//! was not trained on, its parameters, operations and time a sample. On one machine a seed gives
+//! one network: initial weights and the order of samples are functions of it. Sums are
+//! floating-point numbers, whose last digits another processor may round otherwise.
 //!
 //! The paper names MLP-GRU (Cho et al. 2014) and CNN-3D (Gandarias et al. 2019), trained with
-//! cross-entropy, and prints neither their sizes nor their kernels; those are chosen here: each
+//! cross-entropy, and prints neither their sizes nor their kernels. These are chosen here: each
 //! sense has an encoder of [`HIDDEN`] units as the spiking networks have. Adam takes the place of
-//! RMSProp. Errors: those of the deep-learning crate (`candle`), such as a tensor that memory does
-//! not hold.
+//! RMSProp. Errors: as the deep-learning crate (`candle`), such as a tensor that exceeds memory.
 
 pub mod layers;
 pub mod networks;
@@ -26,32 +24,32 @@ use self::networks::Ann;
 use nsim_ir::base::rng;
 use nsim_train::fit::Example;
 
-/// Samples that are classified in one batch when nothing is timed.
+/// Samples in an untimed batch, and most samples that are timed.
 const AT_ONCE: usize = 32;
 
-/// How a network is trained.
+/// Settings of a training.
 #[derive(Debug, Clone, Copy)]
 pub struct AnnSettings {
     /// Passes over the samples.
     pub epochs: u32,
-    /// Samples of a step.
+    /// Samples in a minibatch.
     pub batch: usize,
     /// Learning rate.
     pub rate: f64,
-    /// Of initial weights and of the order of samples.
+    /// Seed of initial weights and of the order of samples.
     pub seed: u64,
 }
 
-/// A trained network, as its results say.
+/// Measures of a trained network.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AnnResult {
-    /// Share of the tested samples that it classifies as they are labelled.
+    /// Fraction of the test samples with the right class, 0..=1.
     pub accuracy: f64,
-    /// Trained numbers.
+    /// Number of trained parameters.
     pub parameters: u64,
-    /// Multiplications of weights for a sample.
+    /// Number of multiplications by weights for a sample.
     pub operations: u64,
-    /// Microseconds for one sample after the other: the median.
+    /// Median latency of one sample in microseconds, with samples run sequentially.
     pub latency_us: f64,
     /// Mean loss of each epoch.
     pub losses: Vec<f64>,
@@ -65,7 +63,7 @@ fn classified(network: &Ann, samples: &[&Example]) -> Result<Vec<u32>> {
 /// Trains a network and tests it; `after` is called after each epoch.
 ///
 /// # Errors
-/// Those of the crate.
+/// Errors of candle.
 pub fn trained(
     (kind, senses): (AnnKind, &Senses),
     (train, test): (&[&Example], &[&Example]),

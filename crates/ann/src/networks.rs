@@ -1,9 +1,9 @@
 //! MLP-GRU and CNN-3D.
 //!
-//! Input: spikes of each sense. Output: a number for each class. MLP-GRU: in each timestep each
-//! sense goes through a dense layer, both together into gated recurrent units, whose last state is
-//! read out. CNN-3D: events are summed in [`BINS`] bins of time; each sense goes through two
-//! convolutions and a dense layer, both together into the readout.
+//! Input: spikes of each sense. Output: a score for each class. MLP-GRU: in each timestep a dense
+//! layer encodes each sense; gated recurrent units take both, and their last state is read out.
+//! CNN-3D: events are summed in [`BINS`] bins of time. Two convolutions and a dense layer encode
+//! each sense; the readout takes both.
 
 use candle_core::{DType, Device, Result, Tensor, Var};
 use candle_nn::VarBuilder;
@@ -13,9 +13,9 @@ use super::layers::{Convolution, Dense, Weights, halved, kernel_of, tensor};
 use nsim_ir::base::names::named_variants;
 use nsim_train::fit::Example;
 
-/// Units of each encoder, and of the layer after them.
+/// Units of each encoder, and of the recurrent layer.
 pub const HIDDEN: usize = 32;
-/// Bins of time of a CNN-3D.
+/// Number of time bins of a CNN-3D.
 pub const BINS: usize = 32;
 /// Channels of the two convolutions.
 const CHANNELS: [usize; 2] = [8, 16];
@@ -29,17 +29,17 @@ pub enum AnnKind {
     Cnn3d,
 }
 
-// As the paper names them.
+// Names of the paper.
 named_variants!(AnnKind { MlpGru = "MLP-GRU", Cnn3d = "CNN-3D" });
 
-/// What a network sees and says.
+/// Input and output sizes of a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Senses {
     /// Channels, rows and columns of each sense; a line of channels is one row.
     pub shapes: Vec<(usize, usize, usize)>,
     /// Timesteps of the longest sample.
     pub steps: usize,
-    /// Classes.
+    /// Number of classes.
     pub classes: usize,
 }
 
@@ -56,7 +56,7 @@ pub struct Ann {
     weights: Weights,
 }
 
-/// The sizes that two convolutions make of a plane over time: (steps, rows, columns) after each.
+/// Sizes of a plane over time after each of two convolutions: (steps, rows, columns).
 fn sizes((rows, columns): (usize, usize)) -> [(usize, usize, usize); 2] {
     let half = |(t, r, c): (usize, usize, usize)| (halved(t), halved(r), halved(c));
     let first = half((BINS, rows, columns));
@@ -67,7 +67,7 @@ impl Ann {
     /// A network with random weights.
     ///
     /// # Errors
-    /// Those of the crate.
+    /// Errors of candle.
     pub fn new(kind: AnnKind, senses: &Senses, seed: u64) -> Result<Self> {
         let mut weights = Weights::new(seed);
         let together = HIDDEN * senses.shapes.len();
@@ -105,9 +105,9 @@ impl Ann {
         Ok(Ann { senses: senses.clone(), body, readout, weights })
     }
 
-    /// What is trained.
+    /// Trained variables, by name.
     pub fn variables(&self) -> Vec<Var> {
-        // By name: the order of a hash map differs between runs.
+        // Sorted by name, as the order of a hash map differs between runs.
         let all = self.weights.all.data().lock();
         let mut named: Vec<(String, Var)> =
             all.map(|all| all.iter().map(|(name, var)| (name.clone(), var.clone())).collect()).unwrap_or_default();
@@ -115,12 +115,12 @@ impl Ann {
         named.into_iter().map(|(_, var)| var).collect()
     }
 
-    /// Trained numbers.
+    /// Number of trained parameters.
     pub fn parameters(&self) -> u64 {
         self.variables().iter().map(|var| var.elem_count() as u64).sum()
     }
 
-    /// Multiplications of weights for a sample.
+    /// Number of multiplications by weights for a sample.
     pub fn operations(&self) -> u64 {
         let Senses { shapes, steps, classes } = &self.senses;
         let together = HIDDEN * shapes.len();
@@ -159,10 +159,10 @@ impl Ann {
         tensor(values, &[samples.len(), bins, units])
     }
 
-    /// A number for each class: `[samples, classes]`.
+    /// Scores of the classes, `[samples, classes]`.
     ///
     /// # Errors
-    /// Those of the crate.
+    /// Errors of candle.
     pub fn forward(&self, samples: &[&Example]) -> Result<Tensor> {
         match &self.body {
             Body::Recurrent(encoders, cells) => {

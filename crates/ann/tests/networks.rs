@@ -1,7 +1,7 @@
-//! Networks without spikes: convolutions against the sum as it is defined, gradients against
-//! differences, counts against those made by hand, and that both kinds learn.
+//! Networks without spikes: convolutions against their definition, gradients against differences,
+//! counts against hand-made ones, and training of both kinds.
 
-// Helpers of tests may unwrap as tests may.
+// Test helpers may unwrap.
 #![allow(clippy::unwrap_used)]
 
 use candle_core::Tensor;
@@ -12,7 +12,7 @@ use nsim_ir::base::rng;
 use nsim_train::fit::Example;
 use nsim_train::raster::Raster;
 
-/// The sum as it is defined, with zeros outside.
+/// The convolution by its definition, with zeros outside.
 fn brute_force(x: &Tensor, layer: &Convolution) -> Vec<f32> {
     let (samples, steps, from, rows, columns) = x.dims5().unwrap();
     let (to, _, kr, kc) = layer.weights.dims4().unwrap();
@@ -56,7 +56,7 @@ fn convolutions_are_sums_over_time_rows_and_columns() {
     }
 }
 
-/// The gradient of a sum of squares against differences.
+/// Compares the gradient of a sum of squares with differences.
 #[test]
 fn gradients_are_those_of_the_sum() {
     let mut weights = Weights::new(6);
@@ -92,8 +92,7 @@ fn parameters_and_operations_are_those_counted_by_hand() {
     assert_eq!(cnn.operations(), 16 * 78 * 8 * 9 + 8 * 39 * 16 * 8 * 9 + 16 * 8 * 39 * 32 + 64);
 }
 
-/// Samples whose class is the half of the time in which they have more events, on 2 x 8 x 8
-/// channels and on 6.
+/// Samples on 2 x 8 x 8 and on 6 channels; the class is the half of the time with more events.
 fn examples(count: u64) -> Vec<Example> {
     let raster = |units: u32, sample: u64, label: u32, stream: u64| {
         let events = (0..60).map(|k| {

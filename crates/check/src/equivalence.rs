@@ -3,41 +3,40 @@
 //! The rule, for a network N and a program P with the same numbers of channels and compartments:
 //!
 //! 1. *Parameters.* For every compartment n, with (c, s) = seat(n): `P.cores[c].ids[s] = n`, and
-//!    the neuron's fields and start step at (c, s) are those that N gives n. The parent of n has
+//!    the neuron's fields and start step at (c, s) equal the ones of n in N. The parent of n has
 //!    the seat (c, s + 1).
 //! 2. *Synapses.* For every source s, let R(s) be the multiset of (target, format, weight, delay)
 //!    over all synapses of all projections from s in N, and D(s) the multiset of (`ids[slot]`,
-//!    format, weight, delay) over all synapses of all lists that the messages of s lead to in P,
-//!    where the messages of a compartment are those of its seat. Then R(s) = D(s). The format is
-//!    exponent, sign mode and bits; so the scaled weights are equal too.
+//!    format, weight, delay) over all synapses of all lists that the messages of s select in P,
+//!    where a compartment has the messages of its seat. Then R(s) = D(s). The format includes
+//!    exponent, sign mode and bits, so the scaled weights are equal too.
 //! 3. *Nothing else.* Every input axon of P is the end of exactly one message. (`Program::new`
-//!    holds programs to it; with 2 it follows that no synapse of P is reached by a source that N
-//!    does not have.)
-//! 4. *Payloads.* A spike of a source carries in P what it carries in N.
+//!    enforces this. With 2 it follows that no source outside N reaches a synapse of P.)
+//! 4. *Payloads.* A spike of a source has equal payloads in P and N.
 //! 5. *Frame.* First compartments and sizes of populations, output population, semantics, threshold
 //!    test and reset agree.
 //!
-//! *Parts.* P may be held in part, by one of several processes that run it together. Then N is
-//! limited to its synapses to compartments whose cores are held, and the parts of all processes
-//! together are proven by each proving its own.
+//! *Parts.* P may be the part of one of several processes that run a program together. Then N is
+//! limited to its synapses to compartments of local cores, and each process proves its own part.
 //!
-//! *Classes.* Cores of one class hold the same tables. Let f be the first core of a class and m
+//! *Classes.* Cores of one class have equal tables. Let f be the first core of a class and m
 //! another core of it. m is a *shift* of f when a map h of compartments and channels takes, slot by
-//! slot, the compartments of f to those of m, and axon by axon the sources of f to those of m, and
+//! slot, the compartments of f to the ones of m, and axon by axon the sources of f to the ones of
+//! m, and
 //!
-//! - h adds this many copies, where N is equal copies that share nothing; or
-//! - the compartments of f are of one population, h adds this many rows and columns to each, and to
-//!   each source these times the stride of every projection from its population, all of which are
-//!   windows; and then adds this many copies.
+//! - h adds a number of copies, where N is several equal copies that share nothing; or
+//! - the compartments of f are of one population. To each of them h adds a number of rows and
+//!   columns; to each source, these times the stride of every projection from its population, all
+//!   of which are windows. Then h adds a number of copies.
 //!
-//! In both cases N has between h(s) and h(n) the synapses that it has between s and n. So if 2
-//! holds of the synapses of f, each synapse of m is one of N. Shifts are therefore not compared. If
-//! what is compared is equal, and P has as many synapses as N, then P has all synapses of N.
+//! In both cases the synapses of N between h(s) and h(n) equal its synapses between s and n. So if
+//! 2 holds for the synapses of f, each synapse of m is one of N. Shifts are therefore not compared.
+//! If all compared cores are equal, and P has as many synapses as N, then P has all synapses of N.
 //! Otherwise all cores are compared, which finds the first source that differs.
 //!
-//! The checker decodes the program's tables and enumerates the network's synapses; it calls nothing
-//! of the stages between. Sources are compared a piece at a time, of `synapses_of_piece` on
-//! average; memory is that of a piece for each thread.
+//! The checker decodes the program's tables and enumerates the network's synapses; it calls no code
+//! of the compiler's stages. Sources are compared in pieces of `synapses_of_piece` synapses on
+//! average; each thread needs memory for one piece.
 
 use std::ops::Range;
 
@@ -52,12 +51,11 @@ use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Population, Projection, Quantised, Units};
 use nsim_ir::spikes::Message;
 
-/// Sources that are decoded together at most: their numbers within a piece have 16 bits.
+/// Maximum number of sources of a piece: their numbers within a piece have 16 bits.
 const MOST_SOURCES: u64 = 1 << 16;
 
-/// Synapses of the sources that are decoded together, on average. They should be enough that what
-/// is loaded of each core's tables is read from end to end, and few enough to stay in a processor's
-/// cache.
+/// Average number of synapses of a piece. It is large enough to read the loaded parts of each
+/// core's tables in full, and small enough for a processor's cache.
 fn synapses_of_piece(cores: usize) -> u64 {
     (64 * cores as u64).clamp(1 << 16, 1 << 19)
 }
@@ -79,9 +77,9 @@ pub enum Difference {
     Synapses {
         /// The source.
         source_name: String,
-        /// Synapses that the program gives it.
+        /// Number of its synapses in the program.
         decoded: usize,
-        /// Synapses that the network gives it.
+        /// Number of its synapses in the network.
         meant: usize,
     },
 }
@@ -93,7 +91,7 @@ pub enum Difference {
 struct SynapseCode(u64);
 
 impl SynapseCode {
-    /// What synapses of a format have in common.
+    /// Returns the bits that synapses of a format have in common.
     fn of_format(format: SynapseFormat) -> Self {
         let sign = match format.sign {
             SignMode::Mixed => 0,
@@ -107,7 +105,7 @@ impl SynapseCode {
         SynapseCode(u64::from(format.plastic) << 63 | port << 54 | (code << 4 | u64::from(format.bits.get())) << 16)
     }
 
-    /// A synapse of this format.
+    /// Returns the code of a synapse of this format.
     #[inline]
     fn with(self, target: CompartmentId, weight: i16, delay: Delay) -> Self {
         let weight = u64::from((weight + 512) as u16 & 1023);
@@ -115,7 +113,7 @@ impl SynapseCode {
     }
 }
 
-/// Checks that a program equals its network of this many equal copies; returns the number of cores
+/// Checks that a program equals its network of `copies` equal copies; returns the number of cores
 /// proven from the first of their class.
 ///
 /// # Errors
@@ -179,8 +177,8 @@ fn check_synapses(
     Ok(())
 }
 
-/// Whether all messages of a source go to cores that are not compared. What a source reaches
-/// without a message is found by counting.
+/// Whether all messages of a source go to cores that are not compared. The total count reveals
+/// synapses without a message.
 fn is_skipped(program: &Program, source: u32, compared: impl Fn(CoreId) -> bool) -> bool {
     let mut messages = program.messages(source);
     messages.len() > 0 && messages.all(|message| !compared(message.core))
@@ -209,7 +207,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
 fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
     let (first, graded) = (network.first_source(population), &program.parts().graded);
     let mut source = first;
-    // Up to where the next payload begins or this one ends, all sources send messages of one kind.
+    // Up to the next begin or end of a payload, all sources send messages of one kind.
     while source < first + population.shape.len() {
         let here = graded.iter().find(|graded| graded.sources.contains(&source));
         if here.map_or(Message::Spike, |graded| graded.message) != population.message {
@@ -253,12 +251,10 @@ fn name_of(units: &Units, index: u32) -> String {
     }
 }
 
-/// Whether two lists are equal as multisets: how often each number occurs in one, in a table of
-/// open addresses.
+/// Compares two lists as multisets, by the count of each number in a table with open addressing.
 #[derive(Default)]
 struct Tally {
-    /// Number, the comparison by count in which it stands here, and how often it occurs; a power of
-    /// two of them.
+    /// Number, the comparison that wrote it, and its count. The length is a power of two.
     slots: Vec<(u64, u32, u32)>,
     comparison: u32,
 }
@@ -268,7 +264,7 @@ impl Tally {
         if a.len() != b.len() {
             return false;
         }
-        // At most half of them are in use, so that searching ends.
+        // At most half of the slots are in use, so that a search ends.
         let slots = (2 * a.len()).next_power_of_two().max(2);
         if self.slots.len() < slots || self.comparison == u32::MAX {
             (self.slots, self.comparison) = (vec![(0, 0, 0); slots.max(self.slots.len())], 0);
@@ -290,7 +286,7 @@ impl Tally {
         })
     }
 
-    /// Where a number stands, or would.
+    /// Returns the slot of a number, or the free slot for it.
     fn slot_of(slots: &mut [(u64, u32, u32)], code: SynapseCode, comparison: u32) -> &mut (u64, u32, u32) {
         let mask = slots.len() - 1;
         // The upper bits of the product depend on all bits of the number.
@@ -302,22 +298,21 @@ impl Tally {
     }
 }
 
-/// R(s) and D(s) of consecutive sources. Their messages are followed core by core: the lists of a
-/// million sources lie all over the memory of tens of thousands of cores, those of a piece side by
-/// side on each of them.
+/// R(s) and D(s) of consecutive sources. Their messages are decoded core by core: the lists of all
+/// sources are scattered over tens of thousands of cores, but the lists of a piece are close
+/// together on each core.
 #[derive(Default)]
 struct Decoder {
-    /// Where the messages to each core end.
+    /// End of the messages to each core.
     ends: Vec<u32>,
     /// (axon, source within the piece), by core.
     messages: Vec<(u16, u16)>,
-    /// Where each source's synapses begin among the meant, and one more.
+    /// Begin of each source's synapses in `meant`, and the end of the last.
     first: Vec<usize>,
     meant: Vec<SynapseCode>,
     /// Of the formats of a core.
     formats: Vec<SynapseCode>,
-    /// Where the next synapse of each source goes among the decoded, which have room for as many as
-    /// are meant.
+    /// Index in `decoded` of the next synapse of each source; `decoded` has the length of `meant`.
     next: Vec<usize>,
     decoded: Vec<SynapseCode>,
     tally: Tally,
@@ -350,7 +345,7 @@ impl Decoder {
         self.first.push(self.meant.len());
     }
 
-    /// D(s), as far as there is room.
+    /// D(s), up to the number of synapses of R(s).
     fn decode(&mut self, program: &Program, sources: Range<u32>, compared: impl Fn(CoreId) -> bool) {
         let messages = |source| program.messages(source).filter(|message| compared(message.core));
         let all = || (0..=u16::MAX).zip(sources.clone()).map(|(number, source)| (number, messages(source)));
@@ -362,7 +357,7 @@ impl Decoder {
         self.messages.resize(self.ends.last().map_or(0, |&end| end as usize), (0, 0));
         for (source, messages) in all() {
             for message in messages {
-                // Beginnings move to ends.
+                // Each begin advances to its end.
                 let place = &mut self.ends[message.core.index()];
                 self.messages[*place as usize] = (message.axon, source);
                 *place += 1;
@@ -393,8 +388,8 @@ impl Decoder {
         }
     }
 
-    /// The first source of the piece for which they are not equal, and the number of synapses that
-    /// the network gives it.
+    /// Returns the first source of the piece with R(s) != D(s), and its number of synapses in the
+    /// network.
     fn first_that_differs(&mut self) -> Option<(u32, usize)> {
         for (source, &next) in self.next.iter().enumerate() {
             let range = self.first[source]..self.first[source + 1];

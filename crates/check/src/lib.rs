@@ -1,6 +1,6 @@
-//! Proof that a mapping keeps its limits and equals its network. It shares with what made it the
-//! plain data of `nsim_ir`, limits and their comparison included, and `nsim_dynamics::synapses`,
-//! the list of a network's synapses, which `nsim_golden` has again.
+//! Proof that a mapping keeps its limits and equals its network. With the compiler it shares only
+//! the plain data of `nsim_ir`, with limits and their comparison, and `nsim_dynamics::synapses`,
+//! the list of a network's synapses. `nsim_golden` has its own version of that list.
 
 pub mod equivalence;
 pub mod relays;

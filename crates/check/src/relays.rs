@@ -1,25 +1,25 @@
-//! Proof that relays carry every spike where it was meant to go, when it was meant to arrive.
+//! Proof that relays deliver every spike to its targets in the intended step.
 //!
 //! The rule, for a network N, a network M and the steps L(p) by which the spikes of each population
-//! p of N come later in M:
+//! p of N are later in M:
 //!
-//! 1. *Frame.* M begins with the populations of N: names, shapes, units and payloads are the same,
-//!    but for start steps, which are L(p) later; L is 0 for inputs. Output, semantics (the chip's),
-//!    threshold test and reset agree.
-//! 2. *Relays.* The compartments after these forget everything in a step, have no bias and no
-//!    payload, and start no later than what reaches them. Exactly one synapse leads to each; its
-//!    scaled weight is above the relay's threshold and below the 2^21 at which an accumulator
-//!    wraps, and its source sends no graded spikes. So a relay spikes in the step in which its
-//!    synapse brings a spike, and in no other.
+//! 1. *Frame.* M begins with the populations of N: names, shapes, units and payloads are equal,
+//!    except for start steps, which are L(p) later; L is 0 for inputs. Output, semantics (the
+//!    chip's), threshold test and reset agree.
+//! 2. *Relays.* All further compartments of M decay fully in a step, have no bias and no payload,
+//!    and start no later than their source. Exactly one synapse leads to each. Its scaled weight is
+//!    above the relay's threshold and below the 2^21 at which an accumulator wraps. Its source
+//!    sends no graded spikes. So a relay spikes in the step in which its synapse brings a spike,
+//!    and in no other.
 //! 3. *Synapses.* For a source s of a population p of N let R(s) be the multiset of (target in q,
-//!    format, weight, d + L(q) - L(p)) over its synapses in N, and D(s) that of (target, format,
-//!    weight, d + e) over all synapses of M to compartments of N that begin at s or at a relay that
-//!    s reaches, where e is the sum over the relays on the way of one and the delay of the synapse
-//!    to it. Then R(s) = D(s).
+//!    format, weight, d + L(q) - L(p)) over its synapses in N, and D(s) the multiset of (target,
+//!    format, weight, d + e) over all synapses of M to compartments of N that begin at s or at a
+//!    relay that s reaches, where e is the sum, over the relays on the path, of 1 and the delay of
+//!    the synapse to the relay. Then R(s) = D(s).
 //! 4. *Nothing else.* Every relay is reached by a source of N.
 //!
-//! With 1 to 4 the spikes of p in M are those in N, L(p) steps later, by induction over steps. The
-//! checker enumerates the synapses of both networks and calls nothing of what made M.
+//! With 1 to 4 the spikes of p in M are its spikes in N, L(p) steps later, by induction over steps.
+//! The checker enumerates the synapses of both networks and calls no code that made M.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -34,9 +34,9 @@ use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Neuron, Population, Quantised, Units};
 use nsim_ir::spikes::Message;
 
-/// Sources that one task looks at.
+/// Number of sources of one task.
 const PIECE: u32 = 1 << 10;
-/// Where an accumulator wraps.
+/// Value at which an accumulator wraps.
 const WRAPS_AT: i64 = 1 << 21;
 
 /// A difference that relays make.
@@ -126,7 +126,7 @@ fn same_population(meant: &Population, found: &Population, later: u32) -> bool {
     meant.name == found.name && meant.shape == found.shape && meant.message == found.message && same_units
 }
 
-/// What follows spikes through relays.
+/// Follows spikes through relays.
 struct Walk<'a> {
     original: &'a Quantised,
     relayed: &'a Quantised,
@@ -162,7 +162,8 @@ impl Walk<'_> {
         Ok(())
     }
 
-    /// Collects what a source reaches, this many steps after the spike of the source of all.
+    /// Collects the synapses that a source reaches, `after` steps after the spike of the first
+    /// source.
     fn follow(
         &self,
         population: PopulationId,

@@ -1,10 +1,10 @@
-//! Which cores are shifts of the first core of their class: the rule *Classes* of
+//! Finds the cores that are shifts of the first core of their class: the rule *Classes* of
 //! [`crate::equivalence`].
 //!
-//! Input: a network, this many copies, and a program for it. Output: for each core whether its
-//! synapses have to be compared with the network's. Those of the others follow from the first core
-//! of their class. Nothing is assumed of how either was made: the network's copies are compared
-//! too.
+//! Input: a network, its number of copies, and a program for it. Output: for each core whether its
+//! synapses have to be compared with the network's. The synapses of all other cores follow from the
+//! first core of their class. The origin of network and program does not matter: the network's
+//! copies are compared too.
 
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -26,7 +26,7 @@ struct Sizes {
 }
 
 impl Sizes {
-    /// The sizes of one of these copies; `None` where the network is not that many equal ones.
+    /// Returns the sizes of one copy; `None` where the network is not `copies` equal copies.
     fn new(network: &Quantised, copies: u32) -> Option<Self> {
         let counts = [
             network.populations().len() as u32,
@@ -43,17 +43,17 @@ impl Sizes {
     }
 }
 
-/// How a core differs from the first of its class.
+/// Difference between a core and the first of its class.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Shift {
-    /// Everything is this many copies later.
+    /// Number of copies by which all units are later.
     copies: i64,
-    /// And all compartments are of this population, this many rows and columns further on.
+    /// Population of all compartments, and the rows and columns by which they are further on.
     positions: Option<(PopulationId, (i64, i64))>,
 }
 
-/// Rows and columns between two indices of a volume so wide and high; `None` where they are of
-/// different channels.
+/// Returns the rows and columns between two indices of a volume; `None` where their channels
+/// differ.
 fn distance(from: u32, to: u32, height: u32, width: u32) -> Option<(i64, i64)> {
     let plane = height * width;
     let at = |index: u32| (i64::from(index % plane / width), i64::from(index % width));
@@ -64,7 +64,7 @@ fn distance(from: u32, to: u32, height: u32, width: u32) -> Option<(i64, i64)> {
 /// Sources, the numbers that they may have once something is added to theirs, and what that is.
 type Added = (Range<u32>, Range<i64>, i64);
 
-/// The rows and columns of a population between which sources are.
+/// Bounds on the rows and columns of sources of a population.
 struct Bounds {
     population: PopulationId,
     rows: (i64, i64),
@@ -72,7 +72,7 @@ struct Bounds {
 }
 
 impl Bounds {
-    /// Of these sources, by population; `None` where one is no volume.
+    /// Returns the bounds of these sources, by population; `None` where one is no volume.
     fn around(network: &Quantised, sources: &[u32]) -> Option<Vec<Self>> {
         let mut found: Vec<(Range<u32>, (u32, u32), Bounds)> = Vec::new();
         for &source in sources {
@@ -101,7 +101,7 @@ impl Bounds {
         Some(found.into_iter().map(|(.., bounds)| bounds).collect())
     }
 
-    /// Whether they are still in the volume, this number of rows and columns further on.
+    /// Whether the sources stay inside the volume, `down` rows and `right` columns further on.
     fn hold(&self, down: i64, right: i64, (_, height, width): (u32, u32, u32)) -> bool {
         let inside = |(low, high): (i64, i64), by: i64, size: u32| low + by >= 0 && high + by < i64::from(size);
         inside(self.rows, down, height) && inside(self.columns, right, width)
@@ -111,15 +111,15 @@ impl Bounds {
 struct Shifts<'a> {
     network: &'a Quantised,
     program: &'a Program,
-    /// Of one copy, where there are several.
+    /// Sizes of one copy, where there are several.
     sizes: Option<Sizes>,
-    /// By class where the sources of the first core's input axons are; `None` where some are of a
-    /// population that is no volume.
+    /// For each class, bounds of the sources of the first core's input axons; `None` where some
+    /// population is no volume.
     bounds: IdVec<ClassId, Option<Vec<Bounds>>>,
 }
 
 impl Shifts<'_> {
-    /// The shift between two cores of a class, from their compartments.
+    /// Returns the shift between two cores of a class, from their compartments.
     fn between(&self, first: CoreId, core: CoreId) -> Option<Shift> {
         let [from, to] = [first, core].map(|core| &self.program.cores()[core].ids);
         let (one, other) = (from.first()?, to.first()?);
@@ -224,7 +224,7 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
     compared.iter().map(|compared| compared.load(Ordering::Relaxed)).collect()
 }
 
-/// Whether a copy of the network is the first, its units numbered later.
+/// Whether a copy of the network equals the first, except for later numbers of its units.
 fn is_copy(network: &Quantised, copy: u32, sizes: Sizes) -> bool {
     let population = |n: u32| {
         let [one, other] = [0, copy].map(|k| &network.populations()[PopulationId(k * sizes.populations + n)]);

@@ -1,32 +1,32 @@
 //! Rules for a finished program, checked on its own tables.
 //!
-//! Input: a [`Program`] and a target. Output: nothing, or the first [`Violation`]. Nothing is taken
-//! from the stages that made the program: every count is recomputed from what the machine would
-//! read. `Program::new` has checked that tables are closed; beyond that, of every core (each bullet
-//! is a variant of [`Violation`]):
+//! Input: a [`Program`] and a target. Output: nothing, or the first [`Violation`]. The check uses
+//! nothing from the compiler's stages: every count is recomputed from the tables that the machine
+//! reads. `Program::new` has checked that tables are closed. Beyond that, for every core (each
+//! bullet is a variant of [`Violation`]):
 //!
-//! - the mesh is the target's (`Mesh`), and no two cores stand at one place of it (`Site`);
+//! - the mesh is the target's (`Mesh`), and no two cores have one site (`Site`);
 //! - an output axon table names each destination core once, in ascending order (`Multicast`);
-//! - a list that is selected is not empty, one that is not is (`EmptyAxon`);
+//! - a list is selected exactly if it is not empty (`EmptyAxon`);
 //! - population axons have atoms, bases and numbers that messages and tables can hold, tables are
-//!   the same or disjoint, no two sources are the same atom of one, and a source is the same atom
-//!   on every core (`Population`);
-//! - neurons are of kinds that the chip has (`Kind`), and no message is wider than its messages
+//!   equal or disjoint, no two sources are one atom of an axon, and a source is one atom on all
+//!   cores (`Population`);
+//! - neurons are of kinds that the chip has (`Kind`), and no message is wider than the chip's
 //!   (`Message`);
-//! - a compartment that pops follows one that pushes, and only such a one does (`Neuron`);
+//! - a compartment pops exactly if the compartment before it pushes (`Neuron`);
 //! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the
 //!   core's index and delay widths or none (`Format`);
 //! - in a list the synapses of one format are consecutive, and two groups do not differ in density
 //!   or delay alone (`Scattered`);
-//! - the slots of a dense group follow each other; those of a sparse group ascend and fit its
-//!   index, and a group with runs skips no more slots than they hold (`Slots`);
+//! - the slots of a dense group are consecutive; the slots of a sparse group ascend and fit its
+//!   index, and a group with runs skips no more slots than a run holds (`Slots`);
 //! - a group with delay bits has a delay, and each delay fits (`Delay`);
 //! - weights are multiples of their format's least step, in its range (`Weight`);
 //! - every resource of [`CoreUsage`] is within its limit (`Excess`).
 //!
 //! The tables of a class are checked once, for its first core.
 //!
-//! Whether the program has its network's synapses is for [`crate::equivalence`].
+//! [`crate::equivalence`] compares the program's synapses with the network's.
 
 use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
@@ -52,9 +52,9 @@ use crate::words::{Layout, RUNS, delay_slots};
 /// `hardware/builder.py`).
 const BASE_STEP: u16 = 4;
 const BASE_END: u16 = 256;
-/// Bits that the number of an axon and its atom have together where every population axon is pop16.
+/// Total bits of an axon's number and its atom, where every population axon is pop16.
 const NUMBER_AND_ATOM: u32 = 15;
-/// Bits of an atom: at least and at most.
+/// Minimum and maximum bits of an atom.
 const ATOM_BITS: (u32, u32) = (5, 9);
 
 /// A rule that is broken.
@@ -69,7 +69,7 @@ pub enum Violation {
         /// The later of the two.
         core: CoreId,
     },
-    /// Messages of one source are not one for each core, ascending.
+    /// Messages of a source do not name each core once, in ascending order.
     #[error("{0} does not name each destination core once, in ascending order")]
     Multicast(String),
     /// A list without synapses that is selected, or one with synapses that is not.
@@ -85,7 +85,7 @@ pub enum Violation {
     Population {
         /// The core or the source.
         place: String,
-        /// What is wrong.
+        /// The error.
         what: &'static str,
     },
     /// Neurons of a kind that the chip does not have.
@@ -101,9 +101,9 @@ pub enum Violation {
     Message {
         /// The first of the sources.
         source_number: u32,
-        /// The bits that it sends.
+        /// Bits of its message.
         bits: u32,
-        /// The bits that there are.
+        /// Bits of a message of the chip.
         limit: u32,
     },
     /// A compartment without its child or its parent.
@@ -114,14 +114,14 @@ pub enum Violation {
         /// The slot.
         slot: usize,
     },
-    /// A format that cannot be stored, is not used, or is there twice.
+    /// A format that cannot be stored, is not used, or is duplicated.
     #[error("{core}: synapse format {format} {what}")]
     Format {
         /// The core.
         core: CoreId,
         /// The format's number.
         format: usize,
-        /// What is wrong with it.
+        /// The error.
         what: &'static str,
     },
     /// Synapses of one format that are not consecutive.
@@ -158,16 +158,16 @@ pub enum Violation {
         /// The weight.
         weight: i16,
     },
-    /// More of a resource or a pool than there is.
+    /// Use of a resource or a pool beyond its limit.
     #[error("{core} uses {need} {}, the limit is {limit}", capacity.name())]
     Excess {
         /// The core.
         core: CoreId,
-        /// Of what.
+        /// The resource or pool.
         capacity: Capacity,
-        /// What it uses.
+        /// Amount in use.
         need: u64,
-        /// What there is.
+        /// The limit.
         limit: u64,
     },
 }
@@ -180,7 +180,7 @@ pub fn verify(program: &Program, target: &Target) -> Result<(), Violation> {
     used(program, target).map(drop)
 }
 
-/// Checks every rule; returns what each core uses.
+/// Checks every rule; returns the usage of each core.
 ///
 /// # Errors
 /// The first [`Violation`], by core.
@@ -209,8 +209,7 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
     };
     let tables = firsts.as_slice().par_iter().map(of_core);
     let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
-    // Cores whose messages go in the same way to cores of the same classes, on the same chip or
-    // not.
+    // Cores with equal lists of messages, to cores of equal classes, equally on or off their chip.
     let (mut known, mut firsts) = (HashMap::new(), Vec::new());
     let alike = |(core, image): (CoreId, &CoreImage)| {
         let reached = image.axons_out.cores();
@@ -236,11 +235,11 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
     program.cores().enumerate().zip(alike).map(of_core).collect()
 }
 
-/// Whether cores use as many synapses as was counted, and no more of any resource. By position
-/// (`OutputAxons::PerPosition`) fewer output axons may be used than geometry can tell.
+/// Checks that cores use exactly the counted synapses, and no more than counted of any resource. By
+/// position (`OutputAxons::PerPosition`), fewer output axons may be used than geometry predicts.
 ///
 /// # Errors
-/// A sentence about the first core that is wrong.
+/// A message about the first core that differs.
 pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result<(), String> {
     let holds = |(counted, used): (&CoreUsage, &CoreUsage)| {
         counted.synapses == used.synapses
@@ -349,7 +348,7 @@ fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<
     if members.windows(2).any(|pair| pair[0] == pair[1]) {
         return wrong("two sources are the same atom of a population axon");
     }
-    // What each population axon has lists for is what its members are.
+    // A population axon has non-empty lists for exactly its members.
     let mut members = members.into_iter();
     for (number, axon) in inputs.populations.iter().enumerate() {
         for atom in 0..axon.atoms {
@@ -383,7 +382,7 @@ fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) 
     (discrete.sum::<u64>() + tables.into_iter().map(of_table).sum::<u64>(), widest)
 }
 
-/// Output axon slots of a core, and the most messages of a compartment.
+/// Checks messages; returns a core's output axon slots and the most messages of a compartment.
 fn verify_sent(program: &Program, core: CoreId, populations: bool, limits: &Limits) -> Result<(u64, u64), Violation> {
     let image = &program.cores()[core];
     for (slot, messages) in image.axons_out.iter().enumerate() {
@@ -394,7 +393,7 @@ fn verify_sent(program: &Program, core: CoreId, populations: bool, limits: &Limi
 }
 
 /// Output axon slots of a core, from the messages of its compartments. By position, compartments
-/// whose messages all go to population axons have one list of them where they go to the same ones.
+/// share one list if all their messages go to equal population axons.
 fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits: &Limits) -> u64 {
     let by_position = match limits.output_axons {
         OutputAxons::PerPosition { more_slots, .. } if populations => Some(more_slots),
@@ -408,7 +407,7 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
         let (target, tables) = (&program.cores()[message.core], &program.class_of(message.core).inputs);
         let on_chip = target.site.chip == image.site.chip;
         let plain = if on_chip { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
-        // Tables of other cores are looked into only where that matters.
+        // Tables of other cores are read only where this matters.
         let axon = by_position.and_then(|more| Some((more, population(message)?)));
         let is_long = |axon: u16| is_long(&tables.populations[usize::from(axon)], limits);
         plain + axon.filter(|&(_, axon)| is_long(axon)).map_or(0, |(more, _)| more)
@@ -424,7 +423,7 @@ fn output_slots(program: &Program, image: &CoreImage, populations: bool, limits:
     sum
 }
 
-/// Checks the rules for a core's own tables; returns what they use, without output axons.
+/// Checks the rules for a core's own tables; returns their usage, without output axons.
 ///
 /// # Errors
 /// The first [`Violation`].
@@ -468,10 +467,10 @@ fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<Cor
     Ok(usage.with(Resource::StoredSynapses, stored))
 }
 
-/// Synapses that a core stores where the compartments of a channel share their weights: each weight
-/// other than 0, with its format and delay, as many times as the compartment that has it most
-/// often. It is exact for convolutions of which one compartment on the core has the whole kernel,
-/// and for populations of one position; otherwise it is the least that the tables need.
+/// Number of synapses that a core stores where the compartments of a channel share their weights. A
+/// weight other than 0, with its format and delay, counts as often as in the compartment that has
+/// it most often. It is exact for populations of one position, and for convolutions if a
+/// compartment on the core has the whole kernel; otherwise a lower bound.
 fn stored_synapses(program: &Program, core: CoreId) -> u64 {
     let (image, class) = (&program.cores()[core], program.class_of(core));
     let populations: Vec<&Compartments> = program.parts().populations.iter().flatten().collect();

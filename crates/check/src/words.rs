@@ -1,16 +1,17 @@
 //! Words of synapse memory that lists take, counted again from the layout of an entry.
 //!
 //! Input: a core's size, longest delay and limits, then the format and size of each group of
-//! synapses. Output: words of 64 bits. This is a second count, synapse by synapse, of what the
-//! compiler's packing says in closed form; the two share no code, so a mistake in one is found by
-//! the other.
+//! synapses. Output: words of 64 bits. This is a second count, entry by entry, of the words that
+//! the compiler's packing has in closed form. The two share no code, so each finds mistakes in the
+//! other.
 //!
-//! An entry holds up to this many synapses: a header of 4 bits for the format and 6 for the count
-//! (nengo-loihi e564f66 `builder/validate.py`, `bits_per_axon`), then perhaps the index of its
-//! first slot, then the synapses. A synapse has its weight, its delay where its group has one, and
-//! its slot: nothing where slots follow each other, the slots skipped where they ascend, an index
-//! otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first slot
-//! wherever there is no index, and a word more where the last one has 0 or at least 59 bits.
+//! An entry has a header of 4 bits for the format and 6 for the count (nengo-loihi e564f66
+//! `builder/validate.py`, `bits_per_axon`). Then come optionally the index of its first slot, then
+//! its synapses, up to a maximum. A synapse has its weight, its delay where its group has one, and
+//! its slot. The slot has no bits if slots are consecutive, the number of skipped slots for runs,
+//! an index otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first
+//! slot wherever there is no index, and one more word where the last word has 0 or at least 59
+//! bits.
 
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::program::CoreFormat;
@@ -20,7 +21,7 @@ use nsim_ir::resource::{Limits, Packing};
 const WORD: u32 = 64;
 /// Bits of a format's number and of a count of synapses.
 const HEADER: u32 = 4 + 6;
-/// Widths of a run: slots skipped before a synapse.
+/// Widths of a run, the number of slots skipped before a synapse, in bits.
 pub(crate) const RUNS: std::ops::RangeInclusive<u8> = 2..=5;
 /// The narrowest and the widest index of a slot.
 const INDEX: (u8, u8) = (6, 12);
@@ -37,7 +38,7 @@ pub(crate) struct Layout {
 }
 
 impl Layout {
-    /// The layout of a core with this many compartments and this longest delay.
+    /// Returns the layout of a core with `compartments` compartments and this longest delay.
     pub fn of_core(compartments: u32, longest: Delay, limits: &Limits) -> Self {
         let nxtf = limits.packing == Packing::Nxtf;
         let mut index = INDEX.0;
@@ -55,7 +56,7 @@ impl Layout {
         Layout { index, delay, per_entry, nxtf }
     }
 
-    /// Words of a group of this many synapses of a format, in the list of a discrete axon or in a
+    /// Words of a group of `synapses` synapses of a format, in the list of a discrete axon or in a
     /// table of a population axon.
     pub fn words(&self, format: CoreFormat, synapses: u32, in_table: bool) -> u32 {
         let slot = match (format.index_bits, format.skip_bits) {
@@ -65,8 +66,7 @@ impl Layout {
         };
         let delay = if format.delay_bits > 0 { self.delay } else { 0 };
         let each = u32::from(format.synapse.bits.get()) + u32::from(delay) + u32::from(slot);
-        // The first slot is stored where synapses only tell how far it is to the next, or nothing
-        // that a table could add to.
+        // The first slot is stored for runs, and for synapses without slots in a table or in NxTF.
         let first = match format.index_bits {
             None => in_table || self.nxtf,
             Some(_) => format.skip_bits.is_some(),

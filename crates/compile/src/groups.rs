@@ -1,7 +1,7 @@
-//! Which cores of a mapping hold copies that share no core with others.
+//! Groups of a mapping's cores: no copy on them shares a core with copies of other groups.
 //!
 //! Input: a mapping of several copies. Output: its [`CoreGroups`], so that one group of each kind
-//! can be run for all.
+//! can be run in place of all.
 
 use petgraph::unionfind::UnionFind;
 
@@ -40,7 +40,7 @@ impl Mapping {
         groups
     }
 
-    /// The groups of its cores; `None` of a single copy, and where no two groups are of one kind.
+    /// The groups of its cores; `None` for a single copy, and where no two groups are of one kind.
     pub fn core_groups(&self) -> Option<CoreGroups> {
         if self.options.copies < 2 {
             return None;

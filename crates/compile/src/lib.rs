@@ -1,9 +1,9 @@
 //! From a network in integers to a program for the cores of a target.
 //!
 //! Input: a network in integers, a [`Target`], [`Options`]. Output: a [`Mapping`], or every reason
-//! why the network does not fit. Its limits have been verified and its synapses compared with the
-//! network's by `nsim_check`, which the stages that made it do not use. [`map()`] makes one
-//! mapping; [`explore::map`] compares several for an objective.
+//! for which the network does not fit. `nsim_check`, which the stages before do not use, has
+//! verified its limits and compared its synapses with the network's. [`map()`] makes one mapping;
+//! [`explore::map`] compares several for an objective.
 
 pub mod emit;
 pub mod explore;
@@ -33,7 +33,7 @@ pub use nsim_partition::options::{
 pub use nsim_partition::reason::{Reason, Tightest};
 pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked};
 
-/// A mapping by one partition and one placement, for sources of one copy that spike this often.
+/// Returns a mapping by one partition and one placement, for these firing rates of one copy.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -41,7 +41,7 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> R
     place(front, target, options, rates)?.emit(target, options)?.check(target)
 }
 
-/// The first half of [`map()`].
+/// The stages of [`map()`] up to the placement.
 fn place(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Placed, CompileError> {
     let one = |front: Front, options: &Options| {
         let placed = place(front, target, options, rates)?;
@@ -53,8 +53,8 @@ fn place(front: Front, target: &Target, options: &Options, rates: &Rates) -> Res
     front.partition(target, options, rates)?.place(target, options)
 }
 
-/// The mapping that a file says, checked as any other. The network is pruned as it was for the
-/// file, whose copies `options` must have.
+/// Returns the mapping of a file, checked as any other. The network is pruned as it was for the
+/// file, whose number of copies `options` must have.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -67,7 +67,7 @@ pub fn load(
     front.into().place_as(target, options, file)?.emit(target, options)?.check(target)
 }
 
-/// A program for a network: [`map`] at the default rate.
+/// Maps a network: [`map`] at the default rate.
 ///
 /// # Errors
 /// [`CompileError`].

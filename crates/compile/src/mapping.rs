@@ -23,31 +23,31 @@ pub struct Mapping {
     pub one: Quantised,
     /// The network, all copies.
     pub quantised: Quantised,
-    /// Compartments on cores.
+    /// Assignment of compartments to cores.
     pub partition: Partition,
-    /// Cores on the board.
+    /// Positions of cores on the board.
     pub placement: Placement,
-    /// Where layers are cut, of a network that is cut into boxes.
+    /// Lattices of the layers, of a network that is cut into boxes.
     pub lattices: Option<Lattices>,
     /// Tables and messages.
     pub program: Arc<Program>,
-    /// Cores proven to be shifts of the first of their class, all of whose synapses were compared
-    /// with the network's, as were those of all other cores.
+    /// Number of cores proven to be shifts of the first of their class. All synapses of that core,
+    /// and of all other cores, were compared with the network's.
     pub shifts: u32,
     /// Seconds of each stage, in order.
     pub seconds: Vec<(&'static str, f64)>,
     /// The target's name.
     pub target: String,
-    /// How it was compiled.
+    /// Options of the compilation.
     pub options: Options,
     /// Name of the placement: `sequential`, `annealed`, or `saved` when it came from a file.
     pub placed: &'static str,
-    /// Rates of all sources that it was made for.
+    /// Rates of all sources for which it was made.
     pub rates: Rates,
 }
 
 impl Mapping {
-    /// The target as its cores are counted on it.
+    /// The target with the limits by which its cores are counted.
     pub(crate) fn counted_on<'t>(&self, target: &'t Target) -> Cow<'t, Target> {
         counted_in_boxes(self.lattices.is_some(), &self.one, target)
     }

@@ -1,10 +1,10 @@
-//! PilotNet LIF on Loihi 2: what nsim counts of a core against the cores that Intel's compiler
-//! took.
+//! PilotNet LIF on Loihi 2: nsim's resource counts of a core, compared with the cores that Intel's
+//! compiler took.
 //!
 //! The notebook of lava-dl d825ac5 (`netx/pilotnet_snn`) prints compartments a core and cores for
 //! each layer, 74 cores together. All convolutions are cut into stripes of the whole height and all
-//! channels, whose width is a power of two. Weights are random: a tenth of those of kernels are not
-//! 0, and 35 % of those of the dense layer (7,253 of 20,480 on its first core).
+//! channels, whose width is a power of two. Weights are random: 10 % of the weights of kernels are
+//! not 0, and 35 % in the dense layer (7,253 of 20,480 on its first core).
 
 use crate::{Front, Options, map};
 use nsim_ir::base::id::{CompartmentId, Id, PopulationId};
@@ -18,8 +18,8 @@ use nsim_partition::resources::closed_form::Layer;
 use nsim_partition::resources::formats::Formats;
 use nsim_testing::{Builder, neurons, plain_format};
 
-/// Layers over space: shape, stride and padding of the convolution that leads to it, and
-/// compartments a core and cores as printed.
+/// Layers over space: shape, stride and padding of the incoming convolution, and compartments a
+/// core and cores as printed.
 type Printed = ((u32, u32, u32), (u32, u32), (u32, u32), (u32, u32));
 const SPATIAL: [Printed; 6] = [
     ((3, 66, 200), (1, 1), (0, 0), (3_168, 13)),
@@ -37,7 +37,7 @@ const PRINTED: u32 = 74;
 fn pilotnet() -> Quantised {
     let mut net = Builder::new();
     let volume = |(c, h, w)| Shape::Volume(c, h, w);
-    // Of the weights this many thousandths are not 0.
+    // `stored` thousandths of the weights are not 0.
     let weight = |stored: u64, at: u64| match rng::below(1_000, 5, stored, 2 * at) < stored {
         true => 2 * (1 + rng::below(60, 5, stored, 2 * at + 1) as i16),
         false => 0,
@@ -63,11 +63,11 @@ fn pilotnet() -> Quantised {
     net.build()
 }
 
-/// Stripes of the greatest power of two that fits are those of Intel's compiler, layer by layer,
-/// and with nsim's own cores of the dense layers they are within 20 % of its 74 cores. The sizes
-/// are 192 KiB, 24 bytes of state and eight accumulators of 24 bits as on Loihi 1; none was chosen
-/// by these figures, but the rule of stripes was read off them. nsim cuts anywhere: it takes fewer
-/// cores.
+/// Stripes of the greatest power of two that fits equal the stripes of Intel's compiler, layer by
+/// layer. With nsim's own cores of the dense layers they total within 20 % of its 74 cores. The
+/// sizes are 192 KiB, 24 bytes of state and eight accumulators of 24 bits as on Loihi 1. None was
+/// fitted to these figures, but the rule of stripes was read off them. nsim cuts anywhere, so it
+/// takes fewer cores.
 #[test]
 fn stripes_of_the_greatest_width_that_fits_are_those_of_intel_s_compiler() {
     let network = pilotnet();

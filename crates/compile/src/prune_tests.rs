@@ -1,4 +1,4 @@
-//! Each kind of pruning on a network made for it, and what people see of a pruned network.
+//! Each kind of pruning on a network made for it, and the numbers of a pruned network for users.
 
 use crate::{CompileError, Options, compile, load};
 use nsim_ir::base::fixed::SignMode;
@@ -14,7 +14,7 @@ fn counts(network: &Quantised) -> [u64; 5] {
     Kind::ALL.map(|kind| network.pruned().unwrap().count(kind))
 }
 
-/// Four channels to four compartments, one each, and those to one output.
+/// Four channels to four compartments, one each, and these to one output.
 fn fan(weights: [i16; 4]) -> Builder {
     let mut builder = Builder::new();
     let (input, hidden, out) = (builder.input("in", 4), builder.loihi("hidden", 4), builder.loihi("out", 1));

@@ -1,4 +1,4 @@
-//! The stages of the compiler: what each hands to the next.
+//! The stages of the compiler, by the types that they pass to each other.
 //!
 //! A [`Front`] is partitioned, a [`Partitioned`] network placed, a [`Placed`] one emitted, an
 //! [`Unchecked`] mapping checked. Comparing mappings begins again at any of them.
@@ -37,11 +37,11 @@ use nsim_quantise::copies::copies;
 use nsim_quantise::prune::{Plan, prune};
 use nsim_quantise::relays::{Relayed, relayed};
 
-/// Synapses of a network up to which it is tried without relays first: larger ones would be
-/// partitioned twice for long.
+/// Most synapses of a network that is tried without relays first: larger ones would take long to be
+/// partitioned twice.
 const TRIED: u64 = 1 << 24;
 
-/// Measures stages.
+/// Measures the time of stages.
 #[derive(Debug, Clone, Default)]
 struct Clock(Vec<(&'static str, f64)>);
 
@@ -72,7 +72,7 @@ pub struct AddedRelays {
     pub relays: u32,
     /// Levels of the deepest tree of them.
     pub levels: u32,
-    /// By population of the model, the steps by which its spikes come later, where they do.
+    /// By population of the model, the steps by which its spikes are later, where they are.
     pub later: BTreeMap<String, u32>,
 }
 
@@ -83,18 +83,18 @@ impl From<Quantised> for Front {
 }
 
 impl Front {
-    /// A network in integers, made in stages that took this many seconds each.
+    /// Returns a network in integers, with the seconds of the stages that made it.
     pub fn measured(one: Quantised, seconds: Vec<(&'static str, f64)>) -> Self {
         Front { one, clock: Clock(seconds), relays: None, cuts: false }
     }
 
-    /// The network, to be cut into boxes however small it is.
+    /// The network, to be cut into boxes at any size.
     #[must_use]
     pub fn cut(self) -> Self {
         Front { cuts: true, ..self }
     }
 
-    /// Whether this many copies of it are cut into boxes.
+    /// Whether `copies` copies of it are cut into boxes.
     pub fn in_boxes(&self, copies: u32) -> bool {
         self.cuts || is_large(&self.one, copies)
     }
@@ -104,7 +104,7 @@ impl Front {
         &self.one
     }
 
-    /// The relays that it has besides those of the model, if any.
+    /// The relays that were added to the model's, if any.
     pub fn relays(&self) -> Option<&AddedRelays> {
         self.relays.as_ref()
     }
@@ -115,7 +115,7 @@ impl Front {
         self.one
     }
 
-    /// The network without what the plan makes superfluous.
+    /// The network without the parts that the plan makes superfluous.
     ///
     /// # Errors
     /// [`CompileError::Input`] when a projection is plastic; [`CompileError::Fault`] when the plan
@@ -131,8 +131,8 @@ impl Front {
     }
 
     /// The network with relays where compartments have more targets than output axons, unless it
-    /// maps without. It is proved to spike identically but for delays. Notes of its populations
-    /// say how many relays, and how many steps later their spikes come.
+    /// maps without. A check proves that it spikes identically but for delays. Notes of its
+    /// populations give the number of relays, and the steps by which their spikes are later.
     ///
     /// # Errors
     /// [`CompileError::Input`] when delays leave no time for relays, or the network was pruned;
@@ -164,8 +164,8 @@ impl Front {
         Ok(self)
     }
 
-    /// Lets sources be grouped into population axons where a compartment has more of them than a
-    /// core has input axons.
+    /// Allows sources to be grouped into population axons where a compartment has more of them than
+    /// a core has input axons.
     fn gather(&mut self, target: &Target) -> Result<()> {
         let mut parts = Parts { gathers: true, ..self.one.parts().clone() };
         let gathered = Quantised::new(parts.clone()).map_err(CompileError::fault)?;
@@ -183,7 +183,7 @@ impl Front {
         Ok(())
     }
 
-    /// Whether output axons are no reason against the network as it is.
+    /// Whether output axons are no reason against the network without relays.
     fn fits_without_relays(self, target: &Target) -> bool {
         let options = Options { effort: Effort::Work(0), ..Options::default() };
         match self.partition(target, &options, &Rates::assumed(DEFAULT_RATE)) {
@@ -194,7 +194,7 @@ impl Front {
         }
     }
 
-    /// Compartments on logical cores, for sources of one copy that spike this often.
+    /// Assigns compartments to logical cores, for these firing rates of one copy.
     ///
     /// # Errors
     /// [`CompileError`].
@@ -212,8 +212,8 @@ impl Front {
         Ok(Partitioned { one, all, partition, lattices, boxes, rates: rates.copies(options.copies), clock })
     }
 
-    /// Compartments on the cores that a saved mapping says, of the network pruned as it was for the
-    /// mapping.
+    /// Assigns compartments to the cores of a saved mapping; the network is pruned as it was for
+    /// the mapping.
     ///
     /// # Errors
     /// [`CompileError::Input`] when the mapping is of another network, target or number of copies;
@@ -231,8 +231,8 @@ impl Front {
         Ok(Placed { partitioned, placement, name: place::SAVED })
     }
 
-    /// Compartments on these cores at these sites, which were found for this network, target and
-    /// options before.
+    /// Assigns compartments to these cores at these sites, which were found for this network,
+    /// target and options before.
     ///
     /// # Errors
     /// [`CompileError`] when they are of another network or target.
@@ -266,7 +266,7 @@ impl Front {
         Ok((self, all))
     }
 
-    /// The network pruned as a mapping says that it was.
+    /// The network, pruned as a mapping records.
     fn prune_as(self, file: &MappingFile) -> Result<Front> {
         match (&file.pruned, self.one.pruned()) {
             (Some(recorded), None) => {
@@ -277,14 +277,14 @@ impl Front {
                 let message = "the mapping is of the whole network, not of a pruned one";
                 Err(Diagnostic::new("mapping.pruned", message).into())
             }
-            // What was pruned in another way has other compartments, which the file's cores will
-            // show.
+            // A network that was pruned otherwise has other compartments, which the file's cores
+            // will show.
             (None, None) | (Some(_), Some(_)) => Ok(self),
         }
     }
 }
 
-/// Refuses neurons that no compartment of the target can be, and messages that it cannot send.
+/// Refuses neurons and messages that the target does not support.
 fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
     let (kinds, widest) = (&target.chip().neuron_kinds, target.chip().message_bits);
     for population in network.populations() {
@@ -323,29 +323,29 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
     Ok(())
 }
 
-/// A network on logical cores, for placing in several ways.
+/// A network on logical cores, for several placements.
 #[derive(Debug, Clone)]
 pub struct Partitioned {
     one: Quantised,
     /// The network, all copies.
     pub all: Quantised,
-    /// Compartments on cores.
+    /// Assignment of compartments to cores.
     pub partition: Partition,
-    /// Where layers are cut, of a network that is cut into boxes.
+    /// Lattices of the layers, of a network that is cut into boxes.
     pub lattices: Option<Lattices>,
-    /// What their boxes send, where they are still to be placed.
+    /// Boxes with their fan-out, where they are still to be placed.
     pub boxes: Option<Boxes>,
     rates: Rates,
     clock: Clock,
 }
 
 impl Partitioned {
-    /// The target as its cores are counted on it.
+    /// The target with the limits by which its cores are counted.
     fn counted_on<'t>(&self, target: &'t Target) -> Cow<'t, Target> {
         counted_in_boxes(self.lattices.is_some(), &self.one, target)
     }
 
-    /// This partition for a target with other limits than it was made for.
+    /// This partition for a target with other limits.
     ///
     /// # Errors
     /// [`CompileError::Fault`] when a core exceeds them.
@@ -355,10 +355,10 @@ impl Partitioned {
         Ok(self)
     }
 
-    /// Places of cores on the board, and the name of how they were found.
+    /// Places of cores on the board, and the name of the placement.
     ///
     /// # Errors
-    /// [`CompileError::DoesNotFit`] when there are more than the target has.
+    /// [`CompileError::DoesNotFit`] when there are more cores than the target has.
     pub fn placement(&self, target: &Target, options: &Options) -> Result<(Placement, &'static str)> {
         let Partitioned { all, partition, boxes, rates, .. } = self;
         let search = anneal::Search::new(options, rates);
@@ -369,7 +369,7 @@ impl Partitioned {
         })
     }
 
-    /// Cores on the board.
+    /// Places the cores on the board.
     ///
     /// # Errors
     /// As [`Partitioned::placement`].
@@ -381,19 +381,19 @@ impl Partitioned {
     }
 }
 
-/// A network on the cores of the board, and the name of how they were placed.
+/// A network on the cores of the board, and the name of its placement.
 #[derive(Debug, Clone)]
 pub struct Placed {
     /// The network on logical cores.
     pub partitioned: Partitioned,
-    /// Cores on the board.
+    /// Positions of cores on the board.
     pub placement: Placement,
     /// Name of the placement.
     pub name: &'static str,
 }
 
 impl Placed {
-    /// The tables of one core of each class, and the messages of all.
+    /// Emits the tables of one core of each class, and the messages of all.
     ///
     /// # Errors
     /// [`CompileError::Fault`].
@@ -428,7 +428,7 @@ impl Placed {
     }
 }
 
-/// A mapping that has not been verified and checked, for comparing what mappings cost.
+/// A mapping that has not been verified and checked, for comparing costs of mappings.
 #[derive(Debug, Clone)]
 pub struct Unchecked(Mapping);
 
@@ -438,8 +438,8 @@ impl Unchecked {
         &self.0
     }
 
-    /// The mapping once its limits have been verified, its counts confirmed, and its synapses
-    /// compared with the network's.
+    /// Returns the mapping after its limits have been verified, its counts confirmed, and its
+    /// synapses compared with the network's.
     ///
     /// # Errors
     /// [`CompileError::Fault`].

@@ -1,5 +1,5 @@
-//! The compiler as a whole: what fits, what does not and why. That wrong programs are found out is
-//! shown in `tests/engines/mutations`.
+//! The compiler as a whole: networks that fit, networks that do not, and the reasons.
+//! `tests/engines/mutations` shows that wrong programs are detected.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -201,8 +201,8 @@ fn a_random_network_of_6_4_million_synapses_keeps_every_limit_of_768_chips() {
     assert!(most <= 4096 && cores <= 3_125, "{cores} cores, {most} slots");
 }
 
-/// A convolution of 16 x 14 positions, 8 channels to 8 in a kernel of 3 x 3, to a layer that sees
-/// half of it, and pools it.
+/// A convolution of 16 x 14 positions, 8 channels to 8 in a kernel of 3 x 3, and a layer that pools
+/// it by 2 x 2.
 fn layers() -> Quantised {
     let mut net = Builder::new();
     let of = |channels, height, width| Shape::Volume(channels, height, width);
@@ -217,9 +217,9 @@ fn layers() -> Quantised {
     net.build()
 }
 
-/// A layer over space whose compartments also reach themselves, as those do that subtract their
-/// threshold: synapses with the same weight are stored once wherever they come from, which decides
-/// how many output axons a message takes.
+/// A layer over space whose compartments also reach themselves, as with a reset by subtraction.
+/// Synapses with equal weights are stored once for all sources, which decides the number of output
+/// axons of a message.
 #[test]
 fn compartments_over_space_that_reach_themselves_fit_or_do_not() {
     let network = layers();
@@ -268,8 +268,8 @@ fn a_kernel_is_stored_once() {
 }
 
 /// In the order of the file a 5 x 5 convolution takes 32 cores, since none holds the kernels of
-/// many channels. Tiles take 9, whose busiest works five times as long; injecting 6,400 channels
-/// takes most of a step in any case.
+/// many channels. Tiles take 9 cores, the busiest of which works five times as long. Injecting
+/// 6,400 channels takes most of a step in any case.
 #[test]
 fn cores_are_saved_where_most_of_a_step_is_not_theirs() {
     let mut net = Builder::new();
@@ -312,8 +312,8 @@ fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
 
 #[test]
 fn more_sources_than_a_program_can_number_take_several_cores() {
-    // 128 channels at 20 x 33 positions are 84,480 sources of 18 x 31 compartments, on one core but
-    // for their numbers.
+    // 128 channels at 20 x 33 positions are 84,480 sources of 18 x 31 compartments, which would fit
+    // one core but for the number of sources.
     let mut builder = Builder::new();
     let input = builder.input_shape("in", Shape::Volume(128, 20, 33));
     let out = builder.loihi_with("out", Shape::Volume(1, 18, 31), neurons());
@@ -369,7 +369,7 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
         let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
         net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
-        // Position by position, channels last, as a tile stands; lists of the same length in and
+        // Position by position, channels last, as in a tile; lists have equal lengths in and
         // outside of tables.
         let (network, board) = (net.build(), nsim_testing::target(1, 1, limits()));
         let order = tiles::cell(target, target, (0, 0, 0), false);
@@ -414,7 +414,7 @@ fn no_network_that_fits_is_refused_and_bounds_are_near_what_is_needed() {
     assert!(refused > 1, "{refused}");
 }
 
-/// A rule that no kind of mutation of `tests/engines/mutations` is made to break.
+/// A rule that no kind of mutation in `tests/engines/mutations` breaks.
 #[test]
 fn scattered_synapses_are_found() {
     let mut builder = Builder::new();

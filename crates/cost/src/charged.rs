@@ -1,8 +1,8 @@
-//! Which constants a run is charged for.
+//! Constants for which a run is charged.
 //!
-//! Input: what is to be estimated ([`Case`]) and the name of a constant. Output: whether anything
-//! was counted that the constant is multiplied with. Invariant: a constant of which this says no
-//! changes no figure. Of parts of which the longest counts, this says yes for all.
+//! Input: a [`EstimateInput`] and the name of a constant. Output: whether the run has a count that
+//! multiplies the constant. Invariant: a constant that is not charged changes no figure. Where only
+//! the longest of several parts counts, all their constants are charged.
 
 use crate::deployment::Host;
 use crate::estimate::Case;
@@ -15,7 +15,7 @@ pub fn is_charged(case: &Case<'_>, constant: &str) -> bool {
     let (sum, hops, deployment) = (case.activity.sum(), case.activity.hops(), case.deployment);
     let timing = &case.meter.settings().timing;
     let (rails, x86) = (case.accounting == Accounting::Rails, deployment.x86_cores > 0);
-    // (21) takes no time for routes and buffers.
+    // (21) has no term for routes and buffers.
     let follows = case.meter.tables()[case.preset].step == StepForm::Sum;
     let links = hops.links() > 0;
     match constant {
@@ -66,8 +66,7 @@ mod tests {
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(16))]
 
-        /// Priced anew with another value, a run has other figures only if it is charged for the
-        /// constant.
+        /// A run's figures change with a constant only if the run is charged for the constant.
         #[test]
         fn a_constant_that_is_not_charged_changes_no_figure(
             steps in proptest::collection::vec(any_step(2), 1..4), rails in any::<bool>(), alone in any::<bool>(),

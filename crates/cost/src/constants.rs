@@ -1,8 +1,8 @@
 //! A preset of constants in integers.
 //!
-//! Input: decimal numbers in pJ, ns, us and mW. Output: integers in fJ, ps and nW. The conversion
-//! is exact: a number with more digits than its integer unit can hold is refused, not rounded, so
-//! that the file's value is the one charged.
+//! Input: decimal numbers in pJ, ns, us and mW. Output: integers in fJ, ps and nW. A number is
+//! rounded to its integer unit, from its decimal digits and not from its binary value. A number
+//! outside 0..=10^15 units is refused.
 
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::units::{Femtojoules, Nanowatts, Picoseconds};
@@ -49,7 +49,7 @@ macro_rules! integer {
 
 macro_rules! cost_table {
     ($($(#[$doc:meta])* $field:ident: $unit:ident $(= $default:literal)?,)*) => {
-        /// A preset of constants in integers. Fields mean what those of [`Constants`] do.
+        /// A preset of constants in integers. Fields are the fields of [`Constants`].
         #[derive(Debug, Clone, PartialEq, Eq)]
         pub struct CostTable {
             name: String,
@@ -64,9 +64,8 @@ macro_rules! cost_table {
             /// Converts a preset.
             ///
             /// # Errors
-            /// A diagnostic at the first constant that is negative, too large, or has more digits
-            /// than fJ, ps or nW can hold, and when there is no barrier time or the times are not
-            /// in ascending order of tiles.
+            /// A diagnostic at the first constant that is negative or too large, and when there is
+            /// no barrier time or the times are not in ascending order of tiles.
             pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
                 let preset = constants.name.as_str();
                 let barrier = constants.barrier.iter();
@@ -89,7 +88,8 @@ macro_rules! cost_table {
 for_each_constant!(cost_table);
 
 impl CostTable {
-    /// The preset by status (published, calibrated, assumed): other energies are 0, ratios stay.
+    /// Returns the preset by status (published, calibrated, assumed): other constants are 0, ratios
+    /// stay.
     ///
     /// # Errors
     /// As [`CostTable::new`].
@@ -119,7 +119,7 @@ impl CostTable {
         &self.name
     }
 
-    /// Static power of an x86 core in mW: a neuron core's over their ratio.
+    /// Static power of an x86 core in mW: a neuron core's, divided by their ratio.
     pub fn x86_static_mw(&self) -> f64 {
         match self.x86_static_ratio {
             Thousandths(0) => 0.0,
@@ -127,8 +127,8 @@ impl CostTable {
         }
     }
 
-    /// Equation (10): the time of a barrier over this many tiles, linear between the preset's
-    /// entries (rounded down to a picosecond), constant before the first and after the last.
+    /// Equation (10): the time of a barrier over `tiles` tiles, linear between the preset's entries
+    /// (rounded down to a picosecond), constant before the first and after the last.
     pub fn barrier(&self, tiles: u64) -> Picoseconds {
         let after = self.barrier.partition_point(|&(at, _)| at < tiles);
         match (after.checked_sub(1).map(|i| self.barrier[i]), self.barrier.get(after).copied()) {
@@ -136,7 +136,7 @@ impl CostTable {
             (Some((t0, y0)), Some((t1, y1))) => {
                 let (rise, run) = (i128::from(y1.0) - i128::from(y0.0), i128::from(t1 - t0));
                 let time = i128::from(y0.0) + (rise * i128::from(tiles - t0)).div_euclid(run);
-                // Between two values that fit.
+                // The time is between two values that fit.
                 Picoseconds(time as u64)
             }
             (None, None) => Picoseconds::default(),
@@ -163,8 +163,8 @@ pub(crate) fn scaled(preset: &str, field: &str, constant: &Constant) -> Result<u
     })
 }
 
-/// `value * 10^places`, rounded to a whole number, when that is from 0 to 10^15. The shortest
-/// decimal that reads back as `value` is the file's (up to 15 digits): no binary rounding.
+/// `value * 10^places`, rounded to an integer; `None` outside 0..=10^15. The shortest decimal that
+/// parses to `value` is the file's (up to 15 digits), so there is no binary rounding.
 fn decimal(value: f64, places: usize) -> Option<u64> {
     if !(0.0..=1e15).contains(&value) {
         return None;
@@ -203,7 +203,7 @@ pub(crate) mod tests {
         for refused in [-1.0, f64::NAN, f64::INFINITY, 1e13] {
             assert_eq!(decimal(refused, 3), None, "{refused}");
         }
-        // 0.001 to 99.999: each is itself in thousandths, though hardly any is a binary fraction.
+        // 0.001 to 99.999: each is exact in thousandths, though hardly any is a binary fraction.
         for thousandths in 1..100_000u64 {
             let text = format!("{}.{:03}", thousandths / 1000, thousandths % 1000);
             assert_eq!(decimal(text.parse().unwrap(), 3), Some(thousandths), "{text}");

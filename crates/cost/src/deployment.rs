@@ -1,4 +1,4 @@
-//! Cores, chips and x86 cores that a job uses: what power and time depend on besides counts.
+//! Cores, chips and x86 cores of a job, on which power and time depend besides counts.
 //!
 //! Input: a placement and its target, or a published job's own numbers. Output: a [`Deployment`].
 //! Invariant: each number is of all copies together.
@@ -11,14 +11,14 @@ use crate::transport::{Timing, Transport, Words};
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::Placement;
 
-/// What the x86 cores of a job do.
+/// Work of the x86 cores of a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct HostWork {
-    /// Where input spikes come from.
+    /// Source of the input spikes.
     pub host: Host,
-    /// Streams that a chip is fed.
+    /// Input streams of a chip.
     pub streams: Streams,
-    /// Words of a core that are set to zero after each sample; 0: state stays.
+    /// Words of a core that are set to zero after each sample; 0: no reset.
     pub reset_words: u64,
     /// Timesteps of a sample.
     pub steps_per_sample: u32,
@@ -31,16 +31,16 @@ impl Default for HostWork {
 }
 
 impl HostWork {
-    /// What x86 cores do unless it is said: they inject, where a chip has any.
+    /// Returns the default work: x86 cores inject, where a chip has any in use.
     pub fn for_target(target: &Target) -> Self {
         let host = if target.chip().x86_cores_in_use > 0 { Host::Stream } else { Host::None };
         HostWork { host, ..HostWork::default() }
     }
 
-    /// The usual work with the host that was asked for, if one was.
+    /// Returns the default work with the requested host, if any.
     ///
     /// # Errors
-    /// Why a target has no such host: its chips keep no x86 core busy.
+    /// The reason why a target has no such host: its chips keep no x86 core busy.
     pub fn fed_by(host: Option<Host>, target: &Target) -> Result<Self, String> {
         let usual = HostWork::for_target(target);
         match host {
@@ -52,16 +52,16 @@ impl HostWork {
     }
 }
 
-/// The numbers that power and time depend on, for all copies together.
+/// The numbers on which power and time depend, for all copies together.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Deployment {
-    /// `spread`, `packed`, `paper`, or the file it came from.
+    /// Its name: `spread`, `packed`, `paper`, its file, or another origin.
     pub name: String,
     /// Copies of the network.
     pub copies: u32,
     /// Neuron cores in use.
     pub cores_used: u64,
-    /// Tiles with a core in use, on the chip that has most of them: they take part in its barrier.
+    /// Tiles with a core in use, on the chip with most of them; they take part in its barrier.
     pub tiles_used: u64,
     /// Chips with a core in use.
     pub chips_used: u64,
@@ -69,23 +69,23 @@ pub struct Deployment {
     pub chip_hops: u64,
     /// Chips on the board, whether in use or not.
     pub board_chips: u64,
-    /// Where input spikes come from.
+    /// Source of the input spikes.
     pub host: Host,
     /// x86 cores that run a program.
     pub x86_cores: u64,
     /// Chips with such an x86 core.
     pub x86_chips: u64,
-    /// Of the x86 cores those that inject or reset; the others wait.
+    /// x86 cores that inject or reset; the others wait.
     pub x86_working: u64,
-    /// Streams that the chip with most copies is fed.
+    /// Input streams of the chip with most copies.
     pub streams: u64,
-    /// Words that an x86 core sets to zero after a sample, one after the other.
+    /// Words that an x86 core sets to zero sequentially after a sample.
     pub reset: Words,
     /// Words besides spikes that the host sends to a chip in a sample.
     pub sent: Words,
 }
 
-/// What the chip that has most cores in use holds.
+/// Numbers of the chip with most cores in use.
 #[derive(Clone, Copy)]
 struct FullestChip {
     cores: u64,
@@ -104,7 +104,7 @@ pub fn chip_hops(chips_used: u64, (chips_x, chips_y): (u32, u32)) -> u64 {
 }
 
 impl Deployment {
-    /// A mapping's own numbers; the placement holds all copies.
+    /// Returns the numbers of a mapping, whose placement has all copies.
     pub fn from_placement(
         name: impl Into<String>,
         placement: &Placement,
@@ -121,14 +121,14 @@ impl Deployment {
         let most_cores = chips.values().map(|(cores, _)| *cores).max().unwrap_or(0);
         let tiles_used = chips.values().map(|(_, tiles)| tiles.len() as u64).max().unwrap_or(0);
         let (cores_used, chips_used) = (placement.len() as u64, chips.len() as u64);
-        // Copies are on a chip in proportion to its cores.
+        // The number of copies on a chip is proportional to its cores.
         let on_fullest = (most_cores * u64::from(copies)).div_ceil(cores_used.max(1)).max(1);
         let x86_cores = chips_used * u64::from(target.chip().x86_cores_in_use);
         let fullest = FullestChip { cores: most_cores, tiles: tiles_used, copies: on_fullest };
         Deployment::new(name, DeployedCores { cores_used, chips_used, x86_cores }, fullest, target, copies, work)
     }
 
-    /// Given numbers of cores, chips and x86 cores.
+    /// Returns the deployment for given numbers of cores, chips and x86 cores.
     pub fn from_numbers(
         name: impl Into<String>,
         cores: DeployedCores,
@@ -181,7 +181,7 @@ impl Deployment {
         self.x86_cores > 0 && (self.host != Host::None || self.reset.count > 0)
     }
 
-    /// What the time of a step depends on, when steps count spikes of `copies_counted` copies.
+    /// Returns the timing of a step, where steps count spikes of `copies_counted` copies.
     pub fn timing(&self, transport: Transport, copies_counted: u32) -> Timing {
         Timing {
             transport,

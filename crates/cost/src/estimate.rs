@@ -3,7 +3,7 @@
 //! Input: the activity of a run ([`Activity`], [`StepMeter`]) and its deployment. Output: the rows
 //! with their intervals, the breakdown of the dynamic energy, and its distribution over the
 //! timesteps. Invariants: under the profiler's accounting x86 + neuron = total; static + dynamic =
-//! total; an unknown figure is `None`, and a note says why. Equations are those of
+//! total; an unknown figure is `None`, and a note says why. Equation numbers refer to
 //! `docs/energy.md`.
 
 use serde::Serialize;
@@ -34,7 +34,7 @@ impl Convention {
 }
 
 named_variants! {
-    /// Where a row comes from.
+    /// Source of a row.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
     #[serde(rename_all = "lowercase")]
     pub enum FigureSource {
@@ -48,7 +48,7 @@ named_variants! {
         Modelled = "modelled",
         /// Given by the user.
         Stated = "stated",
-        /// Chosen.
+        /// An assumption.
         Assumed = "assumed",
     }
 }
@@ -56,35 +56,35 @@ named_variants! {
 /// One end of the intervals of a row's figures.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Bound {
-    /// Total power.
+    /// Total power, mW.
     pub total_mw: Option<f64>,
-    /// Time of a timestep.
+    /// Time of a timestep, us.
     pub latency_us: Option<f64>,
-    /// Energy of a timestep.
+    /// Energy of a timestep, uJ.
     pub energy_uj: Option<f64>,
-    /// That times the latency.
+    /// Energy-delay product, pJ s.
     pub edp_pjs: Option<f64>,
 }
 
-/// What share of a figure comes from constants of each status.
+/// Shares of a figure by the status of the constants, 0..=1.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct StatusShare {
-    /// Printed by their sources.
+    /// Share from constants printed by their sources.
     pub published: f64,
-    /// Fitted to measurements.
+    /// Share from constants fitted to measurements.
     pub fitted: f64,
-    /// Assumed.
+    /// Share from assumed constants.
     pub assumed: f64,
 }
 
-/// These shares of each column.
+/// Shares by status of each column.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Shares {
-    /// Of static power.
+    /// Shares of static power.
     pub static_mw: Option<StatusShare>,
-    /// Of dynamic power.
+    /// Shares of dynamic power.
     pub dynamic_mw: Option<StatusShare>,
-    /// Of the time of a step.
+    /// Shares of the time of a step.
     pub latency_us: Option<StatusShare>,
 }
 
@@ -95,39 +95,39 @@ pub struct EnergyRow {
     pub hardware: String,
     /// `x86`, `neuron` or `total`; by rails `boot`, `idle` or `total`.
     pub unit: &'static str,
-    /// What the energy and the energy-delay product mean.
+    /// Definition of the energy and the energy-delay product.
     pub convention: Convention,
-    /// Power drawn without activity.
+    /// Power drawn without activity, mW.
     pub static_mw: Option<f64>,
-    /// Power on top.
+    /// Dynamic power, mW.
     pub dynamic_mw: Option<f64>,
-    /// Their sum.
+    /// Their sum, mW.
     pub total_mw: Option<f64>,
-    /// Time of a timestep, the mean over the run.
+    /// Time of a timestep, the mean over the run, us.
     pub latency_us: Option<f64>,
-    /// Energy of a timestep.
+    /// Energy of a timestep, uJ.
     pub energy_uj: Option<f64>,
-    /// That times the latency, in pJ s.
+    /// Energy-delay product, pJ s.
     pub edp_pjs: Option<f64>,
     /// The low end of the 80 % interval of each figure.
     pub low: Option<Bound>,
-    /// The high end.
+    /// The high end of this interval.
     pub high: Option<Bound>,
-    /// Of its total power, by the status of the constants.
+    /// Shares of its total power by the status of the constants.
     pub share: Option<StatusShare>,
-    /// Of its other columns.
+    /// Shares of its other columns.
     pub shares: Shares,
-    /// Processors that other programs used while it was measured, where they were many.
+    /// Processors that were busy before it was measured, where they were many.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub busy: Option<f64>,
-    /// Where it comes from.
+    /// Source of the row.
     pub source: FigureSource,
-    /// Where its power comes from, which may be another place than its time.
+    /// Source of its power, which may differ from the source of its time.
     pub power_source: FigureSource,
 }
 
 impl EnergyRow {
-    /// A row of given power and time; energy and its product with time follow.
+    /// Returns a row of given power and time, with its energy and energy-delay product.
     pub fn new(
         hardware: &str,
         unit: &'static str,
@@ -162,7 +162,7 @@ impl EnergyRow {
         }
     }
 
-    /// A figure by the name that tables of measurements use.
+    /// Returns a figure by its name in tables of measurements.
     pub fn figure(&self, name: &str) -> Option<f64> {
         match name {
             "static_mw" => self.static_mw,
@@ -176,20 +176,20 @@ impl EnergyRow {
     }
 }
 
-/// A preset by how far its constants can be trusted.
+/// A preset split by the status of its constants.
 #[derive(Debug, Clone)]
 pub struct ByStatus {
-    /// The preset by status, other energies 0: published, fitted, assumed.
+    /// The preset by status, other constants 0: published, fitted, assumed.
     tables: [CostTable; 3],
-    /// The least trusted constant of each part of a step's time, as [`StepTime::parts`]; of the
-    /// slowest core's each constant counts for itself.
+    /// Least trusted status of each part of a step's time, in the order of [`StepTime::parts`];
+    /// `None` for the slowest core, which `core` splits by constant.
     time: [Option<Status>; 6],
     /// The statuses of [`CORE_TIMES`].
     core: [Status; 7],
 }
 
 impl ByStatus {
-    /// Of these constants, on a number of chips: links between chips count where there are several.
+    /// Splits constants, for a number of chips: links between chips count where there are several.
     ///
     /// # Errors
     /// As [`CostTable::new`].
@@ -209,7 +209,7 @@ impl ByStatus {
     }
 }
 
-/// What is to be estimated.
+/// Input of an estimate.
 #[derive(Debug, Clone, Copy)]
 pub struct Case<'a> {
     /// Counts of the whole run.
@@ -220,19 +220,19 @@ pub struct Case<'a> {
     pub preset: usize,
     /// The name of the hardware in the rows.
     pub hardware: &'a str,
-    /// How far such predictions were off; empty where that is not known.
+    /// Errors of such predictions; empty where they are unknown.
     pub errors: &'a [ClassError],
     /// The preset by the status of its constants.
     pub by_status: Option<&'a ByStatus>,
-    /// Copies whose activity was counted: 1 when one represents all, else the mapping's.
+    /// Number of copies whose activity was counted: 1 when one represents all, else the mapping's.
     pub copies_counted: u32,
-    /// Where the copies are.
+    /// The deployment of the copies.
     pub deployment: &'a Deployment,
-    /// As fast as possible, or held to the timestep.
+    /// As fast as possible, or paced by the timestep.
     pub mode: Mode,
-    /// Which power counts.
+    /// The accounting of power.
     pub accounting: Accounting,
-    /// What energy means.
+    /// The definition of energy.
     pub convention: Convention,
     /// Timesteps of a sample; `None` when samples differ.
     pub steps_per_sample: Option<u32>,
@@ -258,7 +258,7 @@ impl<'a> Case<'a> {
     }
 }
 
-/// What came out.
+/// Result of an estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
     /// `x86`, `neuron`, `total`; by rails `boot`, `idle`, `total`.
@@ -267,14 +267,14 @@ pub struct Estimate {
     pub job: JobPower,
     /// Dynamic energy of the neuron cores by part, pJ a timestep and copy; `None` without steps.
     pub breakdown_pj: Option<Vec<(&'static str, f64)>>,
-    /// Energy of the timesteps, all power of the `total` row included, physical: its mean is that
-    /// row's energy. `None` without timesteps, or if the meter had another preset or price.
+    /// Energy of the timesteps, all power of the `total` row included, physical, uJ; its mean is
+    /// the row's energy. `None` without timesteps, or if the meter had another preset or price.
     pub per_timestep_uj: Option<Spread>,
-    /// Of that, the dynamic energy of the neuron cores.
+    /// Distribution of the dynamic energy of the neuron cores, uJ.
     pub per_timestep_dynamic_uj: Option<Spread>,
-    /// Mean of each part of a step's time; `None` without timesteps.
+    /// Mean of each part of a step's time, us; `None` without timesteps.
     pub time_us: Option<[(&'static str, f64); 6]>,
-    /// Why something is not known.
+    /// Reasons for unknown figures.
     pub notes: Vec<String>,
 }
 
@@ -287,39 +287,39 @@ pub struct JobPower {
     pub core_dynamic: Option<f64>,
     /// Static power of the x86 cores that run.
     pub x86_static: f64,
-    /// Their clocks, one a chip.
+    /// Power of their clocks, one a chip.
     pub x86_clock: f64,
-    /// Their work; `None` without timesteps where it depends on them.
+    /// Power of their work; `None` without timesteps where it depends on them.
     pub x86_active: Option<f64>,
-    /// All chips of the board before a program is loaded, as the rails show it.
+    /// Power of all chips of the board before a program is loaded, as the rails show it.
     pub boot: f64,
-    /// What x86 cores add to that once a program is loaded, as the rails show it.
+    /// Power that x86 cores add once a program is loaded, as the rails show it.
     pub x86_on: f64,
 }
 
 impl JobPower {
-    /// Power of the x86 cores on top of static power.
+    /// Dynamic power of the x86 cores.
     pub fn x86_dynamic(&self) -> Option<f64> {
         Some(self.x86_clock + self.x86_active?)
     }
 
-    /// All that the profiler attributes to the job.
+    /// Power that the profiler attributes to the job.
     pub fn profiler(&self) -> Option<f64> {
         Some(self.core_static + self.core_dynamic? + self.x86_static + self.x86_dynamic()?)
     }
 
-    /// The whole board once a program is loaded, before it runs.
+    /// Power of the whole board once a program is loaded, before it runs.
     pub fn rails_idle(&self) -> f64 {
         self.boot + self.x86_on + self.x86_clock
     }
 
-    /// The whole board while it runs.
+    /// Power of the whole board while the program runs.
     pub fn rails_running(&self) -> Option<f64> {
         Some(self.rails_idle() + self.x86_active? + self.core_dynamic?)
     }
 }
 
-/// Equation (20): the power of x86 cores that inject, and the energy in fJ of those that reset.
+/// Equation (20): power of injecting x86 cores, mW; energy of a step of resetting ones, fJ.
 fn x86_work(table: &CostTable, deployment: &Deployment) -> (f64, f64) {
     let each = table.x86_active_power.milliwatts() * deployment.x86_working as f64;
     match deployment.host {
@@ -330,7 +330,7 @@ fn x86_work(table: &CostTable, deployment: &Deployment) -> (f64, f64) {
     }
 }
 
-/// Powers of a job whose copies together spend this energy on events in steps of this time.
+/// Returns the powers of a job that spends `events_fj` on events, in `steps` steps of `time_ps`.
 pub fn job_power(table: &CostTable, deployment: &Deployment, events_fj: f64, steps: u64, time_ps: u128) -> JobPower {
     let (injecting, resetting) = x86_work(table, deployment);
     let known = (time_ps > 0).then_some(time_ps as f64);
@@ -360,8 +360,8 @@ pub struct Spent {
     pub energy_uj: f64,
 }
 
-/// What the `total` row spends in these steps of the meter, summed under the case's preset, for any
-/// convention: for the whole run, the mean of a step (13) times the steps.
+/// Returns time and energy of the `total` row in these steps of the meter, under the case's preset,
+/// for every convention. For the whole run: the mean of a step (13) times the steps.
 ///
 /// # Panics
 /// When the meter has no such preset: a mistake of the caller.
@@ -372,7 +372,7 @@ pub fn spent(case: &Case<'_>, steps: &StepSums) -> Spent {
     Spent { time_us, energy_uj: price.always_mw * time_us / 1e3 + dynamic_fj / 1e9 }
 }
 
-/// What the `total` row spends in a step besides events, under one preset.
+/// Returns the price of a step of the `total` row, under one preset.
 pub fn step_price(
     table: &CostTable,
     deployment: &Deployment,
@@ -393,10 +393,10 @@ pub fn step_price(
     StepPrice { events, step_fj, always_mw, paced: mode == Mode::Realtime }
 }
 
-/// A part of a row's power and how far its class was off.
+/// A part of a row's power, and the error factor of its class.
 type Part = (f64, Option<f64>);
 
-/// The logarithm of the factor of a sum: those of its parts in squares, each weighed by its share.
+/// Logarithm of a sum's error factor: root of the summed squares of its parts, weighted by share.
 fn log_factor(parts: &[Part]) -> Option<f64> {
     let total: f64 = parts.iter().map(|(power, _)| power).sum();
     let squares = parts.iter().filter(|(power, _)| *power > 0.0).map(|&(power, factor)| {
@@ -415,7 +415,7 @@ impl Case<'_> {
         }
     }
 
-    /// What the `total` row spends in a step besides events, under one preset.
+    /// Returns the price of a step of the `total` row, under one preset.
     pub fn price(&self, table: &CostTable) -> StepPrice {
         step_price(table, self.deployment, self.copies_counted, (self.mode, self.accounting))
     }
@@ -466,12 +466,12 @@ impl Case<'_> {
         self.errors.iter().find(|error| error.class == class).map(|error| error.within_80)
     }
 
-    /// The intervals of the rows.
+    /// Sets the intervals of the rows.
     fn bounds(&self, rows: &mut [EnergyRow; 3], lane: &Lane) {
         let free_us = lane.whole.time as f64 / 1e6 / lane.whole.steps.max(1) as f64;
         let latency_us = self.latency_us(&lane.whole).unwrap_or(free_us);
         let time = self.within(FigureClass::Time);
-        // A step that is held to its timestep is as long as that.
+        // A paced step is as long as its timestep.
         let held = self.mode == Mode::Realtime && latency_us > free_us;
         let least = if self.mode == Mode::Realtime { self.meter.settings().timestep.microseconds() } else { 0.0 };
         let ends = time.map(|factor| {
@@ -485,7 +485,7 @@ impl Case<'_> {
         let x86 = dynamic(first, self.within(FigureClass::X86Dynamic));
         let cores = dynamic(second, events);
         let (x86_static, core_static) = (static_power(first), static_power(second));
-        // Static powers of both are one constant and its ratio, so that they are wrong together.
+        // Both static powers follow from one constant and a ratio, so their errors are common.
         let both = (x86_static.0 + core_static.0, x86_static.1);
         let factors = match self.accounting {
             Accounting::Profiler => {
@@ -518,7 +518,7 @@ impl Case<'_> {
         }
     }
 
-    /// What each column owes to constants of each status.
+    /// Adds the shares of each column by the status of the constants.
     fn add_shares(&self, rows: &mut [EnergyRow; 3], by_status: &ByStatus, lane: &Lane) {
         let latency_us = self.latency_us(&lane.whole);
         let parts = [0, 1, 2].map(|of| self.rows(&self.job(&by_status.tables[of], &lane.whole), latency_us));
@@ -549,7 +549,7 @@ impl Case<'_> {
     }
 }
 
-/// Power, latency and energy.
+/// Returns power, latency and energy of a case.
 ///
 /// # Panics
 /// When the meter lacks the preset or the activity's steps: a mistake of the caller.
@@ -673,7 +673,7 @@ pub(crate) mod tests {
         }
         assert!((Convention::Published.energy_uj(33.7, 231.0, Some(150)).unwrap() - 0.2247).abs() < 5e-5);
         assert!((Convention::Published.energy_uj(33.7, 231.0, Some(150)).unwrap() * 231.0 - 51.9).abs() < 5e-2);
-        // The same rows physically: 33.7 mW * 231 us.
+        // One of these rows, physically: 33.7 mW * 231 us.
         assert!((Convention::Physical.energy_uj(33.7, 231.0, None).unwrap() - 7.7847).abs() < 1e-9);
     }
 

@@ -1,4 +1,4 @@
-//! How a job is run and how it is accounted for.
+//! Modes, conventions, hosts and accounting of a job.
 
 use serde::{Deserialize, Serialize};
 
@@ -17,7 +17,7 @@ pub enum Mode {
 
 named_variants!(Mode { Offline = "offline", Realtime = "realtime" });
 
-/// What "energy per timestep" and "energy-delay product" mean.
+/// Definition of "energy per timestep" and "energy-delay product".
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Convention {
@@ -30,16 +30,16 @@ pub enum Convention {
 
 named_variants!(Convention { Physical = "physical", Published = "published" });
 
-/// What feeds input spikes to a chip.
+/// Source of the input spikes of a chip.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Host {
     /// An x86 core of each chip injects the spikes that a computer sends it.
     #[default]
     Stream,
-    /// An x86 core of each chip repeats spikes from its own memory: no time a spike is known.
+    /// An x86 core of each chip repeats spikes from its own memory; the time of a spike is unknown.
     Memory,
-    /// Nothing: the neuron cores alone.
+    /// No host: the neuron cores alone.
     None,
 }
 
@@ -70,14 +70,14 @@ pub struct DeployedCores {
     pub x86_cores: u64,
 }
 
-/// What a measurement attributes to the chip.
+/// Power that a measurement attributes to the chip.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all(serialize = "lowercase"))]
 pub enum Accounting {
-    /// What NxSDK's profiler attributes to neuron cores and x86 cores.
+    /// Power that NxSDK's profiler attributes to neuron cores and x86 cores.
     #[default]
     Profiler,
-    /// What the rails of the whole board draw, as a power meter shows it.
+    /// Power of the rails of the whole board, as a power meter shows it.
     Rails,
 }
 

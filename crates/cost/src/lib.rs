@@ -1,12 +1,12 @@
-//! What a run costs: energy, time and power from counts.
+//! Cost of a run: energy, time and power from counts.
 //!
-//! Input: the counts of each timestep ([`nsim_ir::activity`]), a target's constants, and the
-//! cores in use. Output: energy in whole femtojoules and time in whole picoseconds, and from them
-//! the rows of the report. Sums are exact, so no order of adding changes them. The equations are
-//! numbered in `docs/energy.md`.
+//! Input: the counts of each timestep ([`nsim_ir::activity`]), a target's constants, and the cores
+//! in use. Output: energy in whole femtojoules and time in whole picoseconds, and from them the
+//! rows of the report. Sums are exact, so the order of addition does not change them. Equation
+//! numbers refer to `docs/energy.md`.
 //!
-//! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate;
-//! of the host all that is not done for each spike, step or value.
+//! Not modelled: temperature, voltage and the measurement chain, which the sources do not separate.
+//! Of the host, only work for each spike, step or value is modelled.
 
 pub mod charged;
 pub mod constants;

@@ -2,12 +2,12 @@
 //! grow with the run.
 //!
 //! Input: the counts of each timestep, and whether its sample was decided before. Output: exact
-//! sums of energy and time, over all steps and over those until the decision; where asked for, the
+//! sums of energy and time, over all steps and over the steps until the decision; on request, the
 //! distribution of a step's energy. Invariant: a meter is a function of the multiset of its
-//! samples, so that meters of samples that ran in parallel give the same figures in any order of
-//! merging.
+//! samples, so meters of parallel samples give equal figures in any order of merging.
 //!
-//! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known before.
+//! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known in
+//! advance.
 
 use std::sync::Arc;
 
@@ -23,7 +23,7 @@ use nsim_ir::base::units::{Femtojoules, Picoseconds};
 /// Sums over steps under one preset, exact.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StepSums {
-    /// Steps.
+    /// Number of steps.
     pub steps: u64,
     /// Energy of their events.
     pub energy: Femtojoules,
@@ -59,9 +59,9 @@ impl StepSums {
 /// The steps of a run under one preset.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Lane {
-    /// All of them.
+    /// Sums over all steps.
     pub whole: StepSums,
-    /// Steps of each sample up to the one that decided it; all of an undecided sample.
+    /// Sums over the steps of each sample up to its decision; over all steps if undecided.
     pub until_decided: StepSums,
 }
 
@@ -72,18 +72,18 @@ pub struct StepPrice {
     pub events: f64,
     /// Energy that each step takes, regardless of its length, in fJ.
     pub step_fj: f64,
-    /// Power that is drawn all the time.
+    /// Power that is drawn all the time, mW.
     pub always_mw: f64,
     /// Whether each step takes at least the timestep.
     pub paced: bool,
 }
 
-/// How the energy of a step is distributed over a run, in fJ of one copy.
+/// Distribution of the energy of a step over a run, in fJ of one copy.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Distribution {
-    /// Events of the neuron cores.
+    /// Energy of the events of neuron cores.
     pub dynamic: Quantiles,
-    /// That and all power that is drawn meanwhile.
+    /// This energy, and all power that is drawn in the step.
     pub whole: Quantiles,
 }
 
@@ -94,14 +94,14 @@ pub struct StepMeter {
     lanes: Vec<Lane>,
     distribution: Distribution,
     hops: HopCounts,
-    /// Steps in which each core was the slowest, under the first preset.
+    /// Number of steps in which each core was the slowest, under the first preset.
     slowest: Vec<u64>,
     /// Time of the slowest core of each step by constant, as [`core_time_by_constant`], in ps,
     /// under the first preset.
     core_time: [u128; 7],
     /// The time of the last step under the first preset.
     last_time: StepTime,
-    /// Of each step that is followed at the same time.
+    /// Memory of each step that is metered in parallel.
     memory: Vec<QueueMemory>,
 }
 
@@ -121,13 +121,13 @@ pub struct MeterSettings {
 }
 
 impl MeterSettings {
-    /// Settings of sums alone.
+    /// Returns settings for sums only.
     pub fn new(tables: Vec<CostTable>, timing: Timing, routes: Arc<MessageRoutes>, timestep: Picoseconds) -> Self {
         MeterSettings { tables, timing, routes, timestep, distribution: None }
     }
 }
 
-/// The core that takes longest in a step: of several the first, so that each step has one.
+/// The slowest core of a step; the first on a tie, so that each step has one.
 fn slowest(step: &StepActivity, table: &CostTable) -> usize {
     let by_time = step.cores.iter().enumerate().map(|(core, counts)| (core_time(counts, table), core));
     by_time.reduce(|most, next| if next.0 > most.0 { next } else { most }).map_or(0, |(_, core)| core)
@@ -155,7 +155,7 @@ impl StepMeter {
         StepMeter::new(self.settings.clone())
     }
 
-    /// Adds a timestep that repeated this often; `decided` when its sample was decided before.
+    /// Adds a timestep that occurred `times` times; `decided`: its sample was decided before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         self.memory.resize_with(self.memory.len().max(1), QueueMemory::default);
         let MeterSettings { tables, timing, routes, .. } = &*self.settings;
@@ -163,8 +163,8 @@ impl StepMeter {
         self.add_timed((step, times, decided), &step_times);
     }
 
-    /// Adds each of these steps, one after another; threads follow their messages at the same time,
-    /// each step in memory of its own.
+    /// Adds these steps sequentially; threads compute the times of their messages in parallel, each
+    /// step in its own memory.
     pub fn add_all(&mut self, steps: &[(StepActivity, u32, bool)]) {
         self.memory.resize_with(self.memory.len().max(steps.len()), QueueMemory::default);
         let MeterSettings { tables, timing, routes, .. } = &*self.settings;
@@ -206,7 +206,7 @@ impl StepMeter {
         }
     }
 
-    /// Adds what another meter saw, of other samples.
+    /// Adds the sums of another meter, of other samples.
     ///
     /// # Panics
     /// When the other meter has other settings: a mistake of the caller.
@@ -234,7 +234,7 @@ impl StepMeter {
         &self.settings.tables
     }
 
-    /// Links that messages crossed in all steps, those of all groups of cores.
+    /// Links that messages crossed in all steps, for all groups of cores.
     pub fn hops(&self) -> HopCounts {
         self.hops
     }
@@ -244,8 +244,8 @@ impl StepMeter {
         &self.lanes
     }
 
-    /// Which share of the slowest core's time each of [`CORE_TIMES`] has, under the first preset;
-    /// all 0 where no core takes time.
+    /// Share of the slowest core's time for each of [`CORE_TIMES`], under the first preset; all 0
+    /// where no core takes time.
     ///
     /// [`CORE_TIMES`]: crate::model::CORE_TIMES
     pub fn core_time_shares(&self) -> [f64; 7] {
@@ -253,19 +253,19 @@ impl StepMeter {
         self.core_time.map(|own| own as f64 / all as f64)
     }
 
-    /// How a step's energy is distributed; empty unless the settings ask for it.
+    /// Distribution of a step's energy; empty unless the settings request it.
     pub fn distribution(&self) -> &Distribution {
         &self.distribution
     }
 
-    /// Replaces the counts of slowest steps, where it saw other cores than there are.
+    /// Replaces the counts of slowest steps, for a meter of other cores than the program's.
     #[must_use]
     pub fn with_slowest_steps(self, slowest: Vec<u64>) -> Self {
         StepMeter { slowest, ..self }
     }
 
-    /// Steps in which each core was the slowest under the first preset, the first of several that
-    /// were: in all as many as steps. Empty before the first step.
+    /// Number of steps in which each core was the slowest under the first preset, the first core on
+    /// a tie. They sum to the number of steps. Empty before the first step.
     pub fn slowest_steps(&self) -> &[u64] {
         &self.slowest
     }
@@ -293,7 +293,7 @@ pub(crate) mod tests {
     use crate::transport::tests::{no_routes, timing};
     use nsim_ir::activity::Activity;
 
-    /// A meter of steps whose messages are not followed.
+    /// A meter of steps under the analytic model of the mesh.
     pub(crate) fn meter(
         tables: Vec<CostTable>,
         tiles_used: u64,

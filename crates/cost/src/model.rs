@@ -1,5 +1,5 @@
-//! Energy and time of counts: equations (1) to (7) and (9) of `docs/energy.md`, and (21), which is
-//! Loihi 2's; [`crate::transport`] has (10) and (11).
+//! Energy and time of counts: equations (1) to (7) and (9) of `docs/energy.md`, and (21) for Loihi
+//! 2; [`crate::transport`] has (10) and (11).
 //!
 //! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is
 //! not linear (a step lasts as long as its slowest core) and needs the counts of each step.
@@ -12,7 +12,7 @@ use nsim_ir::base::units::{Femtojoules, Picoseconds};
 use nsim_ir::hardware::constants::StepForm;
 use nsim_ir::placement::Route;
 
-/// Dynamic energy of the neuron cores and their mesh, by what it was spent on.
+/// Dynamic energy of the neuron cores and their mesh, by part.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Breakdown {
     /// (1) Synaptic events.
@@ -25,9 +25,9 @@ pub struct Breakdown {
     pub spike: Femtojoules,
     /// (5) Messages sent by cores.
     pub axon_out: Femtojoules,
-    /// (6) Messages received, those of inputs included.
+    /// (6) Messages received, messages of inputs included.
     pub axon_in: Femtojoules,
-    /// (7) Messages under way.
+    /// (7) Hops of messages.
     pub hop: Femtojoules,
 }
 
@@ -56,7 +56,7 @@ pub fn step_energy(step: &StepActivity, table: &CostTable) -> Breakdown {
     energy_of_counts(sum_of_cores(step.cores.as_slice()), step.hops, table)
 }
 
-/// The counts of cores together.
+/// Sum of the counts of cores.
 pub(crate) fn sum_of_cores(cores: &[CoreCounts]) -> CoreCounts {
     let mut sum = CoreCounts::default();
     cores.iter().for_each(|core| sum += *core);
@@ -68,7 +68,7 @@ pub fn energy(activity: &Activity, table: &CostTable) -> Breakdown {
     energy_of_counts(activity.sum(), activity.hops(), table)
 }
 
-/// Energy of the counts of all cores together.
+/// Energy of the summed counts of all cores.
 pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> Breakdown {
     Breakdown {
         synapse: table.synapse_dense_energy * sum.events_dense + table.synapse_sparse_energy * sum.events_sparse,
@@ -84,25 +84,25 @@ pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> 
     }
 }
 
-/// Where the time of a step goes; the parts follow each other.
+/// The time of a step by part; parts are sequential.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StepTime {
-    /// Spikes of the stream that an x86 core injects.
+    /// Injection of the spikes of a stream by an x86 core.
     pub injection: Picoseconds,
     /// The turn of the x86 cores' process.
     pub turn: Picoseconds,
-    /// The core that takes longest.
+    /// Time of the slowest core.
     pub slowest_core: Picoseconds,
-    /// What messages add to that.
+    /// Time that messages add to the slowest core.
     pub transport: Picoseconds,
     /// The barrier, over the tiles of a chip and between chips.
     pub barrier: Picoseconds,
-    /// A step's part of resetting state after a sample.
+    /// A step's share of the time of resetting state after a sample.
     pub reset: Picoseconds,
 }
 
 impl StepTime {
-    /// The place of the slowest core among the parts.
+    /// Index of the slowest core among the parts.
     pub const SLOWEST_CORE: usize = 2;
 
     /// Name and time of every part, in a fixed order.
@@ -117,7 +117,7 @@ impl StepTime {
         ]
     }
 
-    /// The whole step. A sum beyond the type's range (213 days) stays at its end.
+    /// Time of the whole step, saturating at the type's range (213 days).
     pub fn total(&self) -> Picoseconds {
         Picoseconds(self.parts().into_iter().fold(0, |sum, (_, part)| sum.saturating_add(part.0)))
     }
@@ -134,7 +134,7 @@ pub const CORE_TIMES: [&str; 7] = [
     "axon_out_time",
 ];
 
-/// The terms of a core's time, as [`CORE_TIMES`].
+/// The terms of a core's time, in the order of [`CORE_TIMES`].
 fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 7] {
     [
         (table.axon_in_time, core.messages_in),
@@ -147,11 +147,11 @@ fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 7] {
     ]
 }
 
-/// Reads, synapses and dendrites: places among the terms.
+/// Indices of the terms for axon reads, synapses and dendrites.
 const CORE_GROUPS: [Range<usize>; 3] = [0..1, 1..3, 3..7];
 
-/// Time of one core's delivery and update in a step: (9), their sum, or the core's terms of (21),
-/// of which the greatest counts.
+/// Time of one core's delivery and update in a step: the sum of its terms (9), or the greatest of
+/// its terms in (21).
 pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
     let terms = core_terms(core, table);
     let groups = CORE_GROUPS.into_iter().map(|group| times(&terms[group]));
@@ -161,7 +161,7 @@ pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
     }
 }
 
-/// [`core_time`] by the constant that it is owed to.
+/// [`core_time`], split by constant in the order of [`CORE_TIMES`].
 pub fn core_time_by_constant(core: &CoreCounts, table: &CostTable) -> [Picoseconds; 7] {
     let terms = core_terms(core, table);
     let counted = match table.step {
@@ -199,7 +199,7 @@ pub(crate) mod tests {
     use crate::transport::tests::{no_routes, timing};
     use crate::transport::{QueueMemory, Timing, Transport, Words};
 
-    /// The time of a step whose messages are not followed.
+    /// The time of a step by the analytic model of the mesh.
     fn step_time(step: &StepActivity, table: &CostTable, tiles_used: u64) -> StepTime {
         no_routes()
             .step_times(

@@ -2,20 +2,20 @@
 //!
 //! Input: numbers from 0 on, in any order and any number of parts. Output: least and greatest,
 //! exact, and any quantile by nearest rank within a relative error of 2^-10 (0.1 %). Invariants:
-//! the histogram of a series is a function of the multiset of its numbers, so neither the order of
-//! adding nor that of merging changes a figure.
+//! the histogram of a series is a function of the multiset of its numbers, so the order of adding
+//! and merging changes no figure.
 //!
-//! A bucket holds the numbers that share the exponent and the upper `BITS` bits of the mantissa:
-//! 512 buckets an octave, each at most 2^-9 of its lower end wide. Its middle represents all of
-//! them, which is at most 2^-10 away. The bucket is cut out of the number's bits, so that no
-//! logarithm can round differently on another machine. Buckets that are in use cost some 20 bytes
-//! each; numbers within a factor of 1000 of each other fall into 5,100 buckets at most.
+//! A bucket holds the numbers that share the exponent and the upper `BITS` bits of the mantissa. An
+//! octave has 512 buckets, each at most 2^-9 of its lower end wide. Its middle represents them with
+//! a relative error of at most 2^-10. The bucket is taken from the number's bits, so no logarithm
+//! can round differently on another machine. A bucket in use costs about 20 bytes; numbers within a
+//! factor of 1000 of each other fall into 5,100 buckets at most.
 
 use std::collections::BTreeMap;
 
 /// Bits of the mantissa that choose the bucket.
 const BITS: u32 = 9;
-/// Bits of the mantissa that do not.
+/// Remaining bits of the mantissa.
 const DROPPED: u32 = f64::MANTISSA_DIGITS - 1 - BITS;
 
 /// The least, median, 99th percentile and greatest of a series, by nearest rank.
@@ -23,16 +23,16 @@ const DROPPED: u32 = f64::MANTISSA_DIGITS - 1 - BITS;
 pub struct Spread {
     /// The least.
     pub min: f64,
-    /// The least that half of the series does not exceed, within 0.1 %.
+    /// Median: the least number that half of the series does not exceed, within 0.1 %.
     pub p50: f64,
-    /// The least that 99 % of the series does not exceed, within 0.1 %.
+    /// The least number that 99 % of the series does not exceed, within 0.1 %.
     pub p99: f64,
     /// The greatest.
     pub max: f64,
 }
 
 impl Spread {
-    /// Each figure changed by one function, which keeps their order.
+    /// Returns each figure changed by one function, which preserves their order.
     #[must_use]
     pub fn map(self, change: impl Fn(f64) -> f64) -> Spread {
         Spread { min: change(self.min), p50: change(self.p50), p99: change(self.p99), max: change(self.max) }
@@ -43,13 +43,13 @@ impl Spread {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Quantiles {
     count: u64,
-    /// Least and greatest; none of nothing.
+    /// Least and greatest number; `None` when empty.
     ends: Option<(f64, f64)>,
     buckets: BTreeMap<u32, u64>,
 }
 
 impl Quantiles {
-    /// Adds a number this many times; a negative one counts as 0.
+    /// Adds a number `times` times; a negative number counts as 0.
     pub fn add(&mut self, value: f64, times: u64) {
         if times == 0 {
             return;
@@ -74,7 +74,7 @@ impl Quantiles {
         self.ends = Some(self.ends.map_or((least, greatest), |(low, high)| (low.min(least), high.max(greatest))));
     }
 
-    /// The least number that this many percent do not exceed, within 2^-10; none of nothing.
+    /// The least number that `percent` percent do not exceed, within 2^-10; `None` when empty.
     pub fn percentile(&self, percent: u32) -> Option<f64> {
         let (least, greatest) = self.ends?;
         let rank = (u128::from(self.count) * u128::from(percent)).div_ceil(100).max(1) as u64;
@@ -88,13 +88,13 @@ impl Quantiles {
         });
         let middle = bucket.map(|(&bucket, _)| {
             let end = |bucket: u32| f64::from_bits(u64::from(bucket) << DROPPED);
-            // The first bucket is that of 0.
+            // The first bucket holds 0.
             if bucket == 0 { 0.0 } else { (end(bucket) + end(bucket + 1)) / 2.0 }
         });
         middle.map(|middle| middle.clamp(least, greatest))
     }
 
-    /// Its order statistics; none of nothing.
+    /// Its order statistics; `None` when empty.
     pub fn spread(&self) -> Option<Spread> {
         let (min, max) = self.ends?;
         Some(Spread { min, p50: self.percentile(50)?, p99: self.percentile(99)?, max })

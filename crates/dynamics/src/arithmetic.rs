@@ -1,6 +1,6 @@
 //! The operations by which the hardware scales and narrows integers.
 //!
-//! They are named after what they do at the edge: [`wrap`] (two's complement), [`clip`] (saturate),
+//! Each is named after its effect at the edge: [`wrap`] (two's complement), [`clip`] (saturate),
 //! [`decay`] (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
 
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, WEIGHT_SHIFT, WeightExponent};
@@ -15,7 +15,7 @@ pub const fn wrap(x: i64, bits: u32) -> i64 {
     (x << shift) >> shift
 }
 
-/// `x` held within `low..=high`.
+/// `x` clipped to `low..=high`.
 #[inline]
 pub const fn clip(x: i64, low: i64, high: i64) -> i64 {
     if x < low {
@@ -36,7 +36,7 @@ pub const fn decay(x: i64, d: Decay) -> i64 {
     if x < 0 { -kept } else { kept }
 }
 
-/// Equation (1): what one spike over a synapse of weight `w` adds to the accumulator:
+/// Equation (1): the contribution of one spike over a synapse of weight `w` to the accumulator,
 /// `w * 2^(6 + exponent)`. For a negative exponent each weight is rounded toward zero to a multiple
 /// of 64 (nengo-loihi `discretize.py`).
 #[inline]
@@ -46,35 +46,35 @@ pub const fn scaled_weight(w: i16, exponent: WeightExponent) -> i32 {
     if e >= 0 {
         w << (WEIGHT_SHIFT + e as u32)
     } else {
-        // |w| <= 256, so |w| * 64 fits; the shift and the mask act on the magnitude, hence toward zero.
+        // |w| <= 256, so |w| * 64 fits. Shift and mask act on the magnitude, hence toward zero.
         let magnitude = ((w.abs() << WEIGHT_SHIFT) >> (-e) as u32) & !63;
         if w < 0 { -magnitude } else { magnitude }
     }
 }
 
-/// Equation (1): what a spike over a weight of this format adds to the accumulator. A negative
-/// exponent of a separate sum shifts the sum ([`sum_shift`]).
+/// Equation (1): the contribution of a spike over a weight of this format to the accumulator. A
+/// negative exponent of a separate sum shifts the sum ([`sum_shift`]).
 #[inline]
 pub fn scaled(format: SynapseFormat, weight: i16) -> i32 {
     let exponent = if format.apart.is_some() { format.exponent.max(WeightExponent::ZERO) } else { format.exponent };
     scaled_weight(weight, exponent)
 }
 
-/// Rule (39) of `docs/loihi2.md`: bits by which the sum of a format's synapses is shifted.
+/// Rule (39) of `docs/loihi2.md`: the shift of the sum of a format's synapses, in bits.
 #[inline]
 pub fn sum_shift(format: SynapseFormat) -> u8 {
     format.apart.map_or(0, |_| format.exponent.min(WeightExponent::ZERO).get().unsigned_abs())
 }
 
-/// What a binary spike adds over a synapse, in units of 64, on a core with these formats. It fits
-/// 16 bits: |w| <= 256 and the exponent is at most 7.
+/// The contribution of a binary spike over a synapse, in units of 64, on a core with these formats.
+/// It fits 16 bits: |w| <= 256 and the exponent is at most 7.
 #[inline]
 pub fn units(synapse: &Synapse, formats: &[CoreFormat]) -> i32 {
     scaled(formats[usize::from(synapse.format)].synapse, synapse.weight) >> WEIGHT_SHIFT
 }
 
-/// The greatest magnitude of what a binary spike may add over a synapse, in units of 64: any weight
-/// of its format may be written to a plastic one.
+/// The greatest magnitude of a binary spike's contribution over a synapse, in units of 64. A
+/// plastic synapse may hold any weight of its format.
 #[inline]
 pub fn greatest_units(synapse: &Synapse, formats: &[CoreFormat]) -> u32 {
     let format = formats[usize::from(synapse.format)].synapse;

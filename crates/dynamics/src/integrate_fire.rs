@@ -1,15 +1,15 @@
-//! Integrate-and-fire: no memory in the current, no leak of the voltage.
+//! Integrate-and-fire: the current has no memory, the voltage no leak.
 //!
-//! State: u, which holds the arrivals of this step alone, the voltage v, both of 24 bits, and the
-//! refractory counter. Each step, with q the sum of the arrivals: `u = q`, `v = v + u + bias`;
-//! threshold, hold, clips and wraps are those of the Loihi compartment in the chip's arithmetic,
-//! the only one in which the kind is defined. A spike carries the payload of its population, or
-//! nothing. On the chip it is a compartment with du = 4096 and dv = 0: its registers, its update
-//! and the bounds on its state are those of the Loihi compartment with these two decays.
+//! State: the current u (the arrivals of this step alone) and the voltage v, both of 24 bits, and
+//! the refractory counter. Each step, with q the sum of the arrivals: `u = q`, `v = v + u + bias`.
+//! Threshold, hold, clips and wraps act as in the Loihi compartment in the chip's arithmetic. The
+//! kind is defined in no other arithmetic. A spike carries the payload of its population, or
+//! nothing. The chip runs it as a compartment with du = 4096 and dv = 0, with equal registers,
+//! update and bounds.
 //!
-//! *Bounds.* What enters v in a step is at most B = H + bias, with H the sum of the positive
-//! weights. Nothing is ever taken away: with B <= 0 v never exceeds B (it returns to 0 at resets),
-//! otherwise only the clip bounds it. No claim when the arrivals leave the 22 bits of the
+//! *Bounds.* The input of v in a step is at most B = H + bias, with H the sum of the positive
+//! weights. v never leaks: with B <= 0 it never exceeds B (it returns to 0 at resets), otherwise
+//! only the clip bounds it. There is no bound when the arrivals leave the 22 bits of the
 //! accumulator, or arrivals and bias the 24 bits of u.
 
 use super::kind::{Kind, RealForm};
@@ -19,7 +19,6 @@ use nsim_ir::base::fixed::Decay;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::Neuron;
 
-/// The description.
 pub(super) const KIND: Kind = Kind {
     semantics: &[Semantics::Hardware],
     neuron: |values| {

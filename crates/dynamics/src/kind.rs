@@ -1,8 +1,8 @@
-//! The terms in which a neuron kind with the registers of Loihi 1 is described.
+//! Descriptions of neuron kinds with the registers of Loihi 1.
 //!
-//! A [`Kind`] is data and functions over a compartment's parameters. What an update reads and
-//! writes has one form for all of them ([`Fields`], [`Registers`], [`Effect`]): two words and a
-//! counter, which the machine updates as vectors.
+//! A [`Kind`] is data and functions over a compartment's parameters. The updates of all these kinds
+//! read and write one form ([`Fields`], [`Registers`], [`Effect`]): two words and a counter. The
+//! machine updates this form as vectors.
 
 use std::num::NonZeroU32;
 
@@ -15,36 +15,36 @@ use nsim_ir::quantised::Neuron;
 /// A neuron kind with the registers of Loihi 1.
 #[derive(Debug)]
 pub struct Kind {
-    /// The arithmetics that it is defined in.
+    /// Arithmetics in which the kind is defined.
     pub semantics: &'static [Semantics],
-    /// A compartment from the integers of `NeuronKind::parameters`, in that order, each within its
-    /// range.
+    /// Makes a compartment from the integers of `NeuronKind::parameters`, in that order, each
+    /// within its range.
     pub neuron: fn(&[i64]) -> Result<Neuron, OutOfRange>,
-    /// What its updates read; `start_step` is the step before which it is held at zero.
+    /// Inputs of the updates; the compartment is held at zero before `start_step`.
     pub fields: fn(neuron: &Neuron, start_step: u32, Semantics, ThresholdTest) -> Fields,
-    /// An upper bound on v for ever; `None` when there is none.
+    /// Upper bound on v in all steps; `None` when there is none.
     pub greatest_voltage: fn(&Neuron, Semantics, Arrivals) -> Option<i64>,
-    /// The least number of steps from a spike to the next when no reset falls between them; `None`
-    /// when there is no next.
+    /// Least number of steps between two spikes without a reset between them; `None` when there is
+    /// no second spike.
     pub shortest_interval: fn(&Neuron, Semantics) -> Option<NonZeroU32>,
-    /// Equation (8): what the chip's voltage register reads after an update; the last argument says
-    /// whether it spiked.
+    /// Equation (8): the chip's voltage register after an update; the last argument says whether
+    /// the update spiked.
     pub voltage_register: fn(&Neuron, Semantics, &Registers, bool) -> i32,
-    /// The dynamics in real numbers, from a model's parameters: of this compartment, at this many
-    /// ms a timestep.
+    /// The dynamics in real numbers from a model's parameters, a compartment's index and the
+    /// timestep in ms.
     pub model: fn(&NeuronParameters, u32, f64) -> RealForm,
 }
 
 /// A compartment's parameters in the form that updates use.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Fields {
-    /// As the network has them.
+    /// Parameters of the network.
     pub neuron: Neuron,
-    /// Which arithmetic.
+    /// Arithmetic of the updates.
     pub semantics: Semantics,
     /// Bias in register units.
     pub bias: i32,
-    /// The least v that spikes.
+    /// Least v that spikes.
     pub fires_from: i32,
     /// Lower clip of v.
     pub vmin: i32,
@@ -55,7 +55,7 @@ pub struct Fields {
     pub refractory: u8,
     /// The step before which the compartment is held at zero.
     pub start_step: u32,
-    /// The step that periodic resets are counted from.
+    /// The step from which periodic resets are counted.
     pub resets_from: u32,
     /// Whether the machine's vector form (`machine::update::kernel`) computes the same updates.
     pub vectors: bool,
@@ -89,20 +89,20 @@ impl Fields {
         self.remaining(r.hold) > 0
     }
 
-    /// What is left of a refractory period in the coming step.
+    /// Remaining steps of a refractory period in the coming step.
     #[inline]
     pub(super) fn remaining(&self, hold: u8) -> u8 {
         if self.refractory == 0 { hold } else { hold.saturating_sub(1) }
     }
 
-    /// Rule (13): whether an update with these arrivals would leave the compartment as it is, and
-    /// silent.
+    /// Rule (13): whether the compartment is idle under these arrivals. Unless `fires_from` <= 0,
+    /// the update then changes nothing and sends no spike.
     #[inline]
     pub fn at_rest(&self, r: &Registers, arrived: i32) -> bool {
         r.u == 0 && r.v == 0 && !self.holds(r) && arrived == 0 && self.bias == 0
     }
 
-    /// Whether the compartment moves or spikes without input, so that it never rests.
+    /// Whether the compartment changes or spikes without input, so that it is never idle.
     pub fn drives_itself(&self) -> bool {
         self.bias != 0 || self.fires_from <= 0
     }
@@ -119,10 +119,10 @@ pub struct Registers {
     pub hold: u8,
 }
 
-/// What an update did.
+/// Spike and overflows of an update.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Effect {
-    /// It spiked.
+    /// The compartment spiked.
     pub spiked: bool,
     /// The accumulator wrapped.
     pub q_wrapped: bool,
@@ -132,49 +132,49 @@ pub struct Effect {
     pub v_clipped: bool,
 }
 
-/// The least and the greatest that can arrive at a compartment in one step.
+/// Bounds on the sum of a compartment's arrivals in one step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Arrivals {
     /// The sum of all negative scaled weights.
     pub low: i64,
-    /// The sum of all positive ones.
+    /// The sum of all positive scaled weights.
     pub high: i64,
 }
 
 impl Arrivals {
-    /// Counts a synapse over which a spike adds so much.
+    /// Adds a synapse over which a spike contributes `added`.
     pub fn add(&mut self, added: i64) {
         *if added < 0 { &mut self.low } else { &mut self.high } += added;
     }
 
-    /// Whether both fit this many bits and a sign.
+    /// Whether both fit `bits` bits and a sign.
     pub fn fit(self, bits: u32) -> bool {
         -(1i64 << bits) <= self.low && self.high < 1i64 << bits
     }
 }
 
 /// Current-based dynamics in real numbers: `u(t) = keep_u u(t - 1) + x(t)`,
-/// `v(t) = keep_v v(t - 1) + u(t) + bias`, a spike above the threshold, then v = 0 until
-/// `refractory` steps after it, or v less the threshold.
+/// `v(t) = keep_v v(t - 1) + u(t) + bias`. Above the threshold it spikes. Then v is 0 for
+/// `refractory` steps, or decreases by the threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct RealForm {
-    /// What remains of the current after a step, 0..=1.
+    /// Fraction of the current kept by one step of decay, 0..=1.
     pub keep_u: f64,
-    /// What remains of the voltage after a step, 0..=1.
+    /// Fraction of the voltage kept by one step of decay, 0..=1.
     pub keep_v: f64,
     /// Threshold, in the units of weights.
     pub threshold: f64,
-    /// Added to the voltage in each step.
+    /// Bias, added to the voltage in each step.
     pub bias: f64,
-    /// The next spike comes at least this many steps after one; at least 1.
+    /// Least number of steps from a spike to the next; at least 1.
     pub refractory: u32,
-    /// A spike subtracts the threshold from v instead of setting it to 0.
+    /// Whether a spike subtracts the threshold from v instead of setting it to 0.
     pub subtracts: bool,
     /// Limits of the voltage.
     pub clip: (f64, f64),
 }
 
-/// A refractory period without end.
+/// An endless refractory period.
 const SILENT: u32 = u32::MAX;
 
 impl RealForm {
@@ -194,10 +194,10 @@ impl RealForm {
         .under(semantics, neuron.refractory.get() == 0)
     }
 
-    /// What the rows of equation (11) say of a compartment in real numbers; `endless` where its
+    /// Applies the rows of equation (11) to a compartment in real numbers; `endless` where its
     /// refractory period is 0.
     pub(crate) fn under(self, semantics: Semantics, endless: bool) -> Self {
-        // A real threshold has no register to clip in.
+        // With a real threshold v has no register to clip in.
         let clip = |limits| if self.clip.1 < f64::MAX { limits } else { self.clip };
         match semantics {
             Semantics::Hardware => self,

@@ -1,11 +1,11 @@
-//! What a network means: the update of each neuron kind, the scaling of weights, the enumeration of
-//! synapses. Everything but the golden interpreter takes them from here.
+//! The semantics of a network: the update of each neuron kind, the scaling of weights, the
+//! enumeration of synapses. All crates but the golden interpreter take them from here.
 //!
-//! The names and ranges of a kind's parameters and its words of state are in
-//! [`nsim_ir::neurons`]. Kinds with the registers of Loihi 1 share one form ([`Kind`], [`Fields`]),
-//! which the machine has as vectors too; a file states the scalar update, when it is idle, the
-//! bounds on its state that pruning and early exit need, and the same dynamics in real numbers. All
-//! other kinds are in [`kinds`]. `golden` computes each again from the equations in `docs`.
+//! The names and ranges of a kind's parameters and its words of state are in [`nsim_ir::neurons`].
+//! Kinds with the registers of Loihi 1 share one form ([`Kind`], [`Fields`]), which the machine
+//! also updates as vectors. Each has its scalar update, its idle test, its bounds on the state for
+//! pruning and early exit, and its dynamics in real numbers. Other kinds are in [`kinds`]. `golden`
+//! computes each again from the equations in `docs`.
 
 pub mod arithmetic;
 mod integrate_fire;
@@ -34,12 +34,12 @@ fn kind(kind: NeuronKind) -> &'static Kind {
     }
 }
 
-/// The arithmetics that a kind is defined in.
+/// Arithmetics in which a kind is defined.
 pub fn semantics(of: NeuronKind) -> &'static [Semantics] {
     if of.table().registers { kind(of).semantics } else { &[Semantics::Hardware] }
 }
 
-/// A compartment from the integers of its parameters, in the order of the table.
+/// Makes a compartment from the integers of its parameters, in the order of the table.
 ///
 /// # Errors
 /// [`OutOfRange`] for a parameter outside its range.
@@ -54,7 +54,7 @@ pub fn neuron(of: NeuronKind, values: &[i64]) -> Result<Neuron, OutOfRange> {
     Ok(Neuron { kind: of, row, ..Neuron::PLAIN })
 }
 
-/// One update with `arrived` units of 64.
+/// Computes one update with `arrived` units of 64.
 #[inline]
 pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.neuron.kind {
@@ -63,8 +63,8 @@ pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     }
 }
 
-/// One update of a compartment of a neuron of several. `stack` is what its child pushed, then what
-/// it pushes itself; 0 where there is none.
+/// Computes one update of a compartment of a neuron with several. `stack` is the value that its
+/// child pushed, then its own; 0 where nothing is pushed.
 #[inline]
 pub fn update_joined(r: Registers, arrived: i32, f: &Fields, stack: &mut i32) -> (Registers, Effect) {
     let (Some(Role::Add) | None) = f.neuron.stack.pops;
@@ -73,21 +73,21 @@ pub fn update_joined(r: Registers, arrived: i32, f: &Fields, stack: &mut i32) ->
     (new, effect)
 }
 
-/// What the updates of a compartment with registers read; of another kind, its start step alone has
-/// a meaning.
+/// Returns the inputs of the updates of a compartment with registers. For other kinds only the
+/// start step has a meaning.
 pub fn fields(neuron: &Neuron, start_step: u32, semantics: Semantics, test: ThresholdTest) -> Fields {
     let fields = (kind(neuron.kind).fields)(neuron, start_step, semantics, test);
     Fields { vectors: fields.vectors && neuron.kind.table().registers && neuron.stack.is_unused(), ..fields }
 }
 
-/// Equation (8): what the chip's voltage register reads after an update.
+/// Equation (8): the chip's voltage register after an update.
 pub fn voltage_register(neuron: &Neuron, semantics: Semantics, r: &Registers, spiked: bool) -> i32 {
     (kind(neuron.kind).voltage_register)(neuron, semantics, r, spiked)
 }
 
 /// Whether a compartment may ever spike; false only with a proof.
 pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arrivals: Arrivals) -> bool {
-    // Arrivals do not bound what a child pushes.
+    // Arrivals do not bound the value that a child pushes.
     if !neuron.kind.table().registers || neuron.stack.pops.is_some() {
         return true;
     }
@@ -95,8 +95,8 @@ pub fn may_spike(neuron: &Neuron, semantics: Semantics, test: ThresholdTest, arr
     (kind(neuron.kind).greatest_voltage)(neuron, semantics, arrivals).is_none_or(|v| v >= fires_from)
 }
 
-/// The least number of steps from a spike to the next when no reset falls between them; `None` when
-/// there is no next.
+/// Least number of steps between two spikes without a reset between them; `None` when there is no
+/// second spike.
 pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZeroU32> {
     match neuron.kind.table().registers {
         true => (kind(neuron.kind).shortest_interval)(neuron, semantics),
@@ -104,8 +104,8 @@ pub fn shortest_interval(neuron: &Neuron, semantics: Semantics) -> Option<NonZer
     }
 }
 
-/// A compartment of a model in real numbers, at this many ms a timestep; [`Graph::has_real_form`]
-/// says whether all have such a form.
+/// A compartment of a model in real numbers, with the timestep in ms. [`Graph::has_real_form`] says
+/// whether all compartments have such a form.
 pub fn model(parameters: &NeuronParameters, index: u32, timestep_ms: f64, semantics: Semantics) -> RealForm {
     let endless = parameters.value("refractory", index) < 1.0;
     (kind(parameters.kind).model)(parameters, index, timestep_ms).under(semantics, endless)

@@ -1,36 +1,36 @@
 //! The current-based leaky integrate-and-fire compartment of Loihi 1, in three arithmetics.
 //!
 //! State: current u and voltage v of 24 bits, and the refractory counter. Each step, with q the sum
-//! of the arrivals: `u = decay(u, du) + q`, `v = decay(v, dv) + u + bias`; above the threshold it
+//! of the arrivals: `u = decay(u, du) + q`, `v = decay(v, dv) + u + bias`. Above the threshold it
 //! spikes, and v is held at 0 until the refractory period is over. A spike carries the payload of
-//! its population, or nothing. `docs/semantics.md` numbers the equations and says where each
-//! arithmetic narrows a value:
+//! its population, or nothing. `docs/semantics.md` numbers the equations. The arithmetics narrow
+//! values differently:
 //!
 //! - *Hardware*: q wraps at 22 bits, u and u + bias at 24, v is clipped to vmin and vmax.
 //! - *Lava*: lava's fixed-point LIF process. A negative exponent shifts the sum q, which never
 //!   wraps; u wraps once into (-2^23, 2^23]; v is clipped to the whole field; no refractory period.
-//! - *Slayer*: SLAYER's Loihi kernel. The magnitude of a product keeps its low 32 bits, sums have
-//!   32 bits, there is no bias and no clip, step 0 is skipped, and a refractory period of 0
+//! - *Slayer*: SLAYER's Loihi kernel. The magnitude of a product keeps its low 32 bits, and sums
+//!   have 32 bits. There is no bias and no clip, and step 0 is skipped. A refractory period of 0
 //!   silences the compartment after its first spike.
 //!
-//! *Arrivals* are summed in units of 64: every scaled weight is a multiple of 64 (equation 1), so
-//! the sum of a step fits 32 bits for any fan-in that a core can hold, and the accumulator's wrap
-//! to 22 bits is the truncation of that sum to 16.
+//! *Arrivals* are summed in units of 64, since every scaled weight is a multiple of 64 (equation
+//! 1). The sum of a step thus fits 32 bits for any fan-in of a core. The accumulator's wrap to 22
+//! bits truncates this sum to 16.
 //!
-//! *Bounds.* Decay (3) is monotone and odd. From u = 0 (at the start, after a reset, while held)
-//! and with arrivals of at most H >= 0, u never exceeds any X >= 0 with `decay(X) + H <= X`: if u
-//! <= X, the next u is at most decay(X) + H <= X. The least such X is `ceiling`. The sum L of the
-//! negative weights bounds u from below in the same way, and what then enters v bounds v. v returns
-//! to 0 at resets, so a negative input bounds v by itself. Upper and lower bound are both needed,
-//! because a value that leaves its field on one side may come back on the other:
+//! *Bounds.* Decay (3) is monotone and odd. Let u start from 0 (at the start, after a reset, while
+//! held), with arrivals of at most H >= 0. Then u never exceeds any X >= 0 with
+//! `decay(X) + H <= X`: if u <= X, the next u is at most decay(X) + H <= X. The least such X is
+//! `ceiling`. The sum L of the negative weights bounds u from below likewise, and the input of v
+//! then bounds v. v returns to 0 at resets, so a negative input bounds v by itself. Both sides need
+//! a bound, because a value that leaves its field on one side may return on the other:
 //!
-//! - *Hardware*: no claim when L or H leaves the 22 bits of the accumulator (2), a bound on u the
-//!   24 bits of u (4), or that bound with the bias the 24 bits of (5). v is clipped to vmin and
-//!   vmax (6), which bounds it regardless of wraps before.
-//! - *Lava*: no claim when a bound on u reaches -2^23 or 2^23, where u wraps. v is clipped to the
-//!   whole field.
-//! - *Slayer*: no claim when the magnitude of a bound times its decay factor reaches 2^32, where
-//!   the product loses bits, or a bound leaves 32 bits.
+//! - *Hardware*: v is clipped to vmin and vmax (6), which bounds it regardless of earlier wraps.
+//!   There is no tighter bound when L or H leaves the 22 bits of the accumulator (2). Nor is
+//!   there one when a bound on u leaves the 24 bits of (4), or with the bias the 24 bits of (5).
+//! - *Lava*: v is clipped to the whole field. There is no bound when a bound on u reaches -2^23 or
+//!   2^23, where u wraps.
+//! - *Slayer*: the product loses bits when the magnitude of a bound times its decay factor reaches
+//!   2^32. Then there is no bound, nor when a bound leaves 32 bits.
 
 use std::num::NonZeroU32;
 
@@ -47,7 +47,6 @@ use nsim_ir::graph::NeuronParameters;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::Neuron;
 
-/// The description.
 pub(super) const KIND: Kind = Kind {
     semantics: &[Semantics::Hardware, Semantics::Lava, Semantics::Slayer],
     neuron,
@@ -81,7 +80,7 @@ fn fields(neuron: &Neuron, start_step: u32, semantics: Semantics, test: Threshol
     match semantics {
         Semantics::Hardware => chip,
         Semantics::Lava => Fields { semantics, vectors: false, ..chip },
-        // SLAYER's loop starts at step 1; what enters step 0 is lost.
+        // SLAYER's loop starts at step 1; arrivals of step 0 are lost.
         Semantics::Slayer => Fields {
             semantics,
             vectors: false,
@@ -106,7 +105,7 @@ pub(super) fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effe
     }
 }
 
-/// The update in the chip's arithmetic of a compartment that pops this value; and what it pushes.
+/// The update of a compartment that pops `popped`, in the chip's arithmetic; and its own push.
 #[inline]
 pub(super) fn hardware(r: Registers, arrived: i32, f: &Fields, popped: i32) -> (Registers, Effect, i32) {
     let whole = i64::from(arrived) << WEIGHT_SHIFT;
@@ -206,7 +205,7 @@ fn current(neuron: &Neuron, arrivals: Arrivals) -> Option<Arrivals> {
     Some(Arrivals { low: -ceiling(-arrivals.low, neuron.du)?, high: ceiling(arrivals.high, neuron.du)? })
 }
 
-/// An upper bound on v from what enters it in a step; `None` when there is none.
+/// An upper bound on v from its input in a step; `None` when there is none.
 fn voltage(neuron: &Neuron, input: i64) -> Option<i64> {
     if input <= 0 { Some(input) } else { ceiling(input, neuron.dv) }
 }
@@ -228,7 +227,7 @@ fn greatest_voltage(neuron: &Neuron, semantics: Semantics, arrivals: Arrivals) -
             let shifted = |sum: i64| (sum >> WEIGHT_SHIFT >> neuron.shift) << WEIGHT_SHIFT;
             let arrivals = Arrivals { low: shifted(arrivals.low), high: shifted(arrivals.high) };
             let u = current(neuron, arrivals).filter(|u| -most <= u.low && u.high <= most)?;
-            // |decay(v) + u + bias| < 2^25: the 32 bits that lava computes in are never left.
+            // |decay(v) + u + bias| < 2^25 fits the 32 bits of lava's arithmetic.
             Some(voltage(neuron, u.high + bias).map_or(most, |v| v.clamp(-most, most)))
         }
         Semantics::Slayer => {
@@ -243,7 +242,7 @@ fn greatest_voltage(neuron: &Neuron, semantics: Semantics, arrivals: Arrivals) -
     }
 }
 
-/// Without rounding, wrapping or, where the threshold is real, limits: a real threshold has no
+/// The form has no rounding or wrapping. A real threshold has no limits either, since there are no
 /// register units to clip in.
 fn model(p: &NeuronParameters, index: u32, timestep_ms: f64) -> RealForm {
     let keep = |field: &str, time: &str| match p.get(time) {
@@ -253,8 +252,8 @@ fn model(p: &NeuronParameters, index: u32, timestep_ms: f64) -> RealForm {
     RealForm { keep_u: keep("du", "tau_u_ms"), keep_v: keep("dv", "tau_v_ms"), ..threshold_and_reset(p, index) }
 }
 
-/// What all kinds with the chip's threshold and reset share; nothing remains of current and
-/// voltage.
+/// The form shared by all kinds with the chip's threshold and reset; neither current nor voltage is
+/// kept.
 pub(super) fn threshold_and_reset(p: &NeuronParameters, index: u32) -> RealForm {
     let power = |name: &str, factor: f64, more: f64| libm::exp2(more + factor * p.value(name, index));
     let real = p.real("vth").map(|threshold| threshold.each.get(index));

@@ -1,8 +1,8 @@
-//! Which synapses a source has, one after the other.
+//! Enumeration of the synapses of a source.
 //!
 //! Input: a connectivity and the index of a source within its population. Output: its synapses as
-//! (target within its population, weight mantissa). The golden interpreter, which is compared with
-//! this, has its own enumeration.
+//! (target within its population, weight mantissa). The golden interpreter has its own enumeration,
+//! and tests compare the two.
 
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
@@ -69,7 +69,7 @@ impl Enumerate for Connectivity {
                 let levels = ((i32::from(*high) - i32::from(*low)) / i32::from(*step) + 1) as u64;
                 for k in 0..u64::from(*fan_out) {
                     let target = rng::below(u64::from(*targets), *seed, entity, 2 * k) as u32;
-                    // Weights of the others, half of their work, are not computed.
+                    // Skipping the weights of unwanted targets saves half of their work.
                     if wanted(target) {
                         f(target, low + step * rng::below(levels, *seed, entity, 2 * k + 1) as i16);
                     }
@@ -100,7 +100,7 @@ pub fn for_each_of_kernel(window: &Window, source: u32, mut f: impl FnMut(u32, u
     let per_group_out = window.target.0 / window.groups;
     let channel = source / (window.source.1 * window.source.2);
     let group = channel / per_group_in;
-    // The same positions in every channel.
+    // All channels share these positions.
     let mut positions = Vec::new();
     for_each_position(window, source, |y, x, ky, kx| positions.push((y * window.target.2 + x, ky * kw + kx)));
     for out in group * per_group_out..(group + 1) * per_group_out {

@@ -1,4 +1,4 @@
-//! Other hardware's rows of the energy table, and the workloads for which they hold.
+//! Rows of other hardware in the energy table, and the workloads for which they hold.
 //!
 //! A measured row holds for one network only: for any other, [`Baseline::row`] returns the reason
 //! instead of a row.
@@ -20,7 +20,7 @@ use nsim_ir::spanned::{Spanned, parse};
 pub struct NetworkShape {
     inputs: Vec<u32>,
     layers: Vec<DenseLayer>,
-    /// Projections that are not all to all.
+    /// Number of projections that are not all to all.
     others: usize,
 }
 
@@ -62,7 +62,7 @@ impl std::fmt::Display for NetworkShape {
     }
 }
 
-/// What dense hardware has to do for a window of a network, one copy.
+/// Work of dense hardware for a window of one copy of a network.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Work {
     /// Sizes and synapses of each projection: (source, target, synapses).
@@ -106,29 +106,29 @@ impl Work {
 /// Power and time of other hardware for one timestep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Figures {
-    /// Power at idle.
+    /// Power at idle, mW.
     pub static_mw: f64,
-    /// Power on top.
+    /// Dynamic power, above idle, mW.
     pub dynamic_mw: f64,
-    /// Time of a timestep.
+    /// Time of a timestep, us.
     pub latency_us: f64,
-    /// Where the time comes from.
+    /// Source of the time.
     pub source: FigureSource,
-    /// Where the power comes from.
+    /// Source of the power.
     pub power_source: FigureSource,
 }
 
 impl Figures {
-    /// The figures held to real time, as (19): hardware that takes a whole window waits for it and
-    /// then computes; else each step is taken as it comes. Dynamic power is drawn while it
-    /// computes, or all the time when it does not fall idle.
+    /// Returns the figures in real time, by (19). With `window`, hardware waits for a whole window
+    /// and then computes; else it computes each step as it arrives. Dynamic power is drawn during
+    /// computation, or all the time unless the hardware falls idle.
     pub fn in_real_time(self, timestep_us: f64, window: bool, falls_idle: bool) -> Figures {
         let latency_us = if window { timestep_us + self.latency_us } else { timestep_us.max(self.latency_us) };
         let share = if falls_idle { self.latency_us / latency_us } else { 1.0 };
         Figures { latency_us, dynamic_mw: self.dynamic_mw * share, ..self }
     }
 
-    /// A row of the table.
+    /// Returns these figures as a row of the table.
     pub fn row(&self, hardware: &str, convention: Convention, steps: Option<u32>) -> EnergyRow {
         let powers = (self.static_mw, Some(self.dynamic_mw));
         let row = EnergyRow::new(hardware, "total", convention, powers, Some(self.latency_us), self.source, steps);
@@ -144,7 +144,7 @@ pub struct Baseline {
 }
 
 impl Baseline {
-    /// A baseline that comes with the program.
+    /// Returns a shipped baseline.
     ///
     /// # Errors
     /// A diagnostic when there is none of this name.
@@ -153,10 +153,10 @@ impl Baseline {
         Baseline::parse(&Shipped::find(BASELINES, name).ok_or_else(unknown)?.source())
     }
 
-    /// A baseline from its file.
+    /// Parses and checks a baseline file.
     ///
     /// # Errors
-    /// A diagnostic where the file is malformed, a figure is negative, or powers do not add up.
+    /// A diagnostic where the file is malformed, a figure out of range, or a sum of powers wrong.
     pub fn parse(source: &SourceText) -> Result<Self, Diagnostic> {
         let file: BaselineFile = parse(source, "baseline.syntax")?;
         let wrong =
@@ -186,20 +186,20 @@ impl Baseline {
         Ok(Baseline { file, shape })
     }
 
-    /// What the file says.
+    /// The parsed file.
     pub fn file(&self) -> &BaselineFile {
         &self.file
     }
 
-    /// Where its figures are printed, and how they were measured.
+    /// Source of its figures, and their method of measurement.
     pub fn source(&self) -> String {
         format!("{}. {}", self.file.source, self.file.notes)
     }
 
-    /// Its row for a workload.
+    /// Returns its row for a workload.
     ///
     /// # Errors
-    /// Why there is none: it was measured on another workload, or not in this mode.
+    /// The reason for no row: it was measured on another workload, or not in this mode.
     pub fn row(
         &self,
         shape: &NetworkShape,
@@ -251,7 +251,7 @@ impl Baseline {
         }
     }
 
-    /// Its row for another workload, by its roofline; `None` without one or for uneven samples.
+    /// Its row for another workload, by its roofline; `None` without one or for unequal samples.
     pub fn modelled(
         &self,
         work: &Work,
@@ -263,7 +263,7 @@ impl Baseline {
         let window = f64::from(steps.filter(|&steps| steps > 0)?);
         let whole = self.windows(work, window)?;
         let offline = Figures { latency_us: whole.latency_us / window, ..whole };
-        // The measured card draws the same power while it waits for a window.
+        // The measured card draws equal power while it waits for a window.
         let figures = match mode {
             Mode::Offline => offline,
             Mode::Realtime => offline.in_real_time(timestep.microseconds(), true, false),
@@ -271,7 +271,7 @@ impl Baseline {
         Some(figures.row(&self.file.hardware, convention, steps))
     }
 
-    /// Equations (18) and (19) for the timesteps of one pass; the latency is the pass's.
+    /// Equation (18) for the timesteps of one pass; the latency is of the whole pass.
     fn windows(&self, work: &Work, timesteps: f64) -> Option<Figures> {
         let roofline = self.file.roofline.as_ref()?;
         let value = |figure: &crate::published::baseline::RooflineFigure| figure.value.value;

@@ -1,10 +1,10 @@
-//! The same network on this machine's processor: dense over the window, and event by event.
+//! A network on this machine's processor: dense over the window, and event by event.
 //!
-//! Input: a network, its samples, and how long a measurement may take. Output: microseconds a
-//! timestep with the spread of the repeats. *Dense* does what a framework on a CPU or GPU does with
-//! a window of binned spikes: one f32 matrix product for each projection and whole sample, then the
-//! neurons step by step, without the chip's truncation. *Event-driven* is nsim's own machine, one
-//! copy, one thread, which is exact and skips what is idle.
+//! Input: a network, its samples, a time budget. Output: microseconds a timestep with the spread of
+//! the repeats. *Dense* computes a window of binned spikes like a framework on a CPU or GPU. It
+//! takes one f32 matrix product for each projection and whole sample, then the neurons step by
+//! step, without the chip's truncation. *Event-driven* is nsim's own machine, one copy, one thread,
+//! which is exact and skips idle compartments.
 //!
 //! One thread and one sample at a time (batch 1), as a robot's controller would run it; loading
 //! files is not timed.
@@ -27,14 +27,14 @@ use nsim_ir::spikes::Sample;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_session::{Keep, run_sample};
 
-/// Weights above which no dense matrices are made: 256 MiB.
+/// Maximum number of weights of dense matrices: 256 MiB.
 const MOST_WEIGHTS: u64 = 1 << 26;
-/// Repeats below which there is no spread to speak of.
+/// Minimum number of repeats for a meaningful spread.
 const LEAST_REPEATS: usize = 5;
-/// Repeats above which more would only cost time.
+/// Maximum number of repeats; more would only cost time.
 const MOST_REPEATS: usize = 101;
 
-/// What was measured.
+/// Measured times.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Timed {
     /// Microseconds of a timestep: the median of the repeats.
@@ -43,13 +43,13 @@ pub struct Timed {
     pub fastest: f64,
     /// Microseconds between the first and the third quartile.
     pub spread: f64,
-    /// Repeats.
+    /// Number of repeats.
     pub repeats: usize,
-    /// Timesteps of a repeat.
+    /// Number of timesteps of a repeat.
     pub timesteps: u64,
 }
 
-/// Repeats something that passes over this many timesteps, for about so long.
+/// Times repeats of `pass`, each of `timesteps` timesteps, for about `budget`.
 pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed {
     let once = |pass: &mut dyn FnMut()| {
         let begin = Instant::now();
@@ -66,7 +66,7 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
     Timed { us_per_timestep, fastest, spread, repeats, timesteps }
 }
 
-/// The first samples that together have about this many timesteps.
+/// Returns the first samples with about `timesteps` timesteps in total.
 pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
     let mut sum = 0;
     let until = samples.iter().position(|sample| {
@@ -102,7 +102,7 @@ struct Layer {
 /// A feed-forward network as dense matrices.
 #[derive(Debug)]
 pub struct Dense {
-    /// In an order in which each comes after its sources.
+    /// Layers, each after its sources.
     layers: Vec<Layer>,
     /// First channel and size of each input population, by population.
     inputs: Vec<Option<(u32, usize)>>,
@@ -110,10 +110,10 @@ pub struct Dense {
 }
 
 impl Dense {
-    /// The matrices of a network.
+    /// Returns the matrices of a network.
     ///
     /// # Errors
-    /// Why there are none: it is recurrent, resets, or its matrices would be too large.
+    /// The reason for none: a recurrent network, resets, neurons without this form, or its size.
     pub fn new(network: &Quantised) -> Result<Self, String> {
         if network.parts().reset.is_some() {
             return Err("it is reset within a sample".to_string());
@@ -231,7 +231,7 @@ impl Layer {
     }
 }
 
-/// Populations in an order in which each comes after its sources; none when they run in a circle.
+/// Returns the populations, each after its sources; `None` for a recurrent network.
 fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
     let ids = || network.populations().ids();
     let sources: Vec<Vec<usize>> =
@@ -257,7 +257,7 @@ pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Resu
 /// Times the machine over these samples.
 ///
 /// # Errors
-/// Why the program cannot run.
+/// The reason why the program cannot run.
 pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
     let image = Image::new(program, 1).map_err(|error| error.to_string())?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
@@ -301,7 +301,7 @@ mod tests {
 
     #[test]
     fn without_decays_to_truncate_the_window_fires_as_the_chip_does() {
-        // No memory of current, no leak: every number is whole in both.
+        // Without memory of current and without leak, every number is an integer in both.
         let network = network(
             "Loihi(name: \"hidden\", shape: [4], du: 4096, dv: 0, vth_mant: 10, refractory: 3, bias_mant: 5, \
              bias_exp: 2), \

@@ -4,7 +4,7 @@ use std::fmt;
 
 use nsim_machine::update::width;
 
-/// What a figure of time depends on besides the question.
+/// The machine and program on which a measured time depends.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Environment {
     /// The processor, as it names itself.
@@ -45,7 +45,7 @@ impl fmt::Display for Environment {
     }
 }
 
-/// Linux says it in a file; elsewhere it stays unknown.
+/// Returns the processor's name, which Linux has in a file; `None` elsewhere.
 fn cpu() -> Option<String> {
     let text = std::fs::read_to_string("/proc/cpuinfo").ok()?;
     let field = |name: &str| {

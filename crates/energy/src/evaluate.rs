@@ -38,7 +38,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// For a model, given by path or shipped name, and as many copies of it as are asked for.
+    /// Returns the plan for a model, by path or shipped name, and the requested number of copies.
     ///
     /// # Errors
     /// As [`DeploymentSource::load`].
@@ -57,7 +57,7 @@ impl Plan {
         }
     }
 
-    /// Copies to be mapped: one where a published job or given cores say where copies are.
+    /// Number of copies to map, if known: one where a job or numbers of cores are given.
     pub fn mapped_copies(&self) -> Option<u32> {
         match &self.source {
             DeploymentSource::Scenario(..) | DeploymentSource::Numbers(_) => Some(1),
@@ -66,10 +66,10 @@ impl Plan {
         }
     }
 
-    /// Whether it can be of a mapping that there is.
+    /// Checks that the plan can apply to an existing mapping.
     ///
     /// # Errors
-    /// [`Error::Usage`] where it says anew where copies go.
+    /// [`Error::Usage`] where the plan places copies anew.
     pub fn of_mapping(&self) -> Result<(), Error> {
         match &self.source {
             DeploymentSource::Mapped(copies) if self.is_said => Err(Error::Usage(format!(
@@ -80,12 +80,12 @@ impl Plan {
         }
     }
 
-    /// Where the mapping's copies are to go.
+    /// Placement of the mapping's copies.
     pub fn placement(&self) -> CopyPlacement {
         if let DeploymentSource::Mapped(copies) = self.source { copies } else { CopyPlacement::default() }
     }
 
-    /// Copies of the deployment, of which `mapped` are mapped.
+    /// Number of copies of the deployment, of which `mapped` are mapped.
     fn copies(&self, mapped: u32) -> u32 {
         match &self.source {
             DeploymentSource::Scenario(_, scenario) => self.copies.unwrap_or(scenario.copies.value),
@@ -94,7 +94,7 @@ impl Plan {
         }
     }
 
-    /// The network of the published job, mapped; inputs have compartments where the job's had.
+    /// Maps the network of the published job, with input relays where the job had them.
     ///
     /// # Errors
     /// When it does not compile.
@@ -108,17 +108,17 @@ impl Plan {
 pub struct Evaluated {
     /// The report, its detail included.
     pub energy: EnergyReport,
-    /// What ran.
+    /// The run.
     pub run: Run<StepMeter>,
-    /// The numbers of cores that it is priced with.
+    /// The numbers of cores of its cost.
     pub deployment: Deployment,
 }
 
 /// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its
-/// program, if there is one: other hardware runs that.
+/// program, if there is one, for the rows of other hardware.
 ///
 /// # Errors
-/// [`Error`] when an option does not fit the workload; those of `simulate`.
+/// [`Error`] when an option does not fit the workload; otherwise as `simulate`.
 pub fn evaluate(
     plan: &Plan,
     workload: &Workload<'_>,
@@ -137,7 +137,7 @@ pub fn evaluate(
     let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
     let metered = workload.metered(vec![table], &deployment, options.transport);
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
-    // Copies see the same samples and decide the same; the first one's outputs are watched.
+    // Copies receive equal samples and decide equally, so only the first's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     let watched = EarlyExit::watched(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;

@@ -2,7 +2,7 @@
 //!
 //! Input: a command that passes the same samples through a GPU, and a way to read the board's
 //! power. Output: time and power. Idle is measured first, for which nothing else may use the board.
-//! What happens on the GPU is the command's business: nsim computes nothing there.
+//! nsim itself computes nothing on the GPU.
 
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
@@ -10,33 +10,33 @@ use std::time::{Duration, Instant};
 use crate::power::Power;
 use nsim_cost::estimate::FigureSource;
 
-/// How often power is read.
+/// Interval between readings of power.
 const EVERY: Duration = Duration::from_millis(20);
 
-/// What was measured.
+/// Measured time and power.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct GpuTiming {
     /// Microseconds of a timestep.
     pub us_per_timestep: f64,
     /// Timesteps that were counted.
     pub timesteps: u64,
-    /// Of the whole board.
+    /// Power of the whole board.
     pub power: Power,
-    /// Readings while the command ran.
+    /// Number of readings while the command ran.
     pub readings: u32,
 }
 
-/// The last line of a command's output that says what it did.
+/// The last line of a command's output, if it has the command's own counts.
 #[derive(Debug, serde::Deserialize)]
 struct Said {
     timesteps: u64,
     seconds: f64,
 }
 
-/// Measures idle power, then a command's; `timesteps` counts unless the command says better.
+/// Measures idle power, then a command's; the command's output may replace `timesteps` and time.
 ///
 /// # Errors
-/// Why the command or the power could not be measured.
+/// The reason why the command or the power could not be measured.
 pub fn measure(
     command: &str,
     timesteps: u64,
@@ -50,7 +50,7 @@ pub fn measure(
         std::thread::sleep(EVERY.min(idle));
     }
     let idle_mw = sum / f64::from(count);
-    // To a file: a pipe that no one empties would stop the command.
+    // The output goes to a file, since a full pipe would block the command.
     let mut output = tempfile::tempfile().map_err(|error| error.to_string())?;
     let to = output.try_clone().map_err(|error| error.to_string())?;
     let begin = Instant::now();
@@ -87,10 +87,10 @@ pub fn measure(
     Ok(GpuTiming { us_per_timestep: seconds * 1e6 / timesteps as f64, timesteps, power, readings })
 }
 
-/// The first GPU's name and a reader of its power through NVML.
+/// Calls `f` with the first GPU's name and a reader of its power through NVML.
 ///
 /// # Errors
-/// Why there is none.
+/// The reason why there is none.
 #[cfg(feature = "nvml")]
 pub fn with_nvml<T>(f: impl FnOnce(String, &mut dyn FnMut() -> Result<f64, String>) -> T) -> Result<T, String> {
     let nvml = nvml_wrapper::Nvml::init().map_err(|error| format!("NVML: {error}"))?;

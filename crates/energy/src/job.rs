@@ -1,4 +1,4 @@
-//! From a finished run to its report.
+//! Makes the report of a finished run.
 
 use crate::report::compared::{Comparison, PerDecision, per_sample, ratios};
 use crate::report::table::{EnergyReport, Saved, constant_entries};
@@ -16,7 +16,7 @@ use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 use nsim_session::{Outcome, median_decision};
 
-/// The level of intervals by the errors of works.
+/// Level of intervals that follow from errors over published works.
 const LEVEL: f64 = 0.8;
 
 /// What ending samples when they are decided, at this cost, would save of the whole run: equation
@@ -99,7 +99,7 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
         .collect()
 }
 
-/// Constants of a kind that are named of those that a base of other hardware gives.
+/// Maximum number of constants of a kind that a remark names as borrowed from other hardware.
 const NAMED: usize = 3;
 
 /// Number of constants of other hardware in a preset that is not shipped, and which of them
@@ -143,15 +143,15 @@ fn borrowed(preset: &Constants, case: &Case<'_>) -> Option<String> {
     Some(format!("{some} of {every} constants are those of {whose}{}.{twice}", said.concat()))
 }
 
-/// The greatest of what has a weight, as shown.
+/// Texts of the greatest positive weights, at most [`NAMED`].
 fn most(weighed: impl Iterator<Item = (f64, String)>) -> Vec<String> {
     let mut weighed: Vec<_> = weighed.filter(|(weight, _)| *weight > 0.0).collect();
     weighed.sort_by(|a, b| b.0.total_cmp(&a.0));
     weighed.into_iter().take(NAMED).map(|(_, shown)| shown).collect()
 }
 
-/// Which figures of the `total` row have no interval, and why, where errors of constants are the
-/// cause: those of another chip, of a changed constant, or of a whole preset are unknown.
+/// Remark on figures of the `total` row without an interval, because errors of constants are
+/// unknown: on another chip, of a changed constant, or of a whole preset.
 fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> Option<String> {
     type Figure = (&'static str, Option<f64>, fn(&Bound) -> Option<f64>);
     let figures: [Figure; 4] = [
@@ -176,9 +176,9 @@ fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> O
     (!names.is_empty()).then(|| format!("No interval of {}: {why}.", names.join(", ")))
 }
 
-/// From a finished run to its report: its counts and the conditions of the estimate, of which the
-/// first of the target's presets is one, and rows of other hardware with their sources. Its notes
-/// belong on stderr when the output is for programs.
+/// Returns the report of a finished run, from its counts and the conditions of the estimate, and
+/// rows of other hardware with their sources. Its notes belong on stderr when the output is for
+/// programs.
 pub fn report(
     model: &str,
     target: &Target,

@@ -1,10 +1,10 @@
-//! What a mapped network costs: from a program and samples to a finished report.
+//! Cost of a mapped network: from a program and samples to a finished report.
 //!
-//! Input: a mapped network, samples, how it is deployed and priced. Output: the run and its
-//! [`evaluate::Evaluated`] report. [`options`] says what deployments, presets and baselines mean,
+//! Input: a mapped network, samples, options of deployment and cost. Output: the run and its
+//! [`evaluate::Evaluated`] report. [`options`] interprets deployments, presets and baselines,
 //! [`workload`] runs, [`job`] makes the report. Errors: a deployment or preset that does not fit
-//! the job. The command line and the Python module both go through this crate, so that they cannot
-//! differ in a figure.
+//! the job. The command line and the Python module both use this crate, so their figures cannot
+//! differ.
 
 pub mod baseline;
 pub mod cpu;

@@ -1,10 +1,10 @@
-//! Steps of a machine, timed.
+//! Times the steps of a machine.
 //!
-//! Input: an engine, a period of input, and how long it may take. Output: the median time of a
-//! step, the spread of the repeats, and what a step did. The input is repeated without a break, so
-//! the network stays in the state that it settles in; nothing but steps is timed. Every step is a
-//! call of [`Engine::step`]: steps that a run would jump over as a whole
-//! (`nsim_session::run_sample`) are computed here, since a jump costs the same however long it is.
+//! Input: an engine, a period of input, a time budget. Output: the median time of a step, the
+//! spread of the repeats, and the counts of the steps. The input is repeated without a break, so
+//! the network stays in its settled state; only steps are timed. Every step is a call of
+//! [`Engine::step`]. Steps that a run would skip (`nsim_session::Session::run`) are computed here,
+//! since the cost of a skip does not depend on its length.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -12,36 +12,36 @@ use std::time::{Duration, Instant};
 use nsim_ir::activity::Totals;
 use nsim_ir::spikes::{Engine, Sample};
 
-/// How long a measurement takes.
+/// Length of a measurement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Budget {
-    /// About so long, warm-up included, though never fewer than [`LEAST_REPEATS`] repeats.
+    /// About this time, warm-up included, but at least [`LEAST_REPEATS`] repeats.
     Time(Duration),
-    /// Exactly this many steps in one repeat, without warm-up: for counting instructions.
+    /// Exactly n steps in one repeat, without warm-up: for counting instructions.
     Steps(u64),
 }
 
-/// Repeats below which there is no spread to speak of.
+/// Minimum number of repeats for a meaningful spread.
 pub const LEAST_REPEATS: usize = 9;
-/// Repeats above which more would only cost memory.
+/// Maximum number of repeats; more would only cost memory.
 const MOST_REPEATS: usize = 201;
 /// Steps after which a standard network has settled: 1.25 times the slowest decay's 32 steps.
 const SETTLING: u64 = 40;
 /// The least time of a repeat: far above the resolution of the clock.
 const LEAST_REPEAT: Duration = Duration::from_millis(2);
 
-/// What was measured.
+/// Measured times and counts of steps.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct StepTiming {
     /// Microseconds of a step: the median of the repeats.
     pub us_per_timestep: f64,
-    /// Microseconds of a step in the fastest repeat: the one that others disturbed least.
+    /// Microseconds of a step in the fastest repeat, which other programs disturbed least.
     pub fastest: f64,
     /// Microseconds between the first and the third quartile of the repeats.
     pub spread: f64,
-    /// Repeats.
+    /// Number of repeats.
     pub repeats: usize,
-    /// Steps of each repeat.
+    /// Number of steps of each repeat.
     pub steps: u64,
     /// Counts of all timed steps.
     pub totals: Totals,
@@ -54,8 +54,8 @@ impl StepTiming {
     }
 }
 
-/// This many steps from this one on, with the period's input over and over; returns the step that
-/// comes next. Not inlined, so that a profiler can count what it does.
+/// Runs `count` steps from step `from` on, repeating the input of the period; returns the next
+/// step. Not inlined, so that a profiler can count its instructions.
 #[inline(never)]
 pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) -> u64 {
     let length = period.steps().max(1);
@@ -71,20 +71,20 @@ pub fn steps<E: Engine>(engine: &mut E, period: &Sample, from: u64, count: u64) 
     from + count
 }
 
-/// Measures steps of an engine; it begins anew.
+/// Measures steps of an engine, which begins a new sample.
 pub fn measure<E: Engine>(engine: &mut E, period: &Sample, budget: Budget) -> StepTiming {
     measure_agreed(engine, period, budget, |number| number)
 }
 
-/// Measures an engine of which several processes each run a part: they agree on the number of
-/// steps before they run them. `agreed` makes one number of those that they propose.
+/// Measures an engine whose parts run in several processes, which agree on the number of steps
+/// before running them. `agreed` combines the processes' proposals into one number.
 pub fn measure_agreed<E: Engine>(
     engine: &mut E,
     period: &Sample,
     budget: Budget,
     mut agreed: impl FnMut(u64) -> u64,
 ) -> StepTiming {
-    // Never reached: near the end deliveries would no longer be counted.
+    // This end is never reached: near an end, deliveries would not be counted.
     engine.begin(u32::MAX);
     let (mut at, size, repeats) = match budget {
         Budget::Steps(count) => (0, count.max(1), 1),
@@ -134,7 +134,7 @@ pub(crate) fn median_least_and_spread(mut numbers: Vec<f64>) -> [f64; 3] {
     [median, least, third - first]
 }
 
-/// A quantile of ascending numbers, between neighbours in proportion.
+/// A quantile of ascending numbers, interpolated linearly between neighbours.
 pub fn quantile(ascending: &[f64], q: f64) -> f64 {
     let place = q * (ascending.len() - 1) as f64;
     let (below, above) = (place.floor() as usize, place.ceil() as usize);

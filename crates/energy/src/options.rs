@@ -20,33 +20,33 @@ use nsim_ir::mapping::MappingFile;
 use nsim_session::decision::Rule;
 use nsim_session::error::{Error, Result};
 
-/// How a run is priced, and what it is compared with.
+/// Options of the cost of a run, and of its comparison.
 #[derive(Debug, Default)]
 pub struct CostOptions {
-    /// Where input spikes come from; by default an x86 core of each chip that has one.
+    /// Source of the input spikes; by default an x86 core of each chip that has one.
     pub host: Option<Host>,
-    /// Streams that a chip is fed.
+    /// Input streams of a chip.
     pub streams: Streams,
-    /// Words of a core that are reset after each sample; 0: state stays.
+    /// Words of a core that are reset after each sample; 0: no reset.
     pub reset_words: u64,
-    /// As fast as possible, or held to the model's timestep.
+    /// As fast as possible, or paced by the model's timestep.
     pub mode: Mode,
-    /// How energy is computed.
+    /// The convention of energy.
     pub convention: Convention,
     /// Other hardware to compare with.
     pub baselines: BaselineSelection,
-    /// Power of this machine's processor at idle and busy.
+    /// Power of this machine's processor, idle and busy.
     pub cpu_watts: Option<Watts>,
     /// A command that passes the same samples through a GPU.
     #[cfg(feature = "nvml")]
     pub gpu_command: Option<String>,
     /// A preset of the target, by name, or a file; its first when omitted.
     pub constants: Option<String>,
-    /// Which power counts.
+    /// The accounting of power.
     pub accounting: Accounting,
-    /// How long messages take.
+    /// The model of message transport.
     pub transport: Transport,
-    /// By which rule to say what ending samples early would save.
+    /// Rule of early exit whose savings are reported.
     pub early_exit: Option<Rule>,
 }
 
@@ -59,7 +59,7 @@ impl CostOptions {
         Ok(CostOptions { baselines: baselines(names)?, ..CostOptions::default() })
     }
 
-    /// What the x86 cores of a target do.
+    /// Returns the work of the x86 cores of a target.
     ///
     /// # Errors
     /// [`Error::Usage`] for a host on a chip without x86 cores.
@@ -76,13 +76,12 @@ impl CostOptions {
     }
 }
 
-/// The target with the preset that is asked for in front, and that preset in integers. What is
-/// asked for may be a file, or a shipped preset that the target does not name; the target's first
-/// when `None`.
+/// Returns the target with the requested preset first, and that preset in integers. `asked` may be
+/// a file, or a shipped preset that the target does not name; `None` is the target's first preset.
 ///
 /// # Errors
-/// [`Error::Usage`] for an unknown preset, [`Error::Input`] when a file cannot be used and for an
-/// inexact constant.
+/// [`Error::Usage`] for an unknown preset, [`Error::Input`] when a file cannot be used or a
+/// constant is out of range.
 pub fn priced_by(target: Target, asked: Option<&str>) -> Result<(Target, CostTable)> {
     let presets = target.constants();
     let chosen = match asked {
@@ -102,12 +101,12 @@ pub fn priced_by(target: Target, asked: Option<&str>) -> Result<(Target, CostTab
     Ok((target.with_preset(chosen), table))
 }
 
-/// `--deployment` with what it names.
+/// `--deployment` with its loaded files.
 #[derive(Debug)]
 pub enum DeploymentSource {
     /// The mapping's own cores: copies on as many chips as there are, or on as few as they fill.
     Mapped(CopyPlacement),
-    /// A published job: that of the scenario that ships for the model, or of a file.
+    /// A published job: the shipped scenario of the model, or a file.
     Scenario(String, Box<ScenarioFile>),
     /// A saved mapping.
     Mapping(PathBuf, Box<MappingFile>),
@@ -116,10 +115,10 @@ pub enum DeploymentSource {
 }
 
 impl DeploymentSource {
-    /// Loads what is named.
+    /// Loads a named deployment.
     ///
     /// # Errors
-    /// [`Error::Usage`] when the paper's deployment is asked for and no scenario ships for the
+    /// [`Error::Usage`] when the paper's deployment is requested and no scenario ships for the
     /// model, [`Error::Input`] when a file cannot be used.
     pub fn load(named: &str, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
         if let Some(&copies) = CopyPlacement::ALL.iter().find(|copies| copies.name() == named) {
@@ -166,7 +165,7 @@ impl DeploymentSource {
         let model = &compiled.one.parts().name;
         match self {
             DeploymentSource::Mapped(_) => {
-                // Copies that do not fit on chips of their own are packed.
+                // Copies that do not fit on separate chips are packed.
                 let spread = compiled.placement.chips_used() >= copies.min(target.chips());
                 let name = match compiled.options.placement {
                     _ if compiled.placed == SAVED => "saved mapping",
@@ -218,7 +217,7 @@ impl DeploymentSource {
 /// Checks that a target has these numbers of cores.
 ///
 /// # Errors
-/// [`Error::Usage`] that names the first number that it has not.
+/// [`Error::Usage`] that names the first number that the target lacks.
 fn check_numbers(named: &str, cores: DeployedCores, target: &Target) -> Result<()> {
     let DeployedCores { cores_used, chips_used, x86_cores } = cores;
     let (chip, chips) = (target.chip(), u64::from(target.chips()));
@@ -237,10 +236,10 @@ fn check_numbers(named: &str, cores: DeployedCores, target: &Target) -> Result<(
     Err(Error::Usage(format!("--deployment {named}: {what}; numbers are CORES,CHIPS,X86")))
 }
 
-/// The baselines that are asked for.
+/// The requested baselines.
 #[derive(Debug, Default)]
 pub struct BaselineSelection {
-    /// From files.
+    /// Baselines from files.
     pub files: Vec<Baseline>,
     /// Whether this machine's processor is measured.
     pub cpu: bool,
@@ -248,7 +247,7 @@ pub struct BaselineSelection {
     pub roofline: bool,
 }
 
-/// The baselines asked for; those of files and this machine's processor when none is named.
+/// Returns the requested baselines; all files and this machine's processor when `names` is `None`.
 ///
 /// # Errors
 /// A diagnostic for a name that does not exist.

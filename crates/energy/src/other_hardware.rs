@@ -16,11 +16,11 @@ use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 
-/// How long each of the two measurements takes, about.
+/// Approximate time of each of the two measurements.
 const BUDGET: Duration = Duration::from_millis(400);
-/// How long the counters are watched at idle.
+/// Time of measuring the counters at idle.
 const IDLE: Duration = Duration::from_millis(300);
-/// Timesteps of a repeat, about: more would only take longer.
+/// Approximate number of timesteps of a repeat; more would only take longer.
 const TIMESTEPS: u64 = 1_500;
 
 /// Above this share of the processors in use a measurement says that the machine was busy.
@@ -36,9 +36,9 @@ fn load() -> Option<f64> {
 pub struct OneCopy<'a> {
     /// The network.
     pub network: &'a Quantised,
-    /// It, mapped alone.
+    /// The network, mapped alone.
     pub program: Option<&'a Arc<Program>>,
-    /// What it is shown.
+    /// Its input samples.
     pub samples: &'a [&'a Sample],
     /// Timesteps of a sample; `None` when samples differ.
     pub steps: Option<u32>,
@@ -46,16 +46,16 @@ pub struct OneCopy<'a> {
     pub timestep: Picoseconds,
 }
 
-/// Rows with their sources, and what to note about them.
+/// Rows with their sources, and notes on them.
 #[derive(Debug, Default)]
 pub struct Rows {
-    /// In the order of the table.
+    /// Rows and their sources, in the order of the table.
     pub rows: Vec<(EnergyRow, String)>,
-    /// Why a row is not what one might expect.
+    /// Reasons for unexpected or absent rows.
     pub notes: Vec<String>,
 }
 
-/// The rows of all hardware asked for.
+/// Returns the rows of all requested hardware.
 pub fn rows(
     asked: &BaselineSelection,
     one: OneCopy<'_>,
@@ -85,7 +85,7 @@ pub fn rows(
     found
 }
 
-/// The row of a command on a GPU that passes this many timesteps.
+/// Adds the row of a command on a GPU that processes `steps` timesteps.
 #[cfg(feature = "nvml")]
 pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: Convention, found: &mut Rows) {
     use crate::gpu;
@@ -104,7 +104,7 @@ pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: 
     }
 }
 
-/// What was measured, in a mode; hardware that takes a whole window waits for it.
+/// Returns measured figures in a mode; with `window`, the hardware waits for a whole window.
 fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: bool) -> Figures {
     let Power { static_mw, dynamic_mw, source: power_source } = power;
     let figures = Figures { static_mw, dynamic_mw, latency_us, source: FigureSource::Measured, power_source };
@@ -125,7 +125,7 @@ fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<
     let mut add = |name: &str, window: bool, (timed, power): (Result<Timed, String>, Power)| match timed {
         Err(reason) => found.notes.push(format!("no row for {name}: {reason}")),
         Ok(timed) => {
-            // The fastest repeat is the one that other programs disturbed least.
+            // Other programs disturbed the fastest repeat least.
             let figures = figures(timed.fastest, power, one, mode, window);
             let source = format!(
                 "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us \

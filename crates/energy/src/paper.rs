@@ -1,5 +1,5 @@
-//! A published job of a shipped model: mapped as it was, priced by the same constants, next to what
-//! was printed.
+//! A published job of a shipped model: mapped as published, priced by equal constants, and compared
+//! with the printed figures.
 //!
 //! Input: a scenario, the network, samples. Output: rows of the energy table. Errors: a job that
 //! does not compile.
@@ -22,7 +22,7 @@ use nsim_session::obtain::mapped_as_usual;
 use nsim_session::priced::Metered;
 use nsim_session::samples::Running;
 
-/// One copy of the network of a job, mapped as far as the job's source says how.
+/// Maps one copy of the network of a job, by the details that the job's source gives.
 ///
 /// # Errors
 /// When it does not compile.
@@ -35,8 +35,8 @@ pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Resu
     Ok(mapped_as_usual(network, &target)?)
 }
 
-/// Rows of a job by a target's first constants, shown what the workload is shown: one x86 core, the
-/// neuron cores of one copy, and their total.
+/// Returns the rows of a job by a target's first constants, on the workload's samples. Rows are one
+/// x86 core, the neuron cores of one copy, and their total.
 ///
 /// # Errors
 /// As [`mapped`].
@@ -66,8 +66,8 @@ pub fn rows(
     Ok(estimate(&case).rows.into_iter().map(named).collect())
 }
 
-/// The row of a unit (`x86`, `neuron`, `total`) that a job's source printed in this mode; energy is
-/// power times time.
+/// The row of a unit (`x86`, `neuron`, `total`) that a job's source printed in this mode. Energy is
+/// power times time, or as printed in the published convention.
 ///
 /// # Errors
 /// When a table of measurements cannot be read.

@@ -1,25 +1,24 @@
-//! What this machine draws while it computes: from its energy counters where they can be read, else
-//! as stated.
+//! Power of this machine while it computes: as stated, else from its energy counters, else assumed.
 //!
-//! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and start
-//! again at `max_energy_range_uj`. Output: milliwatts idle and on top. The counters are of whole
-//! packages: what else runs is counted too. Root alone may read them since Linux 5.10; why they
-//! could not be read is stored. Where nothing is stated either, a package is assumed, of which each
-//! thread takes its share.
+//! Input: a powercap tree (`/sys/class/powercap`), whose package zones count microjoules and wrap
+//! at `max_energy_range_uj`. Output: idle and dynamic power, mW. The counters cover whole packages,
+//! other programs included. Since Linux 5.10 only root may read them; the reason for a failure is
+//! stored. Without stated or counted power, a package is assumed, of which each thread takes its
+//! share.
 
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use nsim_cost::estimate::FigureSource;
 
-/// Where Linux keeps the tree.
+/// Path of the tree on Linux.
 pub const POWERCAP: &str = "/sys/class/powercap";
 
 /// A package's energy counter.
 #[derive(Debug, Clone, PartialEq, Eq)]
 struct Zone {
     counter: PathBuf,
-    /// The greatest value; the next is 0.
+    /// Greatest value of the counter; the next is 0.
     range_uj: u64,
 }
 
@@ -35,17 +34,17 @@ fn number(path: &Path) -> Result<u64, String> {
 }
 
 impl Rapl {
-    /// The packages of a powercap tree.
+    /// Opens the packages of a powercap tree.
     ///
     /// # Errors
-    /// Why there is none that can be read.
+    /// The reason why no package can be read.
     pub fn open(tree: &Path) -> Result<Self, String> {
         let entries = std::fs::read_dir(tree).map_err(|error| format!("{}: {error}", tree.display()))?;
         let mut folders: Vec<PathBuf> = entries.filter_map(|entry| Some(entry.ok()?.path())).collect();
         folders.sort();
         let mut zones = Vec::new();
         for folder in folders {
-            // Domains within a package and its other controllers would count twice.
+            // Domains within a package and its other controllers would be counted twice.
             let name = std::fs::read_to_string(folder.join("name")).unwrap_or_default();
             let controller = folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
             if !name.starts_with("package-") || !controller.starts_with("intel-rapl:") {
@@ -61,16 +60,16 @@ impl Rapl {
         Ok(Rapl { zones })
     }
 
-    /// The counters now, in uJ.
+    /// Reads the counters, in uJ.
     ///
     /// # Errors
-    /// Why one cannot be read.
+    /// The reason why a counter cannot be read.
     pub fn read(&self) -> Result<Vec<u64>, String> {
         self.zones.iter().map(|zone| number(&zone.counter)).collect()
     }
 
-    /// The energy between two readings in uJ. A counter that is less than before has started again,
-    /// once: a package of 100 W takes three quarters of an hour for the common range of 262 kJ.
+    /// Returns the energy between two readings in uJ. A counter that decreased has wrapped, once: a
+    /// package of 100 W takes three quarters of an hour for the common range of 262 kJ.
     pub fn between(&self, before: &[u64], after: &[u64]) -> u64 {
         let spent = |((zone, &before), &after): ((&Zone, &u64), &u64)| match after.checked_sub(before) {
             Some(spent) => spent,
@@ -79,7 +78,7 @@ impl Rapl {
         self.zones.iter().zip(before).zip(after).map(spent).sum()
     }
 
-    /// Runs something; its mean power in mW, or why the counters cannot be read.
+    /// Runs `run`; returns its result and its mean power in mW, or the error of the counters.
     fn power_mw<T>(&self, run: impl FnOnce() -> T) -> (T, Result<f64, String>) {
         let (before, begin) = (self.read(), Instant::now());
         let out = run();
@@ -91,16 +90,16 @@ impl Rapl {
 /// Assumed power of a whole package, and the number of threads that share it when it is busy.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PackagePower {
-    /// At idle.
+    /// Power at idle, mW.
     pub idle_mw: f64,
-    /// With all threads at work.
+    /// Power with all threads busy, mW.
     pub busy_mw: f64,
-    /// Its threads, of which one computes.
+    /// Number of its threads, one of which computes.
     pub threads: usize,
 }
 
 impl PackagePower {
-    /// A desktop processor's package for this machine, for when nothing says better.
+    /// Returns the package of a desktop processor, with the threads of this machine.
     pub fn assumed() -> Self {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads }
@@ -113,45 +112,45 @@ impl PackagePower {
     }
 }
 
-/// How power is found.
+/// Source of power figures.
 #[derive(Debug, Clone, PartialEq)]
 pub enum PowerMeter {
-    /// From counters; what they said while nothing ran.
+    /// From counters, with their power at idle.
     Counted {
         /// The counters.
         rapl: Rapl,
-        /// Power at idle.
+        /// Power at idle, mW.
         idle_mw: f64,
     },
     /// As stated by the user.
     Stated {
-        /// Power at idle.
+        /// Power at idle, mW.
         idle_mw: f64,
-        /// Power while computing.
+        /// Power while computing, mW.
         busy_mw: f64,
     },
-    /// Not stated: the share of one thread is taken.
+    /// Neither stated nor counted: the share of one thread of a package.
     Assumed {
         /// The package.
         package: PackagePower,
-        /// Why it is not counted.
+        /// The reason why it is not counted.
         why: String,
     },
 }
 
-/// Power of something that ran.
+/// Power during a run.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Power {
-    /// At idle.
+    /// Power at idle, mW.
     pub static_mw: f64,
-    /// On top, while it ran.
+    /// Power above idle during the run, mW.
     pub dynamic_mw: f64,
-    /// Measured or assumed.
+    /// Measured, stated or assumed.
     pub source: FigureSource,
 }
 
 impl PowerMeter {
-    /// What is stated; else counters, after watching them at idle; else an assumed package.
+    /// Returns the stated power; else counters, read at idle first; else an assumed package.
     pub fn new(tree: &Path, stated: Option<(f64, f64)>, assumed: PackagePower, idle: Duration) -> Self {
         let counted = || -> Result<PowerMeter, String> {
             let rapl = Rapl::open(tree)?;
@@ -164,7 +163,7 @@ impl PowerMeter {
         }
     }
 
-    /// Runs something and says what it drew.
+    /// Runs `run`; returns its result and its power.
     pub fn during<T>(&self, run: impl FnOnce() -> T) -> (T, Power) {
         let power = |idle_mw: f64, busy_mw: f64, source| Power {
             static_mw: idle_mw,
@@ -179,14 +178,14 @@ impl PowerMeter {
             }
             PowerMeter::Counted { rapl, idle_mw } => {
                 let (out, busy_mw) = rapl.power_mw(run);
-                // Counters that were there a moment ago: take what they said last.
+                // The counters became unreadable: take their last value, the idle power.
                 let said_last = |_| power(*idle_mw, *idle_mw, FigureSource::Assumed);
                 (out, busy_mw.map_or_else(said_last, |busy_mw| power(*idle_mw, busy_mw, FigureSource::Measured)))
             }
         }
     }
 
-    /// Where the figures come from, in words.
+    /// Source of the figures, as text.
     pub fn source(&self) -> String {
         match self {
             PowerMeter::Counted { .. } => {

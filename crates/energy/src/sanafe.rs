@@ -1,22 +1,21 @@
-//! A mapped program and a sample as files for SANA-FE 2.2, so that its energy and time can be
-//! checked against nsim's.
+//! Exports a mapped program and a sample to files of SANA-FE 2.2, to compare its energy and time
+//! with nsim's.
 //!
 //! Input: a compiled network, constants, one sample. Output: an architecture and a network with its
 //! mapping, in YAML. Energies and times are written as whole femtojoules and picoseconds, so both
-//! programs charge the same.
+//! programs charge equal amounts.
 //!
-//! Mapping of terms: a core is a core of the same tile, tiles counted column by column;
-//! compartments are `leaky_integrate_fire` in 64ths of the chip's voltage, which SANA-FE truncates
-//! to a 64th as the chip does, so voltages agree bit for bit; its current is not truncated, so
-//! spikes are the same for certain when `du` is 4096 and may differ otherwise. Input channels are
-//! `input` neurons on one more core at the corner of their chip, where only the route through the
-//! mesh is charged. SANA-FE delivers a step after sending: inputs of step t without delay are sent
-//! in step t - 1, and where step 0 has some a step goes before all others; inputs of delay 1 are
-//! sent in their own step.
+//! Mapping of terms: a core is a core of the same tile, with tiles counted column by column.
+//! Compartments are `leaky_integrate_fire` in 64ths of the chip's voltage. SANA-FE truncates it to
+//! a 64th as the chip does, so voltages agree bit for bit. Its current is not truncated, so spikes
+//! agree for certain only if `du` is 4096. Input channels are `input` neurons on one more core at
+//! the corner of their chip, where only the route through the mesh is charged. SANA-FE delivers a
+//! step after sending. Inputs of step t without delay are therefore sent in step t - 1, after a
+//! leading step if step 0 has any. Inputs of delay 1 are sent in their own step.
 //!
-//! Not exported: what x86 cores do (a phase of its own in nsim), static power, and limits of the
-//! voltage. What the format cannot say is refused: other delays, periodic resets, held starts,
-//! `threshold: Inclusive`.
+//! Not exported: the work of x86 cores (a separate phase in nsim), static power, and limits of the
+//! voltage. Features that the format lacks are refused: other delays, periodic resets, delayed
+//! starts, `threshold: Inclusive`.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -32,16 +31,16 @@ use nsim_ir::base::units::{Femtojoules, Picoseconds};
 use nsim_ir::program::{AxonTarget, Compartment, CoreClass, Program};
 use nsim_ir::spikes::Sample;
 
-/// What is exported.
+/// Input of an export.
 #[derive(Debug, Clone, Copy)]
 pub struct Export<'a> {
     /// The mapped network.
     pub compiled: &'a Mapping,
     /// Its constants.
     pub table: &'a CostTable,
-    /// What it is shown.
+    /// The input sample.
     pub sample: &'a Sample,
-    /// Tiles in the barrier.
+    /// Number of tiles in the barrier.
     pub tiles_used: u64,
 }
 
@@ -53,12 +52,12 @@ fn seconds(time: Picoseconds) -> String {
     format!("{}.0e-12", time.0)
 }
 
-/// The attributes that say what something costs.
+/// Attributes with the energy and latency of an event.
 fn costs(of: &str, (energy, time): (Femtojoules, Picoseconds)) -> String {
     format!("energy_{of}: {}.0e-15, latency_{of}: {}", energy.0, seconds(time))
 }
 
-/// Attributes of one kind of neuron.
+/// Attributes of a neuron.
 fn attributes(compartment: &Compartment, semantics: Semantics, synapse: &str) -> String {
     let neuron = RealForm::of_neuron(&compartment.neuron, semantics);
     let bias = neuron.bias / 64.0;
@@ -88,13 +87,14 @@ fn synapse_counts(class: &CoreClass) -> Vec<[u64; 2]> {
     counts
 }
 
-/// Which synapse unit each compartment of a core has: that of most of its synapses.
+/// Synapse unit of each compartment of a core: the unit of most of its synapses.
 fn units(class: &CoreClass) -> Vec<&'static str> {
     let unit = |[dense, sparse]: [u64; 2]| if sparse > dense { "sparse" } else { "dense" };
     synapse_counts(class).into_iter().map(unit).collect()
 }
 
-/// Compartments that are reached by lists of both kinds: SANA-FE charges all their synapses as one.
+/// Number of compartments reached by lists of both kinds; SANA-FE charges all their synapses as one
+/// kind.
 fn mixed(program: &Program) -> u64 {
     let counts = program.cores().ids().flat_map(|core| synapse_counts(program.class_of(core)));
     counts.filter(|[dense, sparse]| *dense > 0 && *sparse > 0).count() as u64
@@ -105,7 +105,7 @@ impl Export<'_> {
         &self.compiled.program
     }
 
-    /// Columns and rows of tiles that are written: those up to the last in use.
+    /// Number of columns and rows of tiles that are written, up to the last in use.
     fn size(&self) -> (u32, u32) {
         let tiles = self.program().cores().iter().map(|image| self.program().mesh().tile(image.site));
         tiles.fold((1, 1), |(width, height), (x, y)| (width.max(x + 1), height.max(y + 1)))
@@ -190,20 +190,20 @@ impl Export<'_> {
         (least.min(most), most)
     }
 
-    /// Steps from an input spike to its arrival, as nsim counts: 0 or 1.
+    /// Steps from an input spike to its arrival, by nsim's count: 0 or 1.
     fn input_delay(&self) -> usize {
         self.delays(self.program().parts().channels.items().iter().copied()).1.into()
     }
 
-    /// Whether a step goes before all others.
+    /// Whether a leading step is added.
     fn leads(&self) -> bool {
         self.input_delay() == 0 && !self.sample.at(0).is_empty()
     }
 
-    /// `arch.yaml` and `snn.yaml`.
+    /// Returns the texts of `arch.yaml` and `snn.yaml`.
     ///
     /// # Errors
-    /// `export.sanafe` for what the format cannot say.
+    /// `export.sanafe` for features that the format lacks.
     pub fn files(&self) -> Result<[String; 2], Diagnostic> {
         if self.sample.steps() == 0 {
             return Err(refused("a sample without timesteps"));
@@ -364,7 +364,7 @@ impl Export<'_> {
         out
     }
 
-    /// The synapses that a message reaches.
+    /// Writes the synapses that a message reaches.
     fn edges(&self, out: &mut String, from: &str, message: AxonTarget) {
         let class = self.program().class_of(message.core);
         for synapse in class.inputs.get(usize::from(message.axon)).synapses() {

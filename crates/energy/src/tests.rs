@@ -92,10 +92,10 @@ fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
     };
     let found = deployed("vtsnn-slip", "paper", &named("vtsnn-slip"), 32).unwrap();
     assert_eq!(numbers(&found), (32, 594, 5, 5));
-    // Of another model, and where no scenario ships.
+    // A scenario of another model, and a model without a shipped scenario.
     assert_eq!(deployed("vtsnn-slip", "paper", &named("other"), 32).unwrap_err().exit_status(), 2);
     assert_eq!(deployed("slip-tactile", "paper", &one, 1).unwrap_err().exit_status(), 2);
-    // As given.
+    // Numbers as given.
     assert_eq!(numbers(&deployed("own", "594,5,5", &one, 32).unwrap()), (32, 594, 5, 5));
     for (wrong, says) in [
         ("0,1,1", "at least one core on each chip"),
@@ -134,7 +134,7 @@ fn a_saved_mapping_gives_its_own_numbers_of_cores_if_it_could_be_run() {
     assert_eq!((found.cores_used, found.chips_used), (packed.placement.len() as u64, 1));
     assert_eq!(with(&text.replace("copies: 2", "copies: 3")).unwrap_err().exit_status(), 3);
     assert_eq!(with("oops").unwrap_err().exit_status(), 3);
-    // Without cores, and of other populations.
+    // A mapping without cores, and a missing file.
     let cut = format!("{}cores: [])", text.split("cores: [").next().unwrap());
     assert_eq!(with(&cut).unwrap_err().exit_status(), 3, "{cut}");
     std::fs::remove_file(&path).unwrap();

@@ -19,20 +19,20 @@ use nsim_session::timeline::Timeline;
 use nsim_session::warnings::{Finished, Ran, warnings};
 use nsim_session::{Keep, Outcome, Quantity, accuracy};
 
-/// A mapped network of one or several copies, and what it is shown.
+/// A mapped network of one or several copies, and its input samples.
 #[derive(Debug)]
 pub struct Workload<'j> {
     /// The network.
     pub compiled: &'j Mapping,
-    /// Where it is mapped.
+    /// Its target.
     pub target: &'j Target,
     /// Copies of the network on the target.
     pub copies: u32,
-    /// What each copy sees: the whole sample, since copies share no input channels.
+    /// Input of each copy: whole samples, since copies share no input channels.
     given: Vec<Sample>,
-    /// Numbers of the samples that are run, in run order.
+    /// Indices of the samples that run, in run order.
     order: Vec<usize>,
-    /// How the samples were made.
+    /// Origin of the samples.
     pub origin: Vec<String>,
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
@@ -40,7 +40,7 @@ pub struct Workload<'j> {
 }
 
 impl<'j> Workload<'j> {
-    /// A mapped network that is shown these samples of a stimulus, in this order.
+    /// Returns the workload of these samples of a stimulus, in this order.
     ///
     /// # Errors
     /// [`Error::Usage`] when there is no such sample.
@@ -78,7 +78,7 @@ impl<'j> Workload<'j> {
         steps_per_sample(&self.samples())
     }
 
-    /// A run by population, input and core, all copies together, and what to warn of.
+    /// Returns the counts of a run by population, input and core over all copies, and its warnings.
     pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
         let (network, program) = (&self.compiled.one, &self.compiled.program);
         let sums = ByPopulation::of_copies(network, &run.counts, self.copies);
@@ -93,18 +93,18 @@ impl<'j> Workload<'j> {
     /// Expected cost of a mean step, by the target's own constants, at the rates of the run.
     ///
     /// # Errors
-    /// A constant that no integer holds.
+    /// A constant that does not fit an integer.
     pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
         let rates = Rates::of_copy(&run.counts, &self.compiled.one, run.activity.steps());
         Ok(self.compiled.score_at(&rates, self.target)?)
     }
 
-    /// Share of the samples with a label that were classified as it says; `None` without labels.
+    /// Share of the samples whose class is their label; `None` unless all have labels.
     pub fn accuracy(&self, outcomes: &[Outcome]) -> Option<f64> {
         accuracy(outcomes, self.samples().into_iter().map(Sample::label))
     }
 
-    /// A sample step by step, with the potentials of these compartments of the first copy.
+    /// Runs a sample step by step, with traces of a quantity of compartments of the first copy.
     ///
     /// # Errors
     /// As [`Workload::simulate`].
@@ -133,7 +133,7 @@ impl<'j> Workload<'j> {
         Ok(self.metered.run(settings, &self.samples(), running)?)
     }
 
-    /// What the program is metered with.
+    /// The metered mapping.
     pub fn meter(&self) -> &Metered<'j> {
         &self.metered
     }

@@ -1,35 +1,33 @@
-//! What reading may cost: the sizes of files, the lengths of recordings, and what a file may make
-//! of its own size.
+//! Limits of reading: file sizes, lengths of recordings, and the memory that a file may claim.
 //!
-//! Input: the size, then each claim of bytes and items before they are made. Output: nothing, or
-//! [`Exceeded`]. Files name the same bytes many times, compress them, or name a place far after
-//! all others: what they claim bears no relation to what they are. A budget is taken from before
-//! anything of a claimed size is allocated, and never given back.
+//! Input: the size of a file, then each claim of bytes and items. Output: nothing, or [`Exceeded`].
+//! A claim bears no relation to the size of its file: a file may refer to one byte many times,
+//! compress bytes, or name a far index. So each claim is subtracted from the budget before memory
+//! is allocated, and never returned.
 
-/// The most bytes of a RON file. A flat list of one-digit numbers costs twenty times its text while
-/// it is read, since each entry keeps its place for messages: this keeps the largest well within a
-/// gibibyte. Larger arrays belong in files of their own.
+/// The most bytes of a RON file. While a flat list of one-digit numbers is read, it takes twenty
+/// times its text, since each entry stores its place for messages. The largest file stays well
+/// below a gibibyte. Larger arrays belong in files of their own.
 pub const MOST_TEXT: u64 = 32 << 20;
 /// The most bytes of an event list in text.
 pub const MOST_EVENT_TEXT: u64 = 256 << 20;
 /// The most bytes of an array file.
 pub const MOST_ARRAY: u64 = 1 << 30;
 
-/// The most timesteps of a sample: engines hold a number for each.
+/// The most timesteps of a sample: engines store a number for each.
 pub const MOST_STEPS: u32 = 1 << 24;
 /// The most timesteps of all samples of a run.
 pub const MOST_STEPS_TOGETHER: u64 = 1 << 27;
 /// The most spikes of a sample: each takes eight bytes.
 pub const MOST_EVENTS: usize = 1 << 27;
 
-/// Bytes that any file may cost.
+/// Bytes that a file of any size may claim.
 pub const MOST_FIXED: u64 = 64 << 20;
-/// Bytes that a file may cost in addition, for each byte of its own.
+/// Bytes that a file may claim in addition, for each byte of its size.
 pub const MOST_RATIO: u64 = 12;
 
-/// Bytes that packets may decompress to, and this many in addition for each byte that was read.
-/// Events are 16 bytes of which 8 hardly change, which no compression makes a hundred times
-/// smaller.
+/// Bytes that packets may decompress to, plus [`PACKETS_RATIO`] for each byte that was read. An
+/// event has 16 bytes, of which 8 hardly change, so no compression shrinks it a hundredfold.
 const PACKETS_FIXED: u64 = 32 << 20;
 const PACKETS_RATIO: u64 = 64;
 
@@ -37,15 +35,15 @@ const PACKETS_RATIO: u64 = 64;
 const SAMPLE: u64 = 256;
 const STEP: u64 = 4;
 
-/// What a file claims beyond its budget.
+/// A claim beyond the budget of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Exceeded {
     /// Bytes.
     #[error("its content would take more than {} MiB and {ratio} times the file's size", fixed >> 20)]
     Bytes {
-        /// Bytes that any file may cost.
+        /// Bytes that a file of any size may claim.
         fixed: u64,
-        /// And for each byte of its own.
+        /// Bytes that it may claim in addition, for each byte of its size.
         ratio: u64,
     },
     /// Items.
@@ -56,7 +54,7 @@ pub enum Exceeded {
     Depth(usize),
 }
 
-/// What may still be taken.
+/// Bytes and items that may still be claimed.
 #[derive(Debug, Clone)]
 pub struct Budget {
     fixed: u64,
@@ -68,7 +66,7 @@ pub struct Budget {
 }
 
 impl Budget {
-    /// The budget of a file of this many bytes, items and depth.
+    /// The budget of a file of `bytes` bytes, at most `most_items` items and `deepest` levels.
     pub fn for_file(bytes: u64, most_items: usize, deepest: usize) -> Budget {
         let (fixed, ratio) = (MOST_FIXED, MOST_RATIO);
         let mut budget = Budget { fixed, ratio, bytes: fixed, items: most_items, most_items, deepest };
@@ -82,12 +80,12 @@ impl Budget {
         Budget { fixed, ratio, bytes: fixed, items: usize::MAX, most_items: usize::MAX, deepest: 0 }
     }
 
-    /// This many bytes more have been read.
+    /// Adds the claim of `bytes` more bytes that have been read.
     pub fn grow(&mut self, bytes: u64) {
         self.bytes = self.bytes.saturating_add(self.ratio.saturating_mul(bytes));
     }
 
-    /// Takes this many samples of this many timesteps, before their spikes.
+    /// Subtracts `count` samples of `steps` timesteps, without their spikes.
     ///
     /// # Errors
     /// [`Exceeded::Bytes`].
@@ -95,7 +93,7 @@ impl Budget {
         self.bytes(count.saturating_mul(STEP.saturating_mul(steps).saturating_add(SAMPLE)))
     }
 
-    /// Takes this many numbers that are stored in `width` bytes each and become reals.
+    /// Subtracts `count` numbers that are stored in `width` bytes each and become reals.
     ///
     /// # Errors
     /// [`Exceeded::Bytes`].
@@ -103,7 +101,7 @@ impl Budget {
         self.bytes(count.saturating_mul(width.saturating_add(8)))
     }
 
-    /// Takes this many bytes.
+    /// Subtracts `bytes` bytes.
     ///
     /// # Errors
     /// [`Exceeded::Bytes`].
@@ -112,7 +110,7 @@ impl Budget {
         Ok(())
     }
 
-    /// Takes an item at a depth.
+    /// Subtracts an item at `depth`.
     ///
     /// # Errors
     /// [`Exceeded::Items`], [`Exceeded::Depth`].

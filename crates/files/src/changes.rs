@@ -1,12 +1,12 @@
-//! Fields of model, target and constants that the command line changes.
+//! Fields of the model, the target and the constants that the command line changes.
 //!
-//! Input: `PATH=VALUE`, once for the whole process, and more for a while for one thread, whose
-//! sweep tries them. Output: the text of a model with these values, a target file that changes
-//! another, a preset of constants with other numbers. Paths that begin with `target.` are of the
-//! target, those with `constants.` of its constants, all others of the model.
+//! Input: `PATH=VALUE`, set once for the process; a thread of a sweep adds some for a time. Output:
+//! the text of a model with these values, the changed fields of a target, constants with other
+//! numbers. Paths that begin with `target.` are of the target, paths with `constants.` of its
+//! constants, all others of the model.
 //!
-//! Errors: `set.path` for a path without a field, `set.value` for a value that is not what the
-//! path's field holds.
+//! Errors: `set.path` for a path without a field, `set.value` for a value that is not of the
+//! field's type.
 
 use std::cell::RefCell;
 use std::sync::OnceLock;
@@ -17,7 +17,7 @@ use nsim_ir::hardware::constants::{Constants, SET, Status, classes_of};
 use nsim_ir::locate;
 use nsim_ir::resource::Limits;
 
-/// One change.
+/// A value for the field at a path.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Change {
     path: String,
@@ -25,23 +25,23 @@ pub struct Change {
 }
 
 static CHANGES: OnceLock<Vec<Change>> = OnceLock::new();
-/// What has asked for changes: the target, the constants, a model.
+/// Whether a reader has asked for the changes of the target, the constants, a model.
 static READ: [AtomicBool; 3] = [const { AtomicBool::new(false) }; 3];
 
 thread_local! {
-    /// What this thread changes besides.
+    /// The changes of this thread, in addition to the process's.
     static OF_THREAD: RefCell<Vec<Change>> = const { RefCell::new(Vec::new()) };
 }
 
 impl Change {
-    /// A value for a path. A constant's path may end with its field `value`, which is the constant.
+    /// A value for a path. A constant's path may end with `.value`, which is dropped.
     pub fn new(path: &str, value: &str) -> Self {
         let path = path.trim();
         let constant = path.strip_prefix("constants.").and_then(|_| path.strip_suffix(".value"));
         Change { path: constant.unwrap_or(path).to_string(), value: value.trim().to_string() }
     }
 
-    /// Whether it can change anything: its path names a field, its value is one.
+    /// Checks that its path can name a field and that its value is one RON value.
     ///
     /// # Errors
     /// `set.path`, `set.value`.
@@ -57,10 +57,10 @@ impl Change {
         }
     }
 
-    /// From `PATH=VALUE`.
+    /// Parses `PATH=VALUE`.
     ///
     /// # Errors
-    /// A sentence for anything else.
+    /// A message for any other text.
     pub fn parse(typed: &str) -> Result<Self, String> {
         match typed.split_once('=') {
             Some((path, value)) if !path.is_empty() && !value.trim().is_empty() => Ok(Change::new(path, value)),
@@ -68,7 +68,7 @@ impl Change {
         }
     }
 
-    /// Where it leads.
+    /// The path of its field.
     pub fn path(&self) -> &str {
         &self.path
     }
@@ -80,7 +80,7 @@ impl Change {
     }
 }
 
-/// Ends the changes of a thread, however its work ends.
+/// Clears the changes of a thread when dropped, also on a panic.
 struct Ending;
 
 impl Drop for Ending {
@@ -89,26 +89,25 @@ impl Drop for Ending {
     }
 }
 
-/// Reads files under these changes besides those of the process. Only what this thread reads itself
-/// is changed.
+/// Runs `read` with these changes, added to the process's for files that this thread reads.
 pub fn within<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
     OF_THREAD.with_borrow_mut(|of_thread| of_thread.extend_from_slice(changes));
     let _ending = Ending;
     read()
 }
 
-/// Sets what this process changes, at most once.
+/// Sets the changes of this process; later calls have no effect.
 ///
 /// # Errors
-/// A sentence for what is not `PATH=VALUE`.
+/// A message for a text that is not `PATH=VALUE`.
 pub fn set(typed: &[String]) -> Result<(), String> {
     let changes = typed.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>()?;
-    // The first to set them has read files with them.
+    // Files may have been read with the first changes, so a second set is ignored.
     let _ = CHANGES.set(changes);
     Ok(())
 }
 
-/// Checks what this process changes, before it works.
+/// Checks the changes of this process, before it reads files.
 ///
 /// # Errors
 /// As [`Change::check`].
@@ -116,7 +115,7 @@ pub fn check() -> Result<()> {
     of_process().iter().try_for_each(Change::check)
 }
 
-/// What this process changes and has not read a file for.
+/// The changes of this process for which no file has been read.
 pub fn unread() -> impl Iterator<Item = &'static Change> {
     of_process().iter().filter(|change| {
         let of = ["target", "constants"].into_iter().find(|of| change.path.split('.').next() == Some(of));
@@ -124,17 +123,17 @@ pub fn unread() -> impl Iterator<Item = &'static Change> {
     })
 }
 
-/// The place of what is changed in [`READ`].
+/// Index into [`READ`] of the target, the constants, or (`None`) the model.
 fn kind(of: Option<&str>) -> usize {
     of.map_or(2, |of| usize::from(of != "target"))
 }
 
-/// What this process changes.
+/// The changes of this process.
 pub fn of_process() -> &'static [Change] {
     CHANGES.get().map_or(&[], Vec::as_slice)
 }
 
-/// The changes whose paths begin so, or of the model, and the rest of their paths.
+/// Paths and values of the changes of the target, the constants or (`None`) the model.
 fn changes(of: Option<&str>) -> Vec<(String, String)> {
     READ[kind(of)].store(true, Ordering::Relaxed);
     let one = |change: &Change| {
@@ -174,10 +173,10 @@ pub fn model(source: SourceText) -> Result<SourceText> {
     })
 }
 
-/// Checks that each change is in the text that all of them made, unless a later one has its path.
+/// Checks that the text that all changes made has each change, unless a later one has its path.
 ///
 /// # Errors
-/// `set.path` for two paths that lead to one field, or to a field and what it is part of.
+/// `set.path` for two paths of one field, or of a field and a value that contains it.
 fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<()> {
     for (number, (path, value)) in changes.iter().enumerate() {
         let again = changes[number + 1..].iter().any(|(later, _)| later == path);
@@ -188,7 +187,7 @@ fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<
     Ok(())
 }
 
-/// The fields of the target that are set, as a target file has them; nothing when none is.
+/// The changed fields of the target, as text of a target file; `None` without changes.
 ///
 /// # Errors
 /// `set.path`.
@@ -196,7 +195,7 @@ pub fn target_fields() -> Result<Option<String>> {
     let mut text = "Target()".to_string();
     let mut changes = changes(Some("target"));
     for (path, value) in &mut changes {
-        // What is no limit of a resource is that of a pool.
+        // A name that is not a limit of a resource is a pool's.
         let is_pool = |name: &&str| !name.contains('.') && *name != "pools" && !Limits::NAMES.contains(name);
         if let Some(name) = path.strip_prefix("limits.").filter(is_pool) {
             *path = format!("limits.pools.{name}");
@@ -208,7 +207,7 @@ pub fn target_fields() -> Result<Option<String>> {
     Ok(fields.filter(|_| !changes.is_empty()).map(str::to_string))
 }
 
-/// A value at a path whose parents are made where they are absent.
+/// Sets the value at a path and adds absent parents.
 fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, String> {
     for (at, _) in path.match_indices('.') {
         let parent = &path[..at];
@@ -219,7 +218,7 @@ fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, Str
     locate::replaced(&text, path, value)
 }
 
-/// Gives constants the numbers that are set.
+/// Replaces the constants that are set.
 ///
 /// # Errors
 /// `set.path`, `set.value`.

@@ -1,8 +1,7 @@
-//! The mirror of a data-set manifest (`dataset.ron`): which files hold the recordings of which
-//! sample, or of all samples together, and what is known about each.
+//! Contents of a data-set manifest (`dataset.ron`): the recordings of each sample, or of all
+//! samples together, with labels and onsets.
 //!
-//! `io::spikes::manifest` reads the files that it names, and checks that labels, folds and files
-//! agree.
+//! `nsim_import::spikes::manifest` reads these files and checks that labels, folds and files agree.
 
 use std::collections::BTreeMap;
 
@@ -16,10 +15,10 @@ use nsim_ir::spanned::Spanned;
 pub struct SampleEntry {
     /// The file of each recording, relative to the manifest, by the names that `populations` lists.
     pub files: BTreeMap<String, Spanned<String>>,
-    /// The class that the sample shows, when known.
+    /// The class of the sample, when known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub label: Option<u32>,
-    /// When what decides the class begins, in ms from the start of the sample, when known.
+    /// Start of the decisive stimulus, in ms from the start of the sample, when known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub onset_ms: Option<f64>,
 }
@@ -40,9 +39,9 @@ pub struct SplitEntry {
 pub struct DataSet {
     /// The data set's name.
     pub name: String,
-    /// What `files` calls a recording, and the input population of the model that it is for.
+    /// The model's input population of each recording, by its name in `files`.
     pub populations: BTreeMap<String, String>,
-    /// Timesteps of every sample, when all have the same number; a file that differs is refused.
+    /// Timesteps of every sample, when all have equal numbers; a file that differs is refused.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps: Option<u32>,
     /// Names of the classes, by label.

@@ -1,4 +1,4 @@
-//! How the numbers of a file's arrays are stored: kind and bytes.
+//! Element types of the arrays in files: kind of number and bytes.
 //!
 //! Input: bytes, in either order. Output: a [`Number`], or the [`Numbers`] of a whole array. A
 //! model holds integers of the hardware's width and finite reals; others are refused with their
@@ -11,7 +11,7 @@ use half::{bf16, f16};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::tensor::Numbers;
 
-/// A kind of number and its bytes.
+/// An element type: kind of number and bytes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Element {
     /// Signed integers of 1, 2, 4 or 8 bytes.
@@ -103,7 +103,7 @@ impl Number {
         }
     }
 
-    /// The number as an integer of the hardware's width, which [`Number::check`] makes sure of.
+    /// The number as an integer of 32 bits, a range that [`Number::check`] ensures.
     fn integer(self) -> i32 {
         match self {
             Number::Integer(x) => x as i32,
@@ -114,7 +114,7 @@ impl Number {
     /// The number, if it is an integer of 32 bits or a finite real.
     ///
     /// # Errors
-    /// What `wrong` makes of the number and of what it is instead.
+    /// The diagnostic that `wrong` makes of the number and the reason.
     #[inline]
     pub(super) fn check(self, wrong: impl FnOnce(&dyn Display, &str) -> Diagnostic) -> Result<Number> {
         match self {

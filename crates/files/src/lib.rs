@@ -1,9 +1,8 @@
 //! Files of nsim's own: models, targets, mappings, arrays, data sets, and the writing of results.
 //!
-//! Values here are parsed and know where they stood in their file, so that any later stage can
-//! point at them. Whether they make sense together is for [`lower`] to find out. Nothing here
-//! trusts a size that a file claims: a header is checked against the bytes that are there before
-//! anything is allocated for it.
+//! Values are parsed with their place in the file, so any later stage can report it. [`lower`]
+//! checks that they are consistent. No size that a file claims is trusted: a header is checked
+//! against the bytes that are present before memory is allocated.
 
 pub mod budget;
 pub mod changes;

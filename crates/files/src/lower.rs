@@ -1,8 +1,8 @@
 //! `Network` -> [`Graph`]: names become nodes, arrays are checked against their shapes.
 //!
 //! Input: a parsed model with its arrays. Output: a graph whose endpoints exist, whose array sizes
-//! agree with its populations and whose delays are in range; or the first thing that is not so,
-//! with its place in the model file. What a number means to the hardware is left to `quantise`.
+//! agree with its populations and whose delays are in range. Errors have their place in the model
+//! file. `quantise` converts the numbers to fields of the hardware.
 
 use std::collections::HashMap;
 use std::fmt::Display;
@@ -37,7 +37,7 @@ const MOST_NAMED: usize = 20;
 /// Turns a model into a graph.
 ///
 /// # Errors
-/// A diagnostic at the first name, shape, size or delay that does not fit.
+/// Diagnostics at the names, shapes, sizes and delays that do not fit.
 pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     let file = network.file();
     let text = network.source().text();
@@ -149,7 +149,7 @@ impl Lowering<'_> {
         self.error(code, message, self.at(self.whole, path))
     }
 
-    /// The place of a path within a declaration; that of the declaration where the path is absent.
+    /// The place of a path within a declaration; the declaration's place where the path is absent.
     fn at(&self, declaration: Span, path: &str) -> Span {
         locate(self.network.source().text(), declaration, path).unwrap_or(declaration)
     }
@@ -170,8 +170,8 @@ impl Lowering<'_> {
 
     fn population(&self, desc: &PopulationDesc, span: Span) -> Result<Population, Diagnostic> {
         let name = &desc.name;
-        // '@' and '#' separate copies and indices in reports, '=' and '.' stand in arguments that
-        // name populations.
+        // '@' and '#' separate copies and indices in reports; '=' and '.' are separators in
+        // arguments that name populations.
         if name.is_empty() || name.contains(|c: char| c.is_whitespace() || is_unprintable(c) || "@#=./\\:".contains(c))
         {
             let message = format!("'{name}' cannot be a population's name");
@@ -189,7 +189,7 @@ impl Lowering<'_> {
         Ok(Population { name: name.clone(), span, shape, kind, message })
     }
 
-    /// What the messages of a population carry.
+    /// The content of the messages of a population.
     fn message(&self, desc: &PopulationDesc, kind: &PopulationKind, span: Span) -> Result<Message, Diagnostic> {
         let wrong = |path: &str, what: &dyn Display| {
             self.error("model.payload", format!("population '{}': {what}", desc.name), self.at(span, path))
@@ -313,7 +313,7 @@ impl Lowering<'_> {
         Ok(Values { each, span })
     }
 
-    /// The numbers of a source; `shape` is what a seeded source should fill.
+    /// The numbers of a source; `shape` is the shape of a seeded one.
     fn sourced(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
         let Source::Uniform { low, high, step, seed } = source else {
             let array = source.array().expect("it is the array of a file");
@@ -405,7 +405,7 @@ impl Lowering<'_> {
             1 => vec![whole],
             _ => firsts.iter().zip(&sizes).map(of_source).collect(),
         };
-        // A default was given nowhere, and has no place.
+        // A default value has no place in the file.
         let given = |is_given: bool, path: &str| if is_given { self.at(span, path) } else { Span::default() };
         let weights_span = match &desc.kind {
             Kind::Dense(_) | Kind::Conv2d { .. } => self.at(span, "weights"),
@@ -555,8 +555,8 @@ impl Declared<'_> {
         Ok((pair.0 as u32, pair.1 as u32))
     }
 
-    /// Checks that the target is exactly what the window makes of the source, with `after` silent
-    /// rows and columns appended to it.
+    /// Checks that the window gives exactly the target's size, with `after` silent rows and columns
+    /// appended to the source.
     fn check_window(&self, window: &Window, after: (u64, u64)) -> Result<(), Diagnostic> {
         let after = self.pair(after, "padding_after", 0)?;
         let size = |source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32| {
@@ -593,7 +593,7 @@ impl Declared<'_> {
             let what = format!("{groups} groups do not divide {} and {} channels", source.0, target.0);
             return Err(self.wrong("model.window", what, "groups"));
         }
-        // The kernel's size is read off the weights, so those are read first.
+        // The weights give the kernel's size, so they are read first.
         let Some(kernel) = self.lowering.network.tensor(weights).map(|kernel| kernel.shape().to_vec()) else {
             return Err(self
                 .error("model.window", "a convolution's kernel needs its size", "weights")

@@ -1,6 +1,6 @@
-//! Saved mappings, and RON for people to read.
+//! Saved mappings, and RON with line breaks.
 //!
-//! Input: a path, or a [`MappingFile`] to be saved. Output: the other one.
+//! Input: a path or text, or a [`MappingFile`] to save. Output: the [`MappingFile`], or its text.
 
 use std::path::Path;
 
@@ -23,11 +23,11 @@ pub fn load_mapping(path: &Path) -> Result<MappingFile> {
     })
 }
 
-/// A mapping from its text. A checksum that is not its own stays in it, for
+/// Parses a mapping. A checksum that does not match its content stays in it, for
 /// [`check_unchanged`](nsim_ir::mapping::check_unchanged).
 ///
 /// # Errors
-/// `mapping.syntax`; `mapping.copies` for none.
+/// `mapping.syntax`; `mapping.copies` for 0 copies.
 pub fn mapping(source: &SourceText) -> Result<MappingFile> {
     let mut mapping: MappingFile = parse(source, "mapping.syntax")?;
     if mapping.copies == 0 {
@@ -46,7 +46,7 @@ fn checksum(mapping: &MappingFile) -> Result<String> {
     Ok(sha256(pretty(mapping, 0)?.as_bytes()))
 }
 
-/// A mapping as RON with its checksum, one core a line, or one chip of a layer.
+/// A mapping as RON with its checksum; a line has one core, or one chip of a layer.
 ///
 /// # Errors
 /// `write.ron`, which does not happen for mappings.
@@ -55,7 +55,7 @@ pub fn mapping_text(mapping: &MappingFile) -> Result<String> {
     pretty(&sealed, if mapping.layers.is_empty() { 2 } else { 4 })
 }
 
-/// A value as RON in which everything deeper than `lines` brackets stands on one line.
+/// A value as RON; values nested deeper than `lines` brackets share one line.
 ///
 /// # Errors
 /// `write.ron` when the value's type cannot be written.

@@ -1,9 +1,9 @@
 //! NumPy's `.npy` files.
 //!
-//! Input: a file's bytes. Output: an [`Array`], whose header has been held against the bytes that
-//! are there, and from it a [`Tensor`] in C order or the indices of its non-zero numbers. Object,
-//! complex, text, date and structured arrays are refused by name; `.npz` archives are not read.
-//! Also writes `u1`, `i4` and `f8` arrays as they come.
+//! Input: a file's bytes. Output: an [`Array`], whose header has been checked against the bytes
+//! that follow it. An array gives a [`Tensor`] in C order, or the indices of its non-zero numbers.
+//! Object, complex, text, date and structured arrays are refused by name; `.npz` archives are not
+//! read. The module also writes `u1`, `i4` and `f8` arrays from iterators.
 
 use std::collections::BTreeMap;
 use std::fmt::Display;
@@ -19,7 +19,7 @@ use nsim_ir::tensor::Tensor;
 /// The longest header that is read; NumPy's own reader stops at 10,000 bytes by default.
 const MOST_HEADER: usize = 64 << 10;
 
-/// An array file whose header fits its bytes.
+/// An array file with a header that agrees with its bytes.
 pub struct Array {
     path: PathBuf,
     /// The type as NumPy spells it: byte order, kind, size.
@@ -31,7 +31,7 @@ pub struct Array {
     element: Element,
 }
 
-/// The kind of numbers that a type stores; none for one that is not read.
+/// The element type of a `dtype`; `None` for a type that is not read.
 fn element(dtype: &str) -> Option<Element> {
     let (kind, size) = dtype.strip_prefix(['<', '>', '|'])?.split_at_checked(1)?;
     match (kind, size.parse().ok()?) {
@@ -44,7 +44,7 @@ fn element(dtype: &str) -> Option<Element> {
     }
 }
 
-/// What an unreadable type holds, in words, and how an array of it is saved so that it is read.
+/// The content of an unreadable type in words, and help to save its array in a readable type.
 fn unread(dtype: &str) -> (&'static str, String) {
     if dtype.starts_with('[') {
         return ("records of several fields", remedy_of_records(dtype));
@@ -61,8 +61,8 @@ fn unread(dtype: &str) -> (&'static str, String) {
     (kind, format!("save it as integers or floating-point numbers: {way}"))
 }
 
-/// NumPy converts no record of several fields into a number. Fields of events are named by what
-/// their reader takes for a time; of other names none is printed.
+/// Help for records of several fields, which NumPy cannot convert into numbers. For events it
+/// prints the field names that their reader knows, and no other names.
 fn remedy_of_records(dtype: &str) -> String {
     let nested = dtype[1..].contains('[');
     let plain = |name: &&str| !nested && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
@@ -83,8 +83,8 @@ fn remedy_of_records(dtype: &str) -> String {
     )
 }
 
-/// The values of a header's dictionary by their keys, as they are written (NumPy,
-/// `numpy/lib/format.py`); none for what is no dictionary.
+/// The values of a header's dictionary by key, as text (NumPy, `numpy/lib/format.py`); `None` when
+/// the header is not a dictionary.
 fn entries(header: &str) -> Option<BTreeMap<&str, &str>> {
     let body = header.trim().strip_prefix('{')?.strip_suffix('}')?;
     let (mut entries, mut start, mut colon) = (BTreeMap::new(), 0, None);
@@ -116,7 +116,7 @@ fn entries(header: &str) -> Option<BTreeMap<&str, &str>> {
     (depth == 0 && quote.is_none()).then_some(entries)
 }
 
-/// The axes of a shape as it is written; one beyond 64 bits counts as the greatest.
+/// The axes of a shape given as text; an axis beyond 64 bits becomes `u64::MAX`.
 fn axes(shape: &str) -> Option<Vec<u64>> {
     let axes = shape.strip_prefix('(')?.strip_suffix(')')?.trim().trim_end_matches(',');
     let axis = |axis: &str| {
@@ -127,7 +127,7 @@ fn axes(shape: &str) -> Option<Vec<u64>> {
     if axes.is_empty() { Some(Vec::new()) } else { axes.split(',').map(axis).collect() }
 }
 
-/// Numbers of this size, of which the first axis runs fastest, in C order.
+/// Numbers of `size` bytes in Fortran order (the first axis varies fastest), converted to C order.
 fn in_c_order(numbers: &[u8], shape: &[usize], size: usize) -> Vec<u8> {
     let mut ordered = vec![0; numbers.len()];
     for (mut index, number) in numbers.chunks_exact(size).enumerate() {
@@ -200,8 +200,8 @@ impl Array {
             let message = "the header cannot be read: it is no dictionary of descr, fortran_order and shape";
             return Err(problem("npy.format", message.into()));
         };
-        // Every number takes at least a byte. An array with an empty axis has none, however long
-        // the others are.
+        // Every number takes at least a byte. An array with an empty axis has no numbers, however
+        // long the other axes are.
         let there = bytes.len() - data;
         let least = axes.iter().fold(1u64, |product, &axis| product.saturating_mul(axis.max(1)));
         let empty = axes.contains(&0);
@@ -320,7 +320,7 @@ impl Array {
     }
 }
 
-/// A number that arrays are written of.
+/// An element type of written arrays.
 pub trait Stored {
     /// Its type as NumPy spells it.
     const DTYPE: &str;
@@ -340,7 +340,7 @@ macro_rules! stored {
 }
 stored!(u8: "'|u1'", i32: "'<i4'", f64: "'<f8'");
 
-/// Writes an array in C order as its numbers come; their number must be the product of the shape.
+/// Writes an array in C order; `numbers` has to fill the shape.
 ///
 /// # Errors
 /// When the output cannot be written, or the numbers do not fill the shape.
@@ -358,8 +358,9 @@ pub fn write<T: Stored>(out: impl Write, shape: &[u64], numbers: impl IntoIterat
     }
 }
 
-/// The header of an array in C order of this type (NumPy, `numpy/lib/format.py`): version 1.0 where
-/// it is short enough, else 2.0, padded so that the numbers begin at a multiple of 64.
+/// The header of an array of this type in C order (NumPy, `numpy/lib/format.py`). Its version is
+/// 1.0 where it is short enough, else 2.0. It is padded so that the numbers begin at a multiple of
+/// 64.
 ///
 /// # Errors
 /// When 32 bits do not hold its length.
@@ -538,8 +539,7 @@ mod tests {
 
     #[test]
     fn non_zero_numbers_are_those_of_the_tensor() {
-        // Every type, lengths around whole words, sparse and dense, both orders of bytes and of
-        // axes.
+        // Every type, lengths around multiples of a word, both byte orders and both axis orders.
         let types = [
             "|b1", "|i1", "|u1", "<i2", ">i2", "<u2", "<i4", ">i4", "<u4", "<i8", ">i8", "<u8", "<f2", ">f2", "<f4",
             ">f4", "<f8", ">f8",
@@ -551,8 +551,7 @@ mod tests {
                     let mut data = vec![0u8; rows * columns * size];
                     for k in 0..rows * columns {
                         if unit(case as u64, 1, k as u64) < 0.3 {
-                            // A small number of either kind: one that floats read as neither zero
-                            // nor infinite.
+                            // A small integer, or a real that is neither zero nor infinite.
                             let at = if dtype.starts_with('>') { k * size + size - 1 } else { k * size };
                             data[at] = 1;
                         }

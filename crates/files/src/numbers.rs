@@ -1,7 +1,7 @@
 //! Lists of numbers in a RON text.
 //!
 //! Input: the text of a list, nested at most four deep. Output: a tensor with an axis for each
-//! depth. Errors stand at the entry that is no finite number, or at the row of another length.
+//! depth. Errors point at the entry that is not a finite number, or at the row of another length.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use nsim_ir::spanned::{read_at, refuse};
 use nsim_ir::tensor::{Numbers, Tensor};
 use serde::de::{DeserializeSeed, Deserializer, Error, SeqAccess, Visitor};
 
-/// The deepest lists: a convolution kernel is `[C'][C / groups][kh][kw]`.
+/// Greatest depth of lists: a convolution kernel is `[C'][C / groups][kh][kw]`.
 const DEEPEST: usize = 4;
 
 /// A list that is being read.
@@ -21,7 +21,7 @@ struct List {
     numbers: Vec<f64>,
     /// Indices of the entry that is being read.
     entry: Vec<usize>,
-    /// Whether that entry was refused here, and not by RON.
+    /// Whether this module refused that entry, rather than RON.
     refused: bool,
 }
 
@@ -31,7 +31,7 @@ struct Entry<'a> {
     depth: usize,
 }
 
-/// The list whose text stands at `span`.
+/// Parses a list; `span` is the place of `text` in the file, for errors.
 pub fn list_at<E: Error>(text: &str, span: Span) -> Result<Tensor, E> {
     let mut list = List::default();
     if let Err(problem) = read_at(text, span, Entry { list: &mut list, depth: 0 }) {

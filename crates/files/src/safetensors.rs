@@ -1,7 +1,7 @@
-//! One tensor of a safetensors file.
+//! Tensors of a safetensors file.
 //!
-//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are refused. What
-//! all keys together may take is bounded by the file's size ([`Budget`]).
+//! Input: a file and a key. Output: a [`Tensor`]. 8-bit floats and packed formats are refused. The
+//! file's size bounds the memory of all tensors together ([`Budget`]).
 
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -15,7 +15,7 @@ use super::text::read_bytes;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::tensor::{Numbers, Tensor};
 
-/// What a file says about one of its tensors.
+/// Key, type and shape of a tensor, as the file states them.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Entry {
     /// Its key.
@@ -26,14 +26,14 @@ pub struct Entry {
     pub shape: Vec<usize>,
 }
 
-/// The bytes of a safetensors file, stored so that several tensors can be taken from one reading.
+/// The bytes of a safetensors file, from which several tensors can be read.
 pub struct TensorFile {
     path: PathBuf,
     bytes: Vec<u8>,
     budget: RefCell<Budget>,
 }
 
-/// The most tensors that are taken from a file.
+/// The most tensors that are read from a file.
 const MOST_TENSORS: usize = 1 << 16;
 
 /// Reads a file.
@@ -45,7 +45,7 @@ pub fn open(path: &Path) -> Result<TensorFile> {
 }
 
 impl TensorFile {
-    /// A file from its bytes; the path is for messages.
+    /// Parses a file from its bytes; the path is for messages.
     ///
     /// # Errors
     /// `safetensors.format`.
@@ -121,7 +121,7 @@ impl TensorFile {
     }
 }
 
-/// The kind of numbers that a type stores; none for one that is not read.
+/// The element type of a `Dtype`; `None` for a type that is not read.
 fn element(dtype: Dtype) -> Option<Element> {
     Some(match dtype {
         Dtype::I8 => Element::I(1),
@@ -144,7 +144,7 @@ fn element(dtype: Dtype) -> Option<Element> {
 mod tests {
     use super::*;
 
-    /// A file as the format's specification lays it out: length, JSON, data.
+    /// A file in the layout of the format's specification: length, JSON, data.
     fn file(json: &str, data: &[u8]) -> Result<TensorFile> {
         let mut bytes = (json.len() as u64).to_le_bytes().to_vec();
         bytes.extend(json.bytes());

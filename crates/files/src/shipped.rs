@@ -1,8 +1,8 @@
-//! The files that the program carries: models, targets, chips, constants, measurements and
-//! scenarios, so that it works from any folder.
+//! The files embedded in the program, so that it works from any folder: models, targets, chips,
+//! constants, measurements and scenarios.
 //!
-//! One table for each kind; a new file is one more line. The error for an unknown name lists the
-//! known ones.
+//! Each kind has a table, with a line for each file. The error for an unknown name lists the known
+//! names.
 
 use std::path::Path;
 
@@ -15,13 +15,13 @@ use nsim_ir::base::names::did_you_mean;
 pub struct Shipped {
     /// Its name, without folder and extension.
     pub name: &'static str,
-    /// Where it lies in the project.
+    /// Its path in the project.
     pub path: &'static str,
     /// Its content.
     pub text: &'static str,
 }
 
-/// Files of a folder, by their names; or of several folders, each with a prefix of the names.
+/// Files of one folder by name, or of several folders, each with a prefix of the names.
 macro_rules! shipped {
     ($folder:literal: $($name:literal),* $(,)?) => {
         shipped!($folder as "": $($name),*)
@@ -35,7 +35,7 @@ macro_rules! shipped {
     };
 }
 
-/// Models, and their weights as `nsim train` wrote them: one file each.
+/// Models and their weights, as `nsim train` wrote them: one file of weights for each model.
 macro_rules! models {
     ($($name:literal),* $(,)?) => {
         /// Shipped models.
@@ -72,7 +72,7 @@ models!(
     "vtsnn-slip",
     "vtsnn-slip-srm",
 );
-/// Training files: those of shipped models, and of the cells of the paper's tables.
+/// Training files of shipped models, and of the cells of the paper's tables.
 pub const TRAININGS: &[Shipped] = shipped!(
     "models/train" as "":
     "container-tactile",
@@ -110,7 +110,7 @@ pub const CONSTANTS: &[Shipped] = shipped!(
 );
 /// Shipped tables of measurements.
 pub const MEASUREMENTS: &[Shipped] = shipped!("mapping/measurements": "vtsnn-offline", "vtsnn-realtime");
-/// Shipped workloads that others measured.
+/// Shipped published workloads.
 pub const WORKLOADS: &[Shipped] = shipped!(
     "mapping/workloads":
     "smnist-nahuku",
@@ -153,7 +153,7 @@ pub const SCENARIOS: &[Shipped] = shipped!("mapping/scenarios": "vtsnn-slip-pape
 /// All of these tables.
 pub const TABLES: &[&[Shipped]] = &[MODELS, TARGETS, CHIPS, CONSTANTS, MEASUREMENTS, WORKLOADS, SCENARIOS, BASELINES];
 
-/// Where a text came from, which decides where the files that it names are found.
+/// Origin of a text, on which the search for the files that it names depends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
     /// From a file, or stdin.
@@ -163,7 +163,7 @@ pub enum Origin {
 }
 
 impl Shipped {
-    /// The file of a name.
+    /// The file with this name.
     pub fn find(table: &'static [Shipped], name: &str) -> Option<&'static Shipped> {
         table.iter().find(|shipped| shipped.name == name)
     }
@@ -174,14 +174,14 @@ impl Shipped {
     }
 }
 
-/// Whether an argument is a path: it is `-`, it contains `/` or `.`, or there is such a file;
-/// otherwise it is a name.
+/// Whether an argument is a path: it is `-`, it contains `/`, `\` or `.`, or such a file exists.
+/// Otherwise it is a name.
 pub fn is_path(argument: &str) -> bool {
     let path = Path::new(argument);
     is_standard_stream(path) || argument.contains(['/', '\\', '.']) || path.is_file()
 }
 
-/// What chips are called, and the shipped targets that are of them.
+/// Names of chips, and the shipped target that is meant by each.
 const MEANT: [(&str, &str); 4] =
     [("loihi", "loihi1-chip"), ("loihi1", "loihi1-chip"), ("loihi2", "oheo-gulch"), ("loihi-2", "oheo-gulch")];
 

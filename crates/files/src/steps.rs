@@ -1,11 +1,11 @@
-//! A table with a row for each timestep of each sample, written as its rows come.
+//! A table with a row for each timestep of each sample, written row by row.
 //!
 //! Input: columns, then rows of integers in the order of the run. Output: CSV with a header, or a
 //! NumPy array of records whose fields are the columns. Memory does not grow with the rows. Times
 //! and energies are counted in ps and fJ and written in us and pJ, in CSV with all digits, so that
 //! sums over rows are exact.
 //!
-//! Errors: those of the writer; an array whose rows are not as many as its header says.
+//! Errors: errors of the writer; an array with fewer or more rows than its header states.
 
 use std::fmt::Write as _;
 use std::io::{Error, Result, Write};
@@ -13,10 +13,10 @@ use std::path::Path;
 
 use crate::npy;
 
-/// What a column counts, and how it is written.
+/// The unit of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Unit {
-    /// Things.
+    /// A number without a unit.
     Count,
     /// Picoseconds, written as microseconds.
     Microseconds,
@@ -25,7 +25,7 @@ pub enum Unit {
 }
 
 impl Unit {
-    /// Number of counted units in a unit of what is written.
+    /// Number of stored units in a written unit.
     pub fn divisor(self) -> u64 {
         match self {
             Unit::Count => 1,
@@ -40,11 +40,11 @@ impl Unit {
 pub struct Column {
     /// Its name.
     pub name: String,
-    /// What it counts.
+    /// Its unit.
     pub unit: Unit,
 }
 
-/// The form of a table.
+/// The file format of a table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum StepFormat {
     /// Comma-separated values.
@@ -54,7 +54,7 @@ pub enum StepFormat {
 }
 
 impl StepFormat {
-    /// The form that a file's name says; none when it says neither.
+    /// The format of a file name's extension; `None` when it is neither `csv` nor `npy`.
     pub fn from_name(path: &Path) -> Option<Self> {
         let extension = path.extension()?.to_string_lossy().to_ascii_lowercase();
         match extension.as_str() {
@@ -65,26 +65,26 @@ impl StepFormat {
     }
 }
 
-/// A table that is being written.
+/// Writer of a table.
 pub struct StepWriter<'w> {
     out: &'w mut (dyn Write + Send),
     format: StepFormat,
     units: Vec<Unit>,
-    /// Rows that the header promises, where it does.
+    /// Rows that the header states, for arrays.
     promised: Option<u64>,
     rows: u64,
     sample: u32,
     step: u32,
-    /// The first error: what follows it is not written.
+    /// The first error, after which nothing is written.
     failed: Option<Error>,
     line: Vec<u8>,
 }
 
 impl<'w> StepWriter<'w> {
-    /// Begins a table of this many rows; their number may be left open in CSV.
+    /// Begins a table of `rows` rows; CSV may have an unknown number of them.
     ///
     /// # Errors
-    /// Those of the writer; an array of an open number of rows.
+    /// Errors of the writer; an array with an unknown number of rows.
     pub fn new(
         out: &'w mut (dyn Write + Send),
         format: StepFormat,
@@ -134,7 +134,7 @@ impl<'w> StepWriter<'w> {
         let mut line = format!("{},{}", self.sample, self.step);
         for (unit, &cell) in self.units.iter().zip(cells) {
             let (whole, part) = (cell / unit.divisor(), cell % unit.divisor());
-            // A String takes everything.
+            // Writing to a String never fails.
             let _ = match unit {
                 Unit::Count => write!(line, ",{cell}"),
                 Unit::Microseconds => write!(line, ",{whole}.{part:06}"),
@@ -151,7 +151,7 @@ impl<'w> StepWriter<'w> {
         self.step = 0;
     }
 
-    /// Whether everything so far could be written.
+    /// Whether no error has occurred.
     pub fn is_sound(&self) -> bool {
         self.failed.is_none()
     }
@@ -159,7 +159,7 @@ impl<'w> StepWriter<'w> {
     /// Ends the table.
     ///
     /// # Errors
-    /// The first of the writer; rows that are not as many as the header says.
+    /// The first error of the writer; fewer or more rows than the header states.
     pub fn finish(self) -> Result<()> {
         match (self.failed, self.promised) {
             (Some(error), _) => Err(error),

@@ -1,9 +1,9 @@
-//! Synapses as arrays of one entry each, for networks too large to be listed in a model file.
+//! Synapses as arrays with one entry for each, for networks too large to list in a model file.
 //!
-//! Input: the arrays that a `Sparse` projection names. Output: its synapses, each index within its
-//! populations and each delay an integer, by their delays. Sources are given one by one, or as the
-//! place where each source's synapses begin (compressed rows). Errors point at the array and name
-//! the entry.
+//! Input: the arrays that a `Sparse` projection names. Output: its synapses by delay, with each
+//! index within its populations and each delay an integer. Sources are given per synapse, or as the
+//! entry at which each source's synapses begin (compressed rows). Errors point at the array and
+//! name the entry.
 
 use std::collections::BTreeMap;
 
@@ -13,22 +13,22 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::locate::locate;
 use nsim_ir::tensor::{ArrayRef, Tensor};
 
-/// Arrays of one entry a synapse.
+/// Arrays with one entry for each synapse.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename = "Arrays")]
 pub struct SynapseArrays {
     /// Index within the concatenated sources.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub source: Option<ArrayRef>,
-    /// Instead of `source`: for each source the entry at which its synapses begin, and then the
-    /// number of synapses.
+    /// Alternative to `source`: the entry at which each source's synapses begin, then the number of
+    /// synapses.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub first: Option<ArrayRef>,
     /// Index within the target population.
     pub target: ArrayRef,
     /// Weight.
     pub weight: ArrayRef,
-    /// Delay field; without it that of the projection.
+    /// Delay field; the projection's when absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub delay: Option<ArrayRef>,
 }
@@ -45,13 +45,13 @@ impl SynapseArrays {
         given.into_iter().chain(optional).filter_map(|(name, array)| Some((name, array?)))
     }
 
-    /// The synapses by their own delay field, where they have one, each in the order of the arrays,
-    /// between this many sources and this many targets; `text` is that of the model, in which the
-    /// projection is `declared`.
+    /// The synapses between `sources` sources and `targets` targets, by their own delay field, if
+    /// any; each list is in the order of the arrays. `text` is the model's text and `declared` the
+    /// place of the projection in it.
     ///
     /// # Errors
     /// `model.synapse-arrays` when their lengths differ or sources are given twice or not at all;
-    /// `model.synapse-index` for what is no index.
+    /// `model.synapse-index` for a number that is not an index.
     pub fn read<'n>(
         &'n self,
         stored: impl Fn(&'n ArrayRef) -> &'n Tensor,

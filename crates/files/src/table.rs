@@ -1,4 +1,4 @@
-//! What every report is made of: tables, CSV, counted things, paragraphs.
+//! Building blocks of reports: tables, CSV, counts in words, paragraphs.
 
 use std::sync::LazyLock;
 
@@ -6,10 +6,10 @@ use serde::Serialize;
 use serde_json::Value;
 use terminal_size::terminal_size;
 
-/// Columns of paragraphs, and the fewest of a table.
+/// Width of paragraphs and the least width of a table, in characters.
 pub const WIDTH: usize = 80;
 
-/// Columns of a table at most: those of `COLUMNS`, else of the terminal, and at least [`WIDTH`].
+/// The greatest width of a table: `COLUMNS`, else the terminal's width, and at least [`WIDTH`].
 static TABLE_WIDTH: LazyLock<usize> = LazyLock::new(|| {
     let stated = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok());
     stated.or_else(|| Some(terminal_size()?.0.0.into())).unwrap_or(WIDTH).max(WIDTH)
@@ -18,10 +18,10 @@ static TABLE_WIDTH: LazyLock<usize> = LazyLock::new(|| {
 /// Spaces between two columns.
 const GAP: usize = 2;
 
-/// A table for people, in lines that fit the terminal.
+/// A table as text, in lines that fit the terminal.
 ///
-/// Text is broken between words; numbers are whole and aligned to the right. Columns for which
-/// there is no room follow in further tables, each of which begins with the first column.
+/// Text is broken between words; numbers are not broken and aligned to the right. Columns that do
+/// not fit follow in further tables, each of which begins with the first column.
 pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
     fitted(header, rows, *TABLE_WIDTH)
 }
@@ -45,7 +45,7 @@ fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
         let least = shown.iter().map(|&at| columns[at].least + GAP).sum::<usize>() - GAP;
         let mut room = width.saturating_sub(least);
         let mut by_need = shown.clone();
-        // Of numbers only the heading is broken.
+        // In columns of numbers only the heading can be broken, so they are widened last.
         by_need.sort_by_key(|&at| (columns[at].numbers, columns[at].most - columns[at].least));
         let mut widths: Vec<usize> = columns.iter().map(|column| column.least).collect();
         for at in by_need {
@@ -61,7 +61,7 @@ fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
             let height = broken.iter().map(Vec::len).max().unwrap_or(0);
             let line = |line: usize| {
                 let cell = |(column, &at): (usize, &usize)| {
-                    // A heading of fewer lines stands on the last ones.
+                    // Headings are aligned at the bottom.
                     let above = if number == 0 { height - broken[column].len() } else { 0 };
                     let text = line.checked_sub(above).and_then(|line| broken[column].get(line));
                     let (text, width) = (text.map_or("", String::as_str), widths[at]);
@@ -81,9 +81,9 @@ fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
 struct Measured {
     /// Whether its cells are numbers.
     numbers: bool,
-    /// Columns of the longest part that cannot be broken.
+    /// Width of the longest part that cannot be broken.
     least: usize,
-    /// Columns without a break.
+    /// Width without a break.
     most: usize,
 }
 
@@ -107,7 +107,7 @@ impl Measured {
 /// One column of a table: its heading, and its cell in a row.
 pub type Column<R> = (&'static str, fn(&R) -> String);
 
-/// A table for people with a line or more per row.
+/// A table as text, with a line or more per row.
 pub fn table_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
     let header: Vec<&str> = columns.iter().map(|(heading, _)| *heading).collect();
     let rows: Vec<Vec<String>> =
@@ -115,17 +115,17 @@ pub fn table_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Col
     table(&header, &rows)
 }
 
-/// The cells of text columns as CSV.
+/// Rows as CSV, with the cells of `columns`.
 pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
     let cells = |row: &'r R| columns.iter().map(|(_, cell)| cell(row)).collect();
     csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
 }
 
-/// The fields of serialisable rows as CSV under a header of their names. `HEADING=a.b` in it is the
-/// field `b` of the object `a` under another heading; what is null is an empty cell.
+/// The fields of serialisable rows as CSV under a header of their names. `HEADING=a.b` in the
+/// header selects the field `b` of the object `a`. A null becomes an empty cell.
 ///
 /// # Panics
-/// When a row lacks a field of the header, which is then misspelt.
+/// When a row lacks a field of the header.
 pub fn csv(rows: impl IntoIterator<Item = impl Serialize>, header: &str) -> String {
     let columns: Vec<(&str, &str)> =
         header.split(',').map(|column| column.split_once('=').unwrap_or((column, column))).collect();
@@ -143,7 +143,7 @@ fn field<'v>(value: &'v Value, key: &str) -> &'v Value {
     }
 }
 
-/// A value as a cell of CSV: text bare, numbers as short as they can be read back.
+/// A value as a cell of CSV: text without quotes, numbers in the shortest exact form.
 pub fn cell(value: &Value) -> String {
     match value {
         Value::Null => String::new(),
@@ -156,12 +156,12 @@ pub fn cell(value: &Value) -> String {
 /// CSV of a header and rows.
 pub fn csv_text(header: Vec<String>, rows: impl Iterator<Item = Vec<String>>) -> String {
     let mut out = csv::WriterBuilder::new().flexible(true).from_writer(Vec::new());
-    // Memory takes every record.
+    // Writing to memory never fails.
     std::iter::once(header).chain(rows).for_each(|record| _ = out.write_record(record));
     String::from_utf8_lossy(&out.into_inner().unwrap_or_default()).into_owned()
 }
 
-/// The same table in Markdown.
+/// A table in Markdown.
 pub fn markdown_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
     let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
     let mut out = line(columns.iter().map(|(heading, _)| (*heading).to_string()).collect());
@@ -235,7 +235,7 @@ pub fn latex(csv: &str) -> String {
     };
     let records = records(csv);
     let Some(header) = records.first() else { return String::new() };
-    // Columns of numbers to the right.
+    // Columns of numbers are aligned to the right.
     let is_number = |column: usize| {
         let mut cells = records[1..].iter().filter_map(|record| record.get(column)).filter(|cell| !cell.is_empty());
         cells.all(|cell| cell.parse::<f64>().is_ok())
@@ -256,12 +256,12 @@ pub fn or_empty(value: Option<impl ToString>) -> String {
     value.map_or(String::new(), |value| value.to_string())
 }
 
-/// A number with six decimals, as many as a measure is good for; a zero without a sign.
+/// A number rounded to six decimals, the precision of a measure; a zero loses its sign.
 pub fn rounded(x: f64) -> f64 {
     format!("{x:.6}").parse().unwrap_or(x) + 0.0
 }
 
-/// A result with each of its numbers that is no integer rounded.
+/// A result with `rounded` applied to each number that is not an integer.
 pub fn with_rounded(value: Value, rounded: fn(f64) -> f64) -> Value {
     match value {
         Value::Number(number) if number.is_f64() => number.as_f64().map(rounded).into(),
@@ -271,14 +271,14 @@ pub fn with_rounded(value: Value, rounded: fn(f64) -> f64) -> Value {
     }
 }
 
-/// A number with this many significant digits, and no fewer of a whole number.
+/// A number with `significant` digits; all digits before the point are kept.
 pub fn digits(x: f64, significant: i32) -> String {
     if x == 0.0 || !x.is_finite() {
         return format!("{x}");
     }
     let rounded: f64 = format!("{x:.*e}", (significant - 1) as usize).parse().unwrap_or(x);
     let decimals = (significant - 1 - rounded.abs().log10().floor() as i32).clamp(0, 12) as usize;
-    // Whole numbers keep their digits.
+    // Without decimals, no digit is replaced by 0.
     format!("{:.decimals$}", if decimals == 0 { x } else { rounded })
 }
 
@@ -287,12 +287,12 @@ pub fn three(x: f64) -> String {
     digits(x, 3)
 }
 
-/// Four digits after the point.
+/// A number with four digits after the point.
 pub fn four(x: f64) -> String {
     format!("{x:.4}")
 }
 
-/// A number of things, in words.
+/// A count with its noun, in the plural unless 1.
 pub fn count(number: impl Into<u64>, thing: &str) -> String {
     match (number.into(), thing.strip_suffix('y')) {
         (1, _) => format!("1 {thing}"),
@@ -301,19 +301,19 @@ pub fn count(number: impl Into<u64>, thing: &str) -> String {
     }
 }
 
-/// A paragraph in lines of [`WIDTH`]; those after the first are indented.
+/// A paragraph in lines of at most [`WIDTH`] columns; all but the first are indented by 2.
 pub fn wrapped(text: &str) -> String {
     filled(text.split_whitespace(), 0, 2, WIDTH).join("\n") + "\n"
 }
 
-/// Lines of at most [`WIDTH`] columns; those after the first are indented by `indent` of them.
+/// Text in lines of at most [`WIDTH`] columns; all but the first are indented by `indent`.
 pub fn wrapped_at(text: &str, indent: usize) -> String {
     let lines = text.split('\n').flat_map(|line| filled(line.split(' '), indent, indent, WIDTH));
     lines.map(|line| line.trim_start().to_string()).collect::<Vec<_>>().join(&format!("\n{:indent$}", ""))
 }
 
-/// Words in lines of at most `width` columns, all but the first indented by `indent`; `first`
-/// columns of the first are taken.
+/// Words in lines of at most `width` columns. The first line begins at column `first`, the others
+/// are indented by `indent`.
 fn filled<'t>(words: impl Iterator<Item = &'t str>, first: usize, indent: usize, width: usize) -> Vec<String> {
     let (mut lines, mut column, mut begin) = (vec![String::new()], first, first);
     for word in words {
@@ -333,13 +333,13 @@ fn filled<'t>(words: impl Iterator<Item = &'t str>, first: usize, indent: usize,
     lines
 }
 
-/// A command, indented, in lines of at most [`WIDTH`] columns that a shell takes as one.
+/// An indented command in lines of at most [`WIDTH`] columns, which a shell joins.
 pub fn shell_lines(command: &str) -> String {
     // A space and a backslash follow all lines but the last.
     format!("  {}", filled(command.split(' '), 2, 6, WIDTH - 2).join(" \\\n"))
 }
 
-/// Puts a section between `<!-- NAME -->` and `<!-- end NAME -->` of a document.
+/// A document with the text between `<!-- NAME -->` and `<!-- end NAME -->` replaced.
 pub fn replaced(document: &str, name: &str, section: &str) -> Option<String> {
     let (open, close) = (format!("<!-- {name} -->\n"), format!("<!-- end {name} -->"));
     let from = document.find(&open)? + open.len();

@@ -1,8 +1,7 @@
 //! Target files with the chip and the constants that they name.
 //!
-//! Input: a path or the name of a shipped target. Output: a [`Target`]. Parts of a target that is a
-//! file are looked for in its folder, then in the folders that the project keeps them in relative
-//! to it (`../chips`, `../constants`), then among the shipped ones.
+//! Input: a path or the name of a shipped target. Output: a [`Target`]. The parts of a target file
+//! are looked up in its folder, then in `../chips` and `../constants`, then among the shipped ones.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -28,7 +27,7 @@ pub fn load_target(argument: &str) -> Result<Target> {
     let (source, origin) = shipped::text_of(argument, shipped::TARGETS, "target", "target.unknown")?;
     let mut target = target(&source, origin)?;
     if let Some(fields) = changes::target_fields()? {
-        // A change is read as a file would be that changes the target.
+        // A change is parsed like a target file that has this target as its base.
         let text = format!("Target(base: {:?}, name: {:?}, {fields})", argument, target.name());
         let source = SourceText::new(SET, text);
         target = on_base(&source, Origin::Shipped, parse(&source, "set.value")?, &target)?;
@@ -37,8 +36,9 @@ pub fn load_target(argument: &str) -> Result<Target> {
     Ok(target)
 }
 
-/// The target that is named, else that of the model or the usual one; where this lacks a kind of
-/// the model's neurons, the first shipped one that has them all, with a sentence on that.
+/// The target `named`, else the model's or the usual one. Where an unnamed target lacks a kind of
+/// the model's neurons, returns the first shipped target that has all kinds, and a sentence about
+/// it.
 ///
 /// # Errors
 /// As [`load_target`].
@@ -73,10 +73,10 @@ pub fn target(source: &SourceText, origin: Origin) -> Result<Target> {
     target_within(source, origin, DEEPEST)
 }
 
-/// The place of changes that were typed.
+/// The path in messages about `--set`.
 const SET: &str = "<--set>";
 
-/// Targets that a target may be made of, one on the other.
+/// The greatest number of bases below a target, and of presets below a preset.
 const DEEPEST: u32 = 8;
 
 fn target_within(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> {
@@ -87,11 +87,11 @@ fn target_within(source: &SourceText, origin: Origin, deepest: u32) -> Result<Ta
     let chip_source = part(source, origin, &file.chip, "chips", "chip", shipped::CHIPS)?;
     let chip = parse_chip(&chip_source)?;
     let constants = presets(source, origin, &file.constants)?;
-    // What has no place in the target file, the chip's file is to blame for.
+    // A problem without a place in the target file comes from the chip's file.
     Target::new(&file, source, chip, constants).map_err(|problem| problem.or_in_file(chip_source.path()))
 }
 
-/// A target that says what differs from another.
+/// Reads a target that changes its base.
 fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> {
     let changes: TargetChanges = parse(source, "target.syntax")?;
     let base_source = part(source, origin, &changes.base, "targets", "target", shipped::TARGETS)?;
@@ -105,11 +105,11 @@ fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> 
     on_base(source, origin, changes, &base)
 }
 
-/// A target with changes.
+/// A target with changes to its base.
 fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &Target) -> Result<Target> {
     let stem = source.path().file_stem().map_or_else(|| "target".into(), |stem| stem.to_string_lossy().into_owned());
     let name = changes.name.clone().unwrap_or(stem);
-    // A chip that is changed for a run has no file to be called after.
+    // A chip that `--set` changes has no file that could name it.
     let own_name = match source.path() == Path::new(SET) {
         true => format!("{}, changed", base.chip().hardware()),
         false => name.clone(),
@@ -157,18 +157,18 @@ fn presets(source: &SourceText, origin: Origin, names: &[Spanned<String>]) -> Re
 /// A chip from its text.
 ///
 /// # Errors
-/// `chip.syntax`, and what [`Chip::check`] says.
+/// `chip.syntax`, and the errors of [`Chip::check`].
 pub fn parse_chip(source: &SourceText) -> Result<Chip> {
     let chip: Chip = parse(source, "chip.syntax")?;
     chip.check(source)?;
     Ok(chip)
 }
 
-/// A preset of constants from its text, which may say only what differs from another preset
+/// A preset of constants from its text, which may list only differences from another preset
 /// (`base`).
 ///
 /// # Errors
-/// `constants.syntax`, `constants.base`, and what [`Constants::check`] says.
+/// `constants.syntax`, `constants.base`, and the errors of [`Constants::check`].
 pub fn parse_constants(source: &SourceText) -> Result<Constants> {
     constants_within(source, DEEPEST)
 }
@@ -190,13 +190,13 @@ fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
     } else {
         let mut constants: Constants = parse(source, "constants.syntax")?;
         if !is_shipped {
-            // Constants that a user wrote down come without measured errors of prediction.
+            // A user's constants have no measured prediction errors.
             constants.errors.clear();
         }
         constants
     };
     if !is_shipped && shipped::CONSTANTS.iter().any(|shipped| shipped.name == constants.name) {
-        // A copy of a shipped preset is not that preset.
+        // A file with the name of a shipped preset gets another name.
         constants.name =
             stem().filter(|stem| *stem != constants.name).unwrap_or(format!("{}, changed", constants.name));
     }
@@ -215,7 +215,7 @@ pub fn load_constants(argument: &str) -> Result<Constants> {
     Ok(constants)
 }
 
-/// The text of a part that a target names.
+/// The text of a chip, base or preset that a target or preset names.
 fn part(
     source: &SourceText,
     origin: Origin,
@@ -227,7 +227,7 @@ fn part(
     if origin == Origin::File {
         let file = format!("{}.ron", name.value);
         for path in [beside(source.path(), &file), beside(source.path(), &format!("../{folder}/{file}"))] {
-            // A target may be named as its chip is.
+            // A target and its chip may have one name.
             let itself =
                 path.canonicalize().is_ok_and(|path| source.path().canonicalize().is_ok_and(|own| own == path));
             if Path::is_file(&path) && !itself {
@@ -353,7 +353,7 @@ mod tests {
         let classes = |of: &Constants| of.errors.iter().map(|error| error.class).collect::<Vec<_>>();
         let kept: Vec<_> = classes(&base).into_iter().filter(|class| *class != FigureClass::Static).collect();
         assert_eq!(classes(&mine), kept);
-        // A copy is not the preset itself, and no one has measured it.
+        // A copy gets another name and has no measured errors.
         let copy = read(Shipped::find(shipped::CONSTANTS, "loihi1-evidence").unwrap().text).unwrap();
         assert_eq!((copy.name.as_str(), copy.errors.len()), ("mine", 0));
         assert_eq!(read("Constants(base: \"loihi2\")").unwrap_err().code, "target.part");

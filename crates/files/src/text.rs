@@ -1,7 +1,7 @@
 //! Files as bytes and as text, with a bound on their size.
 //!
-//! Input: a path, `-` for stdin. Output: the content, or a diagnostic that says what stands at the
-//! path instead: no file, a folder, a Git-LFS pointer, a binary file.
+//! Input: a path, `-` for stdin. Output: the content, or a diagnostic that names the problem: no
+//! file, a folder, a Git-LFS pointer, a binary file.
 
 use std::fs::Metadata;
 use std::io::{ErrorKind, Read};
@@ -13,9 +13,9 @@ use super::budget::MOST_TEXT;
 use super::disk::Input;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 
-/// What every `.npy` file begins with.
+/// The first bytes of every `.npy` file.
 pub const NPY_MAGIC: &[u8] = b"\x93NUMPY";
-/// What a Git-LFS pointer starts with (git-lfs `docs/spec.md`).
+/// The first bytes of a Git-LFS pointer (git-lfs `docs/spec.md`).
 const LFS: &[u8] = b"version https://git-lfs";
 
 /// Whether an argument means stdin or stdout.
@@ -23,7 +23,7 @@ pub fn is_standard_stream(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-/// What to say of a file that cannot be read.
+/// The diagnostic for a file that cannot be read.
 pub fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
     let diagnostic = match error.kind() {
         ErrorKind::NotFound => {
@@ -46,13 +46,13 @@ fn is_descriptor(path: &Path) -> bool {
     ["/dev/fd", "/proc/self/fd", "/dev/stdin"].iter().any(|open| path.starts_with(open))
 }
 
-/// What to say of a path at which something stands that may never end.
+/// The diagnostic for a pipe, a socket or a device, which may have no end.
 pub fn not_regular(path: &Path) -> Diagnostic {
     Diagnostic::new("io.not-regular", "this is a pipe, a socket or a device, not a regular file").in_file(path)
 }
 
-/// Opens a regular file, or a descriptor: no one may ever write to a named pipe, and a device may
-/// have no end.
+/// Opens a regular file, or an open descriptor. Others are refused: a named pipe may have no
+/// writer, and a device may have no end.
 ///
 /// # Errors
 /// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
@@ -171,12 +171,12 @@ pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
     }
 }
 
-/// A file named within another, relative to that one.
+/// The path of a file that the file at `path` names, relative to its folder.
 pub fn beside(path: &Path, name: &str) -> std::path::PathBuf {
     path.parent().unwrap_or(Path::new("")).join(name)
 }
 
-/// The names of a column of times, which may be followed by a unit: `_s`, `_ms`, `_us`, `_ns`.
+/// Names of a column of times; a unit may follow: `_s`, `_ms`, `_us`, `_ns`.
 pub const TIMES: [&str; 5] = ["t", "ts", "time", "timestamp", "timestamps"];
 
 /// Whether a column of this name holds times.

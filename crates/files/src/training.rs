@@ -1,6 +1,6 @@
-//! The mirror of a training file (`nsim train`; `docs/training.md` describes each field).
+//! Contents of a training file (`nsim train`; `docs/training.md` describes each field).
 //!
-//! Ranges of single numbers are checked by `train::plan`, which knows the whole file.
+//! `train::plan`, which has the whole file, checks the ranges of single numbers.
 
 use serde::{Deserialize, Serialize};
 
@@ -33,7 +33,7 @@ pub struct LayerDesc {
     /// Factor on the learning rate of its weights.
     #[serde(default = "one")]
     pub rate: f64,
-    /// Initial weights are uniform within this many times `1 / sqrt(fan-in)` (slayerPytorch: 10).
+    /// Range of the uniform initial weights, in units of `1 / sqrt(fan-in)` (slayerPytorch: 10).
     #[serde(default = "ten")]
     pub initial: f64,
 }
@@ -50,9 +50,10 @@ fn ten() -> f64 {
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum TimesDesc {
-    /// The same time constant for all.
+    /// One time constant for all neurons.
     Same(f64),
-    /// This many values from one to another in a geometric series, cyclically over the neurons.
+    /// First value, last value and number of values of a geometric series, cyclically over the
+    /// neurons.
     Spread(f64, f64, u32),
 }
 
@@ -62,26 +63,25 @@ pub enum TimesDesc {
 pub enum NeuronDesc {
     /// Spike-response neurons.
     Srm {
-        /// Time constant of the response.
+        /// Time constant of the response, in ms.
         tau_sr_ms: TimesDesc,
-        /// Time constant of the refractory response.
+        /// Time constant of the refractory response, in ms.
         tau_ref_ms: f64,
-        /// Its size in thresholds.
+        /// Size of the refractory response, in thresholds.
         scale_ref: f64,
         /// Threshold.
         theta: f64,
-        /// Kernels cut off where SLAYER cuts them, instead of exact recursions.
+        /// Whether kernels are truncated as in SLAYER, instead of exact recursions.
         #[serde(default)]
         truncated: bool,
     },
     /// Compartments of a Loihi core.
     Loihi {
-        /// Time constant of the current.
+        /// Time constant of the current, in ms.
         tau_u_ms: TimesDesc,
-        /// Time constant of the voltage.
+        /// Time constant of the voltage, in ms.
         tau_v_ms: TimesDesc,
-        /// Mantissa units that a trained weight of 1 counts; the threshold mantissa follows from
-        /// it.
+        /// A trained weight of 1 in mantissa units, from which the threshold mantissa follows.
         weight_scale: f64,
         /// The projection's weight exponent.
         #[serde(default)]
@@ -89,34 +89,34 @@ pub enum NeuronDesc {
         /// Refractory period in timesteps.
         #[serde(default = "one_step")]
         refractory: i64,
-        /// Threshold in the units of the trained weights, when a neuron's response to a weight of 1
-        /// peaks at 1; `inf` for outputs that are read out by their potential.
+        /// Threshold in the units of the trained weights, scaled so that the response to a weight
+        /// of 1 peaks at 1. `inf` is for outputs that are read out by their potential.
         theta: f64,
-        /// How credit is assigned.
+        /// Rule of credit assignment.
         #[serde(default)]
         credit: CreditDesc,
     },
-    /// Resonate-and-fire neurons of Loihi 2; what arrives is real.
+    /// Resonate-and-fire neurons of Loihi 2, with real inputs.
     Rf {
-        /// Period of the resonance.
+        /// Period of the resonance, in ms.
         period_ms: TimesDesc,
-        /// Time constant of its decay.
+        /// Time constant of its decay, in ms.
         tau_ms: TimesDesc,
-        /// Mantissa units that a trained weight of 1 counts.
+        /// A trained weight of 1 in mantissa units.
         weight_scale: f64,
         /// Threshold of the real part in the units of the trained weights.
         theta: f64,
     },
     /// Neurons of Loihi 2 that send changes of their rectified sum.
     SigmaDelta {
-        /// Mantissa units that a trained weight of 1 counts.
+        /// A trained weight of 1 in mantissa units.
         weight_scale: f64,
         /// The least change that is sent, in the units of the trained weights.
         theta: f64,
     },
     /// Neurons of Loihi 2 whose sum is read out.
     Sigma {
-        /// Mantissa units that a trained weight of 1 counts.
+        /// A trained weight of 1 in mantissa units.
         weight_scale: f64,
     },
 }
@@ -125,11 +125,11 @@ fn one_step() -> i64 {
     1
 }
 
-/// How far errors reach through a neuron's own spikes.
+/// Propagation of errors through a neuron's own spikes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub enum CreditDesc {
-    /// As SLAYER assigns it: the error at a step is correlated with the response kernel, as if no
-    /// spike lay between.
+    /// SLAYER's rule: the error at a step is correlated with the response kernel, regardless of
+    /// spikes in between.
     #[default]
     Slayer,
     /// The correlation ends at the neuron's own spikes, which erase the voltage.
@@ -159,7 +159,7 @@ pub enum LossDesc {
         /// Constant term.
         gamma: f64,
     },
-    /// What slayerPytorch calls numSpikes.
+    /// The loss `numSpikes` of slayerPytorch.
     NumSpikes {
         /// Desired spikes of the right class.
         right: f64,
@@ -173,9 +173,9 @@ pub enum LossDesc {
     },
     /// Cross-entropy of the softmax of potentials; the model has this `decision`.
     Potential {
-        /// What of the potential is the score.
+        /// The score of an output's potential.
         decision: ReadOut,
-        /// The score, in the units of the trained weights, that is a logit of 1.
+        /// The score of a logit of 1, in the units of the trained weights.
         temperature: f64,
     },
 }
@@ -200,11 +200,11 @@ pub enum OptimiserDesc {
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AugmentDesc {
-    /// The whole sample is moved by up to this many steps, either way.
+    /// Greatest shift of a whole sample, in steps in either direction.
     pub shift: u32,
-    /// Each spike is moved by up to this many steps, either way.
+    /// Greatest shift of a single spike, in steps in either direction.
     pub jitter: u32,
-    /// The sample is stretched or squeezed in time by up to this share.
+    /// Greatest share by which a sample is stretched or compressed in time.
     pub stretch: f64,
     /// Share of channels that are silenced.
     pub drop_channel: f64,
@@ -214,52 +214,52 @@ pub struct AugmentDesc {
     pub noise: f64,
 }
 
-/// A training file as it is written.
+/// Content of a training file.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Training")]
 pub struct TrainingFile {
     /// The model's name.
     pub name: String,
-    /// Milliseconds that a timestep represents.
+    /// Length of a timestep in ms.
     pub timestep_ms: Spanned<f64>,
     /// Input populations.
     pub inputs: Vec<Spanned<InputDesc>>,
-    /// Dense layers; the last one decides.
+    /// Dense layers; the last is the output.
     pub layers: Vec<Spanned<LayerDesc>>,
-    /// The neurons of layers that do not name their own.
+    /// The neurons of layers without their own.
     pub neuron: Spanned<NeuronDesc>,
     /// The loss.
     pub loss: Spanned<LossDesc>,
     /// The optimiser.
     pub optimiser: Spanned<OptimiserDesc>,
-    /// Multiple of the weights added to the gradient (l2), or taken off the weights when
-    /// `decoupled`.
+    /// Multiple of the weights that is added to the gradient (l2), or subtracted from the weights
+    /// when `decoupled`.
     #[serde(default)]
     pub weight_decay: f64,
-    /// Added to the gradient with the sign of each weight (l1).
+    /// Number that is added to the gradient with the sign of each weight (l1).
     #[serde(default)]
     pub l1: f64,
-    /// Probability with which a unit of a hidden layer is dropped from a sample; the others count
-    /// the more.
+    /// Probability that a unit of a hidden layer is dropped from a sample; the others are scaled
+    /// up.
     #[serde(default)]
     pub dropout: f64,
-    /// Whether decay is taken off the weights directly.
+    /// Whether weight decay is subtracted from the weights directly.
     #[serde(default)]
     pub decoupled: bool,
-    /// Share of the learning rate that is left at the end.
+    /// Final learning rate, as a share of the initial one.
     #[serde(default = "one")]
     pub last_rate: f64,
     /// Width and height of the surrogate (slayerPytorch: tauRho 1, scaleRho 1).
     #[serde(default = "ones")]
     pub surrogate: (f64, f64),
-    /// Samples of a step.
+    /// Samples per optimiser step.
     pub batch: u32,
     /// Passes over the samples.
     pub epochs: u32,
-    /// The seed of initial weights, order and variations.
+    /// The seed of initial weights, sample order and augmentation.
     pub seed: u64,
-    /// Share that the running mean of the weights keeps at each step; the mean is deployed. 0: the
-    /// weights are.
+    /// Decay of the running mean of the weights at each step, 0..1; the mean is deployed. At 0 the
+    /// weights are deployed.
     #[serde(default)]
     pub averaging: f64,
     /// Augmentation of the training samples.
@@ -274,7 +274,7 @@ pub struct TrainingFile {
     /// Names of the classes.
     #[serde(default)]
     pub classes: Vec<String>,
-    /// The model's own stimulus.
+    /// The model's default stimulus.
     pub scene: Option<String>,
 }
 

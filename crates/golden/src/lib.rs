@@ -1,13 +1,13 @@
-//! The slow, obvious interpreter of a [`Quantised`] network, which the fast machine is compared
-//! with.
+//! The slow, obvious interpreter of a [`Quantised`] network, with which tests compare the fast
+//! machine.
 //!
 //! Input: a network in integers and the input spikes of each step. Output, through [`Engine`]: the
 //! spikes, the registers and the counts of each step, for all three named semantics. It is written
 //! from `docs/semantics.md` and `docs/loihi2.md` alone. It imports the plain data of a network, and
-//! `base::rng`, which defines random synapses; it uses no crate but `ir`. It
-//! enumerates synapses from their targets, keeps the spikes of the past and looks back at them
-//! instead of filling a delay ring, finds refractory steps by the time since the last spike instead
-//! of a counter, and divides and takes remainders where the machine shifts and masks.
+//! `base::rng`, which defines random synapses; it uses no crate but `ir`. It enumerates synapses
+//! from their targets. It looks up past spikes instead of filling a delay ring. It compares the
+//! steps since the last spike instead of counting refractory steps. It divides and takes remainders
+//! where the machine shifts and masks.
 //!
 //! There are no cores, threads or skipped work. A step visits every synapse.
 
@@ -36,7 +36,7 @@ use nsim_ir::quantised::{Neuron, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::{Engine, Message, Spikes};
 
-/// The greatest number of steps from a spike to the update that it enters: delay field 62, and one
+/// Greatest latency from a spike to the update that it enters, in steps: delay field 62, and one
 /// step between compartments.
 const LONGEST_WAY: usize = 63;
 
@@ -44,23 +44,23 @@ const LONGEST_WAY: usize = 63;
 #[derive(Debug, Clone)]
 struct Plastic {
     format: SynapseFormat,
-    /// Before the first step.
+    /// Weights before the first step.
     first: Vec<i16>,
-    /// From which step on they were which, ascending.
+    /// Later weights, each with the step from which they hold, ascending.
     written: Vec<(u32, Vec<i16>)>,
 }
 
 impl Plastic {
-    /// The weights with which a step delivers.
+    /// The weights that deliver in a step.
     fn weights(&self, step: u32) -> &[i16] {
         self.written.iter().rev().find(|(from, _)| *from <= step).map_or(&self.first, |(_, weights)| weights)
     }
 }
 
-/// What arrives at a compartment in a step.
+/// Arrivals of a compartment in a step.
 #[derive(Debug, Clone, Default)]
 struct Arrivals {
-    /// The sums of its ports.
+    /// Plain sums, by port.
     plain: [i64; 2],
     /// The separate sums and their ports.
     apart: Vec<(Port, Sum, i64)>,
@@ -73,8 +73,9 @@ impl Arrivals {
         self.plain == [0; 2] && self.apart.iter().all(|sum| sum.2 == 0)
     }
 
-    /// Rules (19), (39) and (40): sums count weights times messages. Each is shifted toward minus
-    /// infinity, and wrapped if it says so, before they are added; whether one wrapped.
+    /// Rules (19), (39) and (40): by port, the sums of weights times messages, and whether one
+    /// wrapped. Each sum is shifted toward minus infinity before the addition; a separate sum may
+    /// also wrap.
     fn by_port(&self, neuron: &Neuron) -> ([i64; 2], bool) {
         let mut ports = self.plain.map(|sum| (sum / 64).div_euclid(1 << neuron.shift));
         let mut wrapped = false;
@@ -88,14 +89,14 @@ impl Arrivals {
     }
 }
 
-/// What a compartment carries from one step to the next.
+/// State of a compartment between steps.
 #[derive(Debug, Clone, Copy, Default)]
 struct State {
     u: i64,
     v: i64,
     /// The step of its last spike.
     spiked_at: Option<u32>,
-    /// Equation (6a): what it pushed in its last step.
+    /// Equation (6a): the value that it pushed in its last step.
     pushed: i64,
     /// The words of a kind without u and v.
     words: [i64; 4],
@@ -107,9 +108,9 @@ struct State {
 struct Compartment {
     neuron: Neuron,
     start_step: u32,
-    /// What its messages carry.
+    /// Content of its messages.
     message: Message,
-    /// What the last one carried.
+    /// Value of its last message.
     sent: i64,
     incoming: Vec<Synapse>,
     child: Option<CompartmentId>,
@@ -123,18 +124,18 @@ pub struct Golden {
     threshold: ThresholdTest,
     reset: Option<Reset>,
     compartments: IdVec<CompartmentId, Compartment>,
-    /// Steps done, hence the number of the next.
+    /// Number of steps done, which is the number of the next step.
     done: u32,
-    /// Steps of the sample.
+    /// Number of steps of the sample.
     steps: u32,
-    /// What the messages of each channel carry.
+    /// Content of the messages of each channel.
     channel_messages: Vec<Message>,
-    /// What the spike of each channel carried, if it spiked; the latest step first.
+    /// Value of each channel's spike, if it spiked; the latest step first.
     channel_history: VecDeque<Vec<Option<i64>>>,
-    /// What the spike of each compartment carried, if it spiked; the latest step first.
+    /// Value of each compartment's spike, if it spiked; the latest step first.
     compartment_history: VecDeque<Vec<Option<i64>>>,
     spikes: Vec<CompartmentId>,
-    /// What they carry, if the network has graded spikes.
+    /// Values of these spikes, if the network has graded spikes.
     payloads: Vec<i32>,
     graded: bool,
     totals: Totals,
@@ -206,14 +207,14 @@ impl Golden {
         self.plastic[&projection].weights(self.done)
     }
 
-    /// Sets the weights of a plastic projection, which fit its format, for what is delivered from
-    /// the next step on: inputs of that step, spikes of compartments in the last one.
+    /// Sets the weights of a plastic projection, which fit its format, from the next step's
+    /// deliveries on. These are inputs of that step, and spikes of compartments in the last one.
     pub fn write_weights(&mut self, projection: ProjectionId, weights: &[i16]) {
         let plastic = self.plastic.get_mut(&projection).expect("the projection is plastic");
         plastic.written.push((self.done, weights.to_vec()));
     }
 
-    /// What a binary spike that arrives in this step adds: by the weight when it was delivered,
+    /// Contribution of a binary spike that arrives in this step. The weight is read at delivery,
     /// before the delay.
     fn adds(&self, synapse: &Synapse) -> i64 {
         let Some((projection, number)) = synapse.plastic else { return synapse.adds };
@@ -227,8 +228,8 @@ impl Golden {
         self.rule = Some(rule);
     }
 
-    /// The end of an epoch: the rules of `nsim_ir::learning`, at the end of a step whose delivery
-    /// was the epoch's last.
+    /// Ends an epoch by the rules of `nsim_ir::learning`, at the end of a step whose delivery was
+    /// the epoch's last.
     fn learn(&mut self, rule: &dyn LearningRule) {
         let noted = |source: SpikeSource| {
             let delivered = u32::from(matches!(source, SpikeSource::Compartment(_)));
@@ -257,8 +258,8 @@ impl Golden {
         &self.left_fields
     }
 
-    /// What the source's spike of this many steps before the one that is being computed carried, if
-    /// it spiked then.
+    /// Value of the source's spike `ago` steps before the step that is being computed, if it spiked
+    /// then.
     fn carried(&self, source: SpikeSource, ago: u32) -> Option<i64> {
         let (history, index) = match source {
             SpikeSource::Channel(channel) => (&self.channel_history, channel.index()),
@@ -267,8 +268,7 @@ impl Golden {
         history.get(ago as usize)?[index]
     }
 
-    /// Events of spikes that are still on their way and arrive before the sample's end; none once
-    /// it is over.
+    /// Number of events of spikes in flight that arrive before the sample's end; 0 once it is over.
     fn events_in_flight(&self) -> u64 {
         let arrives = |synapse: &Synapse, ago: u32| {
             let spiked_in = self.done - 1 - ago;
@@ -287,7 +287,7 @@ impl Golden {
         events
     }
 
-    /// All that arrives at a compartment in this step.
+    /// All arrivals of a compartment in this step.
     fn arrivals(&self, compartment: CompartmentId) -> Arrivals {
         let mut arrivals = Arrivals::default();
         for synapse in &self.compartments[compartment].incoming {
@@ -305,19 +305,19 @@ impl Golden {
         arrivals
     }
 
-    /// One step of one compartment, counted; whether it spikes.
+    /// Computes and counts one step of one compartment; returns whether it spikes.
     fn update(&mut self, id: CompartmentId, step: u32) -> bool {
         let arrivals = self.arrivals(id);
         let sum = arrivals.plain[0];
         // Compartments of lower numbers, children among them, have been updated in this step.
         let popped = self.compartments[id].child.map_or(0, |child| self.compartments[child].state.pushed);
-        // Rule (12): what would arrive after the sample's end is never looked for.
+        // Rule (12): arrivals after the sample's end are never looked up.
         self.totals.synaptic_events += arrivals.events;
         self.totals.compartment_updates += 1;
 
         let (semantics, threshold) = (self.semantics, self.threshold);
         let Compartment { neuron, start_step, state, message, sent, .. } = &mut self.compartments[id];
-        // Rule (9), and in SLAYER rule (11): what arrives at a population that is held is lost.
+        // Rule (9), and in SLAYER rule (11): arrivals at a held population are lost.
         let start = if semantics == Semantics::Slayer { (*start_step).max(1) } else { *start_step };
         if step < start {
             *state = first(neuron);
@@ -327,7 +327,7 @@ impl Golden {
         if self.reset.is_some_and(|reset| resets(reset, *start_step, step)) {
             *state = first(neuron);
         }
-        // Rule (13), which no reset of a neuron's own changes.
+        // Rule (13), on the state before the neuron's own reset (30).
         let at_rest = match neuron.kind.table().registers {
             true => {
                 state.u == 0
@@ -353,7 +353,7 @@ impl Golden {
             (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
             _ => in_words(neuron, state, arrivals.by_port(neuron)),
         };
-        // A message that its population does not have room for is sent, and reported.
+        // A value that exceeds the bits of its population's messages is sent, and reported.
         if let (Some(value), Message::Value(bits)) = (outcome.value, *message) {
             outcome.u_wrapped |= wrap(value, u32::from(bits.get()) - 1) != value;
         }
@@ -367,7 +367,7 @@ impl Golden {
         self.overflow.u_wrapped += u64::from(outcome.u_wrapped);
         self.overflow.v_clipped += u64::from(outcome.v_clipped);
         if outcome.q_wrapped || outcome.u_wrapped || outcome.v_clipped {
-            // Steps and compartments go upward, so that the first to be seen is the first.
+            // Steps and compartments ascend, so the first one found is the earliest.
             self.overflow.first.get_or_insert((step, id));
         }
         self.left_fields[id].wrapped += u64::from(outcome.q_wrapped) + u64::from(outcome.u_wrapped);
@@ -405,8 +405,8 @@ impl Engine for Golden {
             });
         }
         self.channel_history.push_front(inputs);
-        // Nothing of this step's own row is read: a compartment's spike is on its way for a step at
-        // least.
+        // This step's own row is not read: a compartment's spike arrives a step later at the
+        // earliest.
         self.compartment_history.push_front(vec![None; self.compartments.len()]);
         self.channel_history.truncate(LONGEST_WAY + 1);
         self.compartment_history.truncate(LONGEST_WAY + 1);
@@ -481,7 +481,7 @@ impl Engine for Golden {
     }
 }
 
-/// A register as the 32 bits that it fits.
+/// A register in 32 bits, which it fits.
 fn narrow(x: i64) -> i32 {
     i32::try_from(x).expect("every semantics keeps its registers within 32 bits")
 }
@@ -503,7 +503,7 @@ fn resets(reset: Reset, start_step: u32, step: u32) -> bool {
     since >= 0 && since % i64::from(reset.interval) == 0
 }
 
-/// The part of equation (7) that compares.
+/// The comparison of equation (7).
 fn above(threshold: ThresholdTest, v: i64, neuron: &Neuron) -> bool {
     let limit = 64 * i64::from(neuron.vth.get());
     match threshold {
@@ -512,7 +512,7 @@ fn above(threshold: ThresholdTest, v: i64, neuron: &Neuron) -> bool {
     }
 }
 
-/// The refractory period that takes effect in hardware: 0 behaves as 1.
+/// Effective refractory period in hardware: 0 behaves as 1.
 fn period(neuron: &Neuron) -> u32 {
     u32::from(neuron.refractory.get()).max(1)
 }
@@ -528,7 +528,7 @@ fn is_refractory(semantics: Semantics, neuron: &Neuron, state: &State, step: u32
     }
 }
 
-/// Equation (7): the membrane after the step, from the voltage that equation (6) gave.
+/// Equation (7): the membrane after the step, from the voltage of (6); whether it spiked.
 fn fire(
     semantics: Semantics,
     neuron: &Neuron,
@@ -546,8 +546,8 @@ fn fire(
     spiked
 }
 
-/// Equations (2) to (6) in the chip's arithmetic, with what a child pushed: the voltage before it
-/// is tested, and what left its field.
+/// Equations (2) to (6) in the chip's arithmetic, with the value of a child: the voltage before the
+/// threshold test, and the overflows.
 fn integrate(neuron: &Neuron, state: &mut State, (sum, popped): (i64, i64)) -> (i64, Outcome) {
     // Equation (2).
     let q = wrap(sum, 21);
@@ -569,11 +569,11 @@ fn integrate(neuron: &Neuron, state: &mut State, (sum, popped): (i64, i64)) -> (
     (clipped, outcome)
 }
 
-/// A step in the chip's arithmetic, of this sum of arrivals and what a child pushed.
+/// A step in the chip's arithmetic; `input` is the sum of arrivals and the value of a child.
 fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, input: (i64, i64), step: u32) -> Outcome {
     let (voltage, outcome) = integrate(neuron, state, input);
     state.pushed = voltage;
-    // What is held is not clipped.
+    // A held voltage is not clipped.
     let v_clipped = outcome.v_clipped && !is_refractory(Semantics::Hardware, neuron, state, step);
     Outcome { spiked: fire(Semantics::Hardware, neuron, threshold, state, voltage, step), v_clipped, ..outcome }
 }
@@ -668,8 +668,8 @@ fn first(neuron: &Neuron) -> State {
     State { words: [0, 0, theta, 0], ..State::default() }
 }
 
-/// Rule (13) for such a kind: whether a step without arrivals would change nothing, send nothing
-/// and report nothing, also if it began with the neuron's own reset.
+/// Rule (13) for a kind without u and v. A step without arrivals would change nothing, send nothing
+/// and report nothing, also after the neuron's own reset.
 fn is_idle(neuron: &Neuron, state: &State) -> bool {
     let idle_after = |mut after: State| {
         let Outcome { spiked, u_wrapped, v_clipped, .. } = in_words(neuron, &mut after, ([0; 2], false));

@@ -5,7 +5,7 @@ use nsim_ir::neurons::Row;
 use crate::outcome::{Outcome, decay, sent, word};
 
 /// Equation (28): current and voltage of lava's processes before a test, in `words[0]` and
-/// `words[1]`; whether the current wrapped and the voltage was clipped.
+/// `words[1]`. Returns whether the current wrapped and the voltage was clipped.
 fn integrate(words: &mut [i64; 4], [du, dv]: [i32; 2], [mantissa, exponent]: [i32; 2], arrived: i64) -> [bool; 2] {
     const HALF: i64 = 1 << 23;
     let mut wrapped = false;
@@ -54,7 +54,7 @@ pub(crate) fn resetting(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcom
     Outcome { spiked, u_wrapped, v_clipped, ..Outcome::default() }
 }
 
-/// Current and voltage of lava-dl's neurons before a test; whether a word wrapped.
+/// Current and voltage of lava-dl's neurons before a test. Returns whether a word wrapped.
 fn integrate_wide(words: &mut [i64; 4], [du, dv]: [i32; 2], arrived: i64) -> bool {
     let mut wrapped = false;
     words[0] = word(decay(words[0], du) + 64 * arrived, &mut wrapped);
@@ -72,8 +72,8 @@ pub(crate) fn graded(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
     sent(std::mem::take(&mut words[1]), wrapped)
 }
 
-/// Equation (32): the adaptive threshold, in `words[2]` and `words[3]`; whether `tested` reaches
-/// it.
+/// Equation (32): the adaptive threshold, in `words[2]` and `words[3]`. Returns whether `tested`
+/// reaches it.
 pub(crate) fn adapt(
     [dtheta, dr, rest, step]: [i32; 4],
     words: &mut [i64; 4],

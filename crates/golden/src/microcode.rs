@@ -1,6 +1,6 @@
-//! The rule of a neuron that a model file states, walked as the tree that it is.
+//! Neuron rules that a model file states, interpreted as trees.
 //!
-//! Numbers have 128 bits, so that a result which leaves 64 would be seen.
+//! Numbers have 128 bits, so that a result beyond 64 bits is detected.
 
 use nsim_ir::microcode::{Assignment, Expression, MOST_WORDS, Microcode, Node, Operation, Overflow, Variable};
 use nsim_ir::neurons::Row;
@@ -19,7 +19,7 @@ fn power(bits: i128) -> i128 {
     2i128.pow(bits as u32)
 }
 
-/// Two's complement of this number of bits.
+/// Two's complement wrap to `bits` bits, sign included.
 fn wrapped(x: i128, bits: u32) -> i128 {
     let half = power(i128::from(bits) - 1);
     (x + half).rem_euclid(2 * half) - half
@@ -190,13 +190,13 @@ mod tests {
         }
     }
 
-    /// What the tree says is what the instructions do: words, messages, reports, rest.
+    /// The instructions agree with the tree in words, messages, reports and idleness.
     #[test]
     fn random_trees_are_the_same_as_their_instructions() {
         let (mut compared, mut seen) = (0, [0u32; 5]);
         for number in 0..600 {
             let mut texts = Texts { seed: number.into(), drawn: 0, names: Vec::new() };
-            // Of some trees a result may need more than 64 bits.
+            // A tree whose results may need more than 64 bits is refused.
             let Ok(kind) = MicrocodeKind::new(texts.declaration(number)) else { continue };
             let lanes = 1 + texts.below(64) as usize;
             let row = |texts: &mut Texts| {

@@ -1,17 +1,17 @@
-//! What a step of a compartment does besides changing its state, and how integers are narrowed.
+//! Results of a compartment's step besides its state, and the narrowing of integers.
 
-/// What an update did besides changing the state.
+/// Results of an update besides the state.
 #[derive(Debug, Clone, Copy, Default)]
 pub(crate) struct Outcome {
     pub spiked: bool,
-    /// What it sends, of a kind that computes that.
+    /// Value of the message, for kinds that compute one.
     pub value: Option<i64>,
     pub q_wrapped: bool,
     pub u_wrapped: bool,
     pub v_clipped: bool,
 }
 
-/// Two's complement of `bits` bits and a sign.
+/// Two's complement wrap to `bits` bits and a sign.
 pub(crate) fn wrap(x: i64, bits: u32) -> i64 {
     let half = 1i64 << bits;
     (x + half).rem_euclid(2 * half) - half
@@ -23,7 +23,7 @@ pub(crate) fn decay(x: i64, d: impl Into<i64>) -> i64 {
     x * (4096 - d) / 4096
 }
 
-/// A word of 32 bits, and whether the value was another.
+/// Returns the value wrapped to 32 bits; sets `wrapped` if this changes it.
 pub(crate) fn word(x: i64, wrapped: &mut bool) -> i64 {
     let kept = wrap(x, 31);
     *wrapped |= kept != x;

@@ -10,7 +10,7 @@ pub(crate) fn step(row: &Row, words: &mut [i64; 4], [real, imag]: [i64; 2], izhi
     let Row([sin, cos, threshold, state_exp, decay_bits, ..]) = *row;
     let (sin, cos, threshold) = (i64::from(sin), i64::from(cos), i64::from(threshold));
     let (re, im) = (words[0], words[1]);
-    // Each product is rounded by itself, toward zero, as division does.
+    // Each product is rounded separately, toward zero, by the division.
     let of = |factor: i64, x: i64| factor * x / (1 << decay_bits);
     let turned =
         [of(cos, re) - of(sin, im) + real * (1 << state_exp), of(sin, re) + of(cos, im) + imag * (1 << state_exp)];

@@ -11,7 +11,7 @@ struct Changes<'a> {
     error: &'a mut i64,
 }
 
-/// Equations (21) and (22): the change to `x`, as it is sent.
+/// Equations (21) and (22): the outcome of a change to `x`.
 fn change(x: i64, words: Changes<'_>, threshold: i64, state_exp: i32, cum_error: bool, mut wrapped: bool) -> Outcome {
     let Changes { act, residue, error } = words;
     let change = word(word(x - *act, &mut wrapped) + *residue, &mut wrapped);

@@ -1,7 +1,7 @@
-//! The synapses of a network as their targets see them.
+//! The synapses of a network, enumerated by target.
 //!
-//! Written from `docs/semantics.md`, projections. They are enumerated from their targets, unlike
-//! those of the machine.
+//! The enumeration follows `docs/semantics.md`, projections. The machine enumerates synapses by
+//! source.
 
 use nsim_ir::base::id::{ChannelId, CompartmentId, ProjectionId};
 use nsim_ir::base::rng;
@@ -10,16 +10,16 @@ use nsim_ir::neurons::Port;
 use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Projection, Quantised, SpikeSource, Units};
 
-/// A synapse as its target sees it.
+/// An incoming synapse of a compartment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Synapse {
-    /// Where its spikes come from.
+    /// Source of its spikes.
     pub source: SpikeSource,
     /// Steps from a spike to the update that it enters: equation (2).
     pub way: u32,
     /// What a binary spike adds: equation (1).
     pub adds: i64,
-    /// The sum that it adds to.
+    /// Port whose sum it adds to.
     pub port: Port,
     /// A sum of its own, which is added to that one.
     pub apart: Option<Sum>,
@@ -27,16 +27,16 @@ pub struct Synapse {
     pub plastic: Option<(ProjectionId, usize)>,
 }
 
-/// A sum that is narrowed by itself: rules (39) and (40).
+/// A sum that is narrowed separately: rules (39) and (40).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Sum {
     pub apart: Apart,
     pub delay: u32,
-    /// Bits by which it is shifted.
+    /// Shift toward minus infinity, in bits.
     pub shift: u32,
 }
 
-/// Equation (1): what a spike over a synapse adds.
+/// Equation (1): the contribution of a spike over a synapse.
 pub fn scaled(weight: i64, exponent: i8) -> i64 {
     let power = 1i64 << exponent.unsigned_abs();
     if exponent >= 0 {
@@ -47,7 +47,7 @@ pub fn scaled(weight: i64, exponent: i8) -> i64 {
     }
 }
 
-/// Every synapse of the network with its target.
+/// Returns every synapse of the network with its target.
 pub fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
     let mut all = Vec::new();
     for (id, projection) in network.projections().enumerate() {
@@ -73,14 +73,14 @@ pub fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
     all
 }
 
-/// The exponent of a projection's weights, and of their sum. Rule (39): with a separate sum, a
-/// negative exponent is the sum's.
+/// Returns the exponents of a projection's weights and of their sum. Rule (39): a negative exponent
+/// belongs to the separate sum, if there is one.
 pub fn exponents(SynapseFormat { apart, exponent, .. }: SynapseFormat) -> (i8, i8) {
     let of_sum = if apart.is_some() { exponent.get().min(0) } else { 0 };
     (exponent.get() - of_sum, of_sum)
 }
 
-/// Those of a projection; source by source where it is plastic, as its weights are numbered.
+/// Returns a projection's connections, source by source (its weights' order) if it is plastic.
 pub fn connections_by_source(network: &Quantised, projection: &Projection) -> Vec<(u32, u32, i64)> {
     let mut all = connections(&projection.connectivity, network.populations()[projection.source].shape.len());
     if projection.format.plastic {
@@ -89,8 +89,8 @@ pub fn connections_by_source(network: &Quantised, projection: &Projection) -> Ve
     all
 }
 
-/// (source, target, weight) of every synapse of a connectivity, indices within the populations; the
-/// definitions of `docs/semantics.md`, projections.
+/// (source, target, weight) of every synapse of a connectivity, with indices within the
+/// populations, as defined in `docs/semantics.md`, projections.
 fn connections(connectivity: &Connectivity, sources: u32) -> Vec<(u32, u32, i64)> {
     let mut all = Vec::new();
     match connectivity {
@@ -181,7 +181,7 @@ mod tests {
     use nsim_dynamics::synapses::Enumerate;
     use nsim_ir::base::fixed::WeightExponent;
 
-    /// Holds the enumeration by targets to the one by sources that the rest of the program uses.
+    /// Compares the enumeration by targets with the machine's enumeration by sources.
     fn agrees(connectivity: &Connectivity, sources: u32) {
         let mut by_source = Vec::new();
         for from in 0..sources {
@@ -224,8 +224,8 @@ mod tests {
                 (draw(7, 1, 2), draw(8, 1, 2)),
             );
             let source = (groups * draw(9, 1, 2), draw(10, 1, 6), draw(11, 1, 6));
-            // The size of a convolution's output, as every framework has it; none when the window
-            // is larger.
+            // Output size of a convolution, as in every framework; `None` when the window is larger
+            // than the source.
             let after = (draw(13, 0, 2), draw(14, 0, 2));
             let size = |n: u32, kernel: u32, stride: u32, padding: u32, dilation: u32| {
                 Some((n + padding).checked_sub(dilation * (kernel - 1) + 1)? / stride + 1)

@@ -1,8 +1,7 @@
-//! What the fuzz targets of `tests/hostile/lines.rs` and the tests of their corpora run: each
-//! parser on any bytes.
+//! Entry points of the fuzz targets of `tests/hostile/lines.rs` and of the tests of their corpora.
 //!
-//! Input: bytes. Output: nothing; a parser may refuse them, and may not panic or take memory beyond
-//! its bound. Models that are read are turned into the text and back, as an import does.
+//! Input: bytes. Output: nothing. A parser may refuse them, but may not panic or exceed its memory
+//! bound. A model that is read is converted to text and back, like in an import.
 
 use std::path::Path;
 
@@ -13,11 +12,11 @@ use crate::spikes::{EventFormat, EventOptions, Expected};
 use nsim_ir::arithmetic::ThresholdTest;
 use nsim_ir::base::diagnostic::SourceText;
 
-/// Imports a model and writes it as text.
+/// Imports a model, writes it as text and reads that.
 fn import(path: &str, data: &[u8]) {
     let options = [
         Options::default(),
-        // What NIR takes, and what netx takes.
+        // Options of NIR, then of netx.
         Options { dt_ms: Some(1.0), decay: Some(DecayRule::Exponential), ..Options::default() },
         Options {
             dt_ms: Some(1.0),
@@ -34,7 +33,7 @@ fn import(path: &str, data: &[u8]) {
     }
 }
 
-/// HDF5: netx, NIR, NIR data, and what is none of them.
+/// HDF5: netx, NIR, NIR data and other trees.
 pub fn hdf5(data: &[u8]) {
     import("fuzz.net", data);
     if let Ok(tree) = hdf5_file::tree(Path::new("fuzz.nir"), data.to_vec()) {

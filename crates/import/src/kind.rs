@@ -1,8 +1,8 @@
-//! What a file is. Every command asks here, and only here.
+//! Detection of file kinds, for all commands.
 //!
 //! Input: a path, or the first bytes of a file and its name. Output: a [`FileKind`]. The content
 //! decides; the name decides among formats whose files begin with data, and for content that is not
-//! recognised. What HDF5 files hold is found in their tree (`foreign::hdf5::Content`).
+//! recognised. The readers of HDF5 files distinguish their trees.
 //!
 //! Errors: `io.*` for a file that cannot be opened, `io.lfs-pointer`.
 
@@ -20,7 +20,7 @@ use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::locate::root_name;
 
-/// Bytes of a file that are looked at: a text may begin with comments.
+/// Bytes of a file that are examined, many since a text may begin with comments.
 const HEAD: usize = 1 << 16;
 
 /// The kinds of recordings, for messages.
@@ -45,17 +45,17 @@ named_variants! {
         Tact = "VT_SNN .tact",
         /// Text whose header names x and a time.
         Text = "events as text",
-        /// N-MNIST `.bin`: as `.bs2`, with entries that mark turns of the clock.
+        /// N-MNIST `.bin`: like `.bs2`, with entries that mark overflows of the clock.
         Bin = "N-MNIST .bin",
     }
 }
 
-/// What a file is.
+/// The kind of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum FileKind {
     /// A folder.
     Folder,
-    /// Standard input or a pipe, of which no byte is read here.
+    /// Standard input or a pipe, from which detection reads no byte.
     Stream,
     /// A description of nsim's own: a model, a target, a data set.
     Ron,
@@ -71,11 +71,11 @@ pub enum FileKind {
     Hdf5,
     /// A checkpoint of PyTorch, or a pickle of something else.
     Torch,
-    /// Tensors.
+    /// A safetensors file.
     Safetensors,
-    /// YAML, by its name.
+    /// YAML, recognised by its name.
     Yaml,
-    /// A network of another tool by its name (`.net`), whose content is not recognised.
+    /// A network of another tool, recognised by its name (`.net`) only.
     Net,
     /// None of these.
     Unknown,
@@ -122,7 +122,7 @@ impl FileKind {
         Ok(FileKind::from_bytes(&head, path))
     }
 
-    /// The kind of a file with this name that begins with these bytes.
+    /// The kind of a file from its name and its first bytes.
     pub fn from_bytes(bytes: &[u8], name: &Path) -> FileKind {
         let head = &bytes[..bytes.len().min(HEAD)];
         let extension = name.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
@@ -153,7 +153,7 @@ impl FileKind {
             "yaml" | "yml" => FileKind::Yaml,
             "net" if head.starts_with(b"\x80") => FileKind::Torch,
             "net" => FileKind::Net,
-            // Signs that a recording without a name of its own could have too.
+            // A recording without an extension could begin so too.
             _ => match head {
                 [0x80, 2..=5, ..] => FileKind::Torch,
                 [_, _, _, _, _, 0, 0, 0, b'{', ..] => FileKind::Safetensors,
@@ -163,7 +163,7 @@ impl FileKind {
     }
 }
 
-/// What an archive is by the name of its first file.
+/// The kind of an archive, from the name of its first file.
 fn archive(head: &[u8], named_npz: bool) -> FileKind {
     let length = head.get(26..28).map_or(0, |bytes| usize::from(u16::from_le_bytes([bytes[0], bytes[1]])));
     let first = head.get(30..30 + length).unwrap_or_default();
@@ -174,7 +174,7 @@ fn archive(head: &[u8], named_npz: bool) -> FileKind {
     }
 }
 
-/// What a file with Prophesee's header is by its lines.
+/// The kind of a file with Prophesee's header, from the header's lines.
 fn prophesee(head: &[u8]) -> Option<FileKind> {
     let lines = head.split(|&byte| byte == b'\n').map_while(|line| line.strip_prefix(b"% ")).take(256);
     let named = lines.map(|line| String::from_utf8_lossy(line).to_ascii_lowercase()).find_map(|line| {
@@ -188,7 +188,7 @@ fn prophesee(head: &[u8]) -> Option<FileKind> {
     named.map(FileKind::Events)
 }
 
-/// What a text is by its first row that is no comment.
+/// The kind of a text, from its first row that is not a comment.
 fn text(text: &str) -> Option<FileKind> {
     let text = text.trim_start_matches('\u{feff}');
     let root = root_name(text);

@@ -1,9 +1,9 @@
-//! Files of other tools: what a file is, models, checkpoints, spikes and recordings of event
+//! Files of other tools: detection of kinds, models, checkpoints, spikes and recordings of event
 //! cameras.
 //!
-//! Input: arguments and paths. Output: a model or plain spikes, or a
-//! [`nsim_ir::base::diagnostic::Diagnostic`] that names the file and the place. [`kind`] says what
-//! a file is, by its content. Nothing here trusts a size that a file claims.
+//! Input: arguments and paths. Output: a model or spikes, or a
+//! [`nsim_ir::base::diagnostic::Diagnostic`] that names the file and the place. [`kind`] detects
+//! the kind of a file by its content. No size that a file claims is trusted.
 
 pub mod foreign;
 pub mod fuzz_entry;

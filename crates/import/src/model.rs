@@ -1,8 +1,8 @@
 //! Model files with every array that they refer to.
 //!
-//! Input: a path or the name of a shipped model. Output: a [`Network`]. A problem with an array is
-//! reported at the place in the model file that names it, together with what is wrong with the
-//! array's file. Whether the numbers make sense is for `nsim_files::lower`.
+//! Input: a path or the name of a shipped model. Output: a [`Network`]. A problem with an array's
+//! file is reported at the place in the model file that names the array. `nsim_files::lower` checks
+//! the numbers.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -17,11 +17,11 @@ use nsim_files::{changes, npy, safetensors};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::tensor::Tensor;
 
-/// Models of whose assumptions this process has warned.
+/// Models for which this process has warned of assumptions.
 static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
 
-/// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported as
-/// `nsim import` without options would.
+/// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported like by `nsim
+/// import` without options.
 ///
 /// # Errors
 /// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names
@@ -30,16 +30,16 @@ pub fn load_model(argument: &str) -> Result<Network> {
     load_model_with(argument, None)
 }
 
-/// As [`load_model`], with the milliseconds of a timestep where the file does not say. Warns of
-/// what was assumed of another tool's file.
+/// As [`load_model`], with the length of a timestep in ms for files without one. Warns of
+/// assumptions about another tool's file.
 ///
 /// # Errors
-/// As [`load_model`]; `model.timestep` where the file says another one.
+/// As [`load_model`]; `model.timestep` for a model file with another timestep.
 pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
     let path = Path::new(argument);
     if shipped::is_path(argument) && foreign::is_foreign(path) {
         let network = foreign::network(path, &foreign::Options { dt_ms, ..Default::default() })?;
-        // Some commands read their model more than once.
+        // Some commands read their model more than once, but one warning is enough.
         if let Some(assumed) = &network.conventions().assumed
             && SAID.lock().is_ok_and(|mut said| said.insert(argument.to_string()))
         {
@@ -51,7 +51,7 @@ pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
     agreeing(network(source, origin)?, dt_ms)
 }
 
-/// A model of nsim's own, which says its timestep, unless another one is asked for.
+/// Returns the model if its timestep is `dt_ms` or none is given.
 ///
 /// # Errors
 /// `model.timestep`.
@@ -64,8 +64,7 @@ pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
         .help(format!("leave --dt out, or change the model: --set timestep_ms={dt}")))
 }
 
-/// Loads a model from its text; arrays are looked for in the folder of `source`, or among the
-/// shipped ones.
+/// Loads a model from its text; its arrays are in the folder of `source`, or shipped.
 ///
 /// # Errors
 /// As [`load_model`].
@@ -73,14 +72,14 @@ pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
     network_of(changes::model(source)?, origin)
 }
 
-/// A model from its final text.
+/// Loads a model from its text, after all changes.
 fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
     let file = NetworkFile::parse(&source)?;
     let arrays = read_arrays(&source, origin, &file)?;
     Network::new(file, source, arrays)
 }
 
-/// A model that is read once, for many changes of it.
+/// A model that is read once, to which many changes are applied.
 #[derive(Debug)]
 pub struct Unchanged {
     network: Network,
@@ -88,7 +87,7 @@ pub struct Unchanged {
 }
 
 impl Unchanged {
-    /// Reads a model; `None` when it is another tool's, or cannot be used as it is.
+    /// Reads a model; `None` when it is another tool's, or invalid without changes.
     pub fn load(argument: &str) -> Option<Self> {
         let path = Path::new(argument);
         if shipped::is_path(argument) && foreign::is_foreign(path) {
@@ -98,12 +97,12 @@ impl Unchanged {
         Some(Unchanged { network: network_of(source, origin).ok()?, origin })
     }
 
-    /// Numbers in its arrays.
+    /// Number of elements in its arrays.
     pub fn numbers(&self) -> u64 {
         self.network.file().arrays().iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
     }
 
-    /// The model as [`load_model`] would read it now, under the changes of the process and of the
+    /// The model that [`load_model`] would read under the current changes of the process and of the
     /// thread.
     ///
     /// # Errors
@@ -120,7 +119,7 @@ impl Unchanged {
 
 fn read_arrays(source: &SourceText, origin: Origin, file: &NetworkFile) -> Result<BTreeMap<ArrayRef, Tensor>> {
     let mut arrays = BTreeMap::new();
-    // A safetensors file often holds every layer: it is read once.
+    // A safetensors file often has all layers, so it is read once.
     let mut opened: BTreeMap<String, safetensors::TensorFile> = BTreeMap::new();
     for (reference, path) in file.arrays() {
         if arrays.contains_key(&reference) {
@@ -158,7 +157,7 @@ fn bytes_of<T>(
     }
 }
 
-/// A problem with an array's file, reported where the model names it.
+/// The problem with an array's file, reported at its place in the model.
 fn point_at(source: &SourceText, path: &str, array: &ArrayRef, mut problem: Diagnostic) -> Diagnostic {
     let (ArrayRef::Npy(name) | ArrayRef::Safetensors(name, _)) = array;
     let file = problem.file().map_or_else(|| name.clone(), |file| file.display().to_string());
@@ -254,7 +253,7 @@ Network(
         assert_eq!((kernel.shape(), *stride, *padding_after), (&[1, 2, 1, 1][..], (2, 2), (0, 1)));
     }
 
-    /// A network of three inputs and two compartments whose synapses are said in this way.
+    /// A network of three inputs and two compartments with these fields for its synapses.
     fn listed(way: &str) -> String {
         format!(
             "Network(name: \"t\", timestep_ms: 1.0, populations: [Input(name: \"a\", shape: [2]), Input(name: \"b\", \

@@ -1,4 +1,4 @@
-//! What probes recorded, in forms that other tools read.
+//! Probe recordings in formats of other tools.
 //!
 //! Input: numbers `[samples][compartments][steps]` of one register of one population. Output: CSV
 //! with a row for each spike or each number, or NIR data (spikes as events, other registers on a
@@ -22,7 +22,7 @@ pub struct Trace<'a> {
     pub register: &'a str,
     /// Samples, compartments, timesteps.
     pub shape: [usize; 3],
-    /// Seconds of a timestep.
+    /// Length of a timestep in seconds.
     pub dt_s: f64,
 }
 
@@ -37,7 +37,7 @@ impl Trace<'_> {
         let spikes = self.register == "spikes";
         batch.add(path, |out| {
             if spikes {
-                // The length stands in a comment, as in event lists: silence at the end has no row.
+                // Silence at the end has no row, so a comment has the length, as in event lists.
                 writeln!(out, "# steps: {steps}\nsample,timestep,channel")?;
             } else {
                 writeln!(out, "sample,timestep,compartment,value")?;
@@ -76,7 +76,7 @@ impl Trace<'_> {
             events.iter_mut().for_each(|sample| sample.sort_unstable());
             nir_data::events(&events, units as u32, steps as u32, self.dt_s)
         } else {
-            // NIR has time before neurons.
+            // In NIR the axis of time precedes the neurons.
             let mut grid = vec![0.0; samples * units * steps];
             for (at, number) in numbers.enumerate() {
                 let (sample, unit, step) = (at / (units * steps), at / steps % units, at % steps);

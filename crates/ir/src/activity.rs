@@ -1,8 +1,8 @@
-//! What happened in a run, as counts. Energy and time are pure functions of these and a target
-//! (`cost`).
+//! Event counts of a run. Energy and time are pure functions of the counts and a target
+//! (`nsim_cost`).
 //!
-//! Counts are of the mapped program, regardless of what the simulator skipped. True of every
-//! [`Activity`]: copies of messages sent equal copies received; merging is addition, so neither
+//! Counts are of the mapped program, regardless of updates that the simulator skips. Invariant of
+//! an [`Activity`]: copies of messages sent equal copies received. Merging is addition, so neither
 //! order nor threads can change a total.
 
 use std::ops::AddAssign;
@@ -16,7 +16,7 @@ use crate::placement::Route;
 macro_rules! counts {
     ($counts:ident: $($field:ident),*) => {
         impl $counts {
-            /// The same counts, this many times over.
+            /// Returns these counts multiplied by a factor.
             #[must_use]
             pub fn times(self, times: u64) -> Self {
                 $counts { $($field: self.$field * times,)* }
@@ -42,17 +42,17 @@ pub struct Totals {
     pub spikes_in: u64,
     /// Compartments that fired.
     pub spikes: u64,
-    /// Synapses reached by spikes, inputs' included; deliveries that fall after the end are not
-    /// counted.
+    /// Synapses reached by spikes, inputs' included; deliveries at or after the sample's end are
+    /// not counted.
     pub synaptic_events: u64,
     /// Compartments times steps.
     pub compartment_updates: u64,
-    /// Of those, the ones not idle: u, v, the accumulator or the bias was not zero, or a
+    /// Compartment updates that were not idle: u, v, the accumulator or the bias was not zero, or a
     /// refractory period ran.
     pub active_updates: u64,
 }
 
-/// Values that left their field.
+/// Counts of overflows, by field.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Overflow {
     /// Dendritic accumulators that wrapped.
@@ -61,23 +61,23 @@ pub struct Overflow {
     pub u_wrapped: u64,
     /// Voltages that were clipped.
     pub v_clipped: u64,
-    /// The first of them: the earliest step, then the lowest compartment.
+    /// The first overflow: the earliest step, then the lowest compartment.
     pub first: Option<(u32, CompartmentId)>,
 }
 
 impl Overflow {
-    /// Notes one that happened in `step` at `compartment`.
+    /// Records an overflow in `step` at `compartment` as the first, if it is.
     pub fn note(&mut self, step: u32, compartment: CompartmentId) {
         let here = (step, compartment);
         self.first = Some(self.first.map_or(here, |first| first.min(here)));
     }
 
-    /// Whether anything left its field.
+    /// Whether there was any overflow.
     pub fn any(&self) -> bool {
         self.q_wrapped + self.u_wrapped + self.v_clipped > 0
     }
 
-    /// Adds what another part of the same sample counted.
+    /// Adds the counts of another part of the same sample.
     pub fn merge(&mut self, other: &Overflow) {
         self.q_wrapped += other.q_wrapped;
         self.u_wrapped += other.u_wrapped;
@@ -88,7 +88,7 @@ impl Overflow {
     }
 }
 
-/// What one core did.
+/// Event counts of one core.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct CoreCounts {
     /// Messages received, inputs' included.
@@ -97,9 +97,9 @@ pub struct CoreCounts {
     pub events_dense: u64,
     /// Synaptic events of sparse lists.
     pub events_sparse: u64,
-    /// Compartments visited.
+    /// Updates of compartments, idle ones included.
     pub visited: u64,
-    /// Of those, not idle.
+    /// Updates of compartments that were not idle.
     pub active: u64,
     /// Compartments that fired.
     pub spikes: u64,
@@ -123,7 +123,7 @@ pub struct HopCounts {
     pub east_west: u64,
     /// Links crossed north or south.
     pub north_south: u64,
-    /// Of those, links between chips.
+    /// Links crossed between chips, included in the others.
     pub chip: u64,
 }
 
@@ -133,7 +133,7 @@ impl HopCounts {
         self.east_west + self.north_south
     }
 
-    /// Adds the route of this many messages.
+    /// Adds the route of `times` messages.
     #[inline]
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.local += u64::from(route.links() == 0) * times;
@@ -143,14 +143,14 @@ impl HopCounts {
     }
 }
 
-/// What one timestep did: all that its energy and its time depend on.
+/// Event counts of one timestep, on which its energy and time depend.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct StepActivity {
-    /// By core.
+    /// Counts by core.
     pub cores: IdVec<CoreId, CoreCounts>,
     /// Links crossed by all messages sent in this step.
     pub hops: HopCounts,
-    /// The longest route of a message sent in this step, by links, then by links north or south.
+    /// The longest route of a message sent in this step, by [`Route::max`].
     pub longest: Route,
     /// Input spikes.
     pub spikes_in: u64,
@@ -165,12 +165,12 @@ pub struct StepActivity {
 }
 
 impl StepActivity {
-    /// An empty step of a program with this many cores.
+    /// Zero counts of a step of a program with `cores` cores.
     pub fn new(cores: usize) -> Self {
         StepActivity { cores: vec![CoreCounts::default(); cores].into(), ..Default::default() }
     }
 
-    /// Forgets the counts, keeps the size.
+    /// Clears the counts and keeps the number of cores.
     pub fn clear(&mut self) {
         self.cores.as_mut_slice().fill(CoreCounts::default());
         self.hops = HopCounts::default();
@@ -182,10 +182,10 @@ impl StepActivity {
         self.fired.clear();
     }
 
-    /// Adds what other messages and compartments of the same step did, without spikes by name.
+    /// Adds the counts of another part of the same step, without `channels` and `fired`.
     ///
     /// # Panics
-    /// When it is of a program with another number of cores.
+    /// When the other step has another number of cores.
     pub fn merge(&mut self, other: &StepActivity) {
         assert_eq!(self.cores.len(), other.cores.len(), "a step of another program");
         for (sum, core) in self.cores.iter_mut().zip(&other.cores) {
@@ -198,14 +198,14 @@ impl StepActivity {
         self.spikes_out += other.spikes_out;
     }
 
-    /// Adds the route of this many messages.
+    /// Adds the route of `times` messages.
     pub fn add_routes(&mut self, route: Route, times: u64) {
         self.hops.add_routes(route, times);
         self.longest = self.longest.max(route);
     }
 }
 
-/// What a whole run did.
+/// Event counts of a whole run.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Activity {
     cores: IdVec<CoreId, CoreCounts>,
@@ -216,16 +216,16 @@ pub struct Activity {
 }
 
 impl Activity {
-    /// Nothing yet, on a program with this many cores.
+    /// Zero counts of a program with `cores` cores.
     pub fn new(cores: usize) -> Self {
         Activity { cores: vec![CoreCounts::default(); cores].into(), ..Default::default() }
     }
 
-    /// Adds a timestep that happened `times` times over.
+    /// Adds the counts of a timestep that occurred `times` times.
     ///
     /// # Panics
-    /// When the step is of a program with another number of cores, or when messages sent and
-    /// received differ: a fault of the machine.
+    /// When the step has another number of cores, or when messages sent and received differ: an
+    /// internal error.
     pub fn add_steps(&mut self, step: &StepActivity, times: u64) {
         assert_eq!(self.cores.len(), step.cores.len(), "a step of another program");
         let (mut sent, mut received) = (step.messages_from_inputs, 0);
@@ -241,7 +241,7 @@ impl Activity {
         self.steps += times;
     }
 
-    /// Adds the sum of this many timesteps.
+    /// Adds the summed counts of `steps` timesteps.
     ///
     /// # Panics
     /// As [`Activity::add_steps`].
@@ -250,10 +250,10 @@ impl Activity {
         self.steps = self.steps - 1 + steps;
     }
 
-    /// Adds another run of the same program.
+    /// Adds the counts of another run of the same program.
     ///
     /// # Panics
-    /// When it is of a program with another number of cores.
+    /// When the other run has another number of cores.
     pub fn merge(&mut self, other: &Activity) {
         assert_eq!(self.cores.len(), other.cores.len(), "activity of another program");
         for (sum, core) in self.cores.iter_mut().zip(&other.cores) {
@@ -265,8 +265,8 @@ impl Activity {
         self.steps += other.steps;
     }
 
-    /// As many steps of these cores, whose counts, links crossed and input spikes follow from this
-    /// run of some of them.
+    /// Activity of all cores over the steps of this run, which ran only some of them. The caller
+    /// derives the counts, links crossed and input spikes from this run.
     pub fn on_cores(&self, cores: IdVec<CoreId, CoreCounts>, hops: HopCounts, spikes_in: u64) -> Self {
         let mut all = Activity { cores, hops, spikes_in, messages_from_inputs: 0, steps: self.steps };
         let sum = all.sum();
@@ -274,17 +274,17 @@ impl Activity {
         all
     }
 
-    /// Adds what another process counted in the same steps.
+    /// Adds the counts of another process over the same steps.
     ///
     /// # Panics
-    /// When it is of a program with another number of cores, or of other steps.
+    /// When the other process has another number of cores or of steps.
     pub fn merge_same_steps(&mut self, other: &Activity) {
         assert_eq!(self.steps, other.steps, "processes that run together run as many steps");
         self.merge(other);
         self.steps = other.steps;
     }
 
-    /// By core.
+    /// Counts by core.
     pub fn cores(&self) -> &IdVec<CoreId, CoreCounts> {
         &self.cores
     }
@@ -318,7 +318,7 @@ impl Activity {
         self.spikes_in
     }
 
-    /// The sums that any engine counts.
+    /// The totals that every engine counts.
     pub fn totals(&self) -> Totals {
         let sum = self.sum();
         Totals {

@@ -1,13 +1,13 @@
-//! Which of the arithmetics, tests, roundings and read-outs of `docs/semantics.md` a network means.
+//! Arithmetic, threshold test, rounding and read-out of a network (`docs/semantics.md`).
 
 use serde::Deserialize;
 
 use crate::base::names::named_variants;
 
-/// Which arithmetic a network means (`docs/semantics.md`).
+/// Arithmetic of a network (`docs/semantics.md`).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
 pub enum Semantics {
-    /// The chip's, as recorded traces show it.
+    /// The chip's arithmetic, as recorded traces show it.
     #[default]
     Hardware,
     /// lava's fixed-point LIF process: no refractory period, wider accumulator.
@@ -16,7 +16,7 @@ pub enum Semantics {
     Slayer,
 }
 
-/// When a compartment spikes.
+/// Threshold test of a compartment.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
 pub enum ThresholdTest {
     /// v > threshold, as the chip does.
@@ -28,7 +28,7 @@ pub enum ThresholdTest {
 
 named_variants!(ThresholdTest { Strict = "strict", Inclusive = "inclusive" });
 
-/// How real or odd weights become multiples of the least step.
+/// Rounding of weights to multiples of the least step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
 pub enum WeightRounding {
     /// To the nearest, ties to even (SLAYER's export).
@@ -41,7 +41,7 @@ pub enum WeightRounding {
 }
 
 named_variants! {
-    /// What of the output population decides a sample.
+    /// The score of an output, by which a sample is decided.
     #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, serde::Serialize)]
     pub enum ReadOut {
         /// The output with most spikes.
@@ -56,14 +56,14 @@ named_variants! {
     }
 }
 
-/// u and v of each population return to zero before the updates of steps
+/// Periodic reset of u, v and the refractory period of each population, before the updates of steps
 /// `start_step + offset + k * interval`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, serde::Serialize)]
 #[serde(deny_unknown_fields, rename = "Reset")]
 pub struct ResetDesc {
     /// Timesteps between two resets.
     pub interval: u64,
-    /// The first reset, counted from the population's own start.
+    /// Timesteps from the population's own start to the first reset.
     #[serde(default)]
     pub offset: u64,
 }

@@ -1,8 +1,7 @@
-//! How often sources spike, for weighing traffic.
+//! Firing rates of sources, as weights of their traffic.
 //!
-//! In come counts of a profile run, or one rate that is assumed for all; out goes a whole number
-//! for each source, in messages of [`UNIT`] steps: integers, so that sums are the same in any
-//! order.
+//! Input: counts of a profile run, or one assumed rate for all sources. Output: an integer for each
+//! source, its spikes in [`RATE_STEPS`] steps. Sums of integers do not depend on the order.
 
 use crate::quantised::Quantised;
 use crate::source_counts::SourceCounts;
@@ -16,9 +15,9 @@ const LEAST: u64 = 1;
 /// Rates of all sources: channels first, then compartments.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Rates {
-    /// The same rate for all.
+    /// One rate for all sources, in spikes of [`RATE_STEPS`] steps.
     Assumed(u64),
-    /// From a run.
+    /// Rates measured in a run.
     Profile {
         /// Spikes of each channel in [`UNIT`] steps, then of each compartment.
         of: Vec<u64>,
@@ -28,18 +27,18 @@ pub enum Rates {
 }
 
 impl Rates {
-    /// This many spikes a step of every source.
+    /// An assumed rate for every source, in spikes a step.
     pub fn assumed(rate: f64) -> Self {
         Rates::Assumed(((rate * UNIT).round() as u64).max(LEAST))
     }
 
-    /// From how often each channel and each compartment spiked in this many steps.
+    /// Rates from the spikes of each channel and each compartment in `steps` steps.
     pub fn profile(channels: &[u64], compartments: &[u64], steps: u64) -> Self {
         let rate = |&spikes: &u64| ((spikes as f64 * UNIT / steps.max(1) as f64).round() as u64).max(LEAST);
         Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
     }
 
-    /// From what was counted in this many steps of one network, or of several copies with equal
+    /// Rates from the counts of `steps` steps of one network, or of several copies with equal
     /// spikes.
     ///
     /// # Panics
@@ -50,7 +49,7 @@ impl Rates {
         Rates::profile(channels, compartments, steps)
     }
 
-    /// The rate of a source by number, channels first.
+    /// Rate of a source, in spikes of [`RATE_STEPS`] steps; channels are numbered first.
     #[inline]
     pub fn rate_of(&self, source: u32) -> u64 {
         match self {
@@ -59,7 +58,7 @@ impl Rates {
         }
     }
 
-    /// The rates of this many copies of the network: channels of all copies first, then their
+    /// Rates of several copies of the network: channels of all copies first, then their
     /// compartments.
     pub fn copies(&self, copies: u32) -> Rates {
         match self {

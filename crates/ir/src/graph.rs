@@ -1,8 +1,8 @@
-//! Populations and projections with real parameters: the model as it was meant, before any integer.
+//! Populations and projections with real parameters: the model before quantisation.
 //!
-//! Made by `nsim_files::lower`. True of every [`Graph`]: names are unique, endpoints exist,
-//! shapes and array sizes agree, delays are in range, and there is one output population of
-//! compartments. Whether numbers fit their hardware fields is for `nsim_quantise::quantise`.
+//! `nsim_files::lower` makes a [`Graph`]. Invariants: names are unique, endpoints exist, shapes and
+//! array sizes agree, delays are in range, and there is one output population of compartments.
+//! `nsim_quantise::quantise` checks that numbers fit their hardware fields.
 
 use std::fmt;
 use std::sync::Arc;
@@ -19,13 +19,13 @@ use crate::spanned::Spanned;
 use crate::spikes::Message;
 use crate::tensor::{Numbers, Tensor};
 
-/// The most channels or compartments that a network may have: above it, no target could hold them
-/// (768 chips of 131,072 compartments are 100,663,296).
+/// The most channels or compartments of a network. No target could hold more: 768 chips of 131,072
+/// compartments have 100,663,296.
 pub const MOST_UNITS: u64 = 1 << 27;
-/// The most channels of an input population: four times those of the largest event cameras, with
-/// both polarities. Each has lists of its own, whether or not anything comes of it.
+/// The most channels of an input population: four times the channels of the largest event cameras,
+/// with both polarities. Each channel has its own lists, used or not.
 pub const MOST_CHANNELS: u64 = 1 << 24;
-/// The most synapses that a projection may have.
+/// The most synapses of a projection.
 pub const MOST_SYNAPSES: u64 = 1 << 32;
 
 /// The shape of a population, flattened in C order.
@@ -38,7 +38,7 @@ pub enum Shape {
 }
 
 impl Shape {
-    /// Channels or compartments.
+    /// Number of channels or compartments.
     pub fn len(self) -> u32 {
         match self {
             Shape::Line(n) => n,
@@ -46,7 +46,7 @@ impl Shape {
         }
     }
 
-    /// [`Shape::len`], unless it is 2^32 or more.
+    /// [`Shape::len`]; `None` where it is 2^32 or more.
     pub fn checked_len(self) -> Option<u32> {
         match self {
             Shape::Line(n) => Some(n),
@@ -62,12 +62,12 @@ impl Shape {
         }
     }
 
-    /// Whether there is none; a lowered population always has one.
+    /// Whether there is no unit; a lowered population always has one.
     pub fn is_empty(self) -> bool {
         self.len() == 0
     }
 
-    /// Channels, height and width, for projections over space.
+    /// Channels, height and width, for projections over space; `None` on a line.
     pub fn volume(self) -> Option<(u32, u32, u32)> {
         match self {
             Shape::Line(_) => None,
@@ -93,9 +93,9 @@ impl fmt::Display for Shape {
 /// One value for all compartments of a population, or one for each.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub enum PerCompartment<T> {
-    /// The same value for all.
+    /// One value for all compartments.
     Same(T),
-    /// One each, as many as the population has.
+    /// One value for each compartment, in order.
     Each(Vec<T>),
 }
 
@@ -109,7 +109,7 @@ impl<T: Copy> PerCompartment<T> {
         }
     }
 
-    /// All values: the one that is the same for all, or one each.
+    /// All values: the common one, or one for each compartment.
     pub fn values(&self) -> &[T] {
         match self {
             PerCompartment::Same(value) => std::slice::from_ref(value),
@@ -117,12 +117,12 @@ impl<T: Copy> PerCompartment<T> {
         }
     }
 
-    /// Whether any value is so.
+    /// Whether `f` is true of any value.
     pub fn any(&self, f: impl Fn(&T) -> bool) -> bool {
         self.values().iter().any(f)
     }
 
-    /// The values of these compartments.
+    /// The values of the compartments at these indices.
     pub fn pick(&self, indices: &[u32]) -> PerCompartment<T> {
         match self {
             PerCompartment::Same(value) => PerCompartment::Same(*value),
@@ -130,8 +130,7 @@ impl<T: Copy> PerCompartment<T> {
         }
     }
 
-    /// Changes every value, stopping at the first failure; `f` gets the compartment, `None` when it
-    /// is for all.
+    /// Maps every value by `f`, which gets the compartment's index, or `None` for a common value.
     ///
     /// # Errors
     /// The first error of `f`.
@@ -145,17 +144,17 @@ impl<T: Copy> PerCompartment<T> {
     }
 }
 
-/// A parameter and where it was given.
+/// A parameter's values, and their place in the model file.
 #[derive(Debug, Clone)]
 pub struct Values {
-    /// The numbers.
+    /// The values.
     pub each: PerCompartment<f64>,
     /// Their place in the model file.
     pub span: Span,
 }
 
 impl Values {
-    /// A default that no file gave.
+    /// A common value that no file gave.
     pub fn constant(value: f64) -> Self {
         Values { each: PerCompartment::Same(value), span: Span::default() }
     }
@@ -164,32 +163,31 @@ impl Values {
 /// The parameters of a population of compartments.
 #[derive(Debug, Clone)]
 pub struct NeuronParameters {
-    /// Which kind.
+    /// The kind of its neurons.
     pub kind: NeuronKind,
     /// The parameters that the file gives, by name.
     pub given: Vec<(&'static str, Values)>,
     /// The step before which the population is held at zero.
     pub start_step: u32,
-    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all
+    /// Upper bound of the input of a step, in the units of the weights; `None`: the sum of all
     /// weights.
     pub greatest_input: Option<f64>,
 }
 
 impl NeuronParameters {
-    /// A parameter that the file gives.
+    /// The values of a parameter that the file gives.
     pub fn get(&self, name: &str) -> Option<&Values> {
         self.given.iter().find(|(given, _)| *given == name).map(|(_, values)| values)
     }
 
-    /// A parameter in real units that the file gives, of a kind that has such a form. A kind that
-    /// the file states may give the name to an integer.
+    /// The values of a parameter in real units that the file gives, if the kind has such a
+    /// parameter. A kind from the model file may use the name for an integer.
     pub fn real(&self, name: &str) -> Option<&Values> {
         let forms = self.kind.parameters().iter().filter_map(|field| field.real);
         forms.map(|(real, _)| real).find(|real| *real == name).and_then(|real| self.get(real))
     }
 
-    /// A parameter of one compartment, its default where the file gives none, 0 where there is no
-    /// default.
+    /// A parameter of one compartment: from the file, else its default, else 0.
     pub fn value(&self, name: &str, index: u32) -> f64 {
         match self.get(name) {
             Some(values) => values.each.get(index),
@@ -201,7 +199,7 @@ impl NeuronParameters {
     }
 }
 
-/// What a population is made of.
+/// The units of a population.
 #[derive(Debug, Clone)]
 pub enum PopulationKind {
     /// Channels that a stimulus drives.
@@ -230,13 +228,13 @@ pub struct SrmParameters {
 pub struct Population {
     /// Its name, unique in the network.
     pub name: String,
-    /// Where the file declares it.
+    /// Its declaration in the file.
     pub span: Span,
     /// Its shape.
     pub shape: Shape,
-    /// What it is made of.
+    /// Its units.
     pub kind: PopulationKind,
-    /// What its messages carry.
+    /// The content of its messages.
     pub message: Message,
 }
 
@@ -252,7 +250,7 @@ pub struct Window {
     pub kernel: (u32, u32),
     /// Step of the window.
     pub stride: (u32, u32),
-    /// Rows and columns of nothing around the source.
+    /// Rows and columns of padding around the source.
     pub padding: (u32, u32),
     /// Distance of neighbours within the window.
     pub dilation: (u32, u32),
@@ -260,7 +258,7 @@ pub struct Window {
     pub groups: u32,
 }
 
-/// How the sources of a projection reach its targets.
+/// Synapses of a projection, with real weights.
 #[derive(Debug, Clone)]
 pub enum ProjectionKind {
     /// All to all: `[target][column]`; the projection's sources are the columns from
@@ -269,7 +267,7 @@ pub enum ProjectionKind {
         /// Weights of all columns of the declaration.
         weights: Arc<Tensor>,
     },
-    /// (source within this population, target, weight, entry of the declared list) each.
+    /// Listed: (source within this population, target, weight, entry of the declared list).
     Sparse {
         /// The synapses.
         synapses: Vec<(u32, u32, f64, u32)>,
@@ -281,7 +279,7 @@ pub enum ProjectionKind {
         /// Kernel.
         weights: Arc<Tensor>,
     },
-    /// The same weight from each position of a window.
+    /// One weight, from each position of a window.
     SumPool2d {
         /// Geometry; the groups are the channels.
         window: Window,
@@ -307,8 +305,8 @@ impl ProjectionKind {
         matches!(self, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })
     }
 
-    /// This kind with other weights; `f` gets each with its target, or with its output channel
-    /// where a kernel is shared. A pool's weight and random ones stay.
+    /// Returns this kind with weights mapped by `f`, which gets each with its target, or with its
+    /// output channel where a kernel is shared. The weights of a pool and of random synapses stay.
     pub fn map_weights(&self, f: impl Fn(usize, f64) -> f64) -> ProjectionKind {
         let tensor = |weights: &Arc<Tensor>| {
             let per_row = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
@@ -331,12 +329,12 @@ impl ProjectionKind {
     }
 }
 
-/// An edge of the graph: from one population to one.
+/// An edge of the graph, from one population to one population.
 #[derive(Debug, Clone)]
 pub struct Projection {
     /// `source -> target`, for messages.
     pub name: String,
-    /// Where the file declares it.
+    /// Its declaration in the file.
     pub span: Span,
     /// The index of this population's first unit among the concatenated sources of the declaration.
     pub first_source: u32,
@@ -346,20 +344,20 @@ pub struct Projection {
     pub sign: SignMode,
     /// Bits of a weight.
     pub weight_bits: Spanned<i64>,
-    /// The sum of its target that it adds to.
+    /// The sum of arrivals of its target that it adds to.
     pub port: Port,
     /// Delay field.
     pub delay: Delay,
-    /// What a real weight of 1 counts.
+    /// Mantissa units for a real weight of 1.
     pub weight_scale: Option<Spanned<f64>>,
     /// Place of the weights.
     pub weights_span: Span,
-    /// How it reaches its targets.
+    /// Its synapses.
     pub kind: ProjectionKind,
 }
 
 impl Projection {
-    /// The place of a row of weights, or of a listed synapse, where these stand in the model file.
+    /// The place of a row of weights, or of a listed synapse; else the place of all weights.
     pub fn place_of(&self, source: &SourceText, entry: u32) -> Span {
         let in_place = ["weights", "synapses"].map(|list| format!("{list}.{entry}"));
         let found = in_place.iter().find_map(|path| locate(source.text(), self.span, path));
@@ -376,23 +374,23 @@ pub struct NetworkFacts {
     pub source: SourceText,
     /// Milliseconds that a timestep represents.
     pub timestep_ms: f64,
-    /// What of the output population decides.
+    /// The score by which the output population decides.
     pub decision: ReadOut,
-    /// Steps that a sample has after its last input step.
+    /// Steps of a sample after its last input step.
     pub drain: u32,
     /// Names of classes, one for each output compartment, or none.
     pub classes: Vec<String>,
     /// Periodic reset.
     pub reset: Option<ResetDesc>,
-    /// When a compartment spikes.
+    /// The threshold test.
     pub threshold: ThresholdTest,
-    /// Which arithmetic.
+    /// The arithmetic.
     pub semantics: Semantics,
-    /// How weights are rounded.
+    /// The rounding of weights.
     pub weight_rounding: WeightRounding,
-    /// The stimulus to use when none is given.
+    /// The stimulus used when none is given.
     pub scene: Option<String>,
-    /// Where the network comes from.
+    /// The origin of the network.
     pub provenance: Option<String>,
 }
 
@@ -405,16 +403,16 @@ pub struct Graph {
 }
 
 impl Graph {
-    /// A graph from checked parts; `nsim_files::lower` is the way to get one from a file.
+    /// A graph from checked parts; `nsim_files::lower` makes one from a file.
     ///
     /// # Panics
-    /// When `output` is not one of the nodes: a mistake of the caller.
+    /// When `output` is not one of the nodes.
     pub fn new(facts: NetworkFacts, graph: DiGraph<Population, Projection>, output: NodeIndex) -> Self {
         assert!(graph.node_weight(output).is_some(), "the output population is a node");
         Graph { facts, graph, output }
     }
 
-    /// Refuses neurons that no real numbers describe.
+    /// Refuses neurons that have no form in real numbers.
     ///
     /// # Errors
     /// `model.no-real-form`.
@@ -454,8 +452,8 @@ impl Graph {
         into.map(|(_, source, _, projection)| (source, projection))
     }
 
-    /// The place of each projection's declaration in the file, in the order of the projections: one
-    /// for each `from` is made of a declaration.
+    /// The index of each projection's declaration in the file, in the order of the projections. A
+    /// declaration makes one projection for each population of its `from`.
     pub fn declared_places(&self) -> Vec<usize> {
         let spans: Vec<Span> = self.projections().map(|(.., projection)| projection.span).collect();
         let mut place = 0;
@@ -471,17 +469,17 @@ impl Graph {
         &self.graph[node]
     }
 
-    /// The population that decides.
+    /// The output population.
     pub fn output(&self) -> NodeIndex {
         self.output
     }
 
-    /// Whether a population has neurons that the hardware does not have.
+    /// Whether a population has spike response neurons.
     pub fn has_srm(&self) -> bool {
         self.populations().any(|(_, population)| matches!(population.kind, PopulationKind::Srm(_)))
     }
 
-    /// The same network with other populations; `f` gets each and says what it is made of.
+    /// Returns this network with the units of each population replaced by `f`.
     pub fn with_kinds(&self, mut f: impl FnMut(NodeIndex, &Population) -> PopulationKind) -> Graph {
         let mut graph = self.clone();
         for node in self.graph.node_indices() {
@@ -490,7 +488,7 @@ impl Graph {
         graph
     }
 
-    /// The same network with other projections; `f` gets each with its target.
+    /// Returns this network with each projection replaced by `f`, which also gets its target.
     pub fn with_projections(&self, mut f: impl FnMut(NodeIndex, &Projection) -> Projection) -> Graph {
         let mut graph = self.clone();
         for (edge, _, target, projection) in self.projections() {
@@ -499,7 +497,7 @@ impl Graph {
         graph
     }
 
-    /// The same network with more projections, which come last; each with source and target.
+    /// Returns this network with more projections at the end, each with source and target.
     #[must_use]
     pub fn and_projections(mut self, added: Vec<(NodeIndex, NodeIndex, Projection)>) -> Graph {
         for (source, target, projection) in added {

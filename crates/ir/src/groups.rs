@@ -1,10 +1,10 @@
-//! Cores that exchange messages with no others, and how often each such group is on the board.
+//! Groups of cores that exchange messages only among themselves, by kinds of identical groups.
 //!
-//! Input: a program, and which of its cores belong together. Output: a program of the first group
-//! of each kind, and where every group is. Groups of a kind hold the same copies of a network in
-//! the same slots, so that what one does when all copies see the same sample, each of them does;
-//! only their places differ. True of every [`CoreGroups`]: each core of the whole program is in one
-//! group, and the groups of a kind have as many cores.
+//! Input: a program, and the cores of each group. Output: a program of the first group of each
+//! kind, and the place of every group. Groups of a kind have the same compartments of their copies
+//! in the same slots, and differ only in their places. So their counts are equal when all copies
+//! receive the same sample. Invariants of [`CoreGroups`]: each core of the whole program is in one
+//! group, and the groups of a kind have equal numbers of cores.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -17,7 +17,7 @@ use crate::placement::Site;
 use crate::program::{AxonTarget, Compartments, CoreImage, Graded, NotClosed, Parts, Program};
 use crate::ranks::RankAssignment;
 
-/// What of a program is one group.
+/// The parts of a program that belong to a group of one kind.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Kind {
     /// Its cores.
@@ -26,40 +26,40 @@ pub struct Kind {
     pub channels: Range<u32>,
     /// Its compartments.
     pub compartments: Range<u32>,
-    /// Copies of the network in it.
+    /// Number of copies of the network.
     pub copies: u32,
 }
 
-/// A group somewhere on the board.
+/// A group, and its place on the board.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Group {
-    /// Which kind.
+    /// Index of its kind.
     pub kind: usize,
-    /// The numbers of its cores in the whole program, in the order of the kind's.
+    /// Its cores in the whole program, in the order of the kind's cores.
     pub cores: Vec<CoreId>,
-    /// Where they are.
+    /// The physical cores of `cores`.
     pub sites: Vec<Site>,
 }
 
-/// Numbers of a network of which a program holds copies.
+/// Sizes of a network of which a program has copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct OneCopy {
     /// Compartments.
     pub compartments: u32,
-    /// Input channels.
+    /// Number of input channels.
     pub channels: u32,
-    /// Populations, inputs included.
+    /// Number of populations, inputs included.
     pub populations: u32,
 }
 
 /// A program of one group of each kind, and all groups.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CoreGroups {
-    /// The first group of each kind, one after the other.
+    /// The program of the first group of each kind, in the order of `kinds`.
     pub program: Arc<Program>,
-    /// What of it is of which kind.
+    /// The parts of the program that belong to each kind.
     pub kinds: Vec<Kind>,
-    /// All groups, by their first core.
+    /// All groups, in the order of their first cores.
     pub groups: Vec<Group>,
 }
 
@@ -68,7 +68,7 @@ pub struct CoreGroups {
 pub struct Together {
     /// The cores.
     pub cores: Vec<CoreId>,
-    /// The copies, all of whose compartments are on them.
+    /// The copies whose compartments are all on these cores.
     pub copies: Vec<u32>,
 }
 
@@ -86,7 +86,7 @@ fn first_alike(program: &Program, one: OneCopy, together: &[Together]) -> Vec<us
 }
 
 impl CoreGroups {
-    /// The groups of a program of copies, which share no channel.
+    /// Groups of a program of copies, which share no channel; identical groups are of one kind.
     ///
     /// # Errors
     /// [`NotClosed`] when a group sends messages to another.
@@ -94,7 +94,7 @@ impl CoreGroups {
         CoreGroups::of_alike(program, one, together, &first_alike(program, one, together))
     }
 
-    /// The groups of a program of copies, each a kind of its own.
+    /// Groups of a program of copies, each of its own kind.
     ///
     /// # Errors
     /// As [`CoreGroups::new`].
@@ -183,7 +183,7 @@ impl CoreGroups {
         Ok(CoreGroups { program: Program::new(parts)?.into(), kinds, groups })
     }
 
-    /// Copies of the network in the program.
+    /// Number of copies of the network in the program.
     pub fn copies(&self) -> u32 {
         self.kinds.iter().map(|kind| kind.copies).sum()
     }

@@ -1,10 +1,10 @@
-//! The types that the stages of nsim hand to each other: plain data without a rule of the dynamics.
+//! Data types exchanged between the stages of nsim, without any rule of the dynamics.
 //!
-//! Each type's constructor checks what the type promises, so that owning a value proves that the
-//! stage before it succeeded: [`graph::Graph`], [`quantised::Quantised`], [`partition::Partition`],
-//! [`placement::Placement`], [`program::Program`], then [`activity::Activity`]. [`spikes`] holds
-//! what goes into a run and what comes out, [`hardware`] what a target has. [`base`] is below all
-//! of them: ids, fixed-point fields, units, diagnostics.
+//! Each constructor checks the invariants of its type, so a value proves that the previous stage
+//! succeeded. The order is [`graph::Graph`], [`quantised::Quantised`], [`partition::Partition`],
+//! [`placement::Placement`], [`program::Program`] and [`activity::Activity`]. [`spikes`] has
+//! samples and the engine interface, [`hardware`] targets. [`base`] depends on none of these: ids,
+//! fixed-point fields, units, diagnostics.
 
 pub mod activity;
 pub mod arithmetic;

@@ -1,16 +1,16 @@
-//! A value in a text of RON, found by its path: for the place in a message, or to be replaced.
+//! Finds a value in RON text by its path, to report its place or to replace it.
 //!
-//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the place of the
-//! path, or the text with that value. A part of a path is a field of a struct, the `name` that an
-//! item of a list has, or the item's index, `7` or `[7]`; the latter is no name. A field that is
-//! absent is added: the reader of the text decides whether there may be such a field. Comments and
-//! everything else stay as they are.
+//! Input: a text, a path such as `populations.hidden.vth_mant`, a value. Output: the byte range of
+//! the path's value, or the text with the value replaced. A part of a path is a field of a struct,
+//! the `name` of a list item, or the item's index, `7` or `[7]`. The latter never matches a name.
+//! An absent field is added, and the reader of the text decides whether the field is valid.
+//! Comments and all other text stay unchanged.
 
 use std::ops::Range;
 
 use crate::base::diagnostic::Span;
 
-/// A text that is read from a place on.
+/// A text, and the byte from which it is read.
 struct Cursor<'a> {
     text: &'a str,
     at: usize,
@@ -21,7 +21,7 @@ impl<'a> Cursor<'a> {
         &self.text[self.at..]
     }
 
-    /// Goes on after blanks, comments and attributes.
+    /// Skips blanks, comments and attributes.
     fn skip_blanks(&mut self) {
         loop {
             let rest = self.rest();
@@ -40,7 +40,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// An identifier that stands here.
+    /// Reads an identifier; empty where there is none.
     fn identifier(&mut self) -> &'a str {
         let rest = self.rest();
         let end = rest.find(|c: char| !c.is_alphanumeric() && c != '_').unwrap_or(rest.len());
@@ -48,14 +48,14 @@ impl<'a> Cursor<'a> {
         &rest[..end]
     }
 
-    /// Goes on if this stands here.
+    /// Skips a character if it is next; returns whether it was.
     fn take(&mut self, what: char) -> bool {
         let stands = self.rest().starts_with(what);
         self.at += if stands { what.len_utf8() } else { 0 };
         stands
     }
 
-    /// Goes on after the next token; returns its first character.
+    /// Skips the next token; returns its first character.
     fn token(&mut self) -> Option<char> {
         self.skip_blanks();
         let rest = self.rest();
@@ -70,7 +70,7 @@ impl<'a> Cursor<'a> {
         Some(first)
     }
 
-    /// Goes on after a value, to the comma or bracket that ends it; returns where the value is.
+    /// Skips a value, to the comma or bracket that ends it; returns the value's byte range.
     fn value(&mut self) -> Range<usize> {
         self.skip_blanks();
         let start = self.at;
@@ -93,7 +93,7 @@ impl<'a> Cursor<'a> {
     }
 }
 
-/// The first bracket within `deepest` others.
+/// Byte of the first opening bracket within `deepest` others.
 pub(crate) fn too_deep(text: &str, deepest: u32) -> Option<usize> {
     let (mut cursor, mut depth) = (Cursor { text, at: 0 }, 0u32);
     loop {
@@ -146,10 +146,10 @@ fn character(text: &str) -> usize {
     text.get(from..).and_then(|rest| rest.find('\'')).map_or(text.len(), |end| from + end + 1)
 }
 
-/// The text with another value at a path.
+/// Returns the text with another value at a path.
 ///
 /// # Errors
-/// A sentence that says which part of the path is not there.
+/// A sentence that names the part of the path that does not exist.
 pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
     let parts: Vec<&str> = path.split('.').collect();
     let mut cursor = Cursor { text, at: 0 };
@@ -174,13 +174,13 @@ pub fn replaced(text: &str, path: &str, value: &str) -> Result<String, String> {
     Ok(format!("{}{value}{}", &text[..place.start], &text[place.end..]))
 }
 
-/// The name of an item of a list, which paths call it by.
+/// The name of a list item, by which paths refer to it.
 fn name_of(text: &str, item: Span) -> Option<String> {
     let Span { start, end } = locate(text, item, "name")?;
     Some(text[start..end].trim_matches('"').to_string())
 }
 
-/// The place of a path that begins at a value of the text; nothing when there is no such place.
+/// Byte range of the value at a path within `value`; `None` where the path does not exist.
 pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
     let mut cursor = Cursor { text: text.get(..value.end)?, at: value.start };
     cursor.skip_blanks();
@@ -194,7 +194,7 @@ pub fn locate(text: &str, value: Span, path: &str) -> Option<Span> {
     Some(Span { start: place.start, end: place.end })
 }
 
-/// The places of the items of a list at a path.
+/// Byte ranges of the items of the list at a path; empty where there is no list.
 pub fn items(text: &str, path: &str) -> Vec<Span> {
     let whole = Span { start: 0, end: text.len() };
     let Some(list) = locate(text, whole, path) else { return Vec::new() };
@@ -213,7 +213,7 @@ pub fn items(text: &str, path: &str) -> Vec<Span> {
     items
 }
 
-/// The value at a path, if it is there.
+/// Text of the value at a path; `None` where the path does not exist.
 pub fn value<'t>(text: &'t str, path: &str) -> Option<&'t str> {
     locate(text, Span { start: 0, end: text.len() }, path).map(|place| &text[place.start..place.end])
 }
@@ -225,22 +225,22 @@ pub fn root_name(text: &str) -> &str {
     cursor.identifier()
 }
 
-/// Whether a text is one value and nothing else: no comma or bracket ends it before its end, and
-/// none is missing.
+/// Whether a text is exactly one value: no comma or bracket ends it early, and no bracket is
+/// missing.
 pub fn is_one_value(text: &str) -> bool {
-    // What follows a value that is not closed is taken for a part of it.
+    // An unclosed value takes the added bracket as a part of it, so its length differs.
     let followed = format!("({text})");
     let mut cursor = Cursor { text: &followed, at: 1 };
     cursor.value() == (1..1 + text.len()) && cursor.rest() == ")"
 }
 
-/// What a part of a path is.
+/// Result of the search for one part of a path.
 enum Part {
-    /// A value.
+    /// The byte range of its value.
     At(Range<usize>),
-    /// A field that the struct does not say, whose closing bracket is here.
+    /// The struct lacks the field, and its closing bracket is at this byte.
     NotYet(usize),
-    /// There is none.
+    /// The value has no such part, and none can be added.
     Nothing,
 }
 

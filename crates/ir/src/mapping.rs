@@ -1,9 +1,8 @@
-//! The mirror of a saved mapping (`nsim map -o`): which compartments sit on which core of which
-//! chip.
+//! The contents of a saved mapping (`nsim map -o`): the core and the chip of each compartment.
 //!
-//! It is small and for people to read: runs and strides of compartments by population, or boxes of
-//! layers; no synapses. Loading one compiles the model again with this partition and placement, so
-//! nothing in it needs to be believed.
+//! It is small and readable: runs and strides of compartments by population, or boxes of layers,
+//! without synapses. Loading compiles the model again with this partition and placement, so that
+//! nothing in it has to be trusted.
 
 use crate::base::diagnostic::Diagnostic;
 use serde::{Deserialize, Serialize};
@@ -14,15 +13,15 @@ use serde::{Deserialize, Serialize};
 pub struct Run {
     /// The population.
     pub population: String,
-    /// The first of them, as the model file counts.
+    /// The first compartment or channel, as numbered in the model file.
     pub first: u32,
     /// Number of consecutive compartments or channels.
     pub count: u32,
 }
 
 impl Run {
-    /// Adds one more to a list of runs: to the last run where it follows it, else as a run of its
-    /// own.
+    /// Adds a compartment or channel to runs: to the last run where it follows it, else as a new
+    /// run.
     pub fn add(runs: &mut Vec<Run>, population: &str, index: u32) {
         match runs.last_mut() {
             Some(run) if run.population == population && run.first.checked_add(run.count) == Some(index) => {
@@ -45,20 +44,20 @@ pub struct MappedCore {
     pub y: u32,
     /// Core within the tile.
     pub core: u32,
-    /// What sits on it, in slot order.
+    /// Its compartments, in slot order.
     #[serde(with = "strides")]
     pub holds: Vec<Run>,
 }
 
-/// Runs as a file has them: one of a population as `first` and `count`, several as `at`: `5` is a
-/// compartment, `5+3` three from it on, `5+3*4` every fourth.
+/// Serialised form of runs. One run of a population has `first` and `count`. Several have `at`: `5`
+/// is a compartment, `5+3` three from 5 on, `5+3*4` three at a distance of 4.
 mod strides {
     use serde::de::Error;
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
     use super::Run;
 
-    /// The most compartments of a stride, as none has more on a core.
+    /// The most compartments of a stride, and of a core.
     const MOST: u32 = 1 << 16;
 
     #[derive(Serialize, Deserialize)]
@@ -144,17 +143,17 @@ mod strides {
     }
 }
 
-/// Cores of one chip.
+/// Some cores of one chip.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct OnChip {
     /// Chip number on the board.
     pub chip: u32,
-    /// Numbers of its cores, row of tiles by row, tile by tile.
+    /// Numbers of the cores, counted by row of tiles, then tile.
     pub cores: Vec<u32>,
 }
 
-/// A layer that is cut into boxes, a core each.
+/// A layer that is divided into boxes, one for each core.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MappedLayer {
@@ -162,17 +161,18 @@ pub struct MappedLayer {
     pub population: String,
     /// Channels, rows and columns of a box; boxes at the end of the layer may be smaller.
     pub size: (u32, u32, u32),
-    /// The cores of its boxes: channels of a place after each other, places of a row of boxes from
-    /// west to east, then those of the next row from east to west, and so on to and fro.
+    /// The cores of its boxes. Boxes of different channels at one position are consecutive.
+    /// Positions go from west to east in the first row of boxes, from east to west in the next row,
+    /// and so on.
     pub places: Vec<OnChip>,
 }
 
-/// The pruning of the model before it was mapped. Together with the model it says which
-/// compartments and synapses there are to map.
+/// The pruning of the model before it was mapped. With the model it determines the compartments and
+/// synapses to map.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Pruned")]
 pub struct PrunedFile {
-    /// Where the stimulus came from; nothing when the model was pruned for every stimulus.
+    /// Origin of the stimulus; `None` when the model was pruned for every stimulus.
     pub stimulus: Option<Vec<String>>,
     /// Runs of channels that the stimulus never fires.
     #[serde(default)]
@@ -199,14 +199,14 @@ pub struct MappingFile {
     /// The pruning of the model.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pruned: Option<PrunedFile>,
-    /// The cores in use, with what sits on them.
+    /// The cores in use, with their compartments.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub cores: Vec<MappedCore>,
-    /// Instead of cores: layers in boxes, of a network that is mapped by its kernels.
+    /// Layers in boxes, instead of `cores`, if the network is mapped by its kernels.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub layers: Vec<MappedLayer>,
-    /// SHA-256 of the other fields; a file that was written by hand has none. Once read, one that
-    /// is not that of the other fields.
+    /// SHA-256 of the other fields; absent in a file that was written by hand. After reading it is
+    /// present only if it does not match the other fields.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub checksum: Option<String>,
 }
@@ -225,8 +225,8 @@ impl MappedLayer {
     }
 }
 
-/// Refuses a mapping that was changed after it was saved. What else is wrong with it says more, so
-/// this is looked at last.
+/// Refuses a mapping that was changed after it was saved. Other errors are more specific, so this
+/// is checked last.
 ///
 /// # Errors
 /// `mapping.checksum`.

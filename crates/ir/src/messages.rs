@@ -1,9 +1,9 @@
-//! Messages of spikes: the cores that they go to and the input axons that they select there.
+//! Messages of spikes: their destination cores, and the input axons that they select there.
 //!
-//! Input: a list of [`AxonTarget`] for each compartment of a core. Output: [`AxonsOut`], the cores
-//! that are reached, and by compartment which of these, with the axon. Cores that reach other cores
-//! in the same way share the second part: of a convolution, most do. So its messages take the
-//! memory of a few cores. Errors: [`NotClosed`] when a core sends to more than 2^16 others.
+//! Input: a list of [`AxonTarget`] for each compartment of a core. Output: [`AxonsOut`]: the
+//! destination cores, and by compartment indices into them, each with an axon. Cores with identical
+//! index lists share them, as most cores of a convolution do. So its messages take the memory of a
+//! few cores. Errors: [`NotClosed`] when a core sends to more than 2^16 others.
 
 use std::sync::Arc;
 
@@ -16,13 +16,13 @@ use crate::base::id::CoreId;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct AxonTarget {
-    /// The core.
+    /// Destination core.
     pub core: CoreId,
     /// The input axon on that core.
     pub axon: u16,
 }
 
-/// An input axon of one of the cores that a core reaches.
+/// An input axon of one of the destination cores of a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Reached {
     /// Which of these cores.
@@ -31,7 +31,7 @@ pub struct Reached {
     pub axon: u16,
 }
 
-/// Messages that the spikes of a core's compartments send.
+/// Messages that the spikes of a core's compartments send, by slot.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "Vec<Vec<AxonTarget>>")]
 pub struct AxonsOut {
@@ -40,7 +40,7 @@ pub struct AxonsOut {
 }
 
 impl AxonsOut {
-    /// Lists by slot, of messages to these cores.
+    /// Builds messages from the destination cores and the index lists by slot.
     ///
     /// # Errors
     /// [`NotClosed`] when a message goes to none of the cores.
@@ -49,16 +49,16 @@ impl AxonsOut {
         if closed { Ok(AxonsOut { cores, lists }) } else { Err(NotClosed) }
     }
 
-    /// The same messages to other cores.
+    /// Returns these messages with every destination core mapped by `core`.
     ///
     /// # Errors
-    /// The first that the function returns.
+    /// The first error of `core`.
     pub fn renumbered<E>(&self, core: impl FnMut(CoreId) -> Result<CoreId, E>) -> Result<Self, E> {
         let cores = self.cores.iter().copied().map(core).collect::<Result<_, E>>()?;
         Ok(AxonsOut { cores, lists: self.lists.clone() })
     }
 
-    /// The messages to cores for which `keep` holds.
+    /// Returns the messages to the cores for which `keep` is true.
     pub fn filtered(&self, keep: impl Fn(CoreId) -> bool) -> Self {
         let mut cores = Vec::new();
         let number = |&core: &CoreId| {
@@ -76,7 +76,7 @@ impl AxonsOut {
         AxonsOut { cores, lists: lists.into() }
     }
 
-    /// The cores that are reached.
+    /// Destination cores.
     pub fn cores(&self) -> &[CoreId] {
         &self.cores
     }
@@ -86,7 +86,7 @@ impl AxonsOut {
         &self.lists
     }
 
-    /// Compartments.
+    /// Number of compartments.
     pub fn len(&self) -> usize {
         self.lists.len()
     }
@@ -107,7 +107,7 @@ impl AxonsOut {
         (0..self.len()).map(|slot| self.get(slot))
     }
 
-    /// All messages.
+    /// All messages, in the order of slots.
     pub fn items(&self) -> Messages<'_> {
         Messages::Reached(&self.cores, self.lists.items().iter())
     }
@@ -130,17 +130,17 @@ impl TryFrom<Vec<Vec<AxonTarget>>> for AxonsOut {
     }
 }
 
-/// Written as a list of messages by slot.
+/// Serialised as a list of messages for each slot.
 impl Serialize for AxonsOut {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_seq(self.iter().map(Iterator::collect::<Vec<_>>))
     }
 }
 
-/// The messages of a spike, one after the other.
+/// Iterator over messages of spikes.
 #[derive(Debug, Clone)]
 pub enum Messages<'a> {
-    /// Of an input channel.
+    /// Messages of an input channel.
     Channel(std::slice::Iter<'a, AxonTarget>),
     /// Of a compartment, to some of these cores.
     Reached(&'a [CoreId], std::slice::Iter<'a, Reached>),

@@ -1,8 +1,8 @@
-//! The table of neuron kinds: names, parameters, state, and what their messages carry.
+//! Tables of the neuron kinds: names, parameters, state, and content of their messages.
 //!
-//! A parameter is an integer of the hardware; some may be given as a real number instead, under
-//! another name. The reader of model files, `quantise`, probes and every list of parameters go by
-//! [`NeuronKind::table`]; what a kind does is in `nsim_dynamics` and again in `nsim_golden`.
+//! A parameter is an integer of the hardware; some may be given as a real number, under another
+//! name. The reader of model files, `quantise`, probes and every list of parameters use
+//! [`NeuronKind::table`]. The dynamics of a kind are in `nsim_dynamics` and again in `nsim_golden`.
 
 use std::cmp::Ordering;
 use std::hash::{Hash, Hasher};
@@ -33,7 +33,7 @@ pub enum NeuronKind {
     SoftReset,
     /// Sums arrivals and sends the change of the sum, once it is large enough (Loihi 2).
     SigmaDelta,
-    /// Sends the change of what arrives, once it is large enough (Loihi 2).
+    /// Sends the change of its input, once it is large enough (Loihi 2).
     Delta,
     /// Sums arrivals and sends the sum (Loihi 2).
     Sigma,
@@ -58,19 +58,19 @@ pub enum NeuronKind {
     AdrfIz,
     /// Resonate-and-fire that sends its real part as it passes the real axis (Loihi 2).
     RfZero,
-    /// Sends what arrives, where its magnitude exceeds a threshold (Loihi 2).
+    /// Sends its input, where its magnitude exceeds a threshold (Loihi 2).
     GradedVec,
-    /// Sends what arrives, where it exceeds a threshold (Loihi 2).
+    /// Sends its input, where it exceeds a threshold (Loihi 2).
     GradedReluVec,
     /// Sends the product of two sums of arrivals (Loihi 2).
     ProdNeuron,
     /// Sends the product of a sum of arrivals and the first sum of the step before (Loihi 2).
     NormVecDelay,
-    /// Sends the square of what arrives (Loihi 2).
+    /// Sends the square of its input (Loihi 2).
     NormSquare,
-    /// Sends the inverse of the square root of what arrives (Loihi 2).
+    /// Sends the inverse square root of its input (Loihi 2).
     InvSqrt,
-    /// What a model file states (Loihi 2).
+    /// A kind that a model file declares (Loihi 2).
     Microcode(MicrocodeKind),
 }
 
@@ -80,7 +80,7 @@ named_variants!(NeuronKind {
     NeuronKind::Microcode(kind) => kind.name()
 });
 
-/// What a kind of neuron consists of.
+/// Parameters, state and messages of a kind of neuron.
 #[derive(Debug)]
 pub struct KindTable {
     /// Its parameters, in the order in which they are written.
@@ -89,9 +89,9 @@ pub struct KindTable {
     pub state: &'static [Column],
     /// Number of its sums of arrivals: 1, or 2 where a projection says which one it adds to.
     pub ports: u8,
-    /// What it sends.
+    /// The content of its messages.
     pub emits: Emits,
-    /// Whether its compartments are registers of Loihi 1, rather than a [`Row`].
+    /// Whether its parameters are registers of Loihi 1, rather than a [`ParameterRow`].
     pub registers: bool,
 }
 
@@ -107,43 +107,43 @@ pub struct Column {
 /// A sum of arrivals of a compartment.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 pub enum Port {
-    /// The only one, or the real one.
+    /// The only sum, or the real one.
     #[default]
     First,
-    /// The imaginary one, or the second factor.
+    /// The imaginary sum, or the second factor.
     Second,
 }
 
 impl Port {
-    /// Whether it is the first.
+    /// Whether it is the first port.
     pub fn is_first(&self) -> bool {
         *self == Port::First
     }
 
-    /// Its number.
+    /// Its number, 0 or 1.
     pub fn index(self) -> usize {
         self as usize
     }
 }
 
-/// What a parent does with what its child pushes.
+/// A parent's use of the voltage that its child pushes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 pub enum Role {
     /// Adds it to the current that enters its voltage.
     Add,
 }
 
-/// How a compartment uses the stack on which the compartments of a neuron pass voltages in a step.
+/// Use of the stack, on which the compartments of a neuron pass voltages in a step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 pub struct Stack {
-    /// The role of its child, of a parent.
+    /// The role of its child, if it is a parent.
     pub pops: Option<Role>,
     /// Whether it is a child.
     pub pushes: bool,
 }
 
 impl Stack {
-    /// That of a compartment which is a neuron of its own.
+    /// The use by a compartment that is a neuron of its own.
     pub const UNUSED: Stack = Stack { pops: None, pushes: false };
 
     /// Whether the compartment is a neuron of its own.
@@ -153,7 +153,7 @@ impl Stack {
     }
 }
 
-/// What a kind sends.
+/// The content of a kind's messages.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Emits {
     /// Spikes, which carry nothing or the payload of their population.
@@ -162,12 +162,12 @@ pub enum Emits {
     Values,
 }
 
-/// Where a core stores a parameter, and what limits the number of values.
+/// The place where a core stores a parameter, which limits the number of its values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Storage {
-    /// With others in a profile of compartments; a core has this many profiles.
+    /// In a compartment profile, with other parameters; the profiles of a core are limited.
     Profile,
-    /// In a table of thresholds; a core has this many.
+    /// In a table of thresholds, of limited size.
     Threshold,
     /// With each compartment.
     Each,
@@ -178,19 +178,19 @@ pub enum Storage {
 pub struct ParameterField {
     /// Its name in model files.
     pub name: &'static str,
-    /// What it holds, and its range.
+    /// Its quantity and range.
     pub field: Field,
-    /// Where a core stores it.
+    /// Its place on a core.
     pub storage: Storage,
     /// Its value where the file gives none.
     pub default: Option<i64>,
-    /// The name of a real number that may be given for it, and how that becomes the integer.
+    /// The name of a real number that may be given instead, and its conversion to the integer.
     pub real: Option<(&'static str, Conversion)>,
-    /// What to give when it is missing.
+    /// Advice when it is missing.
     pub help: &'static str,
 }
 
-/// How a real number becomes the integer of a field.
+/// Conversion of a real number to the integer of a field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Conversion {
     /// A time constant in ms: `4096 (1 - exp(-dt / tau))`.
@@ -225,7 +225,7 @@ impl Row {
     /// That of a compartment with registers.
     pub const EMPTY: Row = Row([0; 8]);
 
-    /// The parameters that are stored in this place; zeros for the others.
+    /// The parameters that are stored in `place`, zeros for the others.
     #[must_use]
     pub fn stored_in(mut self, kind: NeuronKind, place: Storage) -> Row {
         let table = kind.table();
@@ -258,7 +258,7 @@ const fn decay(name: &'static str, time_constant: &'static str) -> ParameterFiel
     }
 }
 
-/// Threshold, bias, refractory period and clips: what every compartment of Loihi 1 has.
+/// Parameters of every Loihi 1 compartment: threshold, bias, refractory period and clips.
 const THRESHOLD: ParameterField = ParameterField {
     real: Some(("vth", Conversion::Threshold)),
     ..required(
@@ -393,8 +393,8 @@ const MANTISSA: ParameterField =
 const BIAS: ParameterField = optional("bias_mant", BiasMantissa::FIELD, Storage::Each, 0);
 /// The exponent of a bias; one below 0 rounds the bias down.
 const BIAS_SHIFT: ParameterField = optional("bias_exp", range("bias exponent", -8, 7), Storage::Each, 0);
-/// What a spike adds to an adaptive threshold, and its range and that of the threshold: below half
-/// a word, because a spike adds twice the threshold.
+/// The greatest magnitude of an adaptive threshold and of its step. It is below half a word,
+/// because a spike adds twice the threshold.
 const MOST_ADAPTIVE: i64 = (1 << 30) - 1;
 const STEP: ParameterField = required(
     "threshold_step",
@@ -402,7 +402,7 @@ const STEP: ParameterField = required(
     Storage::Threshold,
     "give what a spike adds to the threshold, in units of the state",
 );
-/// What a message has to exceed.
+/// The threshold that a message has to exceed.
 const LEAST: ParameterField = threshold(0, i32::MAX as i64);
 
 static TERNARY_LIF: KindTable = KindTable {
@@ -502,7 +502,7 @@ const fn two_sided(name: &'static str, help: &'static str) -> ParameterField {
 }
 
 impl NeuronKind {
-    /// What the kind consists of.
+    /// Its parameters, state and messages.
     pub const fn table(self) -> &'static KindTable {
         match self {
             NeuronKind::Loihi => &LOIHI_TABLE,
@@ -527,7 +527,7 @@ impl NeuronKind {
         }
     }
 
-    /// The name under which chips list it.
+    /// Its entry in the lists of chips.
     #[must_use]
     pub const fn family(self) -> Family {
         match self {
@@ -541,7 +541,7 @@ impl NeuronKind {
         self.table().parameters
     }
 
-    /// The word of state by which an output is read out: v, else the first.
+    /// The index of the word of state that outputs are read from: v, else the first.
     pub fn potential(self) -> usize {
         self.table().state.iter().position(|word| word.name == "v").unwrap_or(0)
     }
@@ -554,15 +554,15 @@ impl NeuronKind {
     }
 }
 
-/// What a chip lists of the kinds: the name of one, or `Microcode` for all that model files state.
+/// An entry in a chip's list of kinds: a name, or `Microcode` for all kinds of model files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Family(&'static str);
 
 impl Family {
-    /// All kinds that model files state.
+    /// All kinds that model files declare.
     pub const MICROCODE: Family = Family("Microcode");
 
-    /// As a chip lists it.
+    /// The entry in a chip's list.
     pub fn name(self) -> &'static str {
         self.0
     }
@@ -579,7 +579,7 @@ impl<'de> Deserialize<'de> for Family {
     }
 }
 
-/// By its name, a kind that a model file states by its declaration.
+/// Serialised as its name, or as the declaration from a model file.
 impl Serialize for NeuronKind {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
@@ -600,10 +600,10 @@ impl<'de> Deserialize<'de> for NeuronKind {
     }
 }
 
-/// A kind that a model file states.
+/// A kind that a model file declares.
 ///
-/// Equal declarations are one kind, which is stored until the process ends: a neuron names its kind
-/// in 8 bytes, and parameters and words have names like those of every other kind.
+/// Equal declarations are one kind, which is stored until the process ends. So a neuron refers to
+/// its kind by 8 bytes, and names of parameters and words are static, as for every other kind.
 #[derive(Clone, Copy)]
 pub struct MicrocodeKind(&'static Stated);
 
@@ -615,10 +615,10 @@ struct Stated {
 static STATED: Mutex<Vec<&'static Stated>> = Mutex::new(Vec::new());
 
 impl MicrocodeKind {
-    /// The kind that a declaration states.
+    /// The kind of a declaration.
     ///
     /// # Errors
-    /// A [`Problem`] at the first name, width or expression that does not hold.
+    /// A [`Problem`] at the first invalid name, width or expression.
     pub fn new(declaration: Declaration) -> Result<Self, Problem> {
         if ["Input", "Srm"].into_iter().chain(FAMILIES.iter().copied()).any(|known| known == declaration.name) {
             let message = format!("'{}' is the name of another kind: choose another one", declaration.name);
@@ -679,7 +679,7 @@ impl PartialEq for MicrocodeKind {
 
 impl Eq for MicrocodeKind {}
 
-/// By declarations, so that the order is the same in every run.
+/// Ordered by declarations, so that the order is equal in every run.
 impl Ord for MicrocodeKind {
     fn cmp(&self, other: &Self) -> Ordering {
         self.code().declaration().cmp(other.code().declaration())
@@ -712,7 +712,7 @@ impl<'de> Deserialize<'de> for MicrocodeKind {
             let whole = Span { start: 0, end: text.len() };
             let Span { start, end } = locate(text, whole, &path).unwrap_or(whole);
             let value = &text[start..end];
-            // A byte of a text in quotes, unless an escape has moved it.
+            // The error is at a byte within the quotes, unless there are escapes.
             let inside = value.starts_with('"') && !value.contains('\\') && at + 1 < value.len();
             let found = if inside { Span { start: start + 1 + at, end } } else { Span { start, end } };
             refuse(Span { start: span.start + found.start, end: span.start + found.end }, message)

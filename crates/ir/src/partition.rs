@@ -1,7 +1,7 @@
-//! Compartments on logical cores.
+//! Assignment of compartments to logical cores.
 //!
-//! True of every [`Partition`]: each compartment sits on exactly one core in exactly one slot, and
-//! each core's use of every resource is within the target's limits.
+//! Invariants of a [`Partition`]: each compartment has exactly one core and one slot, and each
+//! core's use of every resource is within the target's limits.
 
 use std::ops::{Index, IndexMut};
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::base::id::{CompartmentId, CoreId, Id, IdVec};
 use crate::resource::{Capacity, Limits, PerResource, Resource};
 
-/// Where a compartment sits.
+/// Core and slot of a compartment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Seat {
@@ -21,25 +21,25 @@ pub struct Seat {
     pub slot: u16,
 }
 
-/// What a core uses.
+/// Resources that a core uses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoreUsage {
-    /// Synapses, of which there may be any number.
+    /// Number of synapses, which has no limit.
     pub synapses: u64,
-    /// Of each resource.
+    /// Amount of each resource.
     pub of: PerResource<u64>,
 }
 
 impl CoreUsage {
-    /// The same usage but for one resource.
+    /// Returns this usage with another amount of one resource.
     #[must_use]
     pub fn with(mut self, resource: Resource, used: u64) -> Self {
         self.of[resource] = used;
         self
     }
 
-    /// What is used beyond its limit, with the need and the limit.
+    /// The exceeded capacities, each with need and limit.
     pub fn excesses<'l>(self, limits: &'l Limits) -> impl Iterator<Item = (Capacity, u64, u64)> + use<'l> {
         limits.against(self.of).filter(|(_, need, limit)| need > limit)
     }
@@ -60,7 +60,7 @@ impl IndexMut<Resource> for CoreUsage {
     }
 }
 
-/// Why a list of cores is not a partition.
+/// Reason why a list of cores is not a partition.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PartitionError {
     /// A compartment has no seat.
@@ -74,24 +74,24 @@ pub enum PartitionError {
     Uncounted {
         /// Number of cores.
         cores: usize,
-        /// Number of cores of which it is known what they use.
+        /// Number of cores whose usage is given.
         given: usize,
     },
-    /// A core needs more than it has.
+    /// A core exceeds a limit.
     #[error("{core} needs {need} {}, the limit is {limit}", capacity.name())]
     Excess {
         /// The core.
         core: CoreId,
-        /// Of what.
+        /// The exceeded capacity.
         capacity: Capacity,
-        /// What it needs.
+        /// Amount that the core needs.
         need: u64,
-        /// What it has.
+        /// Amount that the core has.
         limit: u64,
     },
 }
 
-/// Compartments on logical cores, within every limit.
+/// Assignment of compartments to logical cores, within every limit.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(try_from = "Text")]
 pub struct Partition {
@@ -102,7 +102,7 @@ pub struct Partition {
     usage: IdVec<CoreId, CoreUsage>,
 }
 
-/// A [`Partition`] as a text has it.
+/// Serialised form of a [`Partition`].
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename = "Partition")]
 struct Text {
@@ -121,12 +121,12 @@ impl TryFrom<Text> for Partition {
 }
 
 impl Partition {
-    /// Cores with their compartments in slot order, and what each core uses (from
-    /// `nsim_partition::resources::exact`).
+    /// Builds a partition from the compartments of each core in slot order, and the usage of each
+    /// core (from `nsim_partition::resources::exact`).
     ///
     /// # Errors
-    /// [`PartitionError`] when a compartment has not exactly one seat, what a core uses is not
-    /// given, or a core exceeds a limit.
+    /// [`PartitionError`] when a compartment does not have exactly one seat, the usage of a core is
+    /// missing, or a core exceeds a limit.
     pub fn new(
         compartments: u32,
         mut members: IdVec<CoreId, Vec<CompartmentId>>,
@@ -142,7 +142,7 @@ impl Partition {
         Partition { limits: limits.clone(), members, seats, usage }.within(limits)
     }
 
-    /// The same partition within other limits.
+    /// Returns this partition with other limits.
     ///
     /// # Errors
     /// [`PartitionError::Excess`] when a core exceeds one.
@@ -161,31 +161,31 @@ impl Partition {
         self.members.len()
     }
 
-    /// Compartments of each core in slot order, which the program shares.
+    /// Compartments of each core in slot order, shared with the program.
     pub fn members(&self) -> &IdVec<CoreId, Arc<Vec<CompartmentId>>> {
         &self.members
     }
 
-    /// A copy of the compartments of each core, for a partition of other cores.
+    /// Copies the compartments of each core, to build another partition.
     pub fn to_members(&self) -> IdVec<CoreId, Vec<CompartmentId>> {
         self.members.iter().map(|held| held.to_vec()).collect()
     }
 
-    /// Where each compartment sits, which the program shares.
+    /// Seat of each compartment, shared with the program.
     pub fn seats(&self) -> &Arc<IdVec<CompartmentId, Seat>> {
         &self.seats
     }
 
-    /// What each core uses.
+    /// Usage of each core.
     pub fn usage(&self) -> &IdVec<CoreId, CoreUsage> {
         &self.usage
     }
 }
 
-/// Where each compartment sits, if each sits exactly once.
+/// Seat of each compartment, if each has exactly one.
 ///
 /// # Errors
-/// [`PartitionError::Homeless`] or [`PartitionError::Misplaced`].
+/// [`PartitionError::Unassigned`] or [`PartitionError::Misplaced`].
 pub fn seats(
     compartments: u32,
     members: &IdVec<CoreId, Vec<CompartmentId>>,

@@ -1,8 +1,8 @@
-//! Logical cores on physical ones, and the routes of messages between them.
+//! Assignment of logical to physical cores, and the routes of messages between them.
 //!
-//! Chips stand on a rectangular board and tiles on a rectangular mesh; a message goes east or west
-//! first, then north or south (dimension order, as Loihi's mesh does: Davies et al. 2018). True of
-//! every [`Placement`]: one to one, inside the mesh.
+//! Chips form a rectangular board, and the tiles of a chip a rectangular mesh. A message goes east
+//! or west first, then north or south (dimension order, as in Loihi's mesh: Davies et al. 2018).
+//! Invariants of a [`Placement`]: it is one to one and inside the mesh.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,17 +13,17 @@ use crate::hardware::Target;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Mesh {
-    /// Chips from west to east.
+    /// Number of chips from west to east.
     pub chips_x: u32,
-    /// Chips from north to south.
+    /// Number of chips from north to south.
     pub chips_y: u32,
-    /// Tiles of a chip from west to east.
+    /// Number of tiles of a chip from west to east.
     pub width: u32,
-    /// Tiles of a chip from north to south.
+    /// Number of tiles of a chip from north to south.
     pub height: u32,
-    /// Cores of a tile.
+    /// Number of cores of a tile.
     pub cores_per_tile: u32,
-    /// Cores of a chip that may be used.
+    /// Number of usable cores of a chip.
     pub cores_per_chip: u32,
 }
 
@@ -41,19 +41,19 @@ impl Mesh {
         }
     }
 
-    /// Whether it has cores, and all of them can be numbered.
+    /// Whether it has cores, each with a place on a tile, and their number fits `u32`.
     pub fn is_countable(&self) -> bool {
         let Mesh { chips_x, chips_y, width, height, cores_per_tile, cores_per_chip } = *self;
         let all = [chips_x, chips_y, width, height, cores_per_tile].into_iter().try_fold(1u32, u32::checked_mul);
         all.is_some_and(|all| all > 0 && (1..=width * height * cores_per_tile).contains(&cores_per_chip))
     }
 
-    /// Cores of the whole board.
+    /// Number of usable cores of the whole board.
     pub fn cores(&self) -> u32 {
         self.chips_x * self.chips_y * self.cores_per_chip
     }
 
-    /// The core with this number, counting chip by chip, row of tiles by row, tile by tile.
+    /// The core of a number, counted by chip, then row of tiles, then tile; `None` past the last.
     pub fn site(&self, number: u32) -> Option<Site> {
         let (chip, within) = (number / self.cores_per_chip, number % self.cores_per_chip);
         let tile = within / self.cores_per_tile;
@@ -75,13 +75,13 @@ impl Mesh {
         (within < self.cores_per_chip).then(|| site.chip * self.cores_per_chip + within)
     }
 
-    /// Column and row of a site's tile over the whole board.
+    /// Column and row of a site's tile on the whole board.
     pub fn tile(&self, site: Site) -> (u32, u32) {
         let (chip_x, chip_y) = (site.chip % self.chips_x, site.chip / self.chips_x);
         (chip_x * self.width + site.x, chip_y * self.height + site.y)
     }
 
-    /// The tile and the chip of a core.
+    /// Positions of a core's tile and chip.
     pub fn position(&self, site: Site) -> MeshPosition {
         MeshPosition { tile: self.tile(site), chip: (site.chip % self.chips_x, site.chip / self.chips_x) }
     }
@@ -117,12 +117,12 @@ pub struct Site {
     pub core: u32,
 }
 
-/// Column and row, from the north-west corner of the board.
+/// Position of a core: columns and rows, from the north-west corner of the board.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct MeshPosition {
-    /// Of the tile.
+    /// Column and row of its tile.
     pub tile: (u32, u32),
-    /// Of the chip.
+    /// Column and row of its chip.
     pub chip: (u32, u32),
 }
 
@@ -138,14 +138,14 @@ impl MeshPosition {
     }
 }
 
-/// The links that a message crosses.
+/// Numbers of links that a message crosses.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Route {
-    /// East or west.
+    /// Links crossed east or west.
     pub east_west: u32,
-    /// North or south.
+    /// Links crossed north or south.
     pub north_south: u32,
-    /// Of those, between chips.
+    /// Links crossed between chips, included in the others.
     pub chip: u32,
 }
 
@@ -165,32 +165,32 @@ impl Route {
     }
 }
 
-/// A core that cannot be where it was put.
+/// Reason why a placement is invalid.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum PlacementError {
-    /// The mesh has no cores.
+    /// The mesh has no cores, or more than can be numbered.
     #[error("the mesh has no cores, or more than can be numbered")]
     Mesh,
-    /// Outside the mesh.
+    /// A core is outside the mesh.
     #[error("{core} is placed on chip {} tile ({}, {}) core {}, which the target does not \
              have", site.chip, site.x, site.y, site.core)]
     Outside {
         /// The logical core.
         core: CoreId,
-        /// Its place.
+        /// Its physical core.
         site: Site,
     },
-    /// Another core is there.
+    /// Two cores have the same place.
     #[error("{first} and {second} are placed on the same physical core")]
     Shared {
-        /// One of them.
+        /// The core with the lower id.
         first: CoreId,
-        /// The other.
+        /// The core with the higher id.
         second: CoreId,
     },
 }
 
-/// Every logical core's place.
+/// The physical core of every logical core.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(try_from = "Text")]
 pub struct Placement {
@@ -198,7 +198,7 @@ pub struct Placement {
     sites: IdVec<CoreId, Site>,
 }
 
-/// A [`Placement`] as a text has it.
+/// Serialised form of a [`Placement`].
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename = "Placement")]
 struct Text {
@@ -215,10 +215,10 @@ impl TryFrom<Text> for Placement {
 }
 
 impl Placement {
-    /// A placement, one to one and inside the mesh.
+    /// Builds a placement that is one to one and inside the mesh.
     ///
     /// # Errors
-    /// [`PlacementError`] at the first core for which that is not so.
+    /// [`PlacementError`] for a mesh without cores, or at the first core that violates this.
     pub fn new(mesh: Mesh, sites: IdVec<CoreId, Site>) -> Result<Self, PlacementError> {
         if !mesh.is_countable() {
             return Err(PlacementError::Mesh);
@@ -238,17 +238,17 @@ impl Placement {
         &self.mesh
     }
 
-    /// The place of a core.
+    /// The physical core of a logical core.
     pub fn site(&self, core: CoreId) -> Site {
         self.sites[core]
     }
 
-    /// All places.
+    /// The physical cores of all logical cores.
     pub fn sites(&self) -> &IdVec<CoreId, Site> {
         &self.sites
     }
 
-    /// Chips that hold a core in use.
+    /// Number of chips with a core in use.
     pub fn chips_used(&self) -> u32 {
         let chips: std::collections::BTreeSet<u32> = self.sites.iter().map(|site| site.chip).collect();
         chips.len() as u32
@@ -259,7 +259,7 @@ impl Placement {
         self.sites.len()
     }
 
-    /// Whether there is none.
+    /// Whether there is no core.
     pub fn is_empty(&self) -> bool {
         self.sites.is_empty()
     }

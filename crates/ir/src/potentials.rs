@@ -1,11 +1,11 @@
-//! Which output a sample's potentials decide for.
+//! Classification of a sample by the potentials of the outputs.
 //!
 //! Input: the potentials of all outputs after each step. Output: a score for each output, and the
-//! class: the output with the greatest score, the lowest index on a tie, none when no potential
-//! ever left zero. Scores are those of [`ReadOut`]: the greatest potential, the sum over all steps,
-//! or the last.
+//! class: the output with the greatest score, the lowest index on a tie. There is no class where
+//! every potential was always 0. [`ReadOut`] selects the score: the greatest potential, the sum
+//! over all steps, or the last.
 //!
-//! Doubles hold the sums exactly: potentials have 24 bits, and samples fewer than 2^29 steps.
+//! Doubles hold sums exactly: of 24-bit potentials below 2^29 steps, of 32-bit ones below 2^21.
 
 use serde::{Deserialize, Serialize};
 
@@ -22,14 +22,14 @@ pub struct Potentials {
 }
 
 impl Potentials {
-    /// Before the first step of a sample; `None` where spikes decide.
+    /// Scores before the first step of a sample; `None` where spikes decide.
     pub fn new(read_out: ReadOut, outputs: u32) -> Option<Self> {
         let outputs = outputs as usize;
         let moved = vec![false; outputs];
         (read_out != ReadOut::Spikes).then(|| Potentials { read_out, scores: vec![0.0; outputs], moved, steps: 0 })
     }
 
-    /// Adds a step with the potential of each output after it.
+    /// Adds a step, after which each output has the given potential.
     pub fn add(&mut self, potential: impl Fn(u32) -> f64) {
         self.rest(1, potential);
     }
@@ -56,7 +56,7 @@ impl Potentials {
         &self.scores
     }
 
-    /// The output with the greatest score.
+    /// The output with the greatest score; `None` where no potential ever left zero.
     pub fn class(&self) -> Option<u32> {
         if !self.moved.contains(&true) {
             return None;
@@ -65,7 +65,7 @@ impl Potentials {
         (0..self.scores.len()).reduce(best).map(|class| class as u32)
     }
 
-    /// By how much the greatest score is above the second; an only output's is its lead.
+    /// Difference of the greatest and the second score; a single output's lead is its score.
     pub fn lead(&self) -> f64 {
         let mut sorted = self.scores.clone();
         sorted.sort_unstable_by(|a, b| b.total_cmp(a));
@@ -76,7 +76,7 @@ impl Potentials {
         }
     }
 
-    /// Takes the scores of those outputs whose potentials another process has.
+    /// Takes over the scores of outputs whose potentials left zero in another process.
     pub fn merge(&mut self, other: &Potentials) {
         for (output, _) in other.moved.iter().enumerate().filter(|(_, moved)| **moved) {
             (self.scores[output], self.moved[output]) = (other.scores[output], true);
@@ -88,8 +88,7 @@ impl Potentials {
 mod tests {
     use super::*;
 
-    /// The classes of steps of potentials by every read-out, in the order of `ReadOut::ALL` without
-    /// spikes.
+    /// The class by each read-out but `Spikes`, in the order of `ReadOut::ALL`.
     fn classes(steps: &[[f64; 3]]) -> [Option<u32>; 3] {
         [ReadOut::GreatestV, ReadOut::SumOfV, ReadOut::LastV].map(|read_out| {
             let mut potentials = Potentials::new(read_out, 3).unwrap();
@@ -103,7 +102,7 @@ mod tests {
         assert_eq!(classes(&[[0.0, 9.0, 4.0], [0.0, -5.0, 4.0], [1.0, 0.0, 0.0]]), [Some(1), Some(2), Some(0)]);
         // All below zero: the least negative.
         assert_eq!(classes(&[[-3.0, -1.0, -2.0]]), [Some(1); 3]);
-        // A tie goes to the lowest index, potentials that never moved to none.
+        // A tie goes to the lowest index; potentials that stay zero give no class.
         assert_eq!(classes(&[[0.0, 2.0, 2.0]]), [Some(1); 3]);
         assert_eq!(classes(&[[0.0; 3], [0.0; 3]]), [None; 3]);
         assert_eq!(classes(&[]), [None; 3]);

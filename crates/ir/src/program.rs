@@ -1,17 +1,16 @@
-//! What the machine runs: classes of equal cores, one closed image for each core, and nothing by
-//! name.
+//! The program of the machine: classes of equal cores, and one closed image for each core, with
+//! names resolved to indices.
 //!
-//! Cores of one class store the same tables: parameters, formats, input axons and lists. They
-//! differ in their place, in the numbers of their compartments and in the messages that these send.
+//! Cores of one class store identical tables: parameters, formats, input axons and lists. They
+//! differ in their places, the ids of their compartments and their messages.
 //!
-//! A spike of a compartment sends one message to each core that holds a target of it; there the
-//! message's input axon selects a list of synapses. Input channels do the same from outside. Input
-//! axons whose lists differ by a shift of all their slots can be members of population axons and
-//! select one stored list ([`PopulationAxon`]). True of every
-//! [`Program`]: every table is closed (each message meets an existing axon, each synapse an
-//! existing compartment), no axon is reached by two sources, every stored list is selected, and
-//! every class has a core. That it equals its `Quantised` network is for `nsim_check::equivalence`
-//! to prove.
+//! A compartment's spike sends one message to each core that has a target of it; there the
+//! message's input axon selects a list of synapses. Input channels send messages likewise. Input
+//! axons whose lists differ only by a shift of all slots can be members of population axons and
+//! select one stored list ([`PopulationAxon`]). Invariants of a [`Program`]: every table is closed:
+//! each message has an existing axon, each synapse an existing compartment. No axon has two
+//! sources, every stored list is selected, and every class has a core. `nsim_check::equivalence`
+//! proves that a program equals its `Quantised` network.
 
 use std::collections::HashMap;
 use std::ops::Range;
@@ -57,30 +56,30 @@ pub struct CoreFormat {
     pub delay_bits: u8,
     /// Bits of its target indices; `None` for a dense list, whose targets follow each other.
     pub index_bits: Option<u8>,
-    /// Bits of the slots skipped before each synapse, in a list that has an index for its first
-    /// one only.
+    /// Bits of the number of slots skipped before each synapse, in a list that has an index for its
+    /// first synapse only.
     pub skip_bits: Option<u8>,
 }
 
-/// A core's entry for several sources, distinguished by the atom that their messages carry: the
-/// channels at one position of a population. Population axons that are given the same table store
-/// it once, each with another base.
+/// A core's entry for several sources, the channels at one position of a population. The atom in a
+/// message identifies the channel. Population axons with the same table store it once, each with
+/// its own base.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct PopulationAxon {
-    /// The list of atom 0; those of the other atoms follow it.
+    /// Index of the list of atom 0; the lists of the other atoms follow it.
     pub table: u32,
-    /// Lists of the table.
+    /// Number of lists of the table.
     pub atoms: u16,
     /// Added to every slot of the lists.
     pub base: u16,
 }
 
-/// What the message of one source selects on a core.
+/// The list that the message of one source selects on a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub enum InputAxon {
-    /// A list of its own, with the slots as they are.
+    /// A list for this axon alone, with the slots as they are stored.
     Discrete {
         /// The list.
         list: u32,
@@ -117,13 +116,13 @@ impl<'a> Selected<'a> {
 pub struct Stored {
     /// The lists: the tables of population axons, then those of discrete axons.
     pub lists: Csr<Synapse>,
-    /// Population axons; few, or none.
+    /// Population axons; usually few or none.
     pub populations: Vec<PopulationAxon>,
-    /// Input axons up to the last that is a member of a population axon; those after it are
-    /// discrete and have the last lists, in order. So a core without population axons has none
-    /// here, and axon i has list i.
+    /// Input axons up to the last member of a population axon. All axons after it are discrete and
+    /// have the last lists, in order. So without population axons there are none here, and axon i
+    /// has list i.
     pub axons: Vec<InputAxon>,
-    /// Input axons after these.
+    /// Number of input axons after these.
     pub plain: u32,
 }
 
@@ -133,7 +132,7 @@ impl Stored {
         Stored { plain: lists.len() as u32, lists, ..Stored::default() }
     }
 
-    /// Lists of a core with population axons, one input axon for each source that reaches it.
+    /// Input axons of a core with population axons, one for each source that reaches it.
     pub fn with_populations(lists: Csr<Synapse>, populations: Vec<PopulationAxon>, mut axons: Vec<InputAxon>) -> Self {
         let discrete = |(back, axon): &(usize, &InputAxon)| match **axon {
             InputAxon::Discrete { list } => list as usize + back + 1 == lists.len(),
@@ -145,7 +144,7 @@ impl Stored {
         Stored { lists, populations, axons, plain: plain as u32 }
     }
 
-    /// Sources that reach the core.
+    /// Number of sources that reach the core.
     pub fn len(&self) -> usize {
         self.axons.len() + self.plain as usize
     }
@@ -164,7 +163,7 @@ impl Stored {
         })
     }
 
-    /// Which of the stored lists an input axon selects, and what it adds to every slot of it.
+    /// Index of the list that an input axon selects, and the offset added to every slot of it.
     #[inline]
     pub fn selected(&self, axon: usize) -> (usize, u16) {
         match self.axon(axon) {
@@ -188,7 +187,7 @@ impl Stored {
         (0..self.len()).map(|axon| self.get(axon))
     }
 
-    /// The lists of discrete axons, in the order of axons.
+    /// Indices of the lists of discrete axons, in the order of axons.
     pub fn iter_discrete(&self) -> impl Iterator<Item = usize> {
         (0..self.len()).filter_map(|axon| match self.axon(axon) {
             InputAxon::Discrete { list } => Some(list as usize),
@@ -196,13 +195,13 @@ impl Stored {
         })
     }
 
-    /// Every synapse, with the slot that it leads to; one that several sources share, once for
-    /// each.
+    /// Every synapse, with the slot of its target. A synapse that several sources share comes once
+    /// for each.
     pub fn synapses(&self) -> impl Iterator<Item = Synapse> {
         self.iter().flat_map(Selected::synapses)
     }
 
-    /// Synapses, those that several sources share counted for each.
+    /// Number of synapses; a synapse that several sources share counts once for each.
     pub fn count(&self) -> u64 {
         match self.populations.is_empty() {
             true => self.lists.items().len() as u64,
@@ -210,13 +209,13 @@ impl Stored {
         }
     }
 
-    /// Whether the axons without an entry are not more than the lists.
+    /// Whether there are as many lists as axons without an entry, or more.
     fn has_lists(&self) -> bool {
         self.plain as usize <= self.lists.len()
     }
 
-    /// Whether every axon selects a list, each list of a discrete axon is selected by it alone,
-    /// each axon's atom is in the table of its population, and slots are below a number.
+    /// Whether every axon selects a list and every list is selected, by one axon if that is
+    /// discrete. Atoms must be in their tables, and slots below `slots`.
     fn is_closed(&self, slots: usize) -> bool {
         let most = |lists: Range<usize>| lists.flat_map(|list| self.lists.get(list)).map(|s| s.slot).max();
         if self.axons.is_empty() && self.populations.is_empty() {
@@ -252,13 +251,13 @@ impl Stored {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Compartment {
-    /// Its fields.
+    /// The parameters.
     pub neuron: Neuron,
     /// The step before which it is held at zero.
     pub start_step: u32,
 }
 
-/// What equal cores store.
+/// Tables that equal cores store.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoreClass {
@@ -271,12 +270,12 @@ pub struct CoreClass {
 }
 
 impl CoreClass {
-    /// The class of cores whose tables another process holds.
+    /// A class of cores whose tables another process stores.
     pub fn without_tables(compartments: Vec<Compartment>) -> Self {
         CoreClass { compartments, formats: Vec::new(), inputs: Stored::default() }
     }
 
-    /// What is wrong with the sums of one whose synapses lead to compartments.
+    /// The error of a synapse to a missing sum; every synapse must have an existing target.
     fn sums_not_closed(&self) -> Option<&'static str> {
         if self.formats.iter().all(|format| format.synapse.port.is_first() && format.synapse.apart.is_none()) {
             return None;
@@ -292,15 +291,15 @@ impl CoreClass {
     }
 }
 
-/// A core: what it stores as its class does, and what it has of its own.
+/// A core: its class, and the tables of its own.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct CoreImage {
-    /// Where it is.
+    /// Its physical core.
     pub site: Site,
-    /// What it stores.
+    /// Its class.
     pub class: ClassId,
-    /// The network's number of each compartment, by slot.
+    /// The network's id of each compartment, by slot.
     pub ids: Arc<Vec<CompartmentId>>,
     /// Messages that a spike sends, by slot, in ascending order of cores.
     pub axons_out: AxonsOut,
@@ -313,7 +312,7 @@ pub struct CoreImage {
 pub struct Graded {
     /// The sources.
     pub sources: Range<u32>,
-    /// What their messages carry, which is not nothing.
+    /// The content of their messages, other than a binary spike.
     pub message: Message,
 }
 
@@ -321,54 +320,54 @@ pub struct Graded {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Compartments {
-    /// The first.
+    /// The first compartment.
     pub first: CompartmentId,
     /// Number of compartments.
     pub count: u32,
-    /// Positions of its shape over space, at least 1: compartments are numbered channel by channel,
-    /// so that channel c at position p is number `c * positions + p`.
+    /// Positions of its shape over space, at least 1. Compartments are numbered channel by channel:
+    /// channel c at position p is number `c * positions + p`.
     pub positions: u32,
 }
 
 impl Compartments {
-    /// Those of a population, unless it is an input.
+    /// The compartments of a population; `None` for an input.
     pub fn in_population(population: &Population) -> Option<Self> {
         let (count, positions) = (population.shape.len(), population.shape.positions());
         population.first_compartment().map(|first| Compartments { first, count, positions })
     }
 }
 
-/// What the parts of a [`Program`] are.
+/// Parts of a [`Program`].
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename = "Program")]
 pub struct Parts {
     /// The mesh that sites are on.
     pub mesh: Mesh,
-    /// What equal cores store.
+    /// Tables of each class of cores.
     pub classes: IdVec<ClassId, CoreClass>,
     /// Core images.
     pub cores: IdVec<CoreId, CoreImage>,
     /// Messages that an input spike sends, by channel, in ascending order of cores.
     pub channels: Csr<AxonTarget>,
-    /// Where each compartment of the network sits.
+    /// The seat of each compartment of the network.
     pub seats: Arc<IdVec<CompartmentId, Seat>>,
     /// The compartments of each population; `None` for inputs.
     pub populations: IdVec<PopulationId, Option<Compartments>>,
     /// Sources of graded spikes, ascending; all others send binary spikes.
     pub graded: Vec<Graded>,
-    /// The population that decides.
+    /// The output population.
     pub output: PopulationId,
-    /// What of it decides.
+    /// The score that decides.
     pub decision: ReadOut,
-    /// The step before which it is held at zero.
+    /// The step before which the output population is held at zero.
     pub output_start: u32,
-    /// Which arithmetic.
+    /// The arithmetic.
     pub semantics: Semantics,
-    /// When a compartment spikes.
+    /// The threshold test.
     pub threshold: ThresholdTest,
     /// Periodic reset.
     pub reset: Option<Reset>,
-    /// Which process runs which cores, where there are several.
+    /// The rank of each core, where there are several processes.
     pub assignment: Option<RankAssignment>,
 }
 
@@ -399,7 +398,7 @@ impl Marks {
 }
 
 impl Parts {
-    /// What a core stores.
+    /// The class of a core.
     ///
     /// # Panics
     /// When the core or its class does not exist.
@@ -408,7 +407,7 @@ impl Parts {
         &self.classes[self.cores[core].class]
     }
 
-    /// What a core stores, to be changed for this core alone: it gets a class of its own.
+    /// The class of a core, mutable for this core alone: a shared class is copied.
     ///
     /// # Panics
     /// When the core or its class does not exist.
@@ -420,7 +419,7 @@ impl Parts {
         &mut self.classes[self.cores[core].class]
     }
 
-    /// The first core of each class; `None` of a class without cores.
+    /// The first core of each class; `None` for a class without cores.
     fn first_cores(&self) -> IdVec<ClassId, Option<CoreId>> {
         let mut firsts: IdVec<ClassId, Option<CoreId>> = vec![None; self.classes.len()].into();
         for (core, image) in self.cores.enumerate() {
@@ -458,12 +457,12 @@ impl Parts {
     }
 }
 
-/// A table that points nowhere.
+/// The error of a dangling table entry.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct NotClosed(pub String);
 
-/// One closed image for each core.
+/// A closed image for each core.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
 #[serde(try_from = "Parts")]
 pub struct Program {
@@ -564,8 +563,8 @@ impl Program {
         self.parts.assignment.as_ref().and_then(|assignment| assignment.held)
     }
 
-    /// The part of a distributed program that a rank holds: the tables of its cores and the
-    /// messages that go to them. All else, such as the seats of compartments, every rank has.
+    /// The part of a distributed program for one rank: the tables of its cores and the messages to
+    /// them. Every rank has all other data, such as the seats of compartments.
     ///
     /// # Errors
     /// [`NotClosed`] when the program is not distributed, or is a part already.
@@ -583,7 +582,7 @@ impl Program {
             channels.push(list.iter().copied().filter(|target| assignment.holds(target.core)));
         }
         channels.shrink_to_fit();
-        // Cores of a class that are held, and those that are not, are classes of their own here.
+        // A class becomes two: one of local cores, with tables, and one of cores of other ranks.
         let mut classes = IdVec::new();
         let mut known: HashMap<(ClassId, bool), ClassId> = HashMap::new();
         let image = |(core, image): (CoreId, &CoreImage)| {
@@ -608,17 +607,17 @@ impl Program {
         })
     }
 
-    /// Core images.
+    /// The cores.
     pub fn cores(&self) -> &IdVec<CoreId, CoreImage> {
         &self.parts.cores
     }
 
-    /// What equal cores store.
+    /// The classes of cores.
     pub fn classes(&self) -> &IdVec<ClassId, CoreClass> {
         &self.parts.classes
     }
 
-    /// What a core stores.
+    /// The class of a core.
     #[inline]
     pub fn class_of(&self, core: CoreId) -> &CoreClass {
         self.parts.class_of(core)
@@ -629,13 +628,13 @@ impl Program {
         self.parts.first_cores().iter().copied().flatten().collect()
     }
 
-    /// Synapses of some cores, those that several sources share counted for each.
+    /// Number of synapses of some cores; one that several sources share counts once for each.
     pub fn synapses_of(&self, cores: impl Fn(CoreId) -> bool) -> u64 {
         let of_classes: IdVec<ClassId, u64> = self.classes().iter().map(|class| class.inputs.count()).collect();
         self.cores().enumerate().filter(|(core, _)| cores(*core)).map(|(_, image)| of_classes[image.class]).sum()
     }
 
-    /// Where each compartment of the network sits.
+    /// The seat of each compartment of the network.
     pub fn seats(&self) -> &IdVec<CompartmentId, Seat> {
         &self.parts.seats
     }
@@ -662,7 +661,7 @@ impl Program {
         &self.parts.mesh
     }
 
-    /// First compartment and size of the output population.
+    /// The output compartments, and the score that decides.
     ///
     /// # Panics
     /// Never: the constructor has checked it.

@@ -14,21 +14,21 @@ named_variants! {
         ZeroSynapse = "zero_synapse",
         /// A compartment that can never spike.
         SilentCompartment = "silent_compartment",
-        /// A compartment that reaches no output and nothing probed.
+        /// A compartment whose spikes reach no output and no probed population.
         UnreachableCompartment = "unreachable_compartment",
         /// A synapse from a source that never spikes, or to a pruned compartment.
         LooseSynapse = "loose_synapse",
     }
 }
 
-/// Number of pruned parts of a kind, and their places.
+/// Pruned parts of one kind: their number and their places.
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 pub struct Row {
-    /// The kind.
+    /// The kind of the parts.
     pub kind: Kind,
     /// Number of parts.
     pub count: u64,
-    /// Why that changes no output.
+    /// Reason why their removal changes no output.
     pub reason: String,
     /// Number of parts of each population or projection, in the order of the file.
     pub of: Vec<(String, u64)>,

@@ -1,7 +1,7 @@
-//! Which process of several holds which cores of a program.
+//! Assignment of a program's cores to processes.
 //!
-//! Processes are *ranks*, numbered from 0. Input: the rank of each core. True of every
-//! [`RankAssignment`]: each core has one rank, below their number.
+//! Processes are *ranks*, numbered from 0. Input: the rank of each core. Invariant, which
+//! [`RankAssignment::is_of`] checks: each core has a rank below the number of ranks.
 
 use std::sync::Arc;
 
@@ -9,14 +9,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::id::{CoreId, IdVec};
 
-/// A process among those that run a program together.
+/// One of the processes that run a program together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Share {
     /// Its number.
     pub rank: u32,
     /// Number of ranks.
     pub ranks: u32,
-    /// Whether it holds the tables of all cores, although it runs its own only: what prices a run
+    /// Whether it stores the tables of all cores, although it runs only its own. An energy estimate
     /// needs every message.
     pub whole: bool,
 }
@@ -34,13 +34,12 @@ pub struct RankAssignment {
     pub ranks: u32,
     /// The rank of each core.
     pub owners: Arc<IdVec<CoreId, u32>>,
-    /// The only rank of whose cores there are tables and to whose cores there are messages; `None`
-    /// where there are all.
+    /// The only rank whose tables and incoming messages are stored here; `None` where all are.
     pub held: Option<u32>,
 }
 
 impl RankAssignment {
-    /// Whether this many cores each have a rank.
+    /// Whether each of `cores` cores has a rank below the number of ranks.
     pub fn is_of(&self, cores: usize) -> bool {
         self.owners.len() == cores && self.owners.iter().all(|&owner| owner < self.ranks)
     }

@@ -1,8 +1,7 @@
-//! How often each source of spikes fired over a run, and how often values left their fields, by
-//! compartment.
+//! Spikes of each source and overflows of each compartment over a run.
 //!
-//! Made by an engine, read by those who sum over populations. Merging is addition, so neither the
-//! order of samples nor threads can change a sum.
+//! An engine makes the counts, and its callers sum them over populations. Merging is addition, so
+//! neither the order of samples nor threads can change a sum.
 
 use std::ops::AddAssign;
 
@@ -10,14 +9,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec};
 
-/// How often the values of a compartment left their fields.
+/// Counts of overflows of one compartment.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct LeftField {
     /// Accumulators and currents that wrapped.
     pub wrapped: u64,
-    /// Voltages that were clipped.
+    /// Number of voltages that were clipped.
     pub clipped: u64,
-    /// Of these, those at the upper end that no reset to zero follows: what they lose is missed.
+    /// Clipped voltages at the upper end without a reset to zero, so the loss changes later steps.
     pub cut: u64,
 }
 
@@ -29,7 +28,7 @@ impl AddAssign for LeftField {
     }
 }
 
-/// Spikes by source and overflow by compartment, of a run or a part of it.
+/// Spikes by source and overflows by compartment, of a run or a part of it.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct SourceCounts {
     /// Spikes of each channel.
@@ -41,7 +40,7 @@ pub struct SourceCounts {
 }
 
 impl SourceCounts {
-    /// No spikes of this many channels and compartments.
+    /// Zero counts of a network with these numbers of channels and compartments.
     pub fn new(channels: usize, compartments: usize) -> Self {
         SourceCounts {
             channels: vec![0; channels].into(),
@@ -50,7 +49,7 @@ impl SourceCounts {
         }
     }
 
-    /// Adds values of a compartment that left their fields.
+    /// Adds overflows of a compartment.
     ///
     /// # Panics
     /// When the compartment is not of this network.
@@ -61,10 +60,10 @@ impl SourceCounts {
         self.left_fields.as_mut_slice()[compartment.index()] += more;
     }
 
-    /// Adds another part of the run.
+    /// Adds the counts of another part of the run.
     ///
     /// # Panics
-    /// When it is of a network of another size.
+    /// When the other network has another size.
     pub fn merge(&mut self, other: &SourceCounts) {
         assert_eq!(self.channels.len(), other.channels.len(), "counts of another network");
         assert_eq!(self.compartments.len(), other.compartments.len(), "counts of another network");

@@ -1,9 +1,9 @@
-//! RON with positions: [`parse`] reads a text into mirrors whose values know their place in it.
+//! RON with positions: [`parse`] reads a text into structs whose values carry their byte ranges.
 //!
-//! RON lends slices of raw values. The offset of such a slice in the text is the place of the
-//! value; while a text is being parsed, its address is stored in a thread-local, since serde cannot
-//! pass context to nested values. A value that fails inside a raw slice reports its own position,
-//! not that of the slice's end.
+//! RON returns raw values as slices of the text, so the offset of a slice is the position of its
+//! value. During parsing the address of the text is in a thread-local, since serde cannot pass
+//! context to nested values. An error inside a raw slice reports its own position, not the slice's
+//! end.
 
 use std::cell::Cell;
 use std::marker::PhantomData;
@@ -20,7 +20,7 @@ use crate::locate::too_deep;
 thread_local! {
     /// Address and length of the text that this thread is parsing.
     static TEXT: Cell<Option<(usize, usize)>> = const { Cell::new(None) };
-    /// The innermost error seen so far: its place in the text.
+    /// Byte range of the innermost error so far.
     static INNERMOST: Cell<Option<Span>> = const { Cell::new(None) };
 }
 
@@ -29,7 +29,7 @@ thread_local! {
 pub struct Spanned<T> {
     /// The value.
     pub value: T,
-    /// Its place in the text; empty when it was not read from one.
+    /// Its byte range in the text; empty when it was not read from one.
     pub span: Span,
 }
 
@@ -46,12 +46,12 @@ impl<T> std::ops::Deref for Spanned<T> {
     }
 }
 
-/// How texts are read, and so have to be written.
+/// Options by which texts are read, so writers need them too.
 pub fn options() -> ron::Options {
     ron::Options::default().with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
 }
 
-/// A raw value's text and its place.
+/// Text and byte range of a raw value.
 fn place_of(raw: &RawValue) -> (&str, Span) {
     let text = raw.get_ron();
     let trimmed = text.trim_start();
@@ -79,15 +79,15 @@ fn offset_of(text: &str, position: ron::error::Position) -> usize {
     text.len()
 }
 
-/// Parses the text of a value that stands at `span`.
+/// Parses the text of the value at `span`.
 pub fn parse_at<T: DeserializeOwned, E: serde::de::Error>(text: &str, span: Span) -> Result<T, E> {
     read_at(text, span, PhantomData).or_else(|Malformed { span, message }| refuse(span, message))
 }
 
-/// Reads the text of a value that stands at `span`.
+/// Reads the text of the value at `span` by a seed.
 ///
 /// # Errors
-/// What is wrong with it, and where; the innermost place that is known.
+/// The problem and its place, the innermost that is known.
 pub fn read_at<'t, S: DeserializeSeed<'t>>(text: &'t str, span: Span, seed: S) -> Result<S::Value, Malformed> {
     options().from_str_seed(text, seed).map_err(|error| {
         let Malformed { span: Span { start, end }, message } = malformed(text, &error);
@@ -96,14 +96,14 @@ pub fn read_at<'t, S: DeserializeSeed<'t>>(text: &'t str, span: Span, seed: S) -
     })
 }
 
-/// What RON found wrong with a text, and where.
+/// Message and byte range of an error of RON.
 fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
     use ron::Error::{ExpectedArray, ExpectedComma, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
     let end = offset_of(text, error.span.end);
     let (before, after) = text.split_at(end);
     let part = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
     let start = before.trim_end_matches(part).len();
-    // A text ends with its next quote.
+    // A string ends at its next quote.
     let quote = text[start..].strip_prefix('"').and_then(|rest| rest.find('"')).map(|quote| start + quote + 2);
     let token = Span { start, end: quote.unwrap_or(end + after.len() - after.trim_start_matches(part).len()) };
     let found = &text[token.start..token.end];
@@ -113,7 +113,7 @@ fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
             let least = if found.starts_with('-') { " from 0" } else { "" };
             format!("expected a whole number{least} and found {found}")
         }
-        // What follows the digits makes it another kind of number.
+        // Characters after the digits make it another kind of number.
         (ExpectedComma | TrailingCharacters, 1..=40) if token.start < end && found.parse::<f64>().is_ok() => {
             format!("expected a whole number and found {found}")
         }
@@ -125,7 +125,7 @@ fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
     Malformed { span: token, message }
 }
 
-/// Fails at this place, while parsing.
+/// Fails at `span` while parsing.
 pub fn refuse<T, E: serde::de::Error>(span: Span, message: impl std::fmt::Display) -> Result<T, E> {
     if INNERMOST.get().is_none() {
         INNERMOST.set(Some(span));
@@ -146,7 +146,7 @@ impl<T: Serialize> Serialize for Spanned<T> {
     }
 }
 
-/// The text of a value and its place.
+/// Text and byte range of a value.
 pub fn raw<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(&'de str, Span), D::Error> {
     Ok(place_of(<&RawValue>::deserialize(deserializer)?))
 }
@@ -154,7 +154,7 @@ pub fn raw<'de, D: Deserializer<'de>>(deserializer: D) -> Result<(&'de str, Span
 /// Parses a whole RON text.
 ///
 /// # Errors
-/// A [`Diagnostic`] with the position of the malformed value; `code` names it.
+/// A [`Diagnostic`] with this code, at the position of the malformed value.
 pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Result<T> {
     let text = source.text();
     attempt(text).map_err(|malformed| {
@@ -172,20 +172,19 @@ pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Re
     })
 }
 
-/// Why a text cannot be read, and where.
+/// Reason why a text cannot be read, and its place.
 #[derive(Debug)]
 pub struct Malformed {
-    /// Where in the text.
+    /// Byte range in the text.
     pub span: Span,
-    /// What is wrong there.
+    /// Message for the user.
     pub message: String,
 }
 
-/// Brackets that may be open at a place of a text. RON scans a value once for each bracket around
-/// it.
+/// The deepest nesting of brackets. RON scans a value once for each bracket around it.
 const DEEPEST: u32 = 100;
 
-/// Parses the value at a place of a RON text, and nothing else of it.
+/// Parses only the value at a place of a RON text.
 ///
 /// # Errors
 /// As [`parse`].
@@ -215,28 +214,28 @@ fn attempt_part<T: DeserializeOwned>(text: &str, part: Span) -> Result<T, Malfor
     })
 }
 
-/// Values of every kind that a field can have, one of which is likely to do for a while.
+/// Candidate values of a missing field, of every kind; one usually lets parsing go on.
 const FILLERS: [&str; 8] = ["0", "\"x\"", "[]", "[0]", "(1, 1)", "()", "true", "x"];
-/// Texts longer than this are not read again to find more missing fields.
+/// The longest text, in bytes, that is read again to find more missing fields.
 const MOST_BYTES: usize = 1 << 20;
-/// Missing fields that are named at most.
+/// The most missing fields that are named after the first.
 const MOST_MISSING: usize = 40;
 
-/// Field and owner of RON's message that a field is missing.
+/// Field and owner in RON's message about a missing field.
 fn missing_field(message: &str) -> Option<(&str, &str)> {
     let (field, rest) = message.split_once("missing field named `")?.1.split_once('`')?;
     Some((field, rest.split_once("in `")?.1.split_once('`')?.0))
 }
 
-/// Fields that are missing besides the first, and where. RON ends at the first one, so that is
-/// filled in and the text is read again, until something else is wrong.
+/// Further missing fields, with their places. RON stops at the first missing field. So that field
+/// is filled in and the text is read again, until there is another error.
 fn other_missing_fields<T: DeserializeOwned>(
     text: &str,
     Malformed { span, message }: &Malformed,
 ) -> Vec<(usize, String)> {
     let (mut text, mut found) = (text.to_string(), Vec::new());
     let (mut at, mut missing) = (span.start, missing_field(message).map(|(field, _)| field.to_string()));
-    // Where values were filled in, and how long they are.
+    // Byte ranges of the inserted values, and their lengths.
     let mut filled: Vec<(Span, usize)> = Vec::new();
     while let Some(field) = missing.take().filter(|_| text.len() <= MOST_BYTES && found.len() < MOST_MISSING) {
         if text.get(..at).is_none() {
@@ -256,7 +255,7 @@ fn other_missing_fields<T: DeserializeOwned>(
             let another = missing_field(&message);
             let inside = (at..end).contains(&span.start);
             if inside && another.is_none() {
-                // Of an enum the message names a variant.
+                // For an enum the message names a variant.
                 let variant = message.split_once(", expected ").and_then(|(_, rest)| rest.split('`').nth(1));
                 if let Some(variant) = variant
                     .filter(|name| message.contains("enum") && fillers.len() == FILLERS.len() && !name.is_empty())
@@ -271,7 +270,7 @@ fn other_missing_fields<T: DeserializeOwned>(
             }
             filled.push((Span { start: at, end }, inserted.len()));
             if let Some((field, owner)) = another {
-                // What a filled in value lacks is missing in no file.
+                // The file does not lack a field of an inserted value.
                 if !filled.iter().any(|(one, _)| (one.start..one.end).contains(&span.start)) {
                     let before = filled.iter().filter(|(one, _)| one.start < span.start);
                     let before: usize = before.map(|(_, length)| length).sum();
@@ -376,7 +375,7 @@ mod tests {
         assert!(said.contains(first), "{said}");
         let second = "`_size` in `Inner` (line 2), `_pair` in `Inner` (line 2), `_size` in `Inner` (line 2), ";
         assert!(said.contains(second), "{said}");
-        // What a missing value would have to hold is not said.
+        // Fields inside a missing value are not listed.
         let rest = "`_kind` in `Inner` (line 2), `_pair` in `Inner` (line 2), `_name` in `Whole` (line 3), `_other` in \
             `Whole` (line 3), `_last` in `Whole` (line 3)";
         assert!(said.contains(rest), "{said}");

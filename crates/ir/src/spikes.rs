@@ -1,4 +1,4 @@
-//! Input spikes of a sample, spikes with what they carry, and the interface of an engine.
+//! Input spikes of a sample, spikes with payloads, and the interface of an engine.
 
 use std::collections::BTreeMap;
 
@@ -8,22 +8,22 @@ use crate::activity::{Overflow, Totals};
 use crate::base::fixed::{MessageBits, Payload};
 use crate::base::id::{ChannelId, CompartmentId, Id};
 
-/// What the messages of a population carry besides their source.
+/// Content of a population's messages, in addition to their source.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 pub enum Message {
     /// Nothing: a binary spike.
     #[default]
     Spike,
-    /// The same integer each.
+    /// One integer, the same in every message.
     Payload(Payload),
-    /// An integer that the neuron computes or the input gives, of at most this many bits. A greater
-    /// one is sent whole and reported.
+    /// An integer that the neuron computes or the input gives, of at most this number of bits. A
+    /// wider one is sent unchanged and reported.
     Value(MessageBits),
 }
 
 impl Message {
-    /// What every message multiplies the weights of its synapses by, 1 for a spike; `None` where
-    /// that differs from message to message.
+    /// Factor by which every message multiplies weights, 1 for a spike; `None` where messages
+    /// differ.
     pub fn factor(self) -> Option<i32> {
         match self {
             Message::Spike => Some(1),
@@ -32,7 +32,7 @@ impl Message {
         }
     }
 
-    /// The bits of an integer that a message carries, its sign included.
+    /// Bits of the integer in a message, its sign included; 0 for a spike.
     pub fn bits(self) -> u32 {
         match self {
             Message::Spike => 0,
@@ -41,7 +41,7 @@ impl Message {
         }
     }
 
-    /// The greatest magnitude that a message multiplies weights by.
+    /// The greatest magnitude of a factor by which a message multiplies weights.
     pub fn greatest(self) -> u64 {
         match self {
             Message::Value(bits) => 1 << (bits.get() - 1),
@@ -50,13 +50,12 @@ impl Message {
     }
 }
 
-/// Messages of one step: their sources, ascending, each once, and what they carry.
+/// Messages of one step: their channels, ascending, each once, and their values.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Spikes<'a> {
     /// The channels.
     pub ids: &'a [ChannelId],
-    /// The values of the channels of populations whose messages have values, 1 for others; empty
-    /// where every one is 1.
+    /// The value of each message, 1 for populations without values; empty where every one is 1.
     pub values: &'a [i32],
 }
 
@@ -70,10 +69,10 @@ impl<'a, T: AsRef<[ChannelId]> + ?Sized> From<&'a T> for Spikes<'a> {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sample {
     label: Option<u32>,
-    /// One more than steps; spikes of step t are `first[t]..first[t + 1]`.
+    /// Offsets, one more than steps; spikes of step t are `first[t]..first[t + 1]`.
     first: Vec<u32>,
     channels: Vec<ChannelId>,
-    /// What each carries; empty where every one is 1.
+    /// The value of each spike; empty where every one is 1.
     values: Vec<i32>,
 }
 
@@ -136,8 +135,8 @@ impl Sample {
         if u32::try_from(events.len()).is_err() {
             return Err(SampleError::TooMany);
         }
-        // Recordings come channel by channel or step by step; either way a stable count over steps
-        // leaves each step's channels ascending, and little is left to sort.
+        // Recordings are ordered by channel or by step. In both cases a stable counting sort by
+        // step leaves each step's channels ascending, and little is left to sort.
         let mut next = vec![0u32; steps as usize + 1];
         for &(step, _) in events {
             *next.get_mut(step as usize + 1).ok_or(SampleError::Step { step, steps })? += 1;
@@ -151,7 +150,7 @@ impl Sample {
             channels[*place as usize] = channel;
             *place += 1;
         }
-        // Each step's entry has moved to its end, which is where the next one begins.
+        // Each entry has advanced to the end of its step, where the next step begins.
         let mut first = Vec::with_capacity(steps as usize + 1);
         first.push(0);
         let (mut begin, mut kept) = (0, 0);
@@ -176,8 +175,8 @@ impl Sample {
         Ok(Sample { label, first, channels, values: Vec::new() })
     }
 
-    /// A sample from (step, channel, value) events in any order; of events given twice the last
-    /// counts, and a value of 0 is none.
+    /// A sample from (step, channel, value) events in any order. Of repeated events the last one
+    /// counts; an event of value 0 is none.
     ///
     /// # Errors
     /// [`SampleError`] for an event outside the sample.
@@ -189,13 +188,13 @@ impl Sample {
         Ok(Sample { values, ..Sample::new(steps, &places, label)? })
     }
 
-    /// The same spikes with another class.
+    /// Returns this sample with another label.
     #[must_use]
     pub fn with_label(self, label: Option<u32>) -> Self {
         Sample { label, ..self }
     }
 
-    /// The same spikes on the channels of this many copies of a network, one after the other.
+    /// Repeats this sample on the channels of `copies` copies of a network of `channels` channels.
     pub fn copies(&self, copies: u32, channels: u32) -> Sample {
         let spikes =
             |step| (0..copies).flat_map(move |k| self.at(step).iter().map(move |c| ChannelId(c.0 + k * channels)));
@@ -207,7 +206,7 @@ impl Sample {
         }
     }
 
-    /// The same spikes followed by `steps` steps without any.
+    /// Returns this sample followed by `steps` steps without spikes.
     #[must_use]
     pub fn followed_by(mut self, steps: u32) -> Self {
         let end = self.first.last().copied().unwrap_or(0);
@@ -215,7 +214,7 @@ impl Sample {
         self
     }
 
-    /// The first this many steps, or all of a shorter sample.
+    /// The first `steps` steps, or all of a shorter sample.
     pub fn beginning(&self, steps: u32) -> Sample {
         let first = self.first[..=steps.min(self.steps()) as usize].to_vec();
         let spikes = first.last().map_or(0, |&end| end as usize);
@@ -228,7 +227,7 @@ impl Sample {
         (self.first.len() - 1) as u32
     }
 
-    /// The class that it shows, when known.
+    /// The label of its class, when known.
     pub fn label(&self) -> Option<u32> {
         self.label
     }
@@ -239,45 +238,45 @@ impl Sample {
         &self.channels[self.first[step as usize] as usize..self.first[step as usize + 1] as usize]
     }
 
-    /// The same channels with what they carry.
+    /// The channels that spike in a step, with their values.
     #[inline]
     pub fn input(&self, step: u32) -> Spikes<'_> {
         let range = self.first[step as usize] as usize..self.first[step as usize + 1] as usize;
         Spikes { values: self.values.get(range.clone()).unwrap_or(&[]), ids: &self.channels[range] }
     }
 
-    /// The first step from this one on that has a spike, or the end.
+    /// The first step from `step` on that has a spike; the number of steps if there is none.
     pub fn next_spike(&self, step: u32) -> u32 {
         let passed = self.first[step as usize];
         self.first.partition_point(|&first| first <= passed).saturating_sub(1).max(step as usize) as u32
     }
 
-    /// All spikes.
+    /// Number of spikes.
     pub fn spikes(&self) -> usize {
         self.channels.len()
     }
 }
 
-/// The samples of a run, all for the channels of the same network.
+/// The samples of a run, all for the channels of one network.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Stimulus {
-    /// In run order.
+    /// The samples, in run order.
     pub samples: Vec<Sample>,
-    /// How they were made, for the record; ends up in results.
+    /// Descriptions of their origin, which results record.
     pub origin: Vec<String>,
     /// The seed, when one was used.
     pub seed: Option<u64>,
 }
 
-/// A spike on its way to its synapses.
+/// A spike to deliver to its synapses.
 pub trait Spike: Copy {
-    /// What it carries: nothing, or an integer.
+    /// The type of its payload: `()` or an integer.
     type Payload: Copy;
-    /// Whether it carries nothing.
+    /// Whether it has no payload.
     const BINARY: bool;
     /// The index of its source.
     fn source(self) -> usize;
-    /// What it carries.
+    /// Its payload.
     fn payload(self) -> Self::Payload;
 }
 
@@ -295,12 +294,12 @@ impl<I: Id> Spike for I {
     fn payload(self) {}
 }
 
-/// A spike that carries an integer.
+/// A spike with an integer payload.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct GradedSpike<I> {
     /// Its source.
     pub id: I,
-    /// What it carries.
+    /// Its payload.
     pub payload: i32,
 }
 
@@ -319,14 +318,14 @@ impl<I: Id> Spike for GradedSpike<I> {
     }
 }
 
-/// An engine after a step: what probes, digests and comparisons read. `fast` and `golden` are
-/// chosen at run time.
+/// Interface of an engine, by which probes, digests and comparisons read its state after a step.
+/// The engine is chosen at run time.
 pub trait Engine {
     /// Clears state, spikes in flight and everything counted; the coming sample has this many
     /// steps.
     fn begin(&mut self, steps: u32);
-    /// One timestep with these input channels spiking (ascending, each once). The spikes of a
-    /// population with a payload carry that.
+    /// Runs one timestep with these input channels spiking (ascending, each once). Spikes of a
+    /// population with a payload carry that payload.
     fn step(&mut self, input: Spikes<'_>);
     /// Passes over this many steps without input, if nothing at all would happen in them: then
     /// every register stays as it is, and counts are as if they had been computed. Otherwise
@@ -335,15 +334,15 @@ pub trait Engine {
         let _ = steps;
         false
     }
-    /// Compartments that spiked in the last step, each once, in any order: putting them into one
-    /// costs time that most who ask need not spend.
+    /// Compartments that spiked in the last step, each once, in any order, because most callers
+    /// need no sorted list.
     fn spikes(&self) -> &[CompartmentId];
-    /// What each of [`Engine::spikes`] carries, in that order, 1 for a binary spike. Empty if all
+    /// Payload of each of [`Engine::spikes`], in that order, 1 for a binary spike. Empty if all
     /// messages of the network are binary spikes, and in engines of real numbers.
     fn payloads(&self) -> &[i32] {
         &[]
     }
-    /// The spikes, ascending.
+    /// Compartments that spiked in the last step, ascending.
     fn ascending_spikes(&self) -> Vec<CompartmentId> {
         let mut spikes = self.spikes().to_vec();
         spikes.sort_unstable();
@@ -353,22 +352,22 @@ pub trait Engine {
     fn state(&self, compartment: CompartmentId, column: usize) -> i32 {
         if column == 0 { self.u(compartment) } else { self.v(compartment) }
     }
-    /// The current register after the last step; 0 of a kind that has none.
+    /// The current register after the last step; 0 for a kind without one.
     fn u(&self, compartment: CompartmentId) -> i32;
     /// The membrane after the last step: 0 at a spike and while refractory.
     fn v(&self, compartment: CompartmentId) -> i32;
-    /// The membrane as a number of the engine's own: not rounded where it computes in real numbers.
+    /// The potential that decisions read (v, else the first word), unrounded in engines of reals.
     fn potential(&self, compartment: CompartmentId) -> f64 {
         self.v(compartment).into()
     }
-    /// What a probe of the chip's voltage register reads: the refractory counter while it is
-    /// running (`docs/semantics.md`, probes), the membrane otherwise.
+    /// Value of the chip's voltage register: the refractory counter while it is running
+    /// (`docs/semantics.md`, probes), the membrane otherwise.
     fn v_register(&self, compartment: CompartmentId) -> i32;
-    /// Waits for what other processes have to say of the last step, before it is counted.
+    /// Waits for the messages of other processes for the last step, before counts are read.
     fn settle(&mut self) {}
-    /// What was counted since `begin`.
+    /// Counts since `begin`.
     fn totals(&self) -> Totals;
-    /// What left its field since `begin`.
+    /// Counts of overflows since `begin`.
     fn overflow(&self) -> Overflow;
 }
 
@@ -385,7 +384,7 @@ mod tests {
         assert_eq!((sample.at(3).len(), sample.steps(), sample.spikes()), (0, 4, 3));
         let next: Vec<u32> = (0..4).map(|step| sample.next_spike(step)).collect();
         assert_eq!(next, [0, 2, 2, 4]);
-        // Against sorting everything, in random order with repeats.
+        // Compared with a full sort, for random events with repeats.
         for seed in 0..50 {
             let draw = |k, entity, n| crate::base::rng::below(n, seed, entity, k) as u32;
             let events: Vec<(u32, ChannelId)> =

@@ -1,24 +1,24 @@
-//! What a stimulus argument says: `POPULATION=SOURCE`, or a bare SOURCE.
+//! Syntax of a stimulus argument: `POPULATION=SOURCE`, or SOURCE alone.
 //!
-//! This is only the syntax; `io::spikes` reads files and `scene` makes synthetic spikes.
+//! Module `nsim_import::spikes` reads the files, and `nsim_scene` makes the synthetic spikes.
 
 use std::path::PathBuf;
 
 use crate::base::diagnostic::{Diagnostic, Result};
 
-/// One `--input`.
+/// A parsed `--input` argument.
 #[derive(Debug, Clone, PartialEq)]
 pub struct InputArg {
-    /// The population it is for, when named.
+    /// Name of the input population; `None` where the argument gives none.
     pub population: Option<String>,
-    /// Where its spikes come from.
+    /// Source of its spikes.
     pub source: InputSource,
 }
 
-/// Where spikes come from.
+/// A source of input spikes.
 #[derive(Debug, Clone, PartialEq)]
 pub enum InputSource {
-    /// A file or folder; its kind is found out by reading it. `-` is stdin.
+    /// A file or folder, whose format is detected from its content. `-` is stdin.
     Path(PathBuf),
     /// A file or folder with options, `FILE?key=value&..`.
     Events(PathBuf, Vec<(String, String)>),
@@ -31,11 +31,11 @@ pub enum InputSource {
 pub struct SceneArg {
     /// The scene's name.
     pub name: String,
-    /// Parameters in the order given.
+    /// Names and values of its parameters, in the order given.
     pub parameters: Vec<(String, String)>,
 }
 
-/// `key=value` pairs joined by `&`.
+/// Parses `key=value` pairs joined by `&`; empty pairs are ignored.
 ///
 /// # Errors
 /// `input.scene-syntax` for a pair without `=`.
@@ -55,13 +55,13 @@ impl SceneArg {
     /// Parses `NAME?key=value&key=value`.
     ///
     /// # Errors
-    /// A diagnostic for a parameter without `=`.
+    /// `input.scene-syntax` for a parameter without `=`.
     pub fn parse(text: &str) -> Result<Self> {
         let (name, query) = text.split_once('?').unwrap_or((text, ""));
         Ok(SceneArg { name: name.to_string(), parameters: pairs(query)? })
     }
 
-    /// The scene as it would be typed.
+    /// The scene as a command-line argument, `scene:NAME?key=value&..`.
     pub fn spelled(&self) -> String {
         let mut text = format!("scene:{}", self.name);
         for (i, (key, value)) in self.parameters.iter().enumerate() {
@@ -73,10 +73,10 @@ impl SceneArg {
 }
 
 impl InputArg {
-    /// Parses an `--input` argument. A `=` names a population only before any `/`, `?` or `:`.
+    /// Parses an `--input` argument. A `=` names a population only before any `/`, `?`, `:` or `.`.
     ///
     /// # Errors
-    /// A diagnostic for a malformed scene.
+    /// `input.scene-syntax` for a malformed scene.
     pub fn parse(text: &str) -> Result<Self> {
         let (population, source) = match text.split_once('=') {
             Some((name, rest)) if !name.is_empty() && !name.contains(['/', '?', ':', '.']) => {

@@ -1,4 +1,4 @@
-//! An array of numbers as a file holds it: shape, and integers or reals in C order.
+//! An array of numbers from a file: shape, and integers or reals in C order.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,7 +12,7 @@ pub enum ArrayRef {
     Safetensors(String, String),
 }
 
-/// Numbers of one kind.
+/// Numbers of one type.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Numbers {
     /// From an integer array.
@@ -29,7 +29,7 @@ pub struct Tensor {
 }
 
 impl Tensor {
-    /// An array, if its numbers fill its shape.
+    /// An array; `None` where the number of elements does not match the shape.
     pub fn new(shape: Vec<usize>, numbers: Numbers) -> Option<Self> {
         let length = match &numbers {
             Numbers::Integers(x) => x.len(),
@@ -39,7 +39,7 @@ impl Tensor {
         (product == length).then_some(Tensor { shape, numbers })
     }
 
-    /// The axes.
+    /// Lengths of the axes.
     pub fn shape(&self) -> &[usize] {
         &self.shape
     }
@@ -49,7 +49,7 @@ impl Tensor {
         self.shape.iter().product()
     }
 
-    /// Whether there is none.
+    /// Whether there is no element.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
@@ -59,7 +59,7 @@ impl Tensor {
         &self.numbers
     }
 
-    /// One number as a real; every integer that a tensor holds is exact in an `f64`.
+    /// One number as a real, exact for every integer of a tensor.
     ///
     /// # Panics
     /// When `index` is not below `len`.

@@ -3,7 +3,7 @@
 //! Input: words of bits. Output: the numbers of the set bits. Sets are sparse and the population
 //! count is unpredictable, so avoid a branch per bit.
 
-/// The lowest `count` bits, all 64 from there on.
+/// A word whose lowest `count` bits are set, all 64 from 64 on.
 #[inline(always)]
 pub(crate) fn ones(count: usize) -> u64 {
     if count >= 64 { u64::MAX } else { (1 << count) - 1 }

@@ -1,7 +1,7 @@
 //! Exchange: the spikes of all shards in one list.
 //!
-//! Input: spikes by shard. Output: all spikes, of which those that reach dense blocks come last and
-//! ascending. Why not all ascending: sorting costs time, and only dense blocks need the order.
+//! Input: spikes by shard. Output: all spikes; spikes that reach dense blocks come last, in
+//! ascending order. The others are not sorted: only dense blocks need it, and sorting costs time.
 
 use std::ops::Range;
 
@@ -9,8 +9,8 @@ use crate::bits::{UNCHECKED, write_ones};
 use nsim_ir::base::id::{CompartmentId, Id};
 
 /// Moves ids in the upper range after all others and sorts them; payloads, if there are any, move
-/// with their ids. Ids are distinct and below the end of the range. With more than an eighth as
-/// many ids as words of marks, a bit set is less work than sorting. `marks` and `by_id` are scratch
+/// with their ids. Ids are distinct and below the end of the range. A bit set is less work than
+/// sorting if the ids outnumber an eighth of the words of marks. `marks` and `by_id` are scratch
 /// memory; `marks` is all zeros before and after.
 pub(crate) fn sort(
     (ids, payloads): (&mut Vec<CompartmentId>, &mut [i32]),
@@ -19,7 +19,7 @@ pub(crate) fn sort(
     by_id: &mut Vec<i32>,
 ) {
     let (first, count) = (range.start, range.end.index() - range.start.index());
-    // Mostly a few at the end are to be sorted.
+    // Usually only some ids at the end need sorting.
     let kept = ids.iter().position(|&id| id >= first).unwrap_or(ids.len());
     let mut begin = kept;
     for at in kept..ids.len() {
@@ -61,7 +61,7 @@ mod tests {
     use super::*;
     use nsim_ir::base::rng;
 
-    /// By a bit set and without, with payloads and without.
+    /// With a bit set and without, with payloads and without.
     #[test]
     fn ids_of_the_range_come_last_and_ascending() {
         const COUNT: usize = 3_000;

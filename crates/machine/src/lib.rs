@@ -7,9 +7,8 @@
 //! - `layout/`: a program as an image: compartments in lanes, synapses in dense blocks and lists.
 //! - `deliver/`: spikes into the delay ring.
 //! - `update/`: compartments, sixteen at a time; `exchange`: the spikes of all shards in one list.
-//! - `count/`: what spikes cause on the chip.
-//! - `ranks/`: one program run by several processes, each of which holds a part and has a machine
-//!   for it.
+//! - `count/`: counts that spikes cause on the chip.
+//! - `ranks/`: one program run by several processes, each with a machine for its part.
 //! - `plastic/`: synapses whose weights a run may change.
 //! - `store`, `bits`: memory aligned for the caches, and sets of bits.
 
@@ -43,12 +42,12 @@ use nsim_ir::learning::LearningRule;
 use nsim_ir::source_counts::SourceCounts;
 use nsim_ir::spikes::{Engine, Spikes};
 
-/// How to run. No setting changes a result.
+/// Settings of a run, which change no result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Settings {
-    /// Skip idle compartments.
+    /// Whether idle compartments are skipped.
     pub skip: bool,
-    /// Keep what each step did by core, for [`Machine::last_step`].
+    /// Whether each step's activity is recorded by core, for [`Machine::last_step`].
     pub per_step: bool,
 }
 
@@ -58,8 +57,8 @@ impl Default for Settings {
     }
 }
 
-/// From this many events a skip block on, a step visits every skip block: marking an arrival costs
-/// about as much as adding it, and visiting an idle skip block as much as a few dozen additions.
+/// Least number of events a skip block for which a step visits every skip block. Marking an arrival
+/// costs about as much as adding it, and a visit to an idle skip block some dozen additions.
 const VISIT_ALL_FROM: u64 = 8;
 
 /// The state of a run over an image. A copy continues from the same step, independently.
@@ -69,19 +68,19 @@ pub struct Machine {
     shards: Vec<ShardState>,
     settings: Settings,
     arch: pulp::Arch,
-    /// The next step, and the steps of the sample.
+    /// Numbers of the next step, and of the steps of the sample.
     step: u32,
     steps: u32,
-    /// Spikes of the last step, and what they carry; empty if all spikes are binary.
+    /// Spikes of the last step, and their payloads; empty if all spikes are binary.
     spikes: Vec<CompartmentId>,
     payloads: Vec<i32>,
-    /// The other processes that run the program, and their spikes of the last step.
+    /// The other ranks of the program, and their spikes of the last step.
     others: Option<Exchange>,
     remote: Vec<CompartmentId>,
     remote_payloads: Vec<i32>,
-    /// The spikes and those of others that are shown to every process.
+    /// Spikes of this rank, and the other ranks' spikes that are reported to all.
     shown: Vec<CompartmentId>,
-    /// Those of the step before, while they are delivered.
+    /// Spikes of the previous step, while they are delivered.
     carried: Vec<CompartmentId>,
     carried_payloads: Vec<i32>,
     /// Scratch memory for sorting.
@@ -89,11 +88,11 @@ pub struct Machine {
     by_id: Vec<i32>,
     /// Synaptic events that the last step counted; the next will have about as many.
     last_events: u64,
-    /// Of the sample, without events of undelivered spikes and without the residual.
+    /// Totals of the sample, without events of undelivered spikes and without the residual.
     totals: Totals,
     last: StepActivity,
     counts: SpikeCounts,
-    /// What changes plastic weights.
+    /// The rule that changes plastic weights, and its record.
     learning: Option<Learning>,
 }
 
@@ -126,8 +125,8 @@ impl Machine {
         }
     }
 
-    /// The initial state of the part of a program that this process holds; all ranks make theirs at
-    /// the same time. The spikes of these compartments, if any, are shown to every rank.
+    /// A machine for the part of a program on this rank, in its initial state; all ranks make
+    /// theirs together. The spikes of the compartments `shown`, if any, are reported to every rank.
     ///
     /// # Panics
     /// When the image is of no part, or the ranks hold parts of different mappings.
@@ -137,23 +136,23 @@ impl Machine {
         Machine { others, ..Machine::new(image, settings) }
     }
 
-    /// What the last step did; empty unless `Settings::per_step` is on.
+    /// Activity of the last step; empty unless `Settings::per_step` is on.
     pub fn last_step(&self) -> &StepActivity {
         &self.last
     }
 
-    /// What all steps did since this was last asked, over any number of samples.
+    /// Takes the activity of all steps since the last call, over any number of samples.
     pub fn take_activity(&mut self) -> Activity {
         self.take_counts().0
     }
 
-    /// That activity, with the spikes of each source and what left its field by compartment.
+    /// Takes this activity, with the spikes of each source and the overflows of each compartment.
     pub fn take_counts(&mut self) -> (Activity, SourceCounts) {
         self.counts.take(&self.image, &mut self.shards, self.arch)
     }
 
-    /// Adds what another machine of the same image, without other processes, counted over its
-    /// samples: [`Machine::take_counts`] then is of both.
+    /// Adds the counts of another machine of this image, without other ranks. Then
+    /// [`Machine::take_counts`] returns the counts of both.
     pub fn absorb(&mut self, other: &Machine) {
         self.counts.absorb(&other.counts);
         self.shards.iter_mut().zip(&other.shards).for_each(|(sum, more)| sum.absorb(more));
@@ -165,14 +164,14 @@ impl Machine {
         self.totals.compartment_updates - computed
     }
 
-    /// The weight of a plastic synapse, 0 where another process holds it.
+    /// The weight of a plastic synapse, 0 where another rank has it.
     pub fn weight(&self, place: PlasticPlace) -> i16 {
         place.map_or(0, |(shard, place)| self.shards[shard as usize].plastic[place as usize])
     }
 
-    /// Sets the weight of a plastic synapse, which must fit its format, if it is of this process:
-    /// from the next step on, also for spikes of compartments in the last. [`Engine::begin`] takes
-    /// it back.
+    /// Sets the weight of a plastic synapse, which must fit its format, if this rank has it. It
+    /// takes effect in the next step, also for spikes of compartments in the last.
+    /// [`Engine::begin`] restores the initial weight.
     pub fn set_weight(&mut self, place: PlasticPlace, weight: i16) {
         if let Some((shard, place)) = place {
             self.shards[shard as usize].plastic[place as usize] = weight;
@@ -189,20 +188,19 @@ impl Machine {
         self.learning.is_some()
     }
 
-    /// Whether nothing will happen until the next input spike, but for what a rule changes.
+    /// Whether nothing will change until the next input spike, except by a rule.
     pub fn at_rest(&self) -> bool {
         self.spikes.is_empty()
             && self.remote.is_empty()
             && self.shards.iter().zip(&self.image.shards).all(|(state, shard)| state.at_rest(shard))
     }
 
-    /// Bytes of memory that the state holds; the image's are its own.
+    /// Bytes of memory that the state holds, without the image.
     pub fn bytes(&self) -> usize {
         self.shards.iter().map(ShardState::bytes).sum::<usize>() + self.counts.bytes()
     }
 
-    /// The state of a compartment's shard and its lane there; `None` where another process holds
-    /// it.
+    /// The state of a compartment's shard and its lane there; `None` where another rank has it.
     fn lane(&self, compartment: CompartmentId) -> Option<(&ShardState, usize)> {
         self.image.holds(compartment).then(|| {
             let (shard, lane) = self.image.lane(compartment);
@@ -210,7 +208,7 @@ impl Machine {
         })
     }
 
-    /// The registers of a compartment, zeros where another process holds it.
+    /// The registers of a compartment, zeros where another rank has it.
     fn registers(&self, compartment: CompartmentId) -> neuron::Registers {
         self.lane(compartment).map_or_else(Default::default, |(state, lane)| state.registers(lane))
     }
@@ -225,10 +223,10 @@ impl Machine {
         }
     }
 
-    /// Deliver and Update with other ranks; a separate function, as one process never needs it.
+    /// Deliver and Update with other ranks; a separate function, which one process never needs.
     #[cold]
     fn deliver_and_update_with_others(&mut self, input: Spikes<'_>, left: u32) {
-        // What is known is delivered while the rest is under way.
+        // Spikes of this rank are delivered while the others are in transit.
         self.each_shard(Phase::Deliver, input, left);
         self.take_remote();
         std::mem::swap(&mut self.remote, &mut self.carried);
@@ -254,7 +252,7 @@ impl Machine {
             self.remote_payloads.extend(self.remote.iter().map(carried));
         }
         self.remote.iter().for_each(|spike| self.counts.remote[spike.index()] += 1);
-        // They reach as many steps as are left, this one, which follows their own, included.
+        // They reach all remaining steps, with this one, which follows their own.
         let left = self.steps.saturating_sub(self.step);
         if left <= image.longest_delay {
             self.counts.note_late(image, self.remote.iter().map(|spike| image.channels + spike.0), left);
@@ -289,8 +287,8 @@ impl Machine {
         }
     }
 
-    /// Learn, after what this step delivered. It is a separate function, so that a step without
-    /// rule has nothing of it.
+    /// Learn, after the delivery of this step. It is a separate function, so that a step without a
+    /// rule has none of its code.
     #[cold]
     fn learn(&mut self, channels: &[ChannelId]) {
         let (image, Some(learning)) = (&*self.image, &mut self.learning) else { return };
@@ -357,7 +355,7 @@ impl Machine {
         self.counts.steps += 1;
     }
 
-    /// What is left of a step once the other ranks' spikes are asked for.
+    /// Ends a step, once the other ranks' spikes have been requested.
     fn finish_step(&mut self, left: u32) {
         let ends = left <= 1;
         if !self.others.as_ref().is_some_and(|others| others.at_once || ends) {
@@ -394,15 +392,15 @@ impl Engine for Machine {
 
     // Phases of step t, on every shard:
     //
-    // - Deliver(t) adds what the input spikes of step t and the compartment spikes of step t - 1
-    //   reach to the sums of the step in which it arrives: step t + delay field for both.
-    // - Update(t) takes the sums of step t through the compartments and collects who spiked.
+    // - Deliver(t) adds the weights of spikes to the sums of their arrival step, t + delay field.
+    //   The spikes are inputs of step t and compartments' spikes of step t - 1.
+    // - Update(t) updates the compartments with the sums of step t and collects their spikes.
     // - Exchange(t) puts the spikes of all shards into one list.
-    // - Learn(t) notes what Deliver(t + 1) carried; at the end of an epoch plastic weights change.
+    // - Learn(t) records the sources of Deliver(t + 1). Plastic weights change when an epoch ends.
     //
     // Deliver(t) precedes Update(t) on the same shard; Update(t) on every shard precedes
-    // Exchange(t): that is the barrier. Exchange(t) precedes Deliver(t + 1), and that Learn(t), and
-    // that Deliver(t + 2). Sums are exact and narrowed once, so neither order nor number of shards
+    // Exchange(t): that is the barrier. Exchange(t) precedes Deliver(t + 1). Then follow Learn(t)
+    // and Deliver(t + 2). Sums are exact and narrowed once, so neither order nor number of shards
     // and threads can change a result.
     fn step(&mut self, input: Spikes<'_>) {
         let left = self.steps.saturating_sub(self.step);

@@ -53,7 +53,7 @@ impl Store {
         }
     }
 
-    /// The bytes, to be written.
+    /// The bytes, mutable.
     pub fn bytes_mut(&mut self) -> &mut [u8] {
         match self {
             Store::Heap(bytes) => bytes,
@@ -71,7 +71,7 @@ pub(crate) struct Aligned<T> {
 }
 
 impl<T: Copy + Default> Aligned<T> {
-    /// This many zeros.
+    /// A buffer of `count` zeros.
     pub fn new(count: usize) -> Self {
         let spare = LINE / size_of::<T>();
         let items = vec![T::default(); count + spare];
@@ -82,7 +82,7 @@ impl<T: Copy + Default> Aligned<T> {
 
 impl<T: Copy + Default> Clone for Aligned<T> {
     fn clone(&self) -> Self {
-        // The copy lies elsewhere, and begins at a cache line of its own.
+        // The copy is at another address, and is aligned anew.
         let mut copy = Aligned::new(self.len());
         copy.copy_from_slice(self);
         copy

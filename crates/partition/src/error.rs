@@ -1,12 +1,12 @@
-//! Why there is no mapping.
+//! Errors of the compiler's stages.
 
 use crate::reason::Reason;
 use nsim_ir::base::diagnostic::Diagnostic;
 
-/// What a stage of the compiler returns.
+/// Result of a compiler stage.
 pub type Result<T, E = CompileError> = std::result::Result<T, E>;
 
-/// Why there is no mapping.
+/// Error of a compiler stage.
 #[derive(Debug, thiserror::Error)]
 pub enum CompileError {
     /// The network or the mapping cannot be used.
@@ -16,13 +16,13 @@ pub enum CompileError {
     #[error("the network does not fit the target: \
              {}", .0.iter().map(ToString::to_string).collect::<Vec<_>>().join("; also "))]
     DoesNotFit(Vec<Reason>),
-    /// The compiler has contradicted itself.
+    /// Internal error: a check contradicts the compiler.
     #[error("{0}")]
     Fault(String),
 }
 
 impl CompileError {
-    /// A contradiction that a check found.
+    /// Returns an internal error with the message of the check that found it.
     pub fn fault(error: impl std::fmt::Display) -> Self {
         CompileError::Fault(error.to_string())
     }

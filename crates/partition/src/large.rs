@@ -1,7 +1,7 @@
 //! Networks of layers that are too large to be counted synapse by synapse.
 //!
 //! They are cut into boxes ([`crate::strategy::boxes`]), which are counted from the geometry of
-//! kernels. Everything after that is the same for all networks.
+//! kernels. Later stages are common to all networks.
 
 use std::borrow::Cow;
 
@@ -11,26 +11,26 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Limits, OutputAxons};
 
-/// Synapses, of all copies, above which a network of layers is cut into boxes: eight bytes for each
-/// of them, as counting takes, are two gigabytes.
+/// Number of synapses, of all copies, above which a network of layers is cut into boxes. Counting
+/// takes eight bytes a synapse, two gigabytes at this number.
 pub const MOST_COUNTED: u64 = 1 << 28;
 
-/// Synapses, of all copies, above which a network is not run: its messages and rows of weights take
-/// a byte or two for each.
+/// Number of synapses, of all copies, above which a network is not run. Its messages and rows of
+/// weights take a byte or two a synapse.
 pub const MOST_RUN: u64 = 1 << 32;
 
 fn synapses(one: &Quantised, copies: u32) -> u64 {
     one.synapses().saturating_mul(u64::from(copies))
 }
 
-/// Whether this many copies of a network are cut into boxes.
+/// Whether this number of copies of a network is cut into boxes.
 pub fn is_large(one: &Quantised, copies: u32) -> bool {
     synapses(one, copies) > MOST_COUNTED && layers(one).is_some()
 }
 
-/// The target as boxes are counted on it. Where sources without places are grouped into population
-/// axons, boxes have an output axon for each compartment: geometry shows only for windows which
-/// positions share a table.
+/// The target with the output axon rule under which boxes are counted. Where sources without places
+/// are grouped into population axons, boxes count an output axon for each compartment. Only windows
+/// show by their geometry the positions that share a table.
 #[must_use]
 pub fn counted_in_boxes<'t>(in_boxes: bool, network: &Quantised, target: &'t Target) -> Cow<'t, Target> {
     if !in_boxes || !network.parts().gathers {

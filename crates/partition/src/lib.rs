@@ -1,4 +1,4 @@
-//! Compartments onto cores: what a core uses, counted, and partitions that keep its limits.
+//! Assignment of compartments to cores: resource use of a core, and partitions within its limits.
 //!
 //! Input: a network in integers, a target, [`options::Options`]. Output: a `Partition`, or every
 //! [`reason::Reason`] for which there is none. [`resources`] counts, [`strategy`] searches.

@@ -1,32 +1,32 @@
-//! What the caller decides about a mapping: copies, strategy, objective, seed, effort.
+//! Options of a mapping: copies, strategy, objective, seed, effort.
 
 use std::time::{Duration, Instant};
 
 use nsim_ir::base::names::named_variants;
 use nsim_ir::ranks::Share;
 
-/// Spikes of a source in a step, when nothing is known: one in 100 steps.
+/// Default firing rate of a source, in spikes a step: one spike in 100 steps.
 pub const DEFAULT_RATE: f64 = 0.01;
-/// The effort of a mapping unless another is given, in seconds of a reference machine.
+/// Default effort of a mapping, in seconds of a reference machine.
 pub const DEFAULT_EFFORT_S: u32 = 2;
 
-/// What a mapping is optimised for.
+/// Objective of a mapping.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Objective {
-    /// Few cores.
+    /// Number of cores.
     #[default]
     Cores,
-    /// Little energy, host included: what `nsim energy` reports.
+    /// Energy, host included, as `nsim energy` reports it.
     Energy,
-    /// Little energy of neuron cores and mesh alone.
+    /// Energy of neuron cores and mesh alone.
     EnergyChip,
-    /// Short timesteps.
+    /// Length of a timestep.
     Latency,
 }
 
 named_variants!(Objective { Cores = "cores", Energy = "energy", EnergyChip = "energy:chip", Latency = "latency" });
 
-/// How compartments are grouped into cores.
+/// Strategy that groups compartments into cores.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Strategy {
@@ -41,40 +41,40 @@ pub enum Strategy {
 
 named_variants!(Strategy { Sequential = "sequential", Greedy = "greedy", Multilevel = "multilevel" });
 
-/// Where copies of a network go.
+/// Placement of the copies of a network.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum CopyPlacement {
-    /// Each on chips of its own while there are any; then chips are filled evenly.
+    /// Each copy takes separate chips while there are any; then chips are filled evenly.
     #[default]
     Spread,
-    /// On as few cores as they fit.
+    /// All copies take as few cores as they fit.
     Packed,
 }
 
 named_variants!(CopyPlacement { Spread = "spread", Packed = "packed" });
 
-/// How much may be spent on looking for a better partition and placement.
+/// Effort of the search for a better partition and placement.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Effort {
-    /// What a reference machine does in this many seconds, counted in work, so that the result is
-    /// the same on every machine.
+    /// Work of a reference machine in this number of seconds. It is counted in units of work, so
+    /// the result is the same on every machine.
     Work(u32),
-    /// What this machine does until then.
+    /// Work of this machine until a point in time.
     Within {
         /// The time that was given for the whole mapping, in milliseconds.
         budget_ms: u32,
-        /// When it ends.
+        /// End of that time.
         end: Instant,
     },
 }
 
 impl Effort {
-    /// This many milliseconds from now on.
+    /// An effort that ends `budget_ms` milliseconds from now.
     pub fn within_ms(budget_ms: u32) -> Self {
         Effort::Within { budget_ms, end: Instant::now() + Duration::from_millis(budget_ms.into()) }
     }
 
-    /// Units of work, of which a reference machine does this many in a second.
+    /// Units of work that remain, where a reference machine does `per_second` of them in a second.
     pub fn work(self, per_second: u64) -> u64 {
         match self {
             Effort::Work(seconds) => u64::from(seconds).saturating_mul(per_second),
@@ -85,7 +85,7 @@ impl Effort {
         }
     }
 
-    /// When it ends, if the clock says.
+    /// The time of its end; `None` where it is counted in work.
     pub fn end(self) -> Option<Instant> {
         match self {
             Effort::Work(_) => None,
@@ -93,7 +93,7 @@ impl Effort {
         }
     }
 
-    /// An equal part of it for each of this many.
+    /// The effort of one of `parts` equal parts; one that ends by the clock is unchanged.
     #[must_use]
     pub fn shared_by(self, parts: usize) -> Self {
         match self {
@@ -103,31 +103,31 @@ impl Effort {
     }
 }
 
-/// Whether a time has come.
+/// Whether the time `end` is reached; never without one.
 pub fn is_over(end: Option<Instant>) -> bool {
     end.is_some_and(|end| Instant::now() >= end)
 }
 
-/// How to compile.
+/// Options of a compilation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Options {
     /// Copies of the network, at least 1.
     pub copies: u32,
-    /// Where they go.
+    /// Placement of the copies.
     pub placement: CopyPlacement,
-    /// How compartments are grouped into cores.
+    /// Strategy that groups compartments into cores.
     pub strategy: Strategy,
-    /// What for.
+    /// Objective of the mapping.
     pub objective: Objective,
-    /// Seed of strategies that draw; recorded in any case.
+    /// Seed of the strategies that use random numbers; recorded for every strategy.
     pub seed: u64,
-    /// Whether cores are placed near those they exchange messages with; otherwise in the order of
-    /// the partition.
+    /// Whether cores are placed near the cores that they exchange messages with. Otherwise they are
+    /// placed in the order of the partition.
     pub place: bool,
-    /// What may be spent on looking for a better partition and placement.
+    /// Effort of the search for a better partition and placement.
     pub effort: Effort,
-    /// Synapses of a core at most, as far as tiles and boxes decide: a kernel is stored once, so
-    /// limits of memory alone do not bound a core's work. None: as many as its limits allow.
+    /// Most synapses of a core, respected by tiles and boxes; `None` for no bound but the limits. A
+    /// kernel is stored once, so limits of memory alone do not bound a core's work.
     pub most_synapses: Option<u64>,
     /// For which of the processes that run it together the program is written.
     pub share: Share,

@@ -1,7 +1,7 @@
-//! Why a network does not fit its target, and what to change.
+//! Reasons for which a network does not fit its target, with advice.
 //!
-//! Input: what a population, a core or the whole network needs of a resource, and the limit.
-//! Output: a [`Reason`].
+//! Input: a resource's need of a population, a core or the whole network, and its limit. Output: a
+//! [`Reason`].
 
 use std::borrow::Borrow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -14,23 +14,23 @@ use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, Limits, Resource};
 
-/// One reason why a network does not fit.
+/// One reason for which a network does not fit.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Reason {
     /// A stable name for scripts: `map.RESOURCE`.
     pub code: &'static str,
-    /// The population that needs too much, when it is one.
+    /// The population that needs too much, where one alone does.
     pub population: Option<String>,
-    /// The core that would need too much, when the membership was given.
+    /// The core that would need too much, where the compartments of each core were given.
     pub core: Option<CoreId>,
-    /// Of which resource.
+    /// The resource.
     #[serde(serialize_with = "by_name")]
     pub resource: Capacity,
-    /// What is needed.
+    /// The need, in units of the resource.
     pub need: u64,
-    /// What there is.
+    /// The limit, in units of the resource.
     pub limit: u64,
-    /// Where the cores that one mapping takes go; `None` where `need` is a bound for all of them.
+    /// Use of the cores that one mapping takes; `None` where `need` is a bound for every mapping.
     #[serde(skip)]
     pub taken: Option<Taken>,
     /// What to change.
@@ -41,7 +41,7 @@ fn by_name<S: serde::Serializer>(resource: &Capacity, serializer: S) -> Result<S
     serializer.serialize_str(resource.name())
 }
 
-/// The cores that a mapping takes, which another may need fewer of.
+/// Use of the cores that a mapping takes; another mapping may need fewer.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Taken {
     /// What each holds was not counted.
@@ -50,25 +50,25 @@ pub enum Taken {
     Mostly(Box<Tightest>),
 }
 
-/// The population of a mapping with the most cores, and what fills them.
+/// Number of cores of a population in a mapping, and the resource that fills them most.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Tightest {
-    /// Its name.
+    /// Name of the population.
     pub population: String,
-    /// Cores that hold some of it.
+    /// Number of cores that hold some of it.
     pub cores: u64,
-    /// What its fullest core uses most of.
+    /// The resource of which its fullest core uses the greatest fraction.
     pub resource: Capacity,
-    /// How much that core uses.
+    /// Use of that core, in units of the resource.
     pub need: u64,
-    /// How much a core has.
+    /// Limit of a core, in units of the resource.
     pub limit: u64,
-    /// Whether no source gives the limit.
+    /// Whether the limit is an assumption without a source.
     pub assumed: bool,
 }
 
 impl Tightest {
-    /// Of each population that has compartments, from what each core uses and holds.
+    /// Returns the value of each population with compartments, from the use and members of cores.
     pub fn of_each<'a, M: Borrow<Vec<CompartmentId>> + 'a>(
         network: &Quantised,
         target: &Target,
@@ -94,7 +94,7 @@ impl Tightest {
     }
 }
 
-/// The use that takes more of its limit; the first of equals.
+/// The use with the greater fraction of its limit; the first of equals.
 fn tighter(a: (Capacity, u64, u64), b: (Capacity, u64, u64)) -> (Capacity, u64, u64) {
     let times = |need: u64, limit: u64| u128::from(need) * u128::from(limit.max(1));
     if times(b.1, a.2) > times(a.1, b.2) { b } else { a }
@@ -168,7 +168,7 @@ impl Reason {
     }
 
     /// A mapping takes more cores than the target has; another may take fewer. `of_each` is empty
-    /// where what the cores hold was not counted.
+    /// where the use of the cores was not counted.
     pub fn of_mapping(target: &Target, copies: u32, cores: u64, of_each: BTreeMap<PopulationId, Tightest>) -> Self {
         let most = of_each.into_values().max_by_key(|one| one.cores);
         let taken = Some(most.map_or(Taken::Uncounted, |most| Taken::Mostly(Box::new(most))));

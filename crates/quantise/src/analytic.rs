@@ -1,17 +1,16 @@
-//! Spike response neurons -> Loihi compartments, by analysis: the start from which `agree` searches
-//! on.
+//! Analytic fit of Loihi compartments to spike response neurons: the start of the search by
+//! `agree`.
 //!
-//! Input: a graph with spike response populations. Output: the same graph with current-based ones
-//! in their place, which `quantise` brings into integers. Networks without spike response neurons
+//! Input: a graph with spike response populations. Output: the graph with current-based populations
+//! in their place, which `quantise` turns into integers. Networks without spike response neurons
 //! pass through unchanged.
 //!
-//! With equal decays du = dv and r = 1 - du / 4096 a compartment answers a spike with
-//! `v(k) = (k + 1) r^k`, and the alpha kernel is `eps(k) = (e / tau) k r^k` with r = exp(-dt /
-//! tau): the same shape, one step earlier. So du = dv = `4096 (1 - exp(-dt / tau))` matches the
-//! time to peak, and a threshold of theta times the quotient of the two peaks matches the height. A
-//! converted population therefore answers one step earlier than the one it represents, in every
-//! layer. What has no counterpart is the refractory kernel, whose place the hard reset takes; the
-//! period is 1.
+//! With equal decays du = dv and r = 1 - du / 4096, a compartment's response to a spike is
+//! `v(k) = (k + 1) r^k`. The alpha kernel is `eps(k) = (e / tau) k r^k` with r = exp(-dt / tau): an
+//! equal shape, one step later. So du = dv = `4096 (1 - exp(-dt / tau))` matches the time to peak,
+//! and a threshold of theta times the quotient of the two peaks matches the height. A converted
+//! population therefore responds one step earlier than its spike response layer, in every layer.
+//! The refractory kernel has no counterpart: the hard reset takes its place, and the period is 1.
 //!
 //! The scale is free: weights and threshold are real here, and `quantise` takes the largest scale
 //! at which they fit.
@@ -32,19 +31,18 @@ pub struct Fit {
     pub refractory: Refractory,
     /// Threshold in the units of the weights.
     pub threshold: f64,
-    /// All that comes in arrives so often: each copy with its delay in steps and its factor of the
-    /// weights.
+    /// Copies of every incoming projection: delay of each in steps, and factor of its weights.
     pub copies: Vec<(u32, f64)>,
-    /// Synapses of each compartment onto itself in the units of the weights: those of delay 0, 1,
-    /// .., for each one weight for all or one each.
+    /// Weights of each compartment's synapses onto itself, by delay 0, 1, ..: for each delay one
+    /// weight for all compartments, or one each.
     pub own: Vec<Vec<f64>>,
-    /// The greatest input of a step to foresee, in the units of the weights; none: the sum of all
+    /// Greatest expected input of a step, in the units of the weights; `None` for the sum of all
     /// weights.
     pub greatest_input: Option<f64>,
 }
 
-/// The greatest value of a compartment's answer to one spike of weight 1, current and voltage
-/// keeping these shares of themselves in a step.
+/// Peak of a compartment's response to one spike of weight 1. A step keeps the fraction `keep_u` of
+/// the current and `keep_v` of the voltage.
 pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
     match early_peak(keep_u, keep_v) {
         (peak, true) => peak,
@@ -52,10 +50,10 @@ pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
     }
 }
 
-/// The greatest value in the first 100,000 steps, and whether the answer falls after it.
+/// Peak of the first 100,000 steps, and whether the response falls after it.
 pub fn early_peak(keep_u: f64, keep_v: f64) -> (f64, bool) {
     let (mut u, mut v) = (1.0, 1.0);
-    // The answer rises once and falls for ever.
+    // The response rises once and falls for ever.
     for _ in 0..ITERATED {
         u *= keep_u;
         let next = keep_v * v + u;
@@ -67,13 +65,13 @@ pub fn early_peak(keep_u: f64, keep_v: f64) -> (f64, bool) {
     (v, false)
 }
 
-/// Steps up to which an answer is computed step by step.
+/// Most steps of a response that are computed step by step.
 const ITERATED: u32 = 100_000;
-/// The step at which an answer is read that never falls.
+/// Step at which a response that never falls is read.
 const LATEST: f64 = 1e7;
 
-/// The greatest value of an answer that rises for longer: `(a^x - b^x) / (a - b)`, or `x a^(x - 1)`
-/// where a = b, at the x where its derivative is 0.
+/// Peak of a response that rises for longer: `(a^x - b^x) / (a - b)`, or `x a^(x - 1)` where a = b,
+/// at the x where its derivative is 0.
 fn late_peak(a: f64, b: f64) -> f64 {
     let endless = a >= 1.0 || b >= 1.0;
     if (a - b).abs() < 1e-12 {
@@ -85,17 +83,17 @@ fn late_peak(a: f64, b: f64) -> f64 {
     (libm::pow(a, x) - libm::pow(b, x)) / (a - b)
 }
 
-/// What remains of a current or voltage after a step with this decay.
+/// Fraction of a current or voltage kept by one step with this decay, 0..=1.
 pub fn keep(decay: Decay) -> f64 {
     1.0 - f64::from(decay.get()) / DECAY_ONE as f64
 }
 
-/// What remains of both after a step before decays become integers: `exp(-dt / tau)`.
+/// Fraction of both kept by one step before decays become integers: `exp(-dt / tau)`.
 pub fn real_keep(srm: &SrmParameters, timestep_ms: f64) -> f64 {
     libm::exp(-timestep_ms / srm.tau_sr_ms)
 }
 
-/// The threshold at which the peak of an answer is that of the alpha kernel, relative to the
+/// The threshold at which the peak of a response equals the alpha kernel's peak, relative to the
 /// threshold.
 pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, keep_v: f64) -> f64 {
     // eps(k + 1) = (e r / tau) (k + 1) r^k.
@@ -126,15 +124,15 @@ pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) ->
     one * most / peak(keep_u, keep_v)
 }
 
-/// Weights of the synapses of a compartment onto itself, of delay 0, 1, .., that give back what a
-/// spike's hard reset takes and bring the refractory response in its place.
+/// Weights of a compartment's synapses onto itself, by delay 0, 1, ... They restore the voltage
+/// that a spike's hard reset removes, and add the refractory response.
 ///
-/// A spike at step t leaves v(t) = 0 where the spike response neuron keeps its potential and adds
+/// A spike at step t leaves v(t) = 0, where the spike response neuron keeps its potential and adds
 /// nu(k), k steps later, nu(k) = -scale (k / tau_ref) exp(1 - k / tau_ref). With thresholds of 1
-/// and g the voltage at a spike, the synapses have to bring the response
-/// `c(k) = g keep_v^k + nu(k)`. What arrives passes current and voltage, so that their weights are
+/// and g the voltage at a spike, the synapses have to add the response `c(k) = g keep_v^k + nu(k)`.
+/// Arrivals pass current and voltage, so their weights are
 /// `w(z) = (1 - keep_u z) (1 - keep_v z) c(z)`, cut off after `count`. The voltage at a spike is
-/// above the threshold by up to the last step's input: `given_back` is its mean, which calibration
+/// above the threshold by up to the last step's input: `mean_excess` is its mean, which calibration
 /// finds. `refractory` scales nu.
 pub fn own_synapses(
     (srm, timestep_ms): (&SrmParameters, f64),
@@ -175,7 +173,7 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
     }
 }
 
-/// The analytic start of every population that needs one, in the order of the file.
+/// Analytic start of every spike response population, in the order of the file; else `None`.
 pub fn starts(graph: &Graph) -> Vec<Option<Fit>> {
     let fit = |kind: &PopulationKind| match kind {
         PopulationKind::Srm(srm) => Some(start(srm, graph.facts().timestep_ms)),
@@ -199,7 +197,7 @@ fn parameters(fit: &Fit) -> NeuronParameters {
     }
 }
 
-/// The end of the name of a projection from a population onto itself that represents a reset.
+/// Mark in the name of a projection from a population onto itself that represents a reset.
 const ITSELF: &str = " -> itself";
 
 /// Whether a projection of this name is one of [`Fit::own`].
@@ -207,8 +205,7 @@ pub fn stands_for_reset(name: &str) -> bool {
     name.contains(ITSELF)
 }
 
-/// The network with Loihi compartments only, those of `fits` (in the order of the file) in place of
-/// spike response neurons.
+/// Returns the network with `fits` (in the order of the file) in place of spike response neurons.
 pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
     let kinds = graph.with_kinds(|node, population| match (&population.kind, &fits[node.index()]) {
         (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),

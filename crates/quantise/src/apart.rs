@@ -1,14 +1,14 @@
 //! Sums that lava narrows before it adds them to others.
 //!
-//! Input: a network in integers. Output: the same, where each projection whose sum must be narrowed
-//! by itself says so ([`Apart`]). Errors: a population with more sums than a compartment has.
+//! Input: a network in integers. Output: the network with [`SeparateSum`] set on each projection
+//! whose sum must be narrowed separately. Errors: a population with more sums than a compartment has.
 //!
 //! - lava's convolutions wrap their sums to 24 bits, its dense and sparse connections do not
 //!   (lava-nc b6822fb, `proc/conv/models.py`). A kernel whose weights are in several formats is
-//!   several projections here; those with the same source, window, delay and port are one sum. A
-//!   sum that cannot reach 2^23, for any payload of its messages, is left as it is.
-//! - A negative exponent shifts the sum of each delay by itself (`proc/dense/models.py`), that of
-//!   all sources of a declaration together.
+//!   several projections here; projections with equal source, window, delay and port are one sum. A
+//!   sum that cannot reach 2^23, for any payload of its messages, is unchanged.
+//! - A negative exponent shifts the sum of each delay separately (`proc/dense/models.py`), over all
+//!   sources of a declaration.
 
 use std::collections::BTreeSet;
 
@@ -22,7 +22,7 @@ use nsim_ir::spikes::Message;
 /// Projections into one population, by the sum that they share.
 type Groups = Vec<Vec<ProjectionId>>;
 
-/// What a population has more than [`Apart::MOST`] of.
+/// Number of sums of a population, more than [`SeparateSum::MOST`].
 pub(crate) struct TooMany(pub usize);
 
 /// Whether a negative exponent takes bits of a weight of this projection.
@@ -31,11 +31,11 @@ pub(crate) fn loses_bits(projection: &Projection) -> bool {
     exponent < WeightExponent::ZERO && !projection.connectivity.all_multiples_of(exponent.lost())
 }
 
-/// Gives sums of their own to the projections into a population that need them; if any does, how
-/// many sums are shifted.
+/// Assigns separate sums to the projections into a population that need them; returns the number of
+/// shifted sums, `None` where no projection needs one.
 ///
 /// # Errors
-/// When a compartment would have more than [`Apart::MOST`] sums.
+/// When a compartment would have more than [`SeparateSum::MOST`] sums.
 pub(crate) fn assign(
     graph: &Graph,
     populations: &IdVec<PopulationId, Population>,
@@ -97,18 +97,17 @@ fn wrapping(
     groups.into_iter().filter(|(_, _, sums)| may_wrap(sums)).map(|(_, members, _)| members).collect()
 }
 
-/// The greatest magnitude that a message carries; one that is wider than it says is sent whole.
+/// Greatest magnitude of a payload; 2^31 for a value, which may exceed its declared width.
 fn greatest(message: Message) -> u64 {
     message.factor().map_or(1 << 31, |factor| factor.unsigned_abs().into())
 }
 
-/// Projections into a population whose weights lose bits, those of one declaration and delay
-/// together.
+/// Projections into a population whose weights lose bits, grouped by declaration and delay.
 fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, target: PopulationId) -> Groups {
     let mut groups = Groups::new();
     let mut last = None;
     for ((id, projection), (.., declared)) in projections.enumerate().zip(graph.projections()) {
-        // Its sources follow each other, the first at 0.
+        // Sources of a declaration are consecutive, the first at 0.
         if declared.first_source == 0 {
             last = None;
         }
@@ -123,8 +122,8 @@ fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, target
     groups
 }
 
-/// Whether one shift of each sum of a population does for all of its projections: one at most loses
-/// bits at each port, and the exponents of all can be raised by as much.
+/// Whether one shift of each sum of a population suffices for all its projections: at most one
+/// loses bits at each port, and the exponents of all can be raised by as much.
 pub(crate) fn one_shift_does(projections: &IdVec<ProjectionId, Projection>, target: PopulationId) -> bool {
     let into = || projections.iter().filter(move |projection| projection.target == target);
     let exponents = || into().map(|projection| projection.format.exponent.get());

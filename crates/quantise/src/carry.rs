@@ -1,19 +1,19 @@
-//! What rounding takes from a delayed copy of a weight is carried over to the next copy.
+//! The rounding error of a delayed copy of a weight is carried over to the next copy.
 //!
 //! Input: a population to which each source sends over several synapses of different delays, which
 //! together represent one response kernel; real weights and their integers. Output: integers whose
-//! errors cancel. Rounded one by one, n copies leave errors that add up as sqrt(n); in a population
-//! with thousands of sources that is what moves its spikes.
+//! errors cancel. Rounded separately, n copies leave errors that add up as sqrt(n). In a population
+//! with thousands of sources, these errors shift its spikes.
 //!
-//! In the order of the delays, what the integers so far left of a spike in current and voltage,
-//! `e_u` and `e_v`, decays as the registers do. With h(k) the voltage's response to a unit of
-//! input, the next weight w becomes the mantissa q nearest to
+//! In the order of the delays, the integers so far leave errors in current and voltage, `e_u` and
+//! `e_v` (real minus integer), which decay as the registers do. With h(k) the voltage's response to
+//! a unit of input, the next weight w becomes the mantissa q nearest to
 //!
 //! `w + e_u + rho e_v`, `rho = sum over k of keep_v^k h(k) / sum over k of h(k)^2`,
 //!
 //! for which the squared error of the voltage would be least if no copy followed. With VT-SNN's
-//! spike response network (3,150 sources, 16 copies) the coincidence of the layer `sight` rises
-//! from 0.859 to 0.926, with real weights it is 0.934.
+//! spike response network (3,150 sources, 16 copies), the coincidence of the layer `sight` rises
+//! from 0.859 to 0.926; real weights give 0.934.
 
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
@@ -22,15 +22,15 @@ use nsim_ir::graph::{self, Graph, PopulationKind, ProjectionKind};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Neurons, Population, Projection};
 
-/// Steps over which responses are summed.
+/// Most steps over which responses are summed.
 const SUMMED: usize = 2_000;
 
 /// A synapse of one source: its target, the place of its projection in the order of delays, its own
 /// place there, and its weight in register units.
 type Synapse = (u32, usize, usize, f64);
 
-/// Rounds anew what enters each population whose input is copied
-/// ([`graph::NeuronParameters::greatest_input`]); `scales` are register units for a real unit.
+/// Rounds again the weights into each population whose input is copied
+/// ([`graph::NeuronParameters::greatest_input`]); `scales` are in register units a real unit.
 pub fn carry(
     graph: &Graph,
     populations: &IdVec<PopulationId, Population>,
@@ -126,7 +126,7 @@ fn of_source_population(
                     e_u *= form.keep_u;
                     last += 1;
                 }
-                // Here the voltage's error is what it keeps of the last step's.
+                // Here the voltage's error is the part that is kept from the last step.
                 let wanted = weight + e_u + rho * form.keep_v * e_v;
                 let format = formats[order];
                 let (step, (low, high)) = (format.sign.step(format.bits), format.sign.range(format.bits));
@@ -147,7 +147,7 @@ fn of_source_population(
     }
 }
 
-/// The quotient of the module's documentation.
+/// The quotient `rho` of the module's documentation.
 fn rho(form: &RealForm) -> f64 {
     let (mut u, mut v, mut left) = (1.0, 1.0, 1.0);
     let (mut product, mut square) = (0.0, 0.0);
@@ -170,8 +170,8 @@ mod tests {
     use nsim_dynamics::synapses::Enumerate;
     use nsim_ir::base::fixed::Decay;
 
-    /// What a spike of each source leaves in the current after the last copy, less what real
-    /// weights leave, in steps of a weight.
+    /// Error that a spike of each source leaves in the current after the last copy, compared with
+    /// real weights, in steps of a weight.
     fn left(detail: Detail) -> Vec<f64> {
         let text = "Network(name: \"t\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [40]), \
             Srm(name: \"o\", shape: [3], tau_sr_ms: 10, tau_ref_ms: 1, scale_ref: 2, theta: 10)], projections: [\

@@ -1,18 +1,18 @@
 //! Several copies of a network that share nothing.
 //!
-//! Input: a network. Output: one with every population and projection as many times, copy after
-//! copy. Populations of copy k are named `name@k` from k = 1 on; input channels are copied too, so
-//! that each copy has its own input axons. Weights are shared in memory, which no chip sees.
+//! Input: a network. Output: a network with n copies of every population and projection, copy after
+//! copy. Populations of copy k are named `name@k` from k = 1 on. Input channels are copied too, so
+//! that each copy has its own input axons. Copies share weights in memory, but not on a chip.
 
 use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::graph::MOST_UNITS;
 use nsim_ir::quantised::{Child, Inconsistent, Parts, Projection, Quantised, Units};
 
-/// This many copies. The output population is that of copy 0.
+/// Returns `n` copies of a network. The output population belongs to copy 0.
 ///
 /// # Errors
-/// [`Inconsistent`] when there are none, more units than a network may have, or a name that a copy
-/// would take again.
+/// [`Inconsistent`] when `n` is 0, when a network may not have as many units, or when a name has
+/// the form of a copy's name.
 pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
     let units = u64::from(network.channels()).max(u64::from(network.compartments()));
     if n == 0 || units * u64::from(n) > MOST_UNITS {

@@ -1,16 +1,15 @@
 //! The scale of each population with a real threshold, and an exponent for each projection into it.
 //!
-//! Input: a graph. Output: the same graph where every projection whose file leaves the exponent
-//! open has one, and the scale S (register units for a real unit) of its target is said; `quantise`
-//! rounds what is left. A weight w with exponent e has the mantissa `w S / 2^(6 + e)`.
+//! Input: a graph. Output: the graph with an exponent for every projection whose file gives none,
+//! and with the scale S (register units a real unit) of its target; `quantise` rounds the weights.
+//! A weight w with exponent e has the mantissa `w S / 2^(6 + e)`.
 //!
 //! - *Scale.* S0 is the greatest scale at which every weight fits with exponent 0. S is S0 doubled
-//!   as often as these bounds allow: the sum of all weights of a compartment, or the greatest input
-//!   that a calibration foresees, stays within the 21 bits of a step's input and, held for ever,
-//!   the current within 23 bits; the bias fits its field; the threshold is at most 2^16 register
-//!   units, which leaves 128 thresholds below zero before the voltage clips. The largest weights
-//!   are rounded as with S0, thresholds and biases more finely, and what the decays round away
-//!   counts less.
+//!   as often as these bounds allow. The sum of all weights of a compartment, or the greatest input
+//!   of a calibration, stays within the 21 bits of a step's input; sustained, it keeps the current
+//!   within 23 bits. The bias fits its field. The threshold is at most 2^16 register units, which
+//!   leaves 128 thresholds below zero before the voltage clips. The largest weights are rounded as
+//!   with S0, thresholds and biases more finely, and rounding by the decays counts less.
 //! - *Exponents.* Each projection takes the least exponent at which its own weights fit, and at
 //!   least the one whose step is 64 register units: below, the chip drops the low six bits.
 //! - *Groups.* Where the largest weight is more than [`HEAVY`] times the root mean square of its
@@ -20,8 +19,8 @@
 //!   with its real numbers in 0.77 of its hidden spikes with one exponent for all, 0.89 with one a
 //!   projection, 0.97 with groups.
 //!
-//! Left alone: populations with an integer threshold, and those where a projection says its
-//! `weight_scale`.
+//! Unchanged: populations with an integer threshold, and populations with a projection that gives
+//! its `weight_scale`.
 
 use petgraph::graph::{DiGraph, NodeIndex};
 
@@ -33,32 +32,33 @@ use nsim_ir::graph::{Graph, NeuronParameters, PerCompartment, PopulationKind, Pr
 
 /// The quotient of largest weight and root mean square above which a projection is split.
 pub const HEAVY: f64 = 4.0;
-/// Synapses up to which a projection is split in any case: a bias that a compartment delivers, a
+/// Most synapses of a projection that is split in any case: a bias that a compartment delivers, a
 /// small layer.
 const SMALL: usize = 1 << 12;
-/// The most synapses of a projection that is split: they are listed one by one.
+/// Most synapses of a projection that is split: they are listed one by one.
 const MOST_SPLIT: usize = 1 << 16;
-/// Projections that one is split into at most, and the powers of two that each but the last spans.
+/// Most projections that one is split into, and the powers of two that each but the last spans.
 const GROUPS: usize = 4;
 const SPAN: i64 = 2;
 /// Register units of the greatest threshold.
 const THRESHOLD: f64 = 65_536.0;
 
-/// How finely exponents are chosen.
+/// Granularity of exponents.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Detail {
-    /// Exponent 0 wherever the file says none, at the scale S0.
+    /// Exponent 0 wherever the file gives none, at the scale S0.
     Zero,
-    /// One for each projection.
+    /// One exponent for each projection.
     Projections,
-    /// One for each group of weights of like size.
+    /// One exponent for each group of weights of similar size.
     Groups,
-    /// As `Groups`, and what rounding a delayed copy leaves goes to the next ([`super::carry`]).
+    /// As `Groups`, with the rounding error of a delayed copy carried to the next
+    /// ([`super::carry`]).
     #[default]
     Carried,
 }
 
-/// What is left open is chosen.
+/// Returns the graph with a choice for every open exponent and scale.
 pub fn assigned(graph: &Graph, detail: Detail) -> Graph {
     if detail == Detail::Zero {
         return graph.clone();
@@ -95,8 +95,8 @@ fn factor(exponent: i64) -> f64 {
     libm::exp2((exponent + i64::from(WEIGHT_SHIFT)) as f64)
 }
 
-/// Its weights, each with its source and target where no two synapses share one, else with its
-/// output channel, and its entry in the declared list.
+/// Weights of a projection: (source, target, weight, entry in the declared list). In a kernel, the
+/// target is the output channel and all other indices are 0.
 fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, u32)> {
     match &projection.kind {
         ProjectionKind::Dense { weights } => {
@@ -118,8 +118,8 @@ fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, u32)> {
     }
 }
 
-/// The greatest sum of excitatory, and of inhibitory weights that one spike of every source can
-/// bring to a compartment.
+/// Greatest sum of excitatory or of inhibitory weights, times payloads, that one spike of every
+/// source can add to a compartment.
 fn greatest_sum(graph: &Graph, node: NodeIndex) -> f64 {
     let units = graph.population(node).shape.len() as usize;
     let (mut above, mut below) = (vec![0.0f64; units], vec![0.0f64; units]);
@@ -146,7 +146,7 @@ fn greatest(of: &PerCompartment<f64>) -> f64 {
     of.values().iter().map(|value| value.abs()).reduce(f64::max).unwrap_or(0.0)
 }
 
-/// The least share of the current that a step takes away.
+/// Least fraction of the current that a step removes, 0..=1.
 fn least_decay(parameters: &NeuronParameters, timestep_ms: f64) -> f64 {
     let least = |of: &PerCompartment<f64>, share: &dyn Fn(f64) -> f64| {
         of.values().iter().map(|&value| share(value)).reduce(f64::min).unwrap_or(1.0)
@@ -158,12 +158,12 @@ fn least_decay(parameters: &NeuronParameters, timestep_ms: f64) -> f64 {
     }
 }
 
-/// Register units for a real unit of a population whose scale is open.
+/// Register units a real unit of a population; `None` where its scale is not open.
 fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
     let PopulationKind::Neurons(parameters) = &graph.population(node).kind else { return None };
     let threshold = greatest(&parameters.real("vth")?.each);
     let (mut fits, mut open) = (f64::from(ThresholdMantissa::MAX.get()) * 64.0 / threshold, false);
-    // How often the scale may be doubled before a weight with the greatest exponent no longer fits.
+    // Greatest scale at which every weight fits with its greatest exponent.
     let mut most = f64::INFINITY;
     for (source, projection) in graph.incoming(node) {
         let bits = WeightBits::new(projection.weight_bits.value).ok()?;
@@ -201,13 +201,13 @@ fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
     ];
     let room = bounds.into_iter().fold(f64::INFINITY, f64::min) / fits;
     Some(match parameters.greatest_input {
-        // Most weights have the least exponent, and steps that S alone makes finer.
+        // Most weights have the least exponent, so only S makes their steps finer.
         Some(_) => fits * room.max(1.0),
         None => fits * libm::exp2(libm::log2(room).floor().max(0.0)),
     })
 }
 
-/// The projection with its exponent, or as several by the size of its weights.
+/// The projection with its exponent, or several projections by the size of its weights.
 fn groups(projection: &Projection, sources: u32, scale: f64, detail: Detail) -> Vec<Projection> {
     let Ok(bits) = WeightBits::new(projection.weight_bits.value) else { return vec![projection.clone()] };
     let step = f64::from(projection.sign.step(bits));

@@ -13,7 +13,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 
-/// A network in integers, spike response neurons by way of [`analytic`].
+/// Returns a network in integers; [`analytic`] converts its spike response neurons.
 ///
 /// # Errors
 /// As [`quantise::quantise`].

@@ -3,16 +3,16 @@
 //!
 //! A population is in one of two domains. With `vth_mant` its threshold, bias and incoming weights
 //! are the hardware's own integers (a projection may still give real weights with a
-//! `weight_scale`). With a real `vth` everything that comes in is real, and one scale S, in
-//! register units for a real unit, turns it into integers: a weight of a format with exponent e has
-//! mantissa `w S / 2^(6 + e)`, the threshold mantissa is `vth S / 64`, the bias `b S`. S and the
-//! exponents are those of [`super::exponents`], unless a `weight_scale` pins S or a projection says
-//! its exponent.
+//! `weight_scale`). With a real `vth` all incoming weights are real, and one scale S, in register
+//! units a real unit, turns them into integers. A weight of a format with exponent e has mantissa
+//! `w S / 2^(6 + e)`, the threshold mantissa is `vth S / 64`, the bias `b S`. S and the exponents
+//! come from [`super::exponents`], unless a `weight_scale` pins S or a projection gives its
+//! exponent.
 //!
 //! Time constants become `4096 (1 - exp(-dt / tau))`, the exact decay of an exponential over one
-//! timestep. Weights are rounded to their format's least step as `weight_rounding` says
-//! (`docs/semantics.md`, weights); every change by that is left as a note. What it does not do:
-//! find better integers by search.
+//! timestep. Weights are rounded to their format's least step by `weight_rounding`
+//! (`docs/semantics.md`, weights); every change is left as a note. Better integers are not searched
+//! for.
 
 use std::fmt::Display;
 use std::sync::Arc;
@@ -43,7 +43,7 @@ pub fn quantise(graph: &Graph) -> Result<Quantised> {
     quantise_with(graph, Detail::default())
 }
 
-/// Turns real parameters into integers, with exponents chosen this finely.
+/// Turns real parameters into integers, with exponents of this granularity.
 ///
 /// # Errors
 /// As [`quantise`].
@@ -105,12 +105,12 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         notes: stage.notes,
         gathers: false,
     };
-    // An error from here on is a fault of this stage, reported instead of trusted.
+    // An error from here on is an internal error of this stage, reported instead of trusted.
     Quantised::new(parts).map_err(|e| Diagnostic::new("model.inconsistent", e.to_string()).in_file(facts.source.path()))
 }
 
-/// Register units for a real unit of each population, in the order of the file; none where the
-/// model gives integers.
+/// Register units a real unit of each population, in the order of the file; none where the model
+/// gives integers.
 ///
 /// # Errors
 /// As [`quantise`], for thresholds and scales.
@@ -120,7 +120,7 @@ pub fn scales(graph: &Graph, detail: Detail) -> Result<Vec<Option<f64>>> {
     graph.populations().map(|(node, population)| stage.scale(node, population)).collect()
 }
 
-/// Nodes are added in the order of the file, so they have the same numbers.
+/// Nodes are added in the order of the file, so populations have the numbers of their nodes.
 fn population_id(node: NodeIndex) -> PopulationId {
     PopulationId(node.index() as u32)
 }
@@ -144,7 +144,7 @@ fn to_step(x: f64, step: i16, rounding: WeightRounding) -> f64 {
 impl Stage<'_> {
     fn error(&self, code: &'static str, message: impl Into<String>, span: Span) -> Diagnostic {
         let diagnostic = Diagnostic::new(code, message);
-        // A default was given nowhere.
+        // A default value has no place in the file.
         if span == Span::default() { diagnostic } else { diagnostic.at(&self.graph.facts().source, span) }
     }
 
@@ -182,10 +182,10 @@ impl Stage<'_> {
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
-    /// weight. Where a weight would lose bits under its semantics, or on its way to a kind of
-    /// Loihi 2, what arrives at its targets is summed in finer units, and shifted once (rules 11
-    /// and 39). Where one shift does not do, and where a convolution may wrap, kinds of Loihi 2
-    /// have separate sums (rules 39 and 40).
+    /// weight. Where a weight would lose bits under lava's semantics, or into a kind of Loihi 2,
+    /// arrivals are summed in finer units and shifted once (rules 11 and 39). Where one shift does
+    /// not suffice, and where a convolution may wrap, kinds of Loihi 2 have separate sums (rules 39
+    /// and 40).
     fn narrow_sums(
         &mut self,
         populations: &mut IdVec<PopulationId, Population>,
@@ -243,7 +243,7 @@ impl Stage<'_> {
         Ok(())
     }
 
-    /// Register units for a real unit of a population with a real threshold.
+    /// Register units a real unit of a population; `None` without a real threshold.
     fn scale(&self, node: NodeIndex, population: &graph::Population) -> Result<Option<f64>> {
         let PopulationKind::Neurons(parameters) = &population.kind else { return Ok(None) };
         let Some(threshold) = parameters.real("vth") else { return Ok(None) };
@@ -288,7 +288,7 @@ impl Stage<'_> {
         Ok(Some(pinned.unwrap_or(free)))
     }
 
-    /// Integers of a field, one for all or one each.
+    /// Integers of a field, one for all compartments or one each.
     fn field(
         &self,
         (population, what): (&str, &str),
@@ -311,7 +311,7 @@ impl Stage<'_> {
         })
     }
 
-    /// The integers of one parameter, whichever way it was given.
+    /// Integers of one parameter, from integers, real numbers or its default.
     fn parameter(
         &self,
         name: &str,
@@ -345,7 +345,7 @@ impl Stage<'_> {
                 self.real_bias(name, values, scaled(1.0))?.try_map(|_, (mantissa, _)| Ok(mantissa))
             }
             Some((_, Conversion::BiasExponent, values)) => {
-                // The mantissa says what is wrong.
+                // The conversion of the mantissa reports the error.
                 let bias = self.real_bias(name, values, scaled(1.0)).unwrap_or(PerCompartment::Same((0, 0)));
                 bias.try_map(|_, (_, exponent)| Ok(exponent))
             }
@@ -427,8 +427,7 @@ impl Stage<'_> {
             let message = format!("projection {}: weight_scale {} is not above 0", projection.name, scale.value);
             return Err(self.error("model.weight-scale", message, scale.span));
         }
-        // Mantissa units for a unit of the weights as they are given; none when they are mantissas
-        // already.
+        // Mantissa units a unit of the given weights; none when these are mantissas already.
         let factor = match (scale, &projection.weight_scale) {
             (Some(scale), _) => Some(scale / (f64::from(format.exponent.get()) + f64::from(WEIGHT_SHIFT)).exp2()),
             (None, Some(scale)) => Some(scale.value),
@@ -458,7 +457,7 @@ impl Stage<'_> {
     }
 }
 
-/// Weights as mantissas, with what rounding did to them.
+/// Converts weights to mantissas, and counts their changes by rounding.
 struct Rounding<'a, 'b> {
     stage: &'a mut Stage<'b>,
     projection: &'a graph::Projection,
@@ -466,7 +465,7 @@ struct Rounding<'a, 'b> {
     factor: Option<f64>,
     changed: u64,
     most: f64,
-    /// The greatest magnitude, in mantissas.
+    /// Greatest magnitude of a weight, in mantissas.
     greatest: f64,
     seen: u64,
 }
@@ -587,7 +586,7 @@ impl Rounding<'_, '_> {
     }
 }
 
-/// Calls `f(weight)` for every weight that a projection was given.
+/// Calls `f(weight)` for every given weight of a projection, or for the bounds of random ones.
 fn visit_weights(projection: &graph::Projection, mut f: impl FnMut(f64)) {
     match &projection.kind {
         ProjectionKind::Dense { weights } | ProjectionKind::Conv2d { weights, .. } => weights.reals().for_each(f),

@@ -1,31 +1,28 @@
-//! Relays: compartments that carry spikes on, for compartments that reach more targets than they
-//! have output axons.
+//! Relays: compartments that forward spikes, for compartments with more targets than output axons.
 //!
-//! Input: a network and the most targets that one compartment may have. Output: the same network in
-//! which every compartment that had more sends to relays, which are populations of their own after
-//! the others, so that all numbers of the original stay. What relays do not change is for
-//! `nsim_check::relays` to prove, which shares nothing with this. Errors: delays that leave no time
-//! for relays; graded spikes, which a relay does not carry; plastic projections, whose synapses
-//! stay together.
+//! Input: a network and the most targets of one compartment. Output: the network, in which every
+//! compartment with more targets sends to relays. Relays are separate populations after the others,
+//! so all numbers of the original stay. `nsim_check::relays` proves the properties that relays do
+//! not change, and shares no code with this. Errors: delays that leave no time for relays; graded
+//! spikes, which a relay does not carry; plastic projections, whose synapses stay together.
 //!
-//! A relay is a compartment without memory that spikes in the step in which its only synapse brings
-//! a spike, regardless of earlier ones. It so takes a spike one step later: over a relay a synapse
-//! of delay d keeps d - 1. A projection of delay 0 keeps its synapses at their compartment while
-//! there is room besides the relays; otherwise delays are *padded*: with L(p) the steps by which
-//! spikes of population p come later (0 for inputs), a projection from p to q has the delay
-//!
+//! A relay is a compartment without memory that spikes in the step in which its only synapse
+//! delivers a spike, regardless of earlier ones. So it adds one step: over a relay a synapse of
+//! delay d keeps d - 1. A projection of delay 0 keeps its synapses at their compartment while
+//! output axons remain besides the relays. Otherwise delays are *padded*: with L(p) the steps by
+//! which spikes of population p are later (0 for inputs), a projection from p to q has the delay
 //! ```text
 //! d' = d + L(q) - L(p),   with d' >= 1 where relays need it, and d' >= 0.
 //! ```
 //!
-//! All spikes of q then come L(q) steps later and are otherwise the same; where q starts, and when
-//! it is reset, moves along. The least L are longest paths; around a circle the sum of delays stays
-//! what it is, so a circle without enough of it is refused.
+//! All spikes of q are then L(q) steps later and otherwise unchanged; the start and the resets of q
+//! move with them. The least L are longest paths. Around a cycle the sum of delays is unchanged, so
+//! a cycle with too little delay is refused.
 //!
 //! A compartment of n targets and a limit of m keeps m - r of them, and has r = (n - m) / (m - 1)
-//! relays, rounded up. Relays that still have too many are treated in the same way: trees grow
-//! level by level. Targets go to relays in the order of compartments, so that those of a relay are
-//! neighbours in the order of the file.
+//! relays, rounded up. Relays with too many targets are treated likewise: trees grow level by
+//! level. Targets are assigned to relays in the order of compartments, so the targets of a relay
+//! are neighbours in the order of the file.
 
 use std::ops::Range;
 
@@ -44,9 +41,9 @@ use nsim_ir::spikes::Message;
 
 /// Weight of the synapse of a relay: twice its threshold of 1 mantissa unit.
 const WEIGHT: i16 = 2;
-/// Compartments whose synapses one task divides.
+/// Number of compartments whose synapses one task divides.
 const PIECE: u32 = 1 << 10;
-/// Levels of a tree at most: each takes a step of delay, of which a synapse has 62.
+/// Most levels of a tree: each takes a step of delay, of which a synapse has 62.
 const MOST_LEVELS: usize = 62;
 
 /// A network with relays.
@@ -54,7 +51,7 @@ const MOST_LEVELS: usize = 62;
 pub struct Relayed {
     /// The network: the populations of the original, then relays.
     pub network: Quantised,
-    /// By population of the original, the steps by which its spikes come later.
+    /// By population of the original, the steps by which its spikes are later.
     pub later: IdVec<PopulationId, u32>,
     /// Number of relays.
     pub relays: u32,
@@ -62,7 +59,7 @@ pub struct Relayed {
     pub levels: u32,
 }
 
-/// The network with relays for every compartment of more than `most` synapses.
+/// Returns the network with relays for every compartment with more than `most` synapses.
 ///
 /// # Errors
 /// `map.relays`.
@@ -90,11 +87,11 @@ struct Need {
     of: PopulationId,
     /// Relays of each of its compartments.
     relays: Vec<u32>,
-    /// Whether synapses of delay 0 have to go over relays too.
+    /// Whether synapses of delay 0 go over relays too.
     tight: bool,
 }
 
-/// Synapses of a compartment by projection, and those of delay 0.
+/// Number of synapses of a compartment, and number of its synapses of delay 0.
 fn count(network: &Quantised, of: PopulationId, index: u32) -> (u64, u64) {
     let (mut all, mut without_delay) = (0, 0);
     for &id in network.outgoing(of) {
@@ -117,8 +114,7 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
             if all > most {
                 let wanted = (all - most).div_ceil(most - 1).min(most);
                 *relays = wanted as u32;
-                // At least two relays are a level of a tree; what cannot wait has to fit along with
-                // them.
+                // Synapses without delay have to fit next to the relays.
                 tight |= without_delay > most - wanted.min(most);
             }
         }
@@ -152,7 +148,7 @@ fn padded(network: &Quantised, needs: &[Need]) -> Result<IdVec<PopulationId, u32
             return Ok(later.iter().map(|&later| later as u32).collect());
         }
     }
-    // Those that would have to grow for ever lie on circles or after them.
+    // Populations that never settle lie on cycles or after them.
     let short: Vec<String> = network
         .projections()
         .iter()
@@ -165,7 +161,7 @@ fn padded(network: &Quantised, needs: &[Need]) -> Result<IdVec<PopulationId, u32
         .help("give these projections that delay; padding all paths alike is possible in acyclic parts only"))
 }
 
-/// Lists of synapses that are written source by source.
+/// Lists of synapses, written source by source.
 #[derive(Default)]
 struct Lists {
     first: Vec<u64>,
@@ -187,7 +183,7 @@ impl Lists {
         self.weights.push(weight);
     }
 
-    /// One after the other, taken from where they are.
+    /// Concatenates the lists, and leaves empty ones.
     fn together<'l>(all: impl Iterator<Item = &'l mut Lists>) -> Self {
         let all: Vec<Lists> = all.map(std::mem::take).collect();
         let sum = |of: fn(&Lists) -> usize| all.iter().map(of).sum::<usize>();
@@ -215,13 +211,13 @@ impl Lists {
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct Synapse {
     target: CompartmentId,
-    /// Which of the outgoing projections.
+    /// Index among the outgoing projections.
     projection: usize,
     index: u32,
     weight: i16,
 }
 
-/// One level of relays; none where no compartment has too many targets.
+/// Adds one level of relays; `None` where no compartment has too many targets.
 fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> {
     let needs = needs(network, most)?;
     if needs.is_empty() {
@@ -275,7 +271,7 @@ fn made(parts: Parts) -> Result<Quantised, Diagnostic> {
     Quantised::new(parts).map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))
 }
 
-/// A name that no population has.
+/// A name for relays that no population has.
 fn relay_name(parts: &Parts, of: &str) -> String {
     let mut name = format!("{of}.relays");
     while parts.populations.iter().any(|population| population.name == name) {
@@ -296,14 +292,14 @@ const RELAY_FORMAT: SynapseFormat = SynapseFormat {
     plastic: false,
 };
 
-/// One synapse from each unit to the unit of the same number, whose spike makes a relay spike.
+/// One synapse from each unit to the unit with its number, whose spike makes a relay spike.
 pub fn one_to_one(units: u32) -> Connectivity {
     let first: Vec<u64> = (0..=u64::from(units)).collect();
     let (targets, weights): (Vec<u32>, Vec<i16>) = ((0..units).collect(), vec![WEIGHT; units as usize]);
     Connectivity::Sparse { first: first.into(), targets: targets.into(), weights: weights.into() }
 }
 
-/// The network with a compartment for each input channel, which carries its spikes on a step later.
+/// Returns the network with a relay for each input channel, whose spikes are then a step later.
 ///
 /// # Errors
 /// `map.relays` where the network would contradict itself.
@@ -336,14 +332,14 @@ fn to_relays(name: String, source: PopulationId, target: PopulationId, connectiv
 
 /// The synapses of some consecutive compartments, divided among them and their relays.
 struct Divided {
-    /// By outgoing projection, those of the compartments and those of their relays.
+    /// By outgoing projection: synapses of the compartments, and of their relays.
     direct: Vec<Lists>,
     carried: Vec<Lists>,
-    /// Those from the compartments to their relays.
+    /// Synapses from the compartments to their relays.
     over: Lists,
 }
 
-/// What synapses are divided by.
+/// Input of the division of synapses.
 struct Division<'a> {
     network: &'a Quantised,
     outgoing: &'a [ProjectionId],
@@ -356,7 +352,7 @@ struct Division<'a> {
 }
 
 impl Division<'_> {
-    /// Of these compartments, whose relays are numbered from `relay`.
+    /// Divides the synapses of these compartments, whose relays are numbered from `relay`.
     fn divided(&self, compartments: Range<u32>, mut relay: u32) -> Divided {
         let Division { network, outgoing, .. } = self;
         let lists = || outgoing.iter().map(|_| Lists::new()).collect();
@@ -373,8 +369,7 @@ impl Division<'_> {
             }
             waiting.clear();
             if relays > 0 {
-                // What has no delay to spare stays; then as many of the others as there are axons
-                // left.
+                // Synapses without spare delay stay; of the others, as many as output axons remain.
                 let can_wait = |synapse: &Synapse| self.can_wait[synapse.projection];
                 synapses.sort_unstable_by_key(|synapse| (can_wait(synapse), *synapse));
                 let all = synapses.iter().filter(|synapse| can_wait(synapse)).count();

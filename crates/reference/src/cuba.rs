@@ -1,9 +1,9 @@
 //! Current-based neurons with exponential current and voltage and a reset to zero or by
 //! subtraction: the Loihi neuron without its integers.
 //!
-//! Comes in, each step, what arrived: weighted spikes. Goes out who spikes:
-//! `u(t) = (1 - du) u(t - 1) + x(t)`, `v(t) = (1 - dv) v(t - 1) + u(t) + b`, a spike above the
-//! threshold, then v = 0 and held there until `refractory` steps after it, or v less the threshold
+//! Input: the weighted spikes that arrive in each step. Output: the neurons that spike.
+//! `u(t) = (1 - du) u(t - 1) + x(t)`, `v(t) = (1 - dv) v(t - 1) + u(t) + b`, and a spike above the
+//! threshold. Then v = 0, held until `refractory` steps after the spike, or v less the threshold
 //! (`docs/semantics.md`, equations 2 to 7, without rounding, wrapping or bits).
 
 use super::real::Real;
@@ -22,7 +22,7 @@ struct Neuron<F> {
     subtracts: bool,
 }
 
-/// A population of such neurons.
+/// A population of current-based neurons.
 #[derive(Debug, Clone)]
 pub struct Cuba<F> {
     neurons: Vec<Neuron<F>>,
@@ -56,15 +56,15 @@ impl<F: Real> Cuba<F> {
         }
     }
 
-    /// Returns to rest.
+    /// Returns all neurons to their resting state.
     pub fn clear(&mut self) {
         self.current.fill(F::default());
         self.voltage.fill(F::default());
         self.held.fill(0);
     }
 
-    /// One timestep: `arrivals` is one sum of weighted spikes a neuron. Calls `spike` with each
-    /// neuron that spikes, ascending.
+    /// Runs one timestep; `arrivals` is one sum of weighted spikes a neuron. Calls `spike` with
+    /// each neuron that spikes, ascending.
     pub fn step(&mut self, arrivals: &[F], mut spike: impl FnMut(u32)) {
         for (i, (neuron, &x)) in self.neurons.iter().zip(arrivals).enumerate() {
             let u = neuron.keep_u * self.current[i] + x;
@@ -114,8 +114,8 @@ mod tests {
     use super::*;
     use nsim_ir::base::rng;
 
-    /// v by the definition: the double sum over all arrivals since the last reset of v, and before
-    /// it through u.
+    /// v by its definition: the double sum over all arrivals since the last reset of v, and over
+    /// earlier ones through u.
     fn direct(p: &RealForm, arrivals: &[f64]) -> (Vec<f64>, Vec<usize>) {
         let (mut out, mut spikes) = (Vec::new(), Vec::new());
         let mut free_from = 0; // the first step that counts in v

@@ -1,11 +1,11 @@
 //! A network of real-valued neurons, step by step.
 //!
-//! [`Model`] is the network made ready, shared by all samples; [`Reference`] is the state of one
-//! run over it. Channels and compartments are numbered over the populations in the order of the
-//! file, as everywhere. Spikes travel as the machine's do (`docs/semantics.md`, 1 and 2): input
-//! spikes of step t arrive in the update of step t + d, compartments' in that of step t + 1 + d.
-//! Spike response neurons alone take one step more from an input, since SLAYER's kernels are 0 at t
-//! = 0: an input spike of step t counts from step t + 1 + d on, as another neuron's does.
+//! [`Model`] is the prepared network, shared by all samples; [`Reference`] is the state of one run
+//! over it. Channels and compartments are numbered over the populations in the order of the file.
+//! Spikes travel as in the machine (`docs/semantics.md`, 1 and 2): input spikes of step t arrive in
+//! the update of step t + d, compartments' spikes in the update of step t + 1 + d. Spikes of an
+//! input reach spike response neurons a step later, from step t + 1 + d on, as SLAYER's kernels are
+//! 0 at t = 0.
 
 use petgraph::graph::NodeIndex;
 
@@ -25,14 +25,14 @@ use nsim_ir::graph::{Graph, PopulationKind, SrmParameters};
 use nsim_ir::quantised::Reset;
 use nsim_ir::spikes::{Engine, Spikes};
 
-/// How to run.
+/// Options of a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Options {
-    /// How spike response kernels are applied.
+    /// Method by which spike response kernels are applied.
     pub kernel: Kernel,
 }
 
-/// What a population's neurons are.
+/// Neurons of a population.
 #[derive(Debug, Clone)]
 enum Kind {
     Input,
@@ -43,12 +43,12 @@ enum Kind {
 #[derive(Debug, Clone)]
 struct Population {
     kind: Kind,
-    /// The first channel or compartment, and their number.
+    /// First channel or compartment, and number of units.
     first: u32,
     count: u32,
-    /// Held at zero before it.
+    /// Number of steps before the first update, in which neurons are held at zero.
     start_step: u32,
-    /// The step that resets are counted from.
+    /// Step from which resets are counted.
     resets_from: u32,
 }
 
@@ -64,22 +64,22 @@ struct Projection<F> {
 #[derive(Debug)]
 pub struct Model<F> {
     populations: Vec<Population>,
-    /// By source population.
+    /// Projections by source population.
     projections: Vec<Vec<Projection<F>>>,
     channels: u32,
     compartments: u32,
     options: Options,
     test: ThresholdTest,
     reset: Option<Reset>,
-    /// Arrival slots.
+    /// Number of arrival slots.
     slots: usize,
 }
 
 impl<F: Real> Model<F> {
-    /// Makes a network ready.
+    /// Prepares a network.
     ///
     /// # Errors
-    /// `model.no-real-form` for neurons that no real numbers describe.
+    /// `model.no-real-form` for neurons without a real form.
     pub fn new(graph: &Graph, options: Options) -> Result<Self, Diagnostic> {
         graph.has_real_form()?;
         let facts = graph.facts();
@@ -97,7 +97,7 @@ impl<F: Real> Model<F> {
                     (Kind::Cuba(neurons), p.start_step)
                 }
             };
-            // SLAYER's loop starts at step 1; its resets are counted from the step as given.
+            // SLAYER's loop starts at step 1; its resets are counted from the declared step.
             let skipped = matches!(kind, Kind::Cuba(_)) && facts.semantics == Semantics::Slayer;
             let start_step = resets_from.max(u32::from(skipped));
             debug_assert_eq!(node.index(), populations.len());
@@ -127,7 +127,7 @@ impl<F: Real> Model<F> {
         Ok(Model { populations, projections, channels, compartments, options, test: facts.threshold, reset, slots })
     }
 
-    /// Input channels.
+    /// Number of input channels.
     pub fn channels(&self) -> u32 {
         self.channels
     }
@@ -141,7 +141,7 @@ impl<F: Real> Model<F> {
     }
 }
 
-/// The parameters of spike response neurons in timesteps of this many ms.
+/// The parameters of spike response neurons in timesteps of `timestep_ms`.
 pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
     srm::Parameters {
         tau_sr: srm.tau_sr_ms / timestep_ms,
@@ -151,8 +151,8 @@ pub fn in_steps(srm: &SrmParameters, timestep_ms: f64) -> srm::Parameters {
     }
 }
 
-/// What a weight of 1 adds to the current of its target: register units when the target's threshold
-/// is in them.
+/// Contribution of a weight of 1 to the current of its target, in register units if the target's
+/// threshold is in these.
 fn weight_unit(graph: &Graph, target: NodeIndex, projection: &nsim_ir::graph::Projection) -> f64 {
     let PopulationKind::Neurons(parameters) = &graph.population(target).kind else { return 1.0 };
     match parameters.real("vth") {
@@ -172,7 +172,7 @@ enum Units<F> {
 }
 
 impl<F: Real> Units<F> {
-    /// Returns to rest.
+    /// Returns all neurons to their resting state.
     fn clear(&mut self) {
         match self {
             Units::Input => {}
@@ -187,7 +187,7 @@ impl<F: Real> Units<F> {
 pub struct Reference<'m, F> {
     model: &'m Model<F>,
     units: Vec<Units<F>>,
-    /// `[population][slot][neuron]`: sums of what arrives in the coming steps.
+    /// `[population][slot][neuron]`: sums of arrivals in the coming steps.
     arrivals: Vec<Vec<Vec<F>>>,
     spikes: Vec<CompartmentId>,
     step: u32,
@@ -218,8 +218,8 @@ impl<'m, F: Real> Reference<'m, F> {
         }
     }
 
-    /// The synaptic current after the last step; a spike response neuron has none but its potential
-    /// u.
+    /// The synaptic current after the last step; the potential u of a spike response neuron, which
+    /// has no current.
     pub fn current(&self, compartment: CompartmentId) -> f64 {
         let (population, index) = self.model.at(compartment);
         match &self.units[population] {
@@ -282,7 +282,7 @@ impl<F: Real> Engine for Reference<'_, F> {
         self.totals.spikes_in += input.ids.len() as u64;
         self.totals.spikes += self.spikes.len() as u64;
         self.totals.compartment_updates += u64::from(model.compartments);
-        // Real numbers decay for ever: no update can be skipped.
+        // Real numbers decay for ever, so no update can be skipped.
         self.totals.active_updates += u64::from(model.compartments);
         self.step += 1;
     }
@@ -291,12 +291,12 @@ impl<F: Real> Engine for Reference<'_, F> {
         &self.spikes
     }
 
-    /// Rounded; the number itself is [`Reference::current`].
+    /// Rounded from [`Reference::current`].
     fn u(&self, compartment: CompartmentId) -> i32 {
         self.current(compartment).round() as i32
     }
 
-    /// Rounded; the number itself is [`Engine::potential`].
+    /// Rounded from [`Engine::potential`].
     fn v(&self, compartment: CompartmentId) -> i32 {
         self.potential(compartment).round() as i32
     }
@@ -311,7 +311,7 @@ impl<F: Real> Engine for Reference<'_, F> {
         }
     }
 
-    /// There is no register: the same as `v`.
+    /// Equals `v`, as there is no register.
     fn v_register(&self, compartment: CompartmentId) -> i32 {
         self.v(compartment)
     }

@@ -5,35 +5,35 @@
 //! NeurIPS 2018; slayerPytorch `src/slayer.py`) take alpha kernels for both: eps with m = 1 and tau
 //! = tauSr, nu with m = -scaleRef theta and tau = tauRef.
 //!
-//! One timestep takes `k exp(-k dt / tau)` to `(k + 1) exp(-(k + 1) dt / tau)`, so that two coupled
-//! decays give the kernel exactly: [`Alpha::decay`] and [`Alpha::gain`] are what they need.
+//! One timestep takes `k exp(-k dt / tau)` to `(k + 1) exp(-(k + 1) dt / tau)`. So two coupled
+//! decays, with [`Alpha::decay`] and [`Alpha::gain`], give the kernel exactly.
 
 use nsim_ir::base::names::named_variants;
 
-/// How a kernel is applied.
+/// Method by which a kernel is applied.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Kernel {
-    /// Without end, by recursion.
+    /// Untruncated, by recursion.
     #[default]
     Exact,
-    /// Cut where SLAYER cuts it, by convolution: at the first t beyond tau at which it is below
+    /// Truncated as by SLAYER, by convolution: at the first t beyond tau at which it is below
     /// [`EPSILON`].
     Truncated,
 }
 
 named_variants!(Kernel { Exact = "exact", Truncated = "truncated" });
 
-/// Below this SLAYER cuts a kernel, its factor included (slayerPytorch `src/slayer.py`,
-/// `_calculateAlphaKernel`; with `fullRefKernel`, which is off by default, it keeps the refractory
-/// kernel to 0.0001).
+/// Magnitude below which SLAYER cuts a kernel, its factor included (slayerPytorch `src/slayer.py`,
+/// `_calculateAlphaKernel`; with `fullRefKernel`, which is off by default, it cuts the refractory
+/// kernel at 0.0001).
 pub const EPSILON: f64 = 0.01;
 
 /// An alpha kernel sampled at multiples of a timestep.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Alpha {
-    /// The greatest value (with its sign), at t = tau.
+    /// The greatest value, with its sign, at t = tau.
     pub peak: f64,
-    /// The time constant in timesteps, above 0.
+    /// Time constant in timesteps, above 0.
     pub tau: f64,
 }
 
@@ -44,12 +44,12 @@ impl Alpha {
         self.peak * t * libm::exp(1.0 - t)
     }
 
-    /// What remains of an exponential with the kernel's time constant after one timestep.
+    /// Fraction of an exponential with the kernel's time constant kept by one timestep, 0..=1.
     pub fn decay(&self) -> f64 {
         libm::exp(-1.0 / self.tau)
     }
 
-    /// The factor of `k r^k` in the kernel.
+    /// Factor of `k r^k` in the kernel.
     pub fn gain(&self) -> f64 {
         self.peak * std::f64::consts::E / self.tau
     }

@@ -1,19 +1,19 @@
 //! Spike response neurons: `u(t) = sum_i w_i (eps * s_i)(t) + (nu * o)(t)`, a spike where
 //! `u(t) >= theta`.
 //!
-//! Comes in, each step, what arrived at each neuron: weighted spikes of the step before. Goes out
-//! who spikes. Kernels are 0 at t = 0, so that a spike of step t first counts in step t + 1, with
-//! eps(1) or nu(1).
+//! Input: in each step, the weighted spikes of the previous step, summed for each neuron. Output:
+//! the neurons that spike. Kernels are 0 at t = 0, so a spike of step t first counts in step t + 1,
+//! with eps(1) or nu(1).
 //!
-//! SLAYER compares with `>=` (slayerPytorch `src/cuda/spikeKernels.h`); the paper says that u
-//! exceeds the threshold. The two differ only where u equals theta to the last bit.
+//! SLAYER compares with `>=` (slayerPytorch `src/cuda/spikeKernels.h`); in the paper u has to
+//! exceed the threshold. The two differ only where u equals theta to the last bit.
 
 use std::collections::VecDeque;
 
 use super::kernel::{Alpha, EPSILON, Kernel};
 use super::real::Real;
 
-/// The longest truncated kernel in timesteps; longer ones are cut here.
+/// Longest truncated kernel in timesteps; longer ones are cut here.
 const LONGEST: u32 = 100_000;
 
 /// The parameters of a spike response neuron, in timesteps.
@@ -30,39 +30,39 @@ pub struct Parameters {
 }
 
 impl Parameters {
-    /// eps.
+    /// The response kernel eps.
     pub fn response(&self) -> Alpha {
         Alpha { peak: 1.0, tau: self.tau_sr }
     }
 
-    /// nu.
+    /// The refractory kernel nu.
     pub fn refractory(&self) -> Alpha {
         Alpha { peak: -self.scale_ref * self.theta, tau: self.tau_ref }
     }
 }
 
-/// An alpha kernel applied to the same number of inputs each step.
+/// An alpha kernel applied to an equal number of inputs in each step.
 #[derive(Debug, Clone)]
 pub enum Filter<F> {
-    /// Two coupled decays.
+    /// Recursion by two coupled decays.
     Exact {
-        /// What remains of a state after a step.
+        /// Fraction of a state kept by one step, 0..=1.
         decay: F,
         /// The kernel's factor.
         gain: F,
-        /// `sum_k x(t - k) r^k`
+        /// State of the first decay: `sum_k x(t - k) r^k`.
         first: Vec<F>,
-        /// `sum_k x(t - k) k r^k`, of the step that comes next
+        /// State of the second decay in the next step: `sum_k x(t - k) k r^k`.
         second: Vec<F>,
     },
-    /// The inputs of the past, and the kernel over them.
+    /// Convolution of the past inputs with the kernel.
     Truncated {
         /// The kernel from 1 step after the input on.
         taps: Vec<F>,
-        /// The inputs since the beginning, the newest first, as many as there are taps: what was
-        /// never put in costs nothing.
+        /// The inputs so far, the newest first, at most one for each tap. Steps before the first
+        /// input cost nothing.
         past: VecDeque<Vec<F>>,
-        /// Inputs of a step.
+        /// Number of inputs in a step.
         inputs: usize,
     },
 }
@@ -84,7 +84,7 @@ impl<F: Real> Filter<F> {
         }
     }
 
-    /// Forgets everything.
+    /// Returns all filters to their resting state.
     pub fn clear(&mut self) {
         match self {
             Filter::Exact { first, second, .. } => {
@@ -95,13 +95,13 @@ impl<F: Real> Filter<F> {
         }
     }
 
-    /// Takes the inputs of one step and adds to `to` what the kernel makes, one step later, of them
-    /// and all before them.
+    /// Takes the inputs of one step. Adds to `to` the response, one step later, to these and all
+    /// earlier inputs.
     pub fn step(&mut self, inputs: &[F], to: &mut [F]) {
         match self {
             Filter::Exact { decay, gain, first, second } => {
                 for (((first, second), &x), to) in first.iter_mut().zip(second).zip(inputs).zip(to) {
-                    // k + 1 steps after it, an input counts (k + 1) r^(k + 1).
+                    // k + 1 steps after it, an input contributes (k + 1) r^(k + 1).
                     *first = *decay * *first + x;
                     *second = *decay * *second + *decay * *first;
                     *to += *gain * *second;
@@ -122,13 +122,13 @@ impl<F: Real> Filter<F> {
     }
 }
 
-/// A population of spike response neurons with the same parameters.
+/// A population of spike response neurons with equal parameters.
 #[derive(Debug, Clone)]
 pub struct Srm<F> {
     theta: F,
     response: Filter<F>,
     refractory: Filter<F>,
-    /// 1 for who spiked in the last step.
+    /// 1 for neurons that spiked in the last step, else 0.
     spiked: Vec<F>,
     potential: Vec<F>,
 }
@@ -145,7 +145,7 @@ impl<F: Real> Srm<F> {
         }
     }
 
-    /// Returns to rest.
+    /// Returns all neurons to their resting state.
     pub fn clear(&mut self) {
         self.response.clear();
         self.refractory.clear();
@@ -153,8 +153,8 @@ impl<F: Real> Srm<F> {
         self.potential.fill(F::default());
     }
 
-    /// One timestep: `arrivals` are the weighted spikes of the step before, one sum a neuron. Calls
-    /// `spike` with each neuron that spikes, ascending.
+    /// Runs one timestep; `arrivals` is the weighted spikes of the previous step, one sum a neuron.
+    /// Calls `spike` with each neuron that spikes, ascending.
     pub fn step(&mut self, arrivals: &[F], mut spike: impl FnMut(u32)) {
         self.potential.fill(F::default());
         self.response.step(arrivals, &mut self.potential);
@@ -181,8 +181,8 @@ mod tests {
 
     const PAPER: Parameters = Parameters { tau_sr: 10.0, tau_ref: 1.0, scale_ref: 2.0, theta: 10.0 };
 
-    /// u by the definition: every past input and every own spike through its kernel, afresh in each
-    /// step. `kernels` give eps and nu; arrivals of step t are spikes of step t - 1.
+    /// u by its definition: every past input and every own spike through its kernel `eps` or `nu`,
+    /// in each step anew. Arrivals of step t are spikes of step t - 1.
     fn direct(
         arrivals: &[f64],
         theta: f64,
@@ -246,7 +246,7 @@ mod tests {
         let (expected, theirs) = direct(&arrivals, PAPER.theta, |k| of(&eps, k), |k| of(&nu, k));
         assert_eq!(spikes, theirs);
         assert!(u.iter().zip(&expected).all(|(a, b)| (a - b).abs() < 1e-12 * 100.0));
-        // The cut is felt: 1 % of a peak for each arrival, but not more than the kernel's tail.
+        // Truncation matters: 1 % of a peak for each arrival, but not more than the kernel's tail.
         let (exact, _) = run::<f64>(&PAPER, Kernel::Exact, &arrivals);
         let most = u.iter().zip(&exact).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
         assert!(most > 1e-3, "{most}");

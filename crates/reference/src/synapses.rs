@@ -6,7 +6,7 @@ use nsim_ir::graph::{Projection, ProjectionKind, Window};
 
 use super::real::Real;
 
-/// How the sources of a projection reach its targets. Indices are within the populations.
+/// Synapses from the sources of a projection to its targets. Indices are within the populations.
 #[derive(Debug, Clone)]
 pub enum Synapses<F> {
     /// All to all.
@@ -16,11 +16,11 @@ pub enum Synapses<F> {
         /// `[source][target]`.
         weights: Vec<F>,
     },
-    /// Listed: those of source s are `first[s]..first[s + 1]`.
+    /// Listed synapses; source s has `first[s]..first[s + 1]`.
     List {
         /// One more than sources.
         first: Vec<usize>,
-        /// (target, weight) each.
+        /// (target, weight) of each synapse.
         synapses: Vec<(u32, F)>,
     },
     /// Cross-correlation.
@@ -30,7 +30,7 @@ pub enum Synapses<F> {
         /// `[C'][C / groups][kh][kw]`.
         kernel: Vec<F>,
     },
-    /// The same weight from each position of a window.
+    /// One weight for every position of a window.
     Pool {
         /// Geometry.
         window: Window,
@@ -40,7 +40,7 @@ pub enum Synapses<F> {
 }
 
 impl<F: Real> Synapses<F> {
-    /// Those of a projection, each weight times `factor`.
+    /// The synapses of a projection, each weight times `factor`.
     pub fn new(projection: &Projection, sources: u32, targets: u32, factor: f64) -> Self {
         match &projection.kind {
             ProjectionKind::Dense { weights, .. } => {
@@ -79,7 +79,7 @@ impl<F: Real> Synapses<F> {
         }
     }
 
-    /// Listed synapses from (source, target, weight), in any order.
+    /// A list of synapses from (source, target, weight), in any order.
     pub fn list(sources: u32, mut synapses: Vec<(u32, u32, f64)>) -> Self {
         synapses.sort_by_key(|&(source, target, _)| (source, target));
         let first = (0..=sources).map(|s| synapses.partition_point(|&(source, ..)| source < s)).collect();

@@ -19,54 +19,54 @@ use nsim_train::convert::next::Next;
 use nsim_train::convert::search::{ConversionScore, SearchResult};
 use nsim_train::convert::staged::is_real;
 
-/// Everything that the report says.
+/// Data of the report.
 #[derive(Debug, Default)]
 pub struct AgreeReport<'a> {
     /// The network's name.
     pub model: &'a str,
-    /// What it is, where its name alone does not say that.
+    /// Its role, where the name alone is ambiguous.
     pub role: &'static str,
-    /// The name of the other network, which was deployed, and what it is, where two are compared.
+    /// Name and role of the other, deployed network, where two are compared.
     pub other: Option<(&'a str, &'static str)>,
-    /// What the deployed network was held against.
+    /// Counterpart of the deployed network.
     pub against: &'static str,
-    /// Where the samples came from.
+    /// Sources of the samples.
     pub input: &'a [String],
     /// Their seed, when they had one.
     pub seed: Option<u64>,
     /// Number of samples.
     pub samples: usize,
-    /// The classes of the two; none when those of the first are not known.
+    /// Classes of the two; none when the output is not compared.
     pub classes: Option<ClassTally>,
     /// Share of right classes of the two, when samples have labels.
     pub accuracy: Option<(f64, f64)>,
-    /// Layer by layer.
+    /// Row of each layer.
     pub layers: &'a [LayerRow],
     /// The search, when there was one.
     pub found: Option<&'a SearchResult>,
     /// The converted form of each spike response population.
     pub fits: &'a [(String, Fit)],
-    /// Causes, when asked for.
+    /// Causes, if requested.
     pub attribution: Option<&'a Attribution>,
-    /// Samples that it is of.
+    /// Number of samples of the attribution.
     pub attribution_samples: usize,
-    /// What to type next.
+    /// The suggested next command.
     pub next: Option<&'a Next>,
     /// The target of the deployed network.
     pub target: Option<&'a str>,
-    /// What a converted model was converted from, and how to compare it with that.
+    /// Source of a converted model, and the command that compares with it.
     pub source: Option<(&'a str, String)>,
     /// Pictures that were written.
     pub files: &'a [String],
 }
 
-/// What a model that `nsim convert` wrote was converted from.
+/// Source of a model that `nsim convert` wrote.
 pub fn converted_from(graph: &Graph) -> Option<&str> {
     let (source, _) = graph.facts().provenance.as_deref()?.strip_prefix("nsim convert ")?.split_once(';')?;
     Some(source)
 }
 
-/// What a network is: the trained one, a converted one, or neither.
+/// Role of a network: trained, converted, or empty for neither.
 pub fn role(graph: &Graph) -> &'static str {
     match converted_from(graph) {
         Some(_) => "the converted network",
@@ -75,12 +75,12 @@ pub fn role(graph: &Graph) -> &'static str {
     }
 }
 
-/// A network by its name and by what it is.
+/// Name of a network, with its role.
 fn called((name, role): (&str, &str)) -> String {
     if role.is_empty() { name.to_string() } else { format!("{name}, {role}") }
 }
 
-/// What a network was compared with, in words.
+/// Counterpart of a network, in words.
 fn in_words(against: &str) -> &str {
     match against {
         "srm" => "the trained network, spike response neurons",
@@ -91,7 +91,7 @@ fn in_words(against: &str) -> &str {
 }
 
 impl<'a> AgreeReport<'a> {
-    /// Of two networks and nothing more: no search, no causes.
+    /// Report on two networks, without a search and causes.
     pub fn of_two(
         [(model, role), other]: [(&'a str, &'static str); 2],
         (input, seed, samples): (&'a [String], Option<u64>, usize),
@@ -112,7 +112,7 @@ impl<'a> AgreeReport<'a> {
         }
     }
 
-    /// Of a network and what it was held against, before a search and causes are added.
+    /// Report on a network and its counterpart, before a search and causes are added.
     pub fn of_one(
         (model, against): (&'a str, &'static str),
         seen: (&'a [String], Option<u64>, usize),
@@ -136,7 +136,7 @@ pub fn nothing() -> Value {
     })
 }
 
-/// How often classes agree, and the number of samples that are not compared.
+/// Text on the agreement of classes, with the number of samples that are not compared.
 pub(super) fn classes_text(classes: &ClassTally) -> String {
     let undecided = classes.undecided();
     let rest = if undecided.is_empty() { String::new() } else { format!("; not compared: {undecided}") };
@@ -154,7 +154,7 @@ pub(super) fn silent(row: &LayerRow) -> bool {
     row.comparison.tally.spikes_a + row.comparison.tally.spikes_b == 0
 }
 
-/// A layer as `layers` lists it.
+/// JSON of a layer, as in the list `layers`.
 pub(super) fn layer_json(row: &LayerRow) -> Value {
     let tally = &row.comparison.tally;
     let divergence = row.comparison.first_divergence.map(|d| {
@@ -196,7 +196,7 @@ fn score_columns<'a>() -> [Column<(&'a str, &'a ConversionScore)>; 4] {
     ]
 }
 
-/// The analytic start of a search and what is left.
+/// Scores of the analytic start of a search and of its end.
 fn scores(found: &SearchResult) -> [(&str, &ConversionScore); 2] {
     [("analytic start", &found.start), ("what is left", &found.end)]
 }
@@ -220,7 +220,7 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
 ];
 
-/// Columns of the text after the first four of all; it says where a layer first parts.
+/// Columns of the text after the first four of all, with the first difference of a layer.
 const TEXT_COLUMNS: [Column<LayerRow>; 3] = [
     ("coincidence", |row| if silent(row) { "-".to_string() } else { three(row.comparison.tally.coincidence()) }),
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(three))),
@@ -316,14 +316,14 @@ impl AgreeReport<'_> {
         })
     }
 
-    /// Whether the deployed network is right markedly less often than the other: by a twentieth of
-    /// the samples.
+    /// Message for an accuracy of the deployed network that is lower by a twentieth of the samples
+    /// or more.
     pub fn falls(&self) -> Option<String> {
         let (a, b) = self.accuracy.filter(|(a, b)| a - b >= 0.05)?;
         Some(format!("accuracy falls from {} to {} on simulated cores", three(a), three(b)))
     }
 
-    /// A row a layer.
+    /// CSV with a row for each layer.
     pub fn csv(&self) -> String {
         let columns = "layer=name,shift,spikes_a,spikes_b,coincidence,van_rossum,victor_purpura,potential_rmse,\
                        sample=first_divergence.sample,timestep=first_divergence.timestep,\
@@ -348,7 +348,7 @@ impl AgreeReport<'_> {
         format!("\n{}{table}\n{}", wrapped(&intro), blame(attribution, self.next))
     }
 
-    /// A section of a document, with a chart under `picture`.
+    /// A section of a Markdown document, with a chart under `picture`.
     pub fn markdown(&self, picture: &str) -> String {
         let (samples, input) = (count(self.samples as u64, "sample"), origin(self.input, self.seed));
         let (a, b) = self.other.map_or((self.against, self.model), |(other, _)| (self.model, other));
@@ -377,7 +377,7 @@ impl AgreeReport<'_> {
         out + &markdown_of(&attribution.shares, &SHARE_COLUMNS[..7])
     }
 
-    /// For people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let on = self.target.map_or(String::new(), |target| format!(" of {target}"));
         let a = if self.source.is_some() { "the conversion, real numbers" } else { in_words(self.against) };
@@ -420,7 +420,7 @@ impl AgreeReport<'_> {
     }
 }
 
-/// What a layer loses, and to which cause.
+/// Sentence on the loss of a layer and its cause.
 fn sentence(layer: &LayerLoss) -> String {
     let LayerLoss { name, spikes, disagreement, .. } = layer;
     if spikes.0 + spikes.1 == 0 {
@@ -436,7 +436,7 @@ fn sentence(layer: &LayerLoss) -> String {
     format!("'{name}' loses {disagreement:.3} of its coincidence, {most}.")
 }
 
-/// What each layer and the classes lose, to which cause, and what to type next.
+/// Text on the losses of layers and classes, their causes, and the next command.
 pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
     let mut out: String = attribution.layers.iter().map(|layer| wrapped(&sentence(layer))).collect();
     if let (Some((cause, back)), Some(now)) = (attribution.worst_of_classes(), attribution.machine.class_agreement) {
@@ -470,8 +470,8 @@ pub(super) fn lost_json(layer: &LayerLoss) -> Value {
     })
 }
 
-/// Both potentials around the first spike in which two networks part; none when they part nowhere,
-/// or have no potentials.
+/// SVG of both potentials around the first difference of spikes; `None` without a difference or
+/// without potentials.
 pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     let parted = layers.iter().filter_map(|row| {
         let (divergence, around) = (row.comparison.first_divergence?, row.comparison.around.as_ref()?);
@@ -501,7 +501,7 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     Some(plot::chart(&title, &Axis::linear("timestep of a"), &Axis::linear("potential in thresholds"), &series))
 }
 
-/// A bar chart of the causes, forward and reversed.
+/// SVG of the causes as bars, forward and reversed.
 pub fn bars(model: &str, attribution: &Attribution) -> String {
     let shares: Vec<Value> = attribution.shares.iter().map(AgreeReport::share_json).collect();
     results::agreement(&json!({ "model": model, "attribution": shares })).unwrap_or_default()

@@ -1,8 +1,8 @@
 //! The result of `nsim compare` as text, JSON (`nsim.compare/1`) and CSV.
 //!
-//! Input: a row for each target: cores, time, energy and power of one copy, or the reasons why the
-//! target cannot hold the network. Output: strings. Figures of JSON and CSV have full precision,
-//! those of the text three digits.
+//! Input: a row for each target: cores, time, energy and power of one copy, or the reasons for
+//! which the network does not fit. Output: strings. JSON and CSV have figures in full precision,
+//! the text three digits.
 
 use serde_json::{Value, json};
 
@@ -10,16 +10,16 @@ use nsim_compile::Reason;
 use nsim_cost::estimate::{Bound, EnergyRow};
 use nsim_files::table::{csv, table, three, wrapped};
 
-/// What a target makes of the network.
+/// Result of the network on one target.
 #[derive(Debug, Clone)]
 pub struct ComparedTarget {
     /// The target's name.
     pub target: String,
-    /// What its rows of energy are called.
+    /// Name of the hardware in its rows of energy.
     pub hardware: String,
     /// The preset of constants.
     pub constants: String,
-    /// What it costs, or why it cannot be held.
+    /// Its cost, or the reasons for which it does not fit.
     pub found: Result<Priced, Vec<Refused>>,
 }
 
@@ -32,31 +32,31 @@ pub struct Priced {
     pub cores_used: u64,
     /// The row `total` of its energy.
     pub row: EnergyRow,
-    /// Where its intervals come from: the errors of published works, or the bounds of modelled
-    /// constants; `None` without intervals.
+    /// Origin of its intervals: the errors of published works, or the bounds of modelled constants;
+    /// `None` without intervals.
     pub intervals: Option<Intervals>,
-    /// What to know of its constants, as `nsim energy` says it.
+    /// Notes on its constants, as `nsim energy` prints them.
     pub of_constants: Vec<String>,
-    /// The share of a step in which x86 cores feed it; `None` without them.
+    /// Share of a step in which x86 cores feed it, 0..=1; `None` without them.
     pub x86_share: Option<f64>,
 }
 
-/// Where intervals come from.
+/// Origin of intervals.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Intervals {
     /// 80 % of published works are within them.
     Works,
-    /// What the sources of modelled constants leave open.
+    /// They span the range that the sources of modelled constants leave open.
     Constants,
 }
 
-/// Why a target cannot hold a network.
+/// A reason for which a network does not fit its target.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Refused {
     /// A stable name for scripts.
     pub code: String,
-    /// What is wrong, and what to change.
+    /// The problem and its remedy.
     pub message: String,
 }
 
@@ -66,23 +66,22 @@ impl From<&Reason> for Refused {
     }
 }
 
-/// What was compared.
+/// A network on several targets.
 #[derive(Debug, Clone)]
 pub struct Comparison {
     /// The model's name.
     pub model: String,
-    /// What the network was shown.
+    /// Sources of the network's input.
     pub input: Vec<String>,
     /// The seed of the input, if one was used.
     pub seed: Option<u64>,
-    /// Fields of targets and constants that `--set` gives all of them.
+    /// Fields of all targets and constants that `--set` changes.
     pub set: Vec<String>,
     /// A row a target, in the order of the command.
     pub targets: Vec<ComparedTarget>,
 }
 
-/// A figure and its key, its heading, and how it is read from a row and from an end of its
-/// interval.
+/// A figure: its key, its heading, and its readers from a row and from an end of its interval.
 type Figure = (&'static str, &'static str, fn(&EnergyRow) -> Option<f64>, fn(&Bound) -> Option<f64>);
 
 const FIGURES: [Figure; 3] = [
@@ -125,7 +124,7 @@ pub fn json(found: &Comparison) -> Value {
     json!({ "schema": "nsim.compare/1", "model": model, "input": input, "seed": seed, "targets": rows })
 }
 
-/// A row a target.
+/// CSV with a row for each target.
 pub fn csv_rows(found: &Comparison) -> String {
     let row = |row: &ComparedTarget| {
         let mut object = row_json(row);
@@ -137,9 +136,9 @@ pub fn csv_rows(found: &Comparison) -> String {
     csv(found.targets.iter().map(row), KEYS)
 }
 
-/// For people.
+/// The result as text.
 pub fn text(found: &Comparison) -> String {
-    // The unit in which every energy is read easily.
+    // The unit of all energies: nanojoules if each is below 0.1 uJ.
     let energies: Vec<f64> = found.targets.iter().filter_map(|one| one.found.as_ref().ok()?.row.energy_uj).collect();
     let nano = !energies.is_empty() && energies.iter().all(|uj| *uj < 0.1);
     let scale = |key: &str| if nano && key == "energy_uj" { 1e3 } else { 1.0 };

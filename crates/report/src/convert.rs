@@ -12,20 +12,20 @@ use nsim_train::convert::job::{Done, Job, sentence};
 use nsim_train::convert::next::Next;
 use nsim_train::convert::staged::{LayerRow, Measured, StageRow};
 
-/// Everything that the report says.
+/// Data of the report.
 #[derive(Debug)]
 pub struct ConvertReport<'a> {
-    /// What was converted.
+    /// The conversion job.
     pub job: &'a Job,
-    /// What came out.
+    /// Its result.
     pub done: &'a Done,
-    /// Where the samples came from.
+    /// Sources of the samples.
     pub input: &'a [String],
-    /// What fine-tuning made of it.
+    /// Result of fine-tuning, if any.
     pub tuned: Option<&'a Tuned>,
     /// The files that were written.
     pub files: &'a [String],
-    /// What to type next.
+    /// The suggested next command.
     pub next: Option<&'a Next>,
 }
 
@@ -97,7 +97,7 @@ fn tuned_text(tuned: &Tuned) -> String {
 }
 
 impl ConvertReport<'_> {
-    /// What was converted, and the number of samples.
+    /// Name of the network, and the number of calibration samples.
     fn what(&self) -> String {
         let samples = self.done.converted.calibration.samples;
         format!("{}, {}", self.job.graph.facts().name, count(samples as u64, "calibration sample"))
@@ -132,12 +132,12 @@ impl ConvertReport<'_> {
         with_rounded(object, rounded)
     }
 
-    /// A row a stage.
+    /// CSV with a row for each stage.
     pub fn csv(&self) -> String {
         csv_of(&self.done.converted.stages, &STAGES)
     }
 
-    /// A section of a document.
+    /// A section of a Markdown document.
     pub fn markdown(&self) -> String {
         let converted = &self.done.converted;
         let mut out = format!("{}.\n\n{}", self.what(), markdown_of(&converted.stages, &STAGES));
@@ -157,7 +157,7 @@ impl ConvertReport<'_> {
         out
     }
 
-    /// For people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let converted = &self.done.converted;
         let mut out = format!("{}\n", self.what());
@@ -177,7 +177,7 @@ impl ConvertReport<'_> {
                 blamed.map_or(String::new(), |cause| format!("; most is lost to {}", cause.words()))
             ));
         }
-        // Names would be broken: stages are numbered, and named after the table.
+        // Stages are numbered and named after the table, since their names are too long for it.
         let stages = &converted.stages;
         let cells = |(number, stage): (usize, &StageRow)| {
             let others = STAGES[1..].iter().map(|(_, cell)| cell(stage));

@@ -1,6 +1,6 @@
 //! The result of `nsim inspect` as text, JSON (`nsim.inspect/1`) and CSV.
 //!
-//! Input: what was found in a file: its kind, facts about the whole, tables of its parts. Output:
+//! Input: the findings of a file: its kind, facts about the whole, tables of its parts. Output:
 //! strings.
 
 use std::fmt::Write as _;
@@ -9,19 +9,19 @@ use serde_json::{Value, json};
 
 use nsim_files::table::{count, csv_text, table, three, wrapped_at};
 
-/// Rows of a table that the text has.
+/// Rows of a table in the text, unless the table sets another number.
 const SHOWN_ROWS: usize = 16;
-/// Characters of a number above which the text has three digits of it.
+/// Characters of a real number above which the text has three of its digits.
 const LONG: usize = 8;
 
-/// What was found: facts about the whole, and tables of its parts.
+/// Findings of a file: facts about the whole, and tables of its parts.
 #[derive(Debug, Clone)]
 pub struct Findings {
-    /// What kind of file it is.
+    /// Kind of the file.
     pub kind: &'static str,
-    /// Name and value; what is null is not known.
+    /// Name and value; null is unknown.
     pub facts: Vec<(&'static str, Value)>,
-    /// Of its parts.
+    /// Tables of its parts.
     pub tables: Vec<FindingsTable>,
 }
 
@@ -34,7 +34,7 @@ pub struct FindingsTable {
     pub columns: &'static [&'static str],
     /// A value for each column.
     pub rows: Vec<Vec<Value>>,
-    /// Rows that the text has; JSON has all.
+    /// Number of rows in the text; JSON has all.
     pub rows_in_text: usize,
 }
 
@@ -53,18 +53,18 @@ impl FindingsTable {
     }
 }
 
-/// A number as people write it: without a fraction when it has none.
+/// A number, without a fraction if it is whole.
 pub fn number(x: f64) -> Value {
     if x.fract() == 0.0 && x.abs() < 9e15 { json!(x as i64) } else { json!(x) }
 }
 
-/// A value for people: strings bare, lists as `[2, 3]`, nothing for what is not known.
+/// Text of a value: bare strings, lists as `[2, 3]`, `-` for null.
 fn shown(value: &Value) -> String {
     match value {
         Value::Null => "-".to_string(),
         Value::String(text) => text.clone(),
         Value::Array(items) => format!("[{}]", items.iter().map(shown).collect::<Vec<_>>().join(", ")),
-        // A real number that is not written to be read.
+        // A long real number has three digits.
         Value::Number(x) if x.is_f64() && x.to_string().len() > LONG => x.as_f64().map_or_else(String::new, three),
         Value::Object(fields) => {
             fields.iter().map(|(name, value)| format!("{name} {}", shown(value))).collect::<Vec<_>>().join(", ")
@@ -74,17 +74,17 @@ fn shown(value: &Value) -> String {
 }
 
 impl Findings {
-    /// For people.
+    /// The findings as text.
     pub fn text(&self, file: &str) -> String {
         let mut out = format!("{file}: {}\n", self.kind);
         let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
-        // What is known of a chip besides takes paragraphs.
+        // Notes on a chip are paragraphs and omitted here.
         for (key, value) in self.facts.iter().filter(|(key, value)| !value.is_null() && *key != "chip_notes") {
             let value = wrapped_at(&shown(value), width + 4);
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
         for part in self.tables.iter().filter(|part| part.rows_in_text > 0) {
-            // Where a number comes from is a sentence; rows of one preset are shown.
+            // Sources are sentences, and the shown rows are of one preset: both are omitted.
             let is_shown = |at: &usize| !["source", "preset"].contains(&part.columns[*at]);
             let columns: Vec<usize> = (0..part.columns.len()).filter(is_shown).collect();
             let header: Vec<&str> = columns.iter().map(|&at| part.columns[at]).collect();

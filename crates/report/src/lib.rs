@@ -1,7 +1,7 @@
 //! Results as people and scripts read them: text, JSON, CSV.
 //!
-//! Input: finished results. Output: strings; writing them is the command line's. Nothing is
-//! computed here but the rounding of what is printed.
+//! Input: finished results. Output: strings, which the command line writes. Figures are not changed
+//! here except for the rounding of printed ones.
 
 pub mod agree;
 pub mod bench;
@@ -18,7 +18,7 @@ pub mod stress;
 pub mod sweep;
 pub mod train;
 
-/// Where samples came from: what was typed, and the seed of a scene.
+/// Sources of samples: the arguments, and the seed of a scene.
 fn origin(input: &[String], seed: Option<u64>) -> String {
     let seed = seed.map_or(String::new(), |seed| format!(" (seed {seed})"));
     input.join(" ") + &seed

@@ -24,18 +24,18 @@ use nsim_ir::placement::Site;
 use nsim_ir::pruned::Row as PrunedRow;
 use nsim_ir::resource::{Limits, Resource};
 
-/// What was asked.
+/// A request for a mapping, with its pruning, remedies, relays and candidates.
 #[derive(Debug, Clone, Copy)]
 pub struct Question<'a> {
     /// The model's name.
     pub model: &'a str,
     /// The target.
     pub target: &'a Target,
-    /// How to compile.
+    /// Options of the compiler.
     pub options: &'a Options,
-    /// What pruning removed from the model; empty without pruning.
+    /// Units that pruning removed from the model; empty without pruning.
     pub pruned: &'a [PrunedRow],
-    /// Changes that were tried and make it fit, when it does not.
+    /// Tried changes that make it fit, when it does not.
     pub remedies: &'a [Remedy],
     /// The relays that were added to it.
     pub relays: Option<&'a AddedRelays>,
@@ -43,16 +43,16 @@ pub struct Question<'a> {
     pub found: &'a [Found],
 }
 
-/// What came out.
+/// Outcome of a request.
 #[derive(Debug, Clone, Copy)]
 pub enum Outcome<'a> {
     /// It fits.
     Fits(&'a Mapping, Traffic, Score),
-    /// It does not, for all of these reasons.
+    /// It does not fit, for all of these reasons.
     DoesNotFit(&'a [Reason]),
 }
 
-/// The seconds by the clock that were given, if any; a result is then that of a machine and a
+/// Seconds of wall clock that were given, if any; the result then depends on the machine and the
 /// moment.
 fn time_budget_s(options: &Options) -> Option<f64> {
     match options.effort {
@@ -74,7 +74,7 @@ fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
     }
 }
 
-/// The result: its fields are those of the object `nsim.map/1`, in this order.
+/// The result, with the fields of the object `nsim.map/1` in their order.
 #[derive(Debug, Serialize)]
 pub struct MapResult<'a> {
     schema: &'static str,
@@ -111,7 +111,7 @@ pub struct MapResult<'a> {
     outcome: Outcome<'a>,
 }
 
-/// What a core uses, also of limits that few chips have: stored synapses, and pools by name.
+/// Use of a core, also of limits that few chips have: stored synapses, and pools by name.
 #[derive(Debug, Serialize)]
 struct CoreUse<'a> {
     core: u32,
@@ -129,7 +129,7 @@ struct CoreUse<'a> {
     pools: Vec<(&'a str, u64)>,
 }
 
-/// A candidate; those of the front are those that no other is better than in everything.
+/// A candidate; on the front, no other candidate is better in everything.
 #[derive(Debug, Serialize)]
 struct ParetoRow {
     #[serde(flatten)]
@@ -141,7 +141,7 @@ struct ParetoRow {
     on_front: bool,
 }
 
-/// What was pruned of a kind.
+/// Pruned items of one kind.
 #[derive(Debug, Serialize)]
 pub(crate) struct PrunedKind<'a> {
     kind: &'static str,
@@ -150,7 +150,7 @@ pub(crate) struct PrunedKind<'a> {
     of: Vec<PrunedPart<'a>>,
 }
 
-/// How much of it was in a population or projection.
+/// Number of them in one population or projection.
 #[derive(Debug, Serialize)]
 pub(crate) struct PrunedPart<'a> {
     name: &'a str,
@@ -163,7 +163,7 @@ fn object<S: Serializer>(pairs: &[(&str, impl Serialize)], serializer: S) -> Res
 }
 
 impl<'a> MapResult<'a> {
-    /// Of what was asked and what came out.
+    /// The result of a request and its outcome.
     pub fn new(question: Question<'a>, outcome: Outcome<'a>) -> Self {
         let Question { model, target, options, pruned, remedies, relays, found } = question;
         let (mapping, traffic, expected, reasons) = match outcome {
@@ -205,7 +205,7 @@ impl<'a> MapResult<'a> {
         }
     }
 
-    /// Energy over step time of all candidates; the front is joined.
+    /// SVG of energy over step time of all candidates, with the front.
     pub fn pareto_svg(&self) -> String {
         results::pareto(&json!({ "model": self.model, "pareto": self.pareto })).unwrap_or_default()
     }
@@ -219,7 +219,7 @@ impl<'a> MapResult<'a> {
         }
     }
 
-    /// Cores as CSV: [`CORE_COLUMNS`], stored synapses where they are limited, and a column a pool.
+    /// Cores as CSV: [`CORE_COLUMNS`], stored synapses where limited, and a column for each pool.
     fn cores_csv(&self) -> String {
         let stored = self.limits.is_limited(Resource::StoredSynapses).then_some("stored_synapses");
         let columns: Vec<&str> = CORE_COLUMNS.split(',').chain(stored).collect();
@@ -233,7 +233,7 @@ impl<'a> MapResult<'a> {
         csv_text(header, self.cores.iter().map(cells))
     }
 
-    /// The result for people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let MapResult { model, target, pruned, .. } = self;
         let copies = count(self.copies, "copy");
@@ -251,7 +251,7 @@ impl<'a> MapResult<'a> {
                     let takes = format!("({}{copies})", count(u64::from(*cores), "core"));
                     let line = wrapped(&format!("- {change} {takes}"));
                     text += &match change.rsplit_once(": --") {
-                        // What is typed stays in one piece.
+                        // A command is not wrapped as words are.
                         Some((words, typed)) if line.lines().count() > 1 => {
                             let typed = shell_lines(&format!("--{typed}"));
                             format!("{}{typed}\n", wrapped(&format!("- {words} {takes}:")))
@@ -332,7 +332,7 @@ fn pareto_rows(found: &[Found]) -> Vec<ParetoRow> {
     found.iter().map(row).collect()
 }
 
-/// What is shown of a candidate.
+/// Columns of the table of candidates.
 const PARETO_COLUMNS: [Column<ParetoRow>; 7] = [
     ("strategy", |row| row.candidate.strategy.name().to_string()),
     ("cores filled to", |row| format!("1/{}", row.candidate.divisor)),
@@ -343,7 +343,7 @@ const PARETO_COLUMNS: [Column<ParetoRow>; 7] = [
     ("front", |row| if row.on_front { "*" } else { "" }.to_string()),
 ];
 
-/// What was pruned, by kind.
+/// Pruned items, by kind.
 pub(crate) fn pruned_kinds<'a>(rows: &'a [PrunedRow]) -> Vec<PrunedKind<'a>> {
     let kind = |row: &'a PrunedRow| {
         let of = row.of.iter().map(|(name, count)| PrunedPart { name, count: *count }).collect();
@@ -352,10 +352,10 @@ pub(crate) fn pruned_kinds<'a>(rows: &'a [PrunedRow]) -> Vec<PrunedKind<'a>> {
     rows.iter().map(kind).collect()
 }
 
-/// Names that a table of what was pruned shows of each kind.
+/// Number of names of each kind in the table of pruned items.
 const SHOWN_NAMES: usize = 6;
 
-/// What was pruned, for people.
+/// Table of pruned items.
 fn pruned_table(rows: &[PrunedKind<'_>]) -> String {
     let row = |row: &PrunedKind<'_>| {
         let part = |PrunedPart { name, count }: &PrunedPart<'_>| format!("{name}: {count}");
@@ -368,10 +368,10 @@ fn pruned_table(rows: &[PrunedKind<'_>]) -> String {
     nsim_files::table::table(&["pruned", "count", "of", "why"], &rows.iter().map(row).collect::<Vec<_>>())
 }
 
-/// What is said of a core.
+/// Columns of a core in CSV.
 const CORE_COLUMNS: &str = "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words";
 
-/// What each core uses.
+/// Use of each core.
 fn core_uses<'a>(mapping: &Mapping, limits: &'a Limits) -> Vec<CoreUse<'a>> {
     let row = |(core, used): (CoreId, &CoreUsage)| {
         let Site { chip, x, y, .. } = mapping.placement.site(core);
@@ -396,12 +396,12 @@ fn listed(reasons: &[Reason]) -> String {
     reasons.iter().map(|reason| wrapped(&format!("- {reason}"))).collect()
 }
 
-/// That and why a network does not fit, where a fit was taken for granted.
+/// Message that a network does not fit, with the reasons, for commands that need a fit.
 pub fn refusal(model: &str, target: &Target, reasons: &[Reason]) -> String {
     format!("{model} does not fit on {}:\n{}", target.name(), listed(reasons))
 }
 
-/// Of a population, what a table says: its compartments, its cores and their tightest resource.
+/// Columns of a population: its compartments, its cores and their tightest resource.
 const TIGHTEST_COLUMNS: [Column<(u32, Tightest)>; 7] = [
     ("population", |(_, row)| row.population.clone()),
     ("compartments", |(compartments, _)| compartments.to_string()),

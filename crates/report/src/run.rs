@@ -15,16 +15,16 @@ use nsim_session::detail::Detail;
 use nsim_session::neurobench::NeuroBench;
 use nsim_session::{Outcome, accuracy, digest, median_decision};
 
-/// Everything that the report says.
+/// Data of the report.
 #[derive(Debug)]
 pub struct RunReport<'a> {
     /// The network that ran.
     pub network: &'a Quantised,
-    /// The target it is mapped onto; none for the golden engine.
+    /// The target onto which it is mapped; none for the golden engine.
     pub target: Option<&'a str>,
     /// `fast` or `golden`.
     pub engine: &'static str,
-    /// The arguments that say where the input came from.
+    /// The arguments that name the sources of the input.
     pub input: &'a [String],
     /// The seed of the input, when it had one.
     pub seed: Option<u64>,
@@ -40,15 +40,15 @@ pub struct RunReport<'a> {
     pub early_exit: Option<Rule>,
     /// Seconds spent simulating.
     pub wall_s: f64,
-    /// By population, input and core, and what to warn of.
+    /// Counts by population, input and core, and warnings.
     pub detail: &'a Detail,
-    /// The metrics of NeuroBench's harness, where they were asked for.
+    /// The metrics of NeuroBench's harness, if requested.
     pub neurobench: Option<&'a NeuroBench>,
     /// Files that were written.
     pub files: &'a [String],
 }
 
-/// The object of `nsim.run/1` for what did not run.
+/// The object of `nsim.run/1` for a network that did not run.
 pub fn nothing(engine: &str) -> Value {
     json!({
         "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
@@ -73,12 +73,12 @@ fn neurobench_text(metrics: &NeuroBench) -> String {
     format!("\n{}", table(&["NeuroBench", "a sample"], &figures.into_iter().filter_map(row).collect::<Vec<_>>()))
 }
 
-/// A potential, or a sum of them: whole in integers.
+/// Text of a potential, or of a sum of them; whole numbers have no fraction.
 fn score_text(score: f64) -> String {
     if score.fract() == 0.0 { format!("{score:.0}") } else { format!("{score:.4}") }
 }
 
-/// The object of `nsim.run/1`, which text and CSV are made of too.
+/// The object of `nsim.run/1`; text and CSV are made from it.
 #[derive(Serialize)]
 #[serde(tag = "schema", rename = "nsim.run/1")]
 struct RunResult<'a> {
@@ -126,7 +126,7 @@ struct Events {
 #[derive(Serialize)]
 struct EarlyExit {
     rule: Rule,
-    /// Number of samples that were decided early, and the least step by which half of those were.
+    /// Number of samples that were decided early; `median_step` is the median of their steps.
     decided: usize,
     median_step: Option<u32>,
     steps_saved: u64,
@@ -220,7 +220,7 @@ impl RunReport<'_> {
         json!(self.result())
     }
 
-    /// One row a sample.
+    /// CSV with a row for each sample.
     pub fn csv(&self) -> String {
         let RunResult { predicted, output_counts, decided_at, .. } = self.result();
         let outputs = output_counts.first().map_or(0, |counts| counts.len());
@@ -242,7 +242,7 @@ impl RunReport<'_> {
         self.network.parts().classes.get(class as usize).cloned().unwrap_or_else(|| class.to_string())
     }
 
-    /// For people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let result = self.result();
         let RunResult { model, engine, timesteps: steps, undecided, activity, .. } = &result;

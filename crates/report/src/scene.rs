@@ -7,14 +7,14 @@ use nsim_files::table::{Column, csv, table_of, wrapped};
 use nsim_scene::markers::Annotated;
 use nsim_scene::wire::Carried;
 
-/// What the samples of one class hold.
+/// Statistics of the samples of one class.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ClassSummary {
     /// Its name.
     pub name: String,
     /// Number of samples.
     pub samples: usize,
-    /// Spikes of touch, of all samples together.
+    /// Spikes of touch in all samples.
     pub touch_spikes: u64,
     /// Spikes of vision.
     pub vision_spikes: u64,
@@ -51,7 +51,7 @@ pub struct ByMarkers {
 }
 
 impl ByMarkers {
-    /// Of samples; none without a lift.
+    /// Onsets of samples; `None` without a lift.
     pub fn new(samples: &[Annotated]) -> Option<Self> {
         let median = |times: &mut Vec<f64>| {
             times.sort_by(f64::total_cmp);
@@ -69,7 +69,7 @@ impl ByMarkers {
     }
 }
 
-/// What was made.
+/// Statistics of a scene's samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SceneReport {
     /// The scene with its parameters.
@@ -82,11 +82,11 @@ pub struct SceneReport {
     pub steps: u32,
     /// Milliseconds of a timestep.
     pub timestep_ms: f64,
-    /// By label.
+    /// Classes, by label.
     pub classes: Vec<ClassSummary>,
-    /// What the taxels' common wire did to their events, when there is one.
+    /// Counts of events on the taxels' common wire, if there is one.
     pub wire: Option<Carried>,
-    /// Where the manifest is, when recordings were written.
+    /// Path of the manifest, when recordings were written.
     pub manifest: Option<String>,
 }
 
@@ -97,12 +97,12 @@ fn percent(share: f64) -> String {
 impl SceneReport {
     /// Density over all classes: spikes a channel and step.
     fn density(&self, of: fn(&ClassSummary) -> f64) -> f64 {
-        // Each class has as many channels and steps a sample, so samples are the weights.
+        // Classes have equal numbers of channels and steps a sample, so samples are the weights.
         let weighted = |class: &ClassSummary| if class.samples == 0 { 0.0 } else { of(class) * class.samples as f64 };
         self.classes.iter().map(weighted).sum::<f64>() / self.samples as f64
     }
 
-    /// For people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let columns: [Column<ClassSummary>; 7] = [
             ("class", |class| class.name.clone()),
@@ -153,7 +153,7 @@ impl SceneReport {
         out
     }
 
-    /// For scripts.
+    /// `nsim.scene/1`.
     pub fn json(&self) -> Value {
         json!({
             "schema": "nsim.scene/1",

@@ -2,7 +2,7 @@
 //! network.
 //!
 //! Input: comparisons of networks in integers with the same trained network. Output: text, JSON and
-//! CSV. A layer in which neither network spikes is nothing to compare.
+//! CSV. A layer in which neither network spikes is not compared.
 
 use serde_json::{Value, json};
 
@@ -11,14 +11,14 @@ use crate::origin;
 use nsim_agree::compare::{Agreement, LayerRow};
 use nsim_files::table::{Column, count, csv_of, four, or_empty, table_of, wrapped};
 
-/// A network and how far it agrees with the trained one.
+/// A network and its agreement with the trained one.
 #[derive(Debug)]
 pub struct Compared {
     /// Its file.
     pub against: String,
     /// Its name.
     pub name: String,
-    /// Cores that it takes.
+    /// Number of its cores.
     pub cores: usize,
     /// The comparison.
     pub agreement: Agreement,
@@ -34,22 +34,22 @@ impl Compared {
     }
 }
 
-/// Everything that the report says.
+/// Data of the report.
 #[derive(Debug)]
 pub struct SideBySideReport<'a> {
     /// The trained network's name.
     pub model: &'a str,
-    /// Where the samples came from.
+    /// Sources of the samples.
     pub input: &'a [String],
     /// Their seed, when they had one.
     pub seed: Option<u64>,
     /// Number of samples.
     pub samples: usize,
-    /// The others, in the order in which they were named.
+    /// The other networks, in the order of the command.
     pub networks: Vec<Compared>,
 }
 
-/// A layer of a network, or of the trained one, to which it is compared.
+/// A layer of the trained network, or of a network that is compared with it.
 struct Row<'a> {
     against: &'a str,
     accuracy: Option<f64>,
@@ -94,7 +94,7 @@ impl SideBySideReport<'_> {
         each.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)
     }
 
-    /// Whether every spike of every network is the trained one's, and there are some.
+    /// Whether the spikes of all networks equal the trained one's, and there are some.
     pub fn exact(&self) -> bool {
         self.networks.iter().all(|network| {
             let layers = &network.agreement.layers;
@@ -114,7 +114,7 @@ impl SideBySideReport<'_> {
         all.collect()
     }
 
-    /// `nsim.agree/1`; `layers` has the rows of all networks, each with the file that it is of.
+    /// `nsim.agree/1`; `layers` has the rows of all networks, each with its file.
     pub fn json(&self) -> Value {
         let layers = self.networks.iter().flat_map(|network| {
             network.agreement.layers.iter().map(|row| {
@@ -155,7 +155,7 @@ impl SideBySideReport<'_> {
         csv_of(&self.rows(), &columns())
     }
 
-    /// For people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let mut out = wrapped(&format!("{} as trained, and others on simulated cores", self.model));
         out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));

@@ -19,12 +19,12 @@ pub fn json(verdicts: &[Verdict]) -> Value {
     json!({ "schema": "nsim.stress/1", "cases": cases.collect::<Vec<_>>() })
 }
 
-/// A row a case.
+/// CSV with a row for each case.
 pub fn csv(verdicts: &[Verdict]) -> String {
     nsim_files::table::csv(json(verdicts)["cases"].as_array().into_iter().flatten(), "name,verdict,steps,detail")
 }
 
-/// For people.
+/// The result as text.
 pub fn text(verdicts: &[Verdict]) -> String {
     let columns: [Column<Verdict>; 4] = [
         ("case", |verdict| verdict.name.to_string()),

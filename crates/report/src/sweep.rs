@@ -1,8 +1,8 @@
-//! A picture of two columns of a table.
+//! Plot of two columns of a sweep's table.
 //!
 //! Input: a table, the names of two of its columns. Output: the rows on the front; an SVG with a
-//! point for each row that has a number in both, and the front. Errors: `sweep.column` for a name
-//! that no column has, or one without numbers.
+//! point for each row that has a number in both, and the front. Errors: `sweep.column` for an
+//! unknown column, or one without numbers.
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -14,19 +14,19 @@ use nsim_study::pareto::on_front;
 use nsim_study::sweep::table::Table;
 use nsim_study::sweep::variants::FIGURES;
 
-/// A column's figure and its unit, of those whose name ends in one.
+/// Name of a column without its unit, and the unit, if the name ends in one.
 fn figure(column: &str) -> (&str, Option<&str>) {
     let units = [("_uj", "uJ"), ("_us", "us"), ("_mw", "mW"), ("_pjs", "pJ s")];
     let found = units.into_iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, Some(unit))));
     found.unwrap_or((column, None))
 }
 
-/// A column in a title.
+/// Name of a column in a title.
 fn spoken(column: &str) -> String {
     figure(column).0.replace('_', " ")
 }
 
-/// A column at its axis: energies and times are those of a timestep.
+/// Label of a column's axis; energies and times are per timestep.
 fn label(column: &str) -> String {
     match (column, figure(column)) {
         ("energy_uj" | "latency_us", (name, Some(unit))) => format!("{name} ({unit} a timestep)"),
@@ -35,7 +35,7 @@ fn label(column: &str) -> String {
     }
 }
 
-/// Whether a table of these columns can be drawn.
+/// Index of a column, by its name.
 ///
 /// # Errors
 /// `sweep.column`.
@@ -47,8 +47,8 @@ pub fn check(columns: &[&str], name: &str) -> Result<usize> {
     })
 }
 
-/// By which factor a column is multiplied for less of it to be better, where one direction is: of a
-/// chip's limits and sizes that are swept less is better.
+/// Factor, 1 or -1, after which less of a column is better; `None` without a better direction. Less
+/// is better for swept limits and sizes of a chip.
 fn to_less(table: &Table<'_>, column: &str) -> Option<f64> {
     if table.sweep().is_of_chip(column) {
         return Some(1.0);
@@ -61,7 +61,7 @@ fn to_less(table: &Table<'_>, column: &str) -> Option<f64> {
     }
 }
 
-/// The rows with a number in both columns: the best first, where one direction of x is better.
+/// Rows with a number in both columns, sorted by x; the best x is first, if one is better.
 fn points(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<Vec<(u64, f64, f64)>> {
     let columns = table.columns();
     let places = [check(&columns, x)?, check(&columns, y)?];
@@ -75,12 +75,12 @@ fn points(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<Vec<(u64, f64, f64)>> 
     Ok(points)
 }
 
-/// The columns of these of which neither less nor more is better.
+/// Columns without a better direction.
 pub fn without_direction<'a>(table: &Table<'_>, axes: [&'a str; 2]) -> Vec<&'a str> {
     axes.into_iter().filter(|column| to_less(table, column).is_none()).collect()
 }
 
-/// Number of variants on the front that equal another of it in both columns.
+/// Number of variants on the front that equal another one in both columns.
 ///
 /// # Errors
 /// `sweep.column`.
@@ -91,8 +91,8 @@ pub fn ties(table: &Table<'_>, axes: [&str; 2]) -> Result<usize> {
     Ok(bits.iter().filter(|one| bits.iter().filter(|other| other == one).count() > 1).count())
 }
 
-/// The variants that no other is at least as good as in both columns, and better in one; none where
-/// neither less nor more of a column is better.
+/// Variants on the front: no other is at least as good in both columns and better in one. `None`
+/// where a column has no better direction.
 ///
 /// # Errors
 /// `sweep.column`.
@@ -111,7 +111,7 @@ fn intervals(table: &Table<'_>, x: &str) -> Result<Vec<(f64, f64, f64)>> {
     Ok(low?.into_iter().filter_map(both).collect())
 }
 
-/// The picture of a column over another: the front of the table, and each point with its values on
+/// SVG of a column over another: the front of the table, and each point labelled with its values on
 /// the axes of the sweep.
 ///
 /// # Errors

@@ -1,4 +1,4 @@
-//! The result of `nsim train` as text, JSON and CSV, and what a model file says of its own making.
+//! The result of `nsim train` as text, JSON and CSV, and the provenance of a model file.
 
 use std::path::Path;
 
@@ -9,14 +9,14 @@ use nsim_ir::base::stats::mean_sd;
 use nsim_train::fit::EpochRow;
 use nsim_train::job::{Job, Trained};
 
-/// Everything that the report of one training says.
+/// Data of the report of one training.
 #[derive(Debug)]
 pub struct TrainReport<'a> {
     /// The training file.
     pub job: &'a Job,
-    /// What it came to.
+    /// Its result.
     pub trained: &'a Trained,
-    /// Where the model was written.
+    /// Path of the written model.
     pub model: Option<&'a Path>,
 }
 
@@ -46,7 +46,7 @@ impl TrainReport<'_> {
         csv([self.json()], "name,seed,epochs,seconds,train_accuracy,test_accuracy")
     }
 
-    /// One line: accuracy on what.
+    /// One line with the accuracies and their numbers of samples.
     pub fn summary(&self) -> String {
         let Trained { state, train_accuracy, test_accuracy, folds, samples, .. } = self.trained;
         let test = test_accuracy
@@ -71,7 +71,7 @@ impl TrainReport<'_> {
         )
     }
 
-    /// What the model file says before the network: the summary and the training file.
+    /// Text before the network of the model file: the summary and the training file.
     pub fn provenance(&self, set: &[String]) -> String {
         let source = &self.job.source;
         let file = source.path().file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
@@ -85,7 +85,7 @@ impl TrainReport<'_> {
         )
     }
 
-    /// For people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let mut out = format!("{}: {}", self.job.file.name, wrapped(&self.summary()));
         out += &format!("{:.1} s after the samples were there\n", self.trained.seconds);

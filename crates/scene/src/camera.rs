@@ -1,14 +1,13 @@
 //! An event camera: brightness of pixels -> events on changes of its logarithm, pooled 4 x 4.
 //!
-//! Input: a view that says how bright a pixel is (natural logarithm) and which pixels may have
-//! changed. Output: the pooled channels that spike in a tick. A pixel sends an event when its
-//! brightness differs from that at its last event by the contrast threshold (Lichtsteiner, Posch
-//! and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal contrast vision sensor",
-//! IEEE JSSC 2008), then rests for its refractory time; noise events come on top. A pooled unit
-//! sums the events of its 16 pixels within a tick and spikes from the first on: of both polarities
-//! together, or in a plane for each, as the recordings of Taunyazov et al. 2020 have them. A noise
-//! event is of either polarity.
-//!
+//! Input: a view that returns a pixel's brightness (natural logarithm), and the pixels that may
+//! have changed. Output: the pooled channels that spike in a tick. A pixel sends an event when its
+//! brightness differs from the brightness at its last event by the contrast threshold.
+//! (Lichtsteiner, Posch and Delbruck, "A 128x128 120 dB 15 us latency asynchronous temporal
+//! contrast vision sensor", IEEE JSSC 2008.) Then it is silent for its refractory time; noise
+//! events are added. A pooled unit spikes in a tick in which one of its 16 pixels has an event.
+//! Polarities are merged, or each has a plane, as in the recordings of Taunyazov et al. 2020. A
+//! noise event has a random polarity.
 //! Window, pooling and the order of the channels are VT-SNN's: 200 columns x 250 rows, 4 x 4 to 50
 //! columns x 63 rows (the last row of units sees two rows of pixels), channel = row of units x 50 +
 //! column.
@@ -34,7 +33,7 @@ pub fn pooled(x: usize, y: usize) -> usize {
     y / POOL * POOLED_WIDTH + x / POOL
 }
 
-/// The polarities of which a pooled unit spikes in a tick.
+/// Polarities of a pooled unit's spikes in a tick.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Polarities {
     /// Some pixel became darker.
@@ -50,7 +49,7 @@ impl Polarities {
     }
 }
 
-/// How pixels respond.
+/// Parameters of the pixels.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Pixels {
     /// Change of the natural logarithm of brightness that makes an event.
@@ -61,7 +60,7 @@ pub struct Pixels {
     pub refractory_ms: u16,
     /// Noise events of a pixel, in each second.
     pub noise_hz: f64,
-    /// Time between two looks at the brightness, ms.
+    /// Sampling interval of the brightness, ms.
     pub tick_ms: u16,
 }
 
@@ -81,21 +80,21 @@ struct Pixel {
     seen: bool,
 }
 
-/// A camera at work.
+/// State of a camera.
 #[derive(Debug, Clone)]
 pub struct Camera {
     pixels: Pixels,
     draws: Draws,
     state: Vec<Pixel>,
-    /// Pixels whose change exceeds what they have sent.
+    /// Pixels whose remaining change reaches the threshold.
     behind: Vec<u32>,
-    /// By polarity, falls first.
+    /// Bit masks of spiking units, by polarity: falls, rises.
     spiking: [Vec<u64>; 2],
     step: u16,
 }
 
 impl Camera {
-    /// A camera that has seen nothing yet. Thresholds belong to the camera, not to the sample.
+    /// A camera before its first tick. Thresholds are the same for every sample.
     pub fn new(pixels: &Pixels, draws: Draws) -> Self {
         let pixel = Pixel { reference: 0.0, threshold: 0.0, free_at: 0, seen: false };
         Camera {
@@ -108,9 +107,9 @@ impl Camera {
         }
     }
 
-    /// One tick: looks at the pixels that `changed` names (any number of times each), where the
-    /// view was `at_rest` and is `now`; calls `spike` for each pooled unit that spikes, ascending,
-    /// with the polarities of which it does.
+    /// Runs one tick over the pixels in `changed`, which may repeat. `at_rest` and `now` return a
+    /// pixel's brightness at rest and now. Calls `spike` for each pooled unit that spikes,
+    /// ascending, with its polarities.
     pub fn step(
         &mut self,
         changed: &[u32],
@@ -209,7 +208,7 @@ mod tests {
         let mut spikes = Vec::new();
         for step in 0..20 {
             let level = if step < 3 { 1.0 } else { 1.7 };
-            // Named twice: looked at twice, which changes nothing.
+            // A repeated pixel changes nothing.
             let changed = if step == 3 { vec![pixel, pixel] } else { Vec::new() };
             camera.step(&changed, |_, _| 1.0, |_, _| level, |unit, _| spikes.push((step, unit)));
         }
@@ -224,7 +223,7 @@ mod tests {
         let mut spikes = Vec::new();
         let mut see = |unit, polarities: Polarities| spikes.push((unit, polarities.planes().collect::<Vec<_>>()));
         camera.step(&block, |_, _| 0.0, |x, _| if x % 2 == 0 { 0.3 } else { -0.3 }, &mut see);
-        // Refractory for a step; then all return.
+        // Refractory for a step; then the odd columns return.
         camera.step(&[], |_, _| 0.0, |_, _| 0.0, &mut see);
         camera.step(&block, |_, _| 0.0, |x, _| if x % 2 == 0 { 0.3 } else { 0.0 }, &mut see);
         assert_eq!(spikes, [(0, vec![0, 1]), (0, vec![1])]);

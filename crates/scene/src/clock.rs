@@ -1,9 +1,9 @@
-//! A clock in parallel with recordings: it shows which part of its course a sample is in.
+//! A clock: an input that encodes how far a sample has progressed.
 //!
-//! Input: the number of timesteps of a channel, and the length of a sample. Output: spikes of the
-//! channel of each timestep: channel k spikes in every step of the k-th span, the last one also
-//! in all that follow. A robot that grasps and lifts by a fixed course knows this; neurons whose
-//! memory is shorter than the course do not. Nothing is random.
+//! Input: the number of timesteps of a channel, and the length of a sample. Output: the spikes.
+//! Channel k spikes in every step of the k-th span; the last channel also spikes in all later
+//! steps. A robot that grasps and lifts by a fixed course knows its progress; neurons whose memory
+//! is shorter than the course do not. Nothing is random.
 
 use crate::parameter::{parameter, unknown};
 use nsim_ir::base::diagnostic::Result;
@@ -19,7 +19,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// From `span`, the timesteps of a channel (1 to 100,000; 1).
+    /// Reads `span`, the timesteps of a channel (1 to 100,000; 1).
     ///
     /// # Errors
     /// A diagnostic for an unknown key or a value out of range.

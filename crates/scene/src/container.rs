@@ -2,10 +2,10 @@
 //! lifts and holds it.
 //!
 //! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event
-//! camera in 325 bins of 20 ms. Task, containers, largest fills and times are those of Taunyazov et
-//! al. 2020, section V: the recording begins with the gripper about to close (2.0 s), the fingers
-//! touch the container at about 4 s, it is lifted by 5 cm from 6 s to 8 s and held until 8.5 s.
-//! Class = 5 container + fill level.
+//! camera in 325 bins of 20 ms. Task, containers, largest fills and times follow Taunyazov et al.
+//! 2020, section V. There the recording begins at 2.0 s, just before the gripper closes. The
+//! fingers touch the container at about 4 s; it is lifted by 5 cm from 6 s to 8 s and held until
+//! 8.5 s.
 //!
 //! Touch depends on stiffness (how fast the force grows), width (when the fingers make contact) and
 //! weight (how far the load moves the pressure, and sloshing). Vision depends on the outline and
@@ -29,30 +29,30 @@ use nsim_ir::stimulus::SceneArg;
 pub const STEPS: u32 = 325;
 /// Milliseconds of a bin.
 pub const BIN_MS: u32 = 20;
-/// Milliseconds between two looks of the taxels and of the camera.
+/// Sampling interval of the taxels and the camera, ms.
 const TICK_MS: u32 = 5;
 /// A pixel's size at the container, mm.
 const PIXEL_MM: f64 = 0.9;
 /// Fill levels of each container.
 const LEVELS: u32 = 5;
 
-/// What is known of a container.
+/// Properties of one container.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Container {
     name: &'static str,
-    /// Where the fingers hold it, mm.
+    /// Width between the fingers, mm.
     width_mm: f64,
     height_mm: f64,
     /// Stiffness of its walls under the fingers, N/m, when it is empty.
     stiffness_n_per_m: f64,
-    /// How much stiffer a full one is than an empty one, as a part.
+    /// Relative increase of the stiffness from empty to full.
     stiffened: f64,
     empty_kg: f64,
     /// Largest fill, kg (the paper's).
     fill_kg: f64,
-    /// Part of the fill that moves about.
+    /// Fraction of the fill that sloshes.
     sloshes: f64,
-    /// Contrast of the label against the wall, and where it begins and ends down the container.
+    /// Contrast of the label against the wall; its top and bottom as fractions of the height.
     label: (f32, f64, f64),
     /// Contrast of the surface of the fill, seen through the wall.
     level: f32,
@@ -112,7 +112,7 @@ const CONTAINERS: [Container; 4] = [
 
 parameters! {
     "container",
-    /// The scene's parameters. Each sample draws uniformly from the ranges.
+    /// The scene's parameters. Each sample takes uniform random values from the ranges.
     pub struct Containers {
         skin: Skin { threshold_kpa: 0.3, noise_kpa: 0.05, adaptation_ms: 200.0, tick_ms: TICK_MS, ..Skin::default() },
         pixels: Pixels { noise_hz: 0.01, tick_ms: TICK_MS as u16, ..Pixels::default() }
@@ -121,13 +121,13 @@ parameters! {
     grip_n: (f64, f64) = (6.7, 7.3), spread(0.01..=100.0);
     /// Speed at which each finger closes, m/s.
     closing_m_per_s: (f64, f64) = (0.0185, 0.0195), spread(0.001..=1.0);
-    /// When the fingers begin to close, s.
+    /// Time at which the fingers begin to close, s.
     closing_s: (f64, f64) = (0.0, 0.06), spread(0.0..=10.0);
-    /// When the lift begins, s.
+    /// Start of the lift, s.
     lift_s: (f64, f64) = (3.95, 4.1), spread(0.0..=10.0);
-    /// How far the grasp lies above or below the container's middle, mm.
+    /// Vertical distance of the grasp from the container's middle, mm; positive is below.
     grasp_mm: (f64, f64) = (-1.5, 1.5), spread(-50.0..=50.0);
-    /// Deviation of a container's fill from its level, as a part of the largest fill.
+    /// Deviation of a container's fill from its level, as a fraction of the largest fill.
     fill_error: (f64, f64) = (-0.03, 0.03), spread(-1.0..=1.0);
     /// Relative amplitude of the arm's vibration in the grip force while it lifts.
     vibration: (f64, f64) = (0.001, 0.004), spread(0.0..=1.0);
@@ -137,7 +137,7 @@ parameters! {
     s_min: u32 = 1, parameter(1..=1000);
 }
 
-/// The class of a sample: every 20 samples in a row show each class once, in random order.
+/// Class of a sample. Each block of 20 consecutive samples has each class once, in random order.
 pub fn label(seed: u64, sample: u32) -> u32 {
     let classes = CONTAINERS.len() as u32 * LEVELS;
     let draws = Draws::new(seed, sample / classes);
@@ -153,13 +153,13 @@ pub fn classes() -> Vec<String> {
     CONTAINERS.iter().flat_map(levels).collect()
 }
 
-/// What one sample does.
+/// Parameters of one sample's grasp.
 #[derive(Debug, Clone)]
 struct Course {
     container: Container,
     fill: f64,
     mass_kg: f64,
-    /// Stiffness of skin and wall in a row, N/m, and of the wall alone.
+    /// Stiffness of skin and wall in series, N/m, and of the wall alone.
     stiffness: f64,
     wall: f64,
     grip_n: f64,
@@ -180,17 +180,17 @@ struct Moment {
     load_n: f64,
     /// Gap between the fingers, mm.
     gap_mm: f64,
-    /// How far each wall gives way, mm.
+    /// Dent in each wall, mm.
     dent_mm: f64,
     lift_mm: f64,
     sag_mm: f64,
-    /// The arm's shaking, from -1 to 1.
+    /// Waveform of the arm's shaking, -1..=1.
     tone: f64,
-    /// How strong it shakes, from 0 to 1.
+    /// Amplitude of the shaking, 0..=1.
     shaking: f64,
 }
 
-/// Stiffness of a finger's skin in the direction of the grip, and of both against a load, N/m.
+/// Stiffness of a finger's skin along the grip, N/m; `SHEAR_N_PER_M`: of both against a load.
 const SKIN_N_PER_M: f64 = 6_000.0;
 const SHEAR_N_PER_M: f64 = 2_200.0;
 /// Stiffness of the arm against a load, N/m.
@@ -217,7 +217,7 @@ impl Course {
             0.0
         };
         let load_n = borne * (1.0 + slosh);
-        // Contact and lift set the arm shaking; it rings down in half a second.
+        // Contact and lift start a shaking of the arm with a decay time constant of 0.5 s.
         let rings = |since: f64| if since < 0.0 { 0.0 } else { (since / 0.02).min(1.0) * libm::exp(-since / 0.5) };
         let moving = if (0.0..2.0).contains(&since) { 0.5 } else { 0.0 };
         let shaking = (rings(t - self.contact_s) + rings(since)).max(moving).min(1.0);
@@ -236,7 +236,7 @@ impl Course {
 }
 
 impl Containers {
-    /// What these senses record of a sample.
+    /// Recording of a sample by the given senses.
     pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         let draws = Draws::new(self.seed, sample);
         let label = label(self.seed, sample);
@@ -244,7 +244,7 @@ impl Containers {
         let ticks = STEPS * BIN_MS / TICK_MS;
         let moments: Vec<Moment> = (0..ticks).map(|k| course.at(1e-3 * f64::from(k * TICK_MS))).collect();
         let sensed = if senses.touch { self.touch(&course, &moments, draws) } else { Vec::new() };
-        // An event of a tick is sent in any of its milliseconds.
+        // An event is sent in a random millisecond of its tick.
         let spread = |tick: u32, channel| draws.bits(Purpose::Wire, channel + (1 << 19), tick) as u32 % TICK_MS;
         let (touch, wire) = match self.wire {
             None => (sensed, None),
@@ -340,15 +340,15 @@ impl Containers {
     }
 }
 
-/// The paper's binning: a channel with at least S_min events in a bin spikes. Sorted by tick.
+/// Spikes as (bin, channel), sorted: by the paper's rule, a channel with S_min events in a bin.
 fn binned(events: &[(u32, u32)], s_min: u32) -> Vec<(u32, u32)> {
     let mut bins: Vec<(u32, u32)> = events.iter().map(|&(tick, channel)| (tick * TICK_MS / BIN_MS, channel)).collect();
     bins.sort_unstable();
     bins.chunk_by(|a, b| a == b).filter(|same| same.len() >= s_min as usize).map(|same| same[0]).collect()
 }
 
-/// The camera's view: from back to front, the table, the container with its label and fill,
-/// the fingers. All edges are upright or level; places in px.
+/// The camera's view, from back to front: the table, the container with its label and fill, the
+/// fingers. All edges are vertical or horizontal; positions are in px.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Picture {
     table: f32,
@@ -361,7 +361,7 @@ struct Picture {
     fingers: [f32; 4],
 }
 
-/// How much of a pixel lies past an edge.
+/// Fraction of a pixel that lies past an edge, 0..=1.
 #[inline]
 fn past(place: f32, edge: f32) -> f32 {
     (place - edge + 0.5).clamp(0.0, 1.0)
@@ -371,8 +371,8 @@ impl Picture {
     fn new(course: &Course, moment: &Moment, offset_mm: f64) -> Picture {
         let px = |mm: f64| (mm / PIXEL_MM) as f32;
         let (middle, grasp) = (100.0f32, 120.0f32);
-        // The camera hangs on the arm: what shakes and sinks with the arm is the world and what
-        // stands in it, until the container hangs on the fingers and moves with them.
+        // The camera is mounted on the arm. So the table and a standing container shake in the
+        // picture; a lifted container moves with the fingers.
         let arm = course.shake_mm * moment.shaking * moment.tone - 1e3 * moment.load_n / ARM_N_PER_M;
         let held = if moment.lift_mm > 0.3 { 0.2 } else { 1.0 };
         let swing = px(course.shake_mm * moment.shaking * moment.tone * held);
@@ -419,7 +419,7 @@ impl Picture {
         self.edges().iter().zip(shown.edges()).any(|(now, then)| (now - then).abs() > 0.1)
     }
 
-    /// The pixels near edges that have moved since another picture.
+    /// Appends the pixels near edges that have moved since picture `then`.
     fn near_edges(&self, then: &Picture, near: &mut Vec<u32>) {
         let [left, right, top, bottom] = self.body;
         let span =
@@ -513,7 +513,7 @@ mod tests {
             for course in courses {
                 let end = course.at(6.5);
                 assert!((end.lift_mm - 50.0).abs() < 1e-9 && end.grip_n == course.grip_n);
-                // The friction of silicone (0.7 at least) holds what is lifted.
+                // The friction of silicone (0.7 at least) holds the load.
                 assert!(2.0 * 0.7 * end.grip_n > end.load_n);
                 assert_eq!(course.at(course.contact_s - 1e-6).grip_n, 0.0);
                 assert_eq!(course.at(course.lift_s - 1e-6).load_n, 0.0);

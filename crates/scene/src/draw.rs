@@ -1,15 +1,15 @@
-//! Draws for scenes: every number is a function of (seed, sample, purpose, index, step).
+//! Random numbers for scenes: each is a function of (seed, sample, purpose, index, step).
 //!
-//! Transcendental functions come from `libm`, which is the same code on every machine; those of the
-//! platform are not.
+//! Transcendental functions come from `libm`, whose code is the same on every machine, unlike the
+//! platform's.
 
 use nsim_ir::base::rng;
 
-/// What a draw is for; draws for different purposes never share a random number.
+/// Purpose of a random number; different purposes never share one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[repr(u8)]
 pub enum Purpose {
-    /// The label's coin.
+    /// Label of a sample.
     Label,
     /// Parameters of the grasp, by index.
     Grasp,
@@ -68,7 +68,7 @@ impl Draws {
         (self.bits(purpose, index, step) >> 11) as f64 / (1u64 << 53) as f64
     }
 
-    /// A uniform real between two.
+    /// A uniform real in [low, high).
     pub fn between(self, purpose: Purpose, index: u32, (low, high): (f64, f64)) -> f64 {
         low + (high - low) * self.unit(purpose, index, 0)
     }

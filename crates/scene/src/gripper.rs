@@ -16,7 +16,7 @@
 pub const GRAVITY: f64 = 9.81;
 /// Width and height of the box, m.
 pub const SIZE_M: (f64, f64) = (0.096, 0.0576);
-/// Kinetic friction as a part of static friction.
+/// Ratio of kinetic to static friction.
 pub const KINETIC_PART: f64 = 0.85;
 /// Radius of each contact, m.
 pub const CONTACT_M: f64 = 7e-3;
@@ -24,14 +24,14 @@ pub const CONTACT_M: f64 = 7e-3;
 pub const SHEAR_N_PER_M: f64 = 12_000.0;
 /// Stiffness of both skins against twist, N m/rad: of a uniformly sheared disc, k a^2 / 2.
 pub const TWIST_NM_PER_RAD: f64 = SHEAR_N_PER_M * CONTACT_M * CONTACT_M / 2.0;
-/// How long the fingers take to close, s.
+/// Duration of closing, s.
 const CLOSING_S: f64 = 0.08;
-/// Speed at which the lift goes on, m/s.
+/// Final speed of the lift, m/s.
 const LIFT_M_PER_S: f64 = 0.133;
-/// Integration steps of a millisecond.
+/// Integration steps per millisecond.
 const SUBSTEPS: u32 = 4;
 
-/// How a box is held and lifted, as grasps differ. SI units.
+/// Parameters of one grasp and lift, in SI units.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Grasp {
     /// Mass of the box, kg.
@@ -42,9 +42,9 @@ pub struct Grasp {
     pub grip_n: f64,
     /// Coefficient of static friction between skin and box.
     pub static_friction: f64,
-    /// When the fingers touch the box and begin to close, s. Recording starts at 0.
+    /// Time at which the fingers touch the box and begin to close, s. Recording starts at 0.
     pub touch_s: f64,
-    /// When the lift begins, s.
+    /// Start of the lift, s.
     pub lift_s: f64,
     /// Acceleration of the lift, m/s^2.
     pub lift_m_per_s2: f64,
@@ -90,9 +90,9 @@ pub struct GraspState {
     pub grip_n: f64,
     /// Weight that the fingers bear, N.
     pub load_n: f64,
-    /// Height of the gripper above where it closed, m.
+    /// Height of the gripper above its position at closing, m.
     pub lift_m: f64,
-    /// How far the box hangs below the fingers for the skins' softness, m.
+    /// Sag of the box below the fingers by the skins' elasticity, m.
     pub sag_m: f64,
     /// Rotation of the box about the grasp axis, rad; positive with the right side down.
     pub angle_rad: f64,
@@ -104,14 +104,14 @@ pub struct GraspState {
     pub friction_nm: f64,
 }
 
-/// A grasp's course.
+/// States of a grasp over time.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Motion {
-    /// Milliseconds before the recording begins that `states` begins with.
+    /// Number of states before the recording begins, one a millisecond.
     pub before_ms: u32,
     /// One state a millisecond.
     pub states: Vec<GraspState>,
-    /// When the contact first slides, in ms of the recording.
+    /// Time at which the contact first slides, ms from the start of the recording.
     pub onset_ms: Option<f64>,
 }
 
@@ -122,7 +122,7 @@ impl Motion {
     }
 }
 
-/// Follows a grasp from `before_ms` ahead of the recording for its length.
+/// Simulates a grasp from `before_ms` before the recording to its end.
 ///
 /// Semi-implicit Euler steps of 0.25 ms: twist resonates below 20 Hz, hundreds of steps a period.
 pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
@@ -146,7 +146,7 @@ pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
             let slides = torque_limit(grasp.static_friction * KINETIC_PART, grip, load);
             let before = rate;
             let friction = if sliding {
-                // Against the motion; the skin stays twisted by as much as it bears.
+                // Friction opposes the motion; the skin keeps the twist of this torque.
                 let against = if rate < 0.0 { -slides } else { slides };
                 anchor = angle - against / stiffness;
                 against
@@ -155,7 +155,7 @@ pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
             };
             rate += (gravity - friction - damping * rate * f64::from(u8::from(!sliding))) / inertia * dt;
             if sliding && before * rate <= 0.0 {
-                // Came to rest: the skin holds it again.
+                // The box stopped, so static friction holds it again.
                 sliding = false;
             } else if !sliding && elastic.abs() > holds && elastic * rate > 0.0 {
                 sliding = true;
@@ -201,8 +201,8 @@ mod tests {
 
     #[test]
     fn below_the_limit_of_friction_nothing_slides() {
-        // The lift is a blow: a sudden torque twists a spring twice as far as one that comes
-        // slowly. So half the limit is what holds however fast the lift.
+        // A sudden torque twists a spring twice as far as a slow one. So half the limit holds at
+        // any speed of the lift.
         for ratio in [0.0, 0.1, 0.3, 0.49] {
             let grasp = grasp(ratio);
             let motion = follow(&grasp, 250, 600);

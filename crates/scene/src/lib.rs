@@ -45,7 +45,7 @@ pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
 pub struct Recorded {
     /// The scene's name.
     pub name: &'static str,
-    /// Number of samples that are asked for.
+    /// Number of requested samples.
     pub samples: u32,
     /// The seed.
     pub seed: u64,
@@ -62,12 +62,12 @@ pub struct Recorded {
 enum Scene {
     /// A box that rotates or does not.
     Slip(slip::Slip),
-    /// Containers and how full they are.
+    /// Containers with a fill level.
     Container(container::Containers),
 }
 
 impl Recorded {
-    /// From `scene:NAME?..`.
+    /// Reads `scene:NAME?..`.
     ///
     /// # Errors
     /// `scene.unknown`, `scene.parameter`.
@@ -113,8 +113,8 @@ impl Recorded {
         }
     }
 
-    /// What these senses record of a sample: a function of parameters, seed and the number of the
-    /// sample.
+    /// Recording of a sample by the given senses: a function of parameters, seed and the number of
+    /// the sample.
     pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         match &self.scene {
             Scene::Slip(slip) => slip.recording(sample, senses),

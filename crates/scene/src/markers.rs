@@ -1,4 +1,4 @@
-//! Onsets as the authors of the paper annotated them: from markers that cameras track.
+//! Onsets by the paper's annotation rule: from markers that cameras track.
 //!
 //! Input: a grasp's motion. Output: when the arm lifts and when the box turns, by the rule of
 //! Taunyazov et al. 2020 (appendix, "Ground-truth Slip detection"). Labels do not come from here:
@@ -11,14 +11,14 @@ use super::gripper::Motion;
 const FRAMES_PER_S: f64 = 120.0;
 /// Frames without motion, before the recording.
 const REST: u32 = 120;
-/// The part of them that a figure must exceed.
+/// Fraction of these frames that a value must exceed.
 const PART: f64 = 0.98;
 /// Standard deviation of a marker's height, mm; assumed, as such trackers promise at 1 to 2 m.
 const HEIGHT_MM: f64 = 0.1;
 /// Standard deviation of orientation, rad; assumed: the above over 5 cm between markers.
 const ORIENTATION_RAD: f64 = 0.002;
 
-/// When things happen, in ms of the recording.
+/// Times of lift and turn, ms from the start of the recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Annotated {
     /// The arm lifts.
@@ -27,7 +27,7 @@ pub struct Annotated {
     pub turn_ms: Option<f64>,
 }
 
-/// The first of `frames` from which on each exceeds more than 98 % of the frames without motion.
+/// First of `frames` from which on every one exceeds more than 98 % of the frames without motion.
 fn onset(rest: &[f64], frames: &[f64]) -> Option<usize> {
     let exceeds = |&figure: &f64| {
         let below = rest.iter().filter(|&&at_rest| figure > at_rest).count();
@@ -38,7 +38,7 @@ fn onset(rest: &[f64], frames: &[f64]) -> Option<usize> {
 }
 
 impl Annotated {
-    /// What the rule says of a motion, whose frames begin anywhere within the first 1/120 s.
+    /// Applies the rule to a motion, whose frames begin at a random time in the first 1/120 s.
     pub fn new(motion: &Motion, draws: Draws) -> Self {
         let noise = |index: u32, frame: u32| draws.normal(Purpose::Marker, index, frame);
         let states = motion.recorded();
@@ -83,8 +83,8 @@ mod tests {
             let (grasp, motion) = slip.course(sample);
             let found = Annotated::new(&motion, Draws::new(slip.seed, sample));
             let lift_ms = found.lift_ms.unwrap();
-            // The arm needs some ms for what the markers resolve, and noise may be above 98 % in
-            // the frames before: two are 17 ms.
+            // The arm takes some ms to exceed the markers' resolution. Noise may be above 98 % in
+            // up to two frames before, 17 ms.
             let since = lift_ms - 1e3 * grasp.lift_s;
             assert!((-17.0..35.0).contains(&since), "sample {sample}: {since}");
             if motion.onset_ms.is_some() {

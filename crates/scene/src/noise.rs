@@ -26,7 +26,7 @@ pub struct Noise {
 }
 
 impl Noise {
-    /// From `samples` (default 20, at most 100,000), `steps` (150, at most 100,000), `seed` (1),
+    /// Reads `samples` (default 20, at most 100,000), `steps` (150, at most 100,000), `seed` (1),
     /// `rate` (0.01 spikes a channel and step) and `POPULATION=rate` for single populations.
     ///
     /// # Errors

@@ -30,14 +30,14 @@ pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64
     Ok((low, high))
 }
 
-/// That a scene has no such parameter.
+/// Error for a key that the scene does not have; its help lists the keys.
 pub(super) fn unknown(scene: &str, key: &str, keys: &[&str]) -> Diagnostic {
     Diagnostic::new("scene.parameter", format!("scene {scene} has no parameter '{key}'"))
         .help(format!("parameters are: {}", keys.join(", ")))
 }
 
-/// A scene that fingers and a camera record: for each parameter of its own what it means, its type,
-/// its default, its reader and its range. Number of samples, seed, taxels, pixels and wire are
+/// Declares a scene that fingers and a camera record. Each of its own parameters has a doc comment,
+/// a type, a default, a reader and a range. Number of samples, seed, taxels, pixels and wire are
 /// parameters of every such scene.
 macro_rules! parameters {
     (
@@ -49,7 +49,7 @@ macro_rules! parameters {
         pub struct $scene {
             /// Number of samples.
             pub samples: u32,
-            /// The seed of everything that is random.
+            /// Seed of the samples' random numbers.
             pub seed: u64,
             $($(#[$of])* pub $own: $type,)*
             /// The taxels.

@@ -1,4 +1,4 @@
-//! What a scene records: one sample of touch and vision.
+//! Recording of a scene: one sample of touch and vision.
 
 use super::camera::{POOLED, Polarities};
 use super::markers::Annotated;
@@ -8,13 +8,13 @@ use super::wire::Carried;
 /// The most samples of a scene.
 pub const MOST_SAMPLES: u32 = 100_000;
 
-/// The senses of which a sample is recorded. Neither depends on the other: the events of one are
-/// the same whether the other is recorded or not.
+/// Recorded senses of a sample. The events of one sense do not depend on whether the other is
+/// recorded.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Senses {
     /// Two fingers.
     pub touch: bool,
-    /// A camera, which takes nine tenths of the time.
+    /// A camera; it takes nine tenths of the time.
     pub vision: bool,
 }
 
@@ -23,16 +23,16 @@ impl Senses {
     pub const BOTH: Senses = Senses { touch: true, vision: true };
 }
 
-/// What two fingers and a camera recorded of one sample; a sense that was not recorded is empty.
+/// Spikes of two fingers and a camera in one sample; a sense that was not recorded is empty.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Recording {
     /// Timesteps.
     pub steps: u32,
     /// The class.
     pub label: u32,
-    /// When what decides the class begins, in ms; none when it does not.
+    /// Time of sliding or of contact, ms; none when it does not happen.
     pub onset_ms: Option<f64>,
-    /// When the arm lifts and the box turns by the paper's marker rule, if markers are tracked.
+    /// Times of lift and turn by the paper's marker rule, if markers are tracked.
     pub annotated: Option<Annotated>,
     /// (step, channel) of touch; channel = (39 finger + taxel) 2 + polarity, polarity 1 for a rise.
     pub touch: Vec<(u32, u32)>,
@@ -40,18 +40,18 @@ pub struct Recording {
     pub vision: Vec<(u32, u32)>,
     /// By polarity: channel = 3,150 polarity + row 50 + column, polarity 1 for a rise.
     pub vision_planes: Vec<(u32, u32)>,
-    /// What the taxels' common wire did to the events of touch, when there is one.
+    /// Counts of touch events on the taxels' common wire, if there is one.
     pub wire: Option<Carried>,
 }
 
-/// The population that touch is for, and its channels.
+/// Name of the touch population, and its number of channels.
 pub const TOUCH: (&str, u32) = ("tactile", 4 * TAXELS as u32);
-/// The population that vision is for, and its channels.
+/// Name of the vision population, and its number of channels.
 pub const VISION: (&str, u32) = ("vision", POOLED as u32);
-/// The same population with a plane of channels for each polarity.
+/// The vision population with a plane of channels for each polarity.
 pub const VISION_PLANES: (&str, u32) = ("vision", 2 * POOLED as u32);
 
-/// What a camera sent, of both polarities together and in planes.
+/// Spikes of a camera, with both polarities merged and in planes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub(super) struct Seen {
     /// (step, unit), ascending within a step.

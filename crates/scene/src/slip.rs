@@ -2,13 +2,13 @@
 //! rotates or does not.
 //!
 //! Input: parameters with a seed. Output: for each sample the spikes of two fingers and of an event
-//! camera over 150 ms around the lift, its class (1 when the grasp slides, 0 when it holds) and
-//! when the sliding began. The task and its window are those of Taunyazov et al. 2020, section VI:
-//! objects that look and weigh the same, the grip strong enough to lift and too weak for an
-//! off-centre mass; 150 steps of 1 ms.
+//! camera over 150 ms around the lift, its class (1 when the grasp slides, 0 when it holds) and the
+//! onset of sliding. Task and window follow Taunyazov et al. 2020, section VI: 150 steps of 1 ms.
+//! The objects look and weigh the same; the grip is strong enough to lift and too weak for an
+//! off-centre mass.
 //!
-//! The camera looks along the grasp axis and moves with the gripper, so what moves in the picture
-//! is the table's edge while lifting, the box by the softness of the fingers, and the box when it
+//! The camera looks along the grasp axis and moves with the gripper. Motion in the picture: the
+//! table's edge while lifting, the box as it sags in the soft fingers, and the box as it
 //! rotates. `docs/scenes.md` lists every parameter with its source.
 
 use std::f64::consts::TAU;
@@ -40,7 +40,7 @@ const BRICKS: (usize, usize) = (2, 2);
 
 parameters! {
     "slip",
-    /// The scene's parameters. Each sample draws uniformly from the ranges.
+    /// The scene's parameters. Each sample takes uniform random values from the ranges.
     pub struct Slip { skin: Skin::default(), pixels: Pixels::default() }
     /// Mass of the box, kg; both classes weigh the same.
     mass_kg: (f64, f64) = (0.11, 0.13), spread(0.001..=10.0);
@@ -50,9 +50,9 @@ parameters! {
     friction: (f64, f64) = (0.7, 0.9), spread(0.01..=5.0);
     /// Torque of gravity over the torque that friction bears, for grasps that hold.
     stable_ratio: (f64, f64) = (0.0, 0.35), spread(0.0..=10.0);
-    /// The same ratio for grasps that slide.
+    /// Torque of gravity over the torque that friction bears, for grasps that slide.
     slip_ratio: (f64, f64) = (1.25, 1.75), spread(0.0..=10.0);
-    /// When the lift begins, ms.
+    /// Start of the lift, ms.
     lift_ms: (f64, f64) = (2.0, 8.0), spread(0.0..=1000.0);
     /// Acceleration of the lift, m/s^2.
     lift_m_per_s2: (f64, f64) = (1.5, 3.0), spread(0.01..=100.0);
@@ -62,7 +62,7 @@ parameters! {
     chatter: (f64, f64) = (0.01, 0.035), spread(0.0..=1.0);
     /// Relative relief of the surface in the pressure.
     relief: (f64, f64) = (0.05, 0.2), spread(0.0..=1.0);
-    /// Part of the skin's shear stress that a taxel senses; 0 leaves it at pressure.
+    /// Fraction of the skin's shear stress that a taxel senses; at 0 it senses pressure only.
     shear: f64 = 0.0, parameter(0.0..=1.0);
     /// Width of an edge in the picture by the blur of the lens, pixels.
     edge_px: f64 = 1.0, parameter(1.0..=20.0);
@@ -71,7 +71,7 @@ parameters! {
 }
 
 impl Slip {
-    /// What these senses record of a sample.
+    /// Recording of a sample by the given senses.
     pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
         let (grasp, motion) = self.course(sample);
         let draws = Draws::new(self.seed, sample);
@@ -93,7 +93,7 @@ impl Slip {
         }
     }
 
-    /// How a sample is grasped, and what the box does.
+    /// Grasp of a sample and motion of the box.
     pub fn course(&self, sample: u32) -> (Grasp, Motion) {
         let grasp = grasp(self, sample);
         let motion = follow(&grasp, BEFORE_MS, STEPS);
@@ -144,7 +144,7 @@ impl Vibration {
         Vibration { amplitude: draws.between(Purpose::Arm, 0, slip.vibration), tones: [tone(0), tone(1)] }
     }
 
-    /// Relative to the full amplitude, `ms` after the lift began; it takes 10 ms to build up.
+    /// Relative vibration of the grip, `ms` after the start of the lift; it builds up in 10 ms.
     fn at(&self, ms: f64) -> f64 {
         if ms <= 0.0 {
             return 0.0;
@@ -223,11 +223,11 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
     events
 }
 
-/// The shear that load and twist put on the skin of a finger.
+/// Shear stress in the skin of a finger by load and twist.
 ///
-/// The skin is a layer that shears in proportion to how far its surface is moved: down by the load,
-/// around by the twist. Where that exceeds what friction bears under the pressure there, the
-/// surface has slipped, at the rim of the contact first.
+/// It is proportional to the displacement of the surface: down by the load, around by the twist.
+/// Friction under the local pressure limits it. Beyond the limit the surface slips, first at the
+/// rim of the contact.
 struct Traction {
     /// Movement of the surface by the load, mm, and by the twist, rad.
     sag_mm: f64,
@@ -260,7 +260,7 @@ impl Traction {
     }
 }
 
-/// The place of the box in the picture, and that of the table in the background.
+/// Positions in the picture: the box, and the table in the background.
 #[derive(Debug, Clone, Copy)]
 struct Pose {
     sin: f32,
@@ -276,13 +276,13 @@ struct Pose {
 const WALL: f32 = 0.0;
 const TABLE: f32 = -0.5;
 
-/// What is in the picture.
+/// Geometry of the box in the picture.
 struct Look {
     /// The box's left, top, and a brick's width and height, in px from the grasp.
     left: f32,
     top: f32,
     brick: (f32, f32),
-    /// Pixels that an edge is wide.
+    /// Width of an edge, px.
     edge: f32,
 }
 
@@ -299,7 +299,7 @@ impl Look {
         let (row, down) = cell(v, self.brick.1 / self.edge, BRICKS.1);
         let look = |r: usize, c: usize| {
             let outside = r == 0 || c == 0 || r > BRICKS.1 || c > BRICKS.0;
-            // The same box in every sample: its bricks are lighter or darker by turns.
+            // Every sample has the same box, whose bricks alternate between lighter and darker.
             let brick = if (r + c).is_multiple_of(2) { 0.4 } else { 0.65 };
             if outside { behind } else { brick }
         };
@@ -323,12 +323,12 @@ impl Look {
         (look, 100.0, 110.0)
     }
 
-    /// How far from an edge a pixel may see a part of it.
+    /// Greatest distance from an edge at which a pixel may see it, px.
     fn reach(&self) -> f32 {
         1.2 + 0.5 * (self.edge - 1.0)
     }
 
-    /// The pixels near edges of this pose.
+    /// Stores the pixels near edges of this pose in `near`.
     fn near_edges(&self, pose: &Pose, table_moves: bool, near: &mut Vec<u32>) {
         near.clear();
         let reach = self.reach();
@@ -348,14 +348,14 @@ impl Look {
     }
 }
 
-/// The cell before a place given in bricks, and how much of the next one the pixel sees.
+/// Cell before a position in bricks, and the fraction of the next cell that the pixel sees.
 #[inline]
 fn cell(place: f32, pixels: f32, bricks: usize) -> (usize, f32) {
     let nearest = (place.clamp(0.0, bricks as f32) + 0.5) as usize;
     (nearest, ((place - nearest as f32) * pixels + 0.5).clamp(0.0, 1.0))
 }
 
-/// The pixels near a line, those within `reach` of where it crosses a row or a column.
+/// Appends the pixels within `reach` of the points at which a line crosses a row or a column.
 fn line(from: (f32, f32), to: (f32, f32), reach: f32, near: &mut Vec<u32>) {
     let (dx, dy) = (to.0 - from.0, to.1 - from.1);
     let steep = dy.abs() > dx.abs();
@@ -496,7 +496,7 @@ mod tests {
 
     #[test]
     fn skin_that_senses_shear_answers_the_lift_first_and_a_blurred_edge_is_seen_later() {
-        // Events after the lift begins, as the time by which the tenth of them has come.
+        // Mean step of the tenth event.
         let tenth = |text: &str, touch: bool| {
             let slip = parse(text).unwrap();
             let of = |sample| {

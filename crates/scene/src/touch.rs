@@ -1,9 +1,9 @@
 //! Fingertips with fast-adapting taxels: pressure under the skin -> events on changes of pressure.
 //!
-//! Input: the pressure on each taxel, one millisecond after the other. Output: on and off events. A
-//! taxel's pressure runs through the skin (a part of it creeps, so that a deformation takes 300 ms
-//! to recover), is compared with the value at its last event, which slowly follows; beyond a
-//! threshold either way it sends an event and is silent for its refractory time.
+//! Input: the pressure on each taxel, tick by tick. Output: on and off events. A part of the
+//! pressure creeps in the skin, so a deformation takes 300 ms to recover. A reference, the value at
+//! the last event, slowly follows the result. Beyond a threshold in either direction a taxel sends
+//! an event; it is then silent for its refractory time.
 //!
 //! From Taunyazov et al. 2020, section III: 39 taxels a finger, radially arranged, denser at the
 //! centre; fast-adapting; recovery of about 300 ms; a fingertip of 37 x 21 mm. Assumed, since they
@@ -30,7 +30,7 @@ pub fn layout() -> Vec<(f64, f64)> {
     places
 }
 
-/// How taxels sense. Pressures in kPa, times in ms.
+/// Parameters of the taxels. Pressures in kPa, times in ms.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Skin {
     /// Change of pressure that makes an event.
@@ -47,7 +47,7 @@ pub struct Skin {
     pub adaptation_ms: f64,
     /// Shortest time between two events of a taxel.
     pub refractory_ms: u32,
-    /// Time between two looks at the pressure.
+    /// Sampling interval of the pressure.
     pub tick_ms: u32,
 }
 
@@ -75,9 +75,9 @@ pub fn hertz(grip_n: f64, radius_m: f64, nominal_n: f64) -> (f64, f64) {
     (radius, if grip_n > 0.0 { 1.5 * grip_n / (std::f64::consts::PI * radius * radius) * 1e3 } else { 0.0 })
 }
 
-/// The pressure on the taxels of two fingers under a contact of `(radius mm, peak kPa)`, whose
-/// centre lies `shift_mm` further along each finger than `centres` says; `sensed` returns what a
-/// taxel has of a pressure, given its number, its place from the centre, and the pressure.
+/// Stores the pressure on the taxels of two fingers under a contact of `(radius mm, peak kPa)`. Its
+/// centre lies `shift_mm` beyond `centres` along each finger. `sensed` returns a taxel's pressure,
+/// given its number, its place from the centre, and the contact's pressure there.
 pub(super) fn press(
     pressure: &mut [f64],
     places: &[(f64, f64)],
@@ -93,12 +93,12 @@ pub(super) fn press(
     }
 }
 
-/// How far a load moves the centre of pressure of a grip on skin of 1.5 mm, mm.
+/// Shift of the centre of pressure of a grip by a load, on skin of 1.5 mm, mm.
 pub(super) fn shift_mm(grip_n: f64, load_n: f64) -> f64 {
     if grip_n > 0.0 { 1.5 * 0.5 * load_n / grip_n } else { 0.0 }
 }
 
-/// How the pressure on a taxel changed: channel 2 k of taxel k is its falls, 2 k + 1 its rises.
+/// Direction of a change of pressure: channel 2 k of taxel k is its falls, 2 k + 1 its rises.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[allow(missing_docs)]
 pub enum Change {
@@ -114,7 +114,7 @@ struct Taxel {
     silent_until: u32,
 }
 
-/// Taxels at work.
+/// State of the taxels.
 #[derive(Debug, Clone)]
 pub struct Taxels {
     skin: Skin,
@@ -124,7 +124,7 @@ pub struct Taxels {
 }
 
 impl Taxels {
-    /// Taxels without a deformation. Thresholds belong to the fingers, not to the sample.
+    /// Taxels without a deformation. Thresholds are the same for every sample.
     pub fn new(skin: &Skin, draws: Draws, count: usize) -> Self {
         let taxel = |k| Taxel {
             threshold: skin.threshold_kpa
@@ -136,7 +136,7 @@ impl Taxels {
         Taxels { skin: skin.clone(), draws, taxels: (0..count).map(taxel).collect(), step: 0 }
     }
 
-    /// One tick with this pressure on each taxel; calls `event` with each taxel that responds.
+    /// Runs one tick with this pressure on each taxel; calls `event` for each taxel that responds.
     pub fn step(&mut self, pressure_kpa: &[f64], mut event: impl FnMut(u32, Change)) {
         let skin = &self.skin;
         let tick = f64::from(skin.tick_ms);
@@ -207,7 +207,7 @@ mod tests {
         assert_eq!(pressed[0], (100, Change::Rise));
         assert!(pressed.windows(2).all(|pair| pair[1].0 - pair[0].0 >= skin.refractory_ms), "{pressed:?}");
         assert!(pressed.iter().all(|&(t, change)| (change == Change::Rise) == (t < 600)), "{pressed:?}");
-        // The skin has recovered 95 % within 300 ms; what is left is below the threshold.
+        // The skin has recovered 95 % within 300 ms; the rest is below the threshold.
         assert!(pressed.iter().all(|&(t, _)| (100..400).contains(&t) || (600..900).contains(&t)), "{pressed:?}");
         assert!(pressed.iter().any(|&(t, _)| t >= 600));
         // A slow ramp is followed: a change of 40 ms stays below the threshold.

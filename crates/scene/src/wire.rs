@@ -22,24 +22,24 @@ const CHANNELS: u32 = 4 * TAXELS as u32;
 const PULSES: usize = 10;
 /// Slots of a signature, and of a millisecond.
 const SLOTS: usize = 1000;
-/// The most jitter, in slots: beyond it half of the places of a signature would do.
+/// Greatest jitter, in slots: with it about half of all slots match a pulse of a signature.
 pub const MOST_JITTER: u32 = 25;
 
-/// A wire.
+/// The wire that all taxels share.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wire {
     /// Standard deviation of the noise in a slot, in amplitudes of a pulse.
     pub noise: f64,
-    /// How far a pulse may be off, in us either way.
+    /// Greatest deviation of a pulse in either direction, us.
     pub jitter_us: u32,
 }
 
-/// What became of the events.
+/// Counts of sent, missed and false events.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Carried {
-    /// Events that were sent.
+    /// Sent events.
     pub sent: u64,
-    /// Of them, those that were not reported within a millisecond.
+    /// Sent events that were not reported within a millisecond.
     pub missed: u64,
     /// Reports without an event.
     pub added: u64,
@@ -66,7 +66,7 @@ impl Default for Wire {
 }
 
 impl Wire {
-    /// Events of touch, (ms, channel), over a wire if there is one.
+    /// Touch events, (ms, channel), after the wire; without a wire, the given events.
     pub fn between(
         wire: Option<Wire>,
         events: Vec<(u32, u32)>,
@@ -78,7 +78,7 @@ impl Wire {
         (decoded, Some(carried))
     }
 
-    /// Sends events, (ms, channel), over `end_ms` and decodes them in order of time and channel.
+    /// Sends events, (ms, channel), in `end_ms` milliseconds; returns the decoded ones, sorted.
     pub fn carry(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
         let seen = self.seen(events, end_ms, draws);
         let mut reported = Vec::new();
@@ -112,7 +112,7 @@ impl Wire {
         (reported, carried)
     }
 
-    /// For each slot whether a pulse is within the jitter of it, as bits.
+    /// Bit mask of the slots that have a pulse within the jitter.
     fn seen(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> Vec<u64> {
         let jitter = self.jitter_us as usize;
         // The last events begin in the last millisecond and take one more.
@@ -161,7 +161,7 @@ fn matches<'a>(seen: &'a [u64], signature: &'a [usize; PULSES]) -> impl Iterator
     })
 }
 
-/// Each report takes the first event of its channel that it is within a millisecond of.
+/// Matches each report with the first unmatched event of its channel within a millisecond.
 fn compared(sent: &[(u32, u32)], reported: &[(u32, u32)]) -> Carried {
     let of = |events: &[(u32, u32)]| {
         let mut times = vec![Vec::new(); CHANNELS as usize];

@@ -1,9 +1,8 @@
-//! What each core did in a run, and what that cost.
+//! Counts and cost of each core in a run.
 //!
-//! Input: a program, its activity, perhaps the meter that saw its steps. Output: a row for each
-//! core, in the program's order. Sums over the rows are the totals of the activity, and their
-//! energy is all that the cores and not the links between them spent, exactly: energy is linear in
-//! the counts.
+//! Input: a program, its activity, optionally the meter of its steps. Output: a row for each core,
+//! in the program's order. Rows sum exactly to the totals of the activity. Their energy sums to the
+//! energy of all cores without the links, since energy is linear in the counts.
 
 use nsim_cost::StepMeter;
 use nsim_cost::model::{Breakdown, core_time, energy_of_counts};
@@ -12,31 +11,31 @@ use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::program::Program;
 
-/// A core over a run.
+/// Counts and cost of one core over a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CoreRow {
     /// The core, as `nsim map` numbers it.
     pub core: CoreId,
     /// The chip that it is on.
     pub chip: u32,
-    /// What it did.
+    /// Its counts.
     pub counts: CoreCounts,
-    /// What that cost, when steps were metered.
+    /// Their cost; `None` where steps were not metered.
     pub spent: Option<CoreSpent>,
 }
 
-/// What a core's events cost under the first preset of a meter.
+/// Energy and time of a core's events under the first preset of a meter.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CoreSpent {
-    /// Energy of its events, by part; messages under way belong to no core.
+    /// Energy of its events, by part; messages between cores belong to no core.
     pub energy: Breakdown,
     /// Time in which it delivered and updated.
     pub busy: Picoseconds,
-    /// Steps in which no core took longer, nor as long with a lower number.
+    /// Steps in which no core took longer, and no core with a lower number as long.
     pub slowest_steps: u64,
 }
 
-/// A row for each core; priced when there is a meter.
+/// Returns a row for each core, with its cost if there is a meter.
 pub fn core_rows(program: &Program, activity: &Activity, meter: Option<&StepMeter>) -> Vec<CoreRow> {
     let spent = |core: CoreId, counts: CoreCounts| {
         let table = meter?.tables().first()?;

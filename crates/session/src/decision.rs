@@ -1,13 +1,13 @@
-//! When a sample is decided before its end.
+//! Decides samples before their last step.
 //!
 //! Input: a [`Rule`], a bound on the spikes that each output can still make, and the output spikes
-//! of each step. Output: whether the sample is decided. It establishes, for [`Rule::Certain`], that
-//! the class after the deciding step is the class of the whole sample for any later spikes, and
-//! that no earlier step would have allowed to say so from the output spikes and the refractory
-//! periods alone. [`Rule::Margin`] promises nothing of the kind.
+//! of each step. Output: whether the sample is decided. Invariants, for [`Rule::Certain`]: the
+//! class after the deciding step is the class of the whole sample, for any later spikes. No earlier
+//! step is provably decided by output spikes and refractory periods alone. [`Rule::Margin`]
+//! guarantees neither.
 //!
-//! Omitted on purpose: weights, potentials and the input to come. They could decide a sample
-//! earlier, but only by simulating it.
+//! Weights, potentials and future input are omitted on purpose. They could decide a sample earlier,
+//! but only by simulating it.
 
 use std::fmt;
 use std::num::NonZeroU32;
@@ -16,11 +16,11 @@ use std::str::FromStr;
 use nsim_dynamics as neuron;
 use nsim_ir::quantised::{Quantised, Reset, Units};
 
-/// What decides a sample.
+/// Criterion by which a sample is decided.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rule {
-    /// The leading output has at least this many spikes more than every other; an only output has
-    /// at least this many.
+    /// The leading output has at least this many spikes more than every other output. A single
+    /// output has at least this many spikes.
     Margin(NonZeroU32),
     /// No spikes that the refractory periods still allow can change the class.
     Certain,
@@ -54,23 +54,23 @@ impl serde::Serialize for Rule {
     }
 }
 
-/// What bounds the spikes of a population, from `docs/semantics.md` (7), (9), (10), (11).
+/// Bounds on the spikes of a population, from `docs/semantics.md` (7), (9), (10), (11).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Pace {
-    /// For each compartment the least number of steps from a spike to the next; `None` when the
-    /// first spike is the last.
+    /// Least number of steps from a spike to the next, for each compartment; `None` where only a
+    /// reset allows another spike.
     pub gaps: Vec<Option<NonZeroU32>>,
-    /// The step before which all are held.
+    /// The step before which all compartments are held.
     pub start: u32,
     /// Periodic resets, which end refractory periods, and the step that they are counted from.
     pub reset: Option<(Reset, u32)>,
 }
 
 impl Pace {
-    /// That of a network's output population.
+    /// Returns the bounds of a network's output population.
     pub fn of_output(network: &Quantised) -> Pace {
         let (parts, output) = (network.parts(), &network.populations()[network.parts().output]);
-        // An output is a population of compartments: `Quantised` is checked for it.
+        // `Quantised` guarantees that the output is a population of compartments.
         let Units::Compartments { neurons, start_step, .. } = &output.units else {
             return Pace { gaps: Vec::new(), start: 0, reset: None };
         };
@@ -84,7 +84,7 @@ impl Pace {
         }
     }
 
-    /// The first reset from this step on.
+    /// Step of the first reset from `step` on.
     fn next_reset(&self, step: u64) -> Option<u64> {
         let (reset, counted_from) = self.reset?;
         let first = u64::from(counted_from) + u64::from(reset.offset);
@@ -101,8 +101,8 @@ impl Pace {
         }
     }
 
-    /// The most spikes of a compartment in the steps `from..steps` when it is not refractory from
-    /// `free` on. To spike as soon as possible is best: it never delays a later spike.
+    /// Maximum number of spikes of a compartment in steps `from..steps`, not refractory from `free`
+    /// on. Spiking as early as possible attains it, since it never delays a later spike.
     fn most_spikes(&self, output: usize, free: Option<u64>, from: u64, steps: u64) -> u64 {
         let Some(free) = free else { return 0 };
         let from = from.max(u64::from(self.start)).max(free);
@@ -122,24 +122,24 @@ impl Pace {
     }
 }
 
-/// A rule for a network's outputs.
+/// An early-exit rule for a network's outputs.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EarlyExit {
-    /// What decides.
+    /// The rule that decides.
     pub rule: Rule,
-    /// What bounds the outputs.
+    /// Bounds on the spikes of the outputs.
     pub pace: Pace,
-    /// Whether a decided sample ends; if not, its decision is only noted.
+    /// Whether a decided sample ends; if not, its decision is only recorded.
     pub ends: bool,
 }
 
 impl EarlyExit {
-    /// This rule for the output population of a network.
+    /// Returns this rule for the output population of a network; decided samples end.
     pub fn new(rule: Rule, network: &Quantised) -> EarlyExit {
         EarlyExit { rule, pace: Pace::of_output(network), ends: true }
     }
 
-    /// This rule, by which no sample ends.
+    /// Returns this rule for the output population of a network; no decided sample ends.
     pub fn watched(rule: Rule, network: &Quantised) -> EarlyExit {
         EarlyExit { ends: false, ..EarlyExit::new(rule, network) }
     }
@@ -155,12 +155,12 @@ pub struct Decision<'e> {
     free: Vec<Option<u64>>,
     /// The output with most spikes, the lowest on a tie.
     leader: Option<usize>,
-    /// The first step after which the sample can be decided, for any spikes until then.
+    /// The earliest step after which the sample can be decided, for any spikes until then.
     open_until: u64,
 }
 
 impl<'e> Decision<'e> {
-    /// Of a sample of this many steps, before its first.
+    /// Returns the state before the first of `steps` steps.
     pub fn new(exit: &'e EarlyExit, steps: u32) -> Self {
         let outputs = exit.pace.gaps.len();
         Decision {
@@ -173,7 +173,7 @@ impl<'e> Decision<'e> {
         }
     }
 
-    /// An output spiked in this step.
+    /// Records a spike of an output.
     pub fn spike(&mut self, step: u32, output: u32) {
         let output = output as usize;
         self.counts[output] += 1;
@@ -189,8 +189,8 @@ impl<'e> Decision<'e> {
         self.leader.map(|leader| leader as u32)
     }
 
-    /// Whether the sample is decided after the update of `step`, all of whose spikes have been
-    /// reported. Steps are asked for in ascending order.
+    /// Whether the sample is decided after the update of `step`. All spikes of the step have to be
+    /// recorded before, and calls pass ascending steps.
     pub fn decided_after(&mut self, step: u32) -> bool {
         if u64::from(step) < self.open_until {
             return false;
@@ -201,11 +201,11 @@ impl<'e> Decision<'e> {
     }
 
     /// Least number of steps after the update of `step` until the sample can be decided, for any
-    /// spikes: 0 when it is.
+    /// spikes; 0 when it is decided.
     fn lacking(&self, step: u32) -> u64 {
         match self.exit.rule {
             Rule::Margin(margin) => {
-                // Every step brings the leader, or who leads then, one nearer at most.
+                // An output gains at most one spike a step, so the lead grows by at most 1.
                 let leads = self.leader.map_or(0, |leader| {
                     let others = self.counts.iter().enumerate().filter(|&(other, _)| other != leader);
                     self.counts[leader] - others.map(|(_, &count)| count).max().unwrap_or(0)
@@ -216,13 +216,13 @@ impl<'e> Decision<'e> {
         }
     }
 
-    /// Certain is the leader that stays ahead although it never spikes again and another spikes as
-    /// often as it can. That is all that can happen to it: the others do not help each other, and
-    /// its own spikes only help the leader.
+    /// The class is certain if the leader stays ahead although it never spikes again and any one
+    /// other output spikes as often as it can. No worse case exists: other outputs do not help each
+    /// other, and the leader's spikes only help the leader.
     ///
-    /// All but one output must in the end have at most as many spikes to reach as the leader has. A
-    /// step adds one to these at most, and takes one at most from what an output can reach: who
-    /// could have spiked in it and did not spikes once less.
+    /// In the end, all but one output can reach at most the leader's count. A step adds at most 1
+    /// to that count. It lowers the reach of an output by at most 1, if the output could have
+    /// spiked and did not.
     fn lacking_certainty(&self, step: u32) -> u64 {
         let from = u64::from(step) + 1;
         let reach = |output: usize| {
@@ -248,8 +248,7 @@ impl<'e> Decision<'e> {
     /// The first step of `begin..end` after which the sample is decided when no output spikes in
     /// any of them.
     pub fn decided_in_silence(&self, begin: u32, end: u32) -> Option<u32> {
-        // What may still come only shrinks, so that once decided is decided in every step that
-        // follows.
+        // The possible later spikes only decrease, so a decided sample stays decided.
         let (mut open, mut decided) = (begin.max(self.open_until.min(end.into()) as u32), end);
         while open < decided {
             let middle = open + (decided - open) / 2;
@@ -311,7 +310,7 @@ mod tests {
         }
     }
 
-    /// What a compartment may do, found by looking back at its own spikes instead of by formula.
+    /// Whether a compartment may spike, found from its earlier spikes instead of by formula.
     fn may_spike(pace: &Pace, output: usize, train: &[u32], step: u32) -> bool {
         let Some(&last) = train.last() else { return step >= pace.start };
         let was_reset = pace.reset.is_some_and(|(reset, from)| (last + 1..=step).any(|s| falls_on(reset, s, from)));
@@ -324,7 +323,7 @@ mod tests {
         trains.iter().position(|train| train.len() == most)
     }
 
-    /// Whether every legal continuation from `step` on, all of them listed, ends with this class.
+    /// Whether every legal continuation from `step` on ends with this class, by enumeration.
     fn all_end_with(pace: &Pace, trains: &mut [Vec<u32>], step: u32, steps: u32, wanted: Option<usize>) -> bool {
         if step == steps {
             return class(trains) == wanted;
@@ -368,7 +367,8 @@ mod tests {
             let mut first = None;
             for step in 0..steps {
                 for (output, train) in trains.iter_mut().enumerate() {
-                    // One output is livelier than the others, so that not everything ends in a tie.
+                    // One output spikes more often than the others, so that not every sample is a
+                    // tie.
                     let rate = if output as u64 == seed % outputs as u64 { busy } else { busy / 2 };
                     if may_spike(&exit.pace, output, train, step) && draw(step, output) < rate {
                         train.push(step);
@@ -378,7 +378,7 @@ mod tests {
                 let now = class(&trains);
                 assert_eq!(decision.class(), now.map(|class| class as u32));
                 let says = decision.decided_after(step);
-                // Listing grows with 2 to the power of outputs times steps.
+                // The enumeration grows as 2^(outputs * steps).
                 if (steps - step - 1) as usize * outputs <= 12 {
                     let holds = all_end_with(&exit.pace, &mut trains.clone(), step + 1, steps, now);
                     assert_eq!(says, holds, "seed {seed}, step {step}: {exit:?} {trains:?}");

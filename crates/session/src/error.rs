@@ -1,4 +1,4 @@
-//! Everything that can end a command early, and its exit status.
+//! Errors that end a command, and their exit statuses.
 
 use std::borrow::Cow;
 
@@ -7,20 +7,20 @@ use nsim_files::target::shipped_with;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::neurons::NeuronKind;
 
-/// What a command's work returns.
+/// Result of a command.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// Why a command could not do its work.
+/// The reason why a command failed.
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
     /// An input cannot be read or is not supported: exit status 3.
     #[error("{0}")]
     Input(Box<Diagnostic>),
-    /// A network does not fit its target: an answer of commands that map, an unusable input, exit
-    /// status 3, of all others.
+    /// A network does not fit its target: a result of commands that map, for all others an unusable
+    /// input with exit status 3.
     #[error("{}", CompileError::DoesNotFit(.0.clone()))]
     DoesNotFit(Vec<Reason>),
-    /// What is asked for makes no sense: exit status 2.
+    /// The request makes no sense: exit status 2.
     #[error("{0}")]
     Usage(String),
     /// An internal error: exit status 4.
@@ -33,14 +33,14 @@ impl Error {
     pub fn exit_status(&self) -> u8 {
         match self {
             Error::Usage(_) => 2,
-            // What was asked for is not done with any input.
+            // The request is wrong for every input.
             Error::Input(diagnostic) if diagnostic.code == "write.not-regular" => 2,
             Error::Input(_) | Error::DoesNotFit(_) => 3,
             Error::Fault(_) => 4,
         }
     }
 
-    /// What is wrong with an input, where it is that.
+    /// Returns the diagnostic of an error of the input; `None` for other errors.
     pub fn diagnostic(&self) -> Option<Cow<'_, Diagnostic>> {
         match self {
             Error::Input(diagnostic) => Some(Cow::Borrowed(diagnostic)),
@@ -49,7 +49,7 @@ impl Error {
         }
     }
 
-    /// A word for the problem: that of its diagnostic, `usage` or `fault`.
+    /// Returns the code of the error: of its diagnostic, `usage` or `fault`.
     pub fn code(&self) -> &'static str {
         match self {
             Error::Usage(_) => "usage",
@@ -66,8 +66,8 @@ impl From<Diagnostic> for Error {
     }
 }
 
-/// The diagnostic, with the shipped targets that have every kind of neurons where the target lacks
-/// one.
+/// Returns the diagnostic. Where the target lacks a kind of neurons or messages, the help lists the
+/// shipped targets with every kind of neurons.
 fn with_targets(diagnostic: Diagnostic) -> Diagnostic {
     let (Some(help), "map.neuron-kind" | "map.message") = (&diagnostic.help, diagnostic.code) else {
         return diagnostic;

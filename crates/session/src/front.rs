@@ -1,4 +1,4 @@
-//! From a model file to a network in integers: what every way of running a network begins with.
+//! Converts a model file to a network in integers, the first stage of every run.
 
 use std::time::Instant;
 
@@ -15,7 +15,7 @@ pub fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| population.srm.is_some())
 }
 
-/// A network in integers, and how long it took.
+/// Returns a network in integers, with the seconds of each stage.
 ///
 /// # Errors
 /// [`CompileError::Input`].
@@ -31,7 +31,7 @@ pub fn front(network: &Network) -> Result<Front, CompileError> {
     Ok(Front::measured(one, seconds))
 }
 
-/// Checks all that a model says, as a command that runs it does.
+/// Checks a whole model, as a command that runs it does.
 ///
 /// # Errors
 /// As [`lower`] and, without spike response neurons, [`quantise::quantise`].
@@ -43,7 +43,7 @@ pub fn check(network: &Network) -> Result<(), Diagnostic> {
     Ok(())
 }
 
-/// A network in real numbers, as the file means it, and in integers.
+/// Returns a network in real numbers, as the file states it, and in integers.
 ///
 /// # Errors
 /// As [`lower`] and [`integers`].

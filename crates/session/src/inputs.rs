@@ -1,8 +1,8 @@
 //! `--input` arguments -> the samples of a run.
 //!
-//! Each input population needs a source; a bare source serves the only input population, or all
-//! that it names. Sources of several populations are matched sample by sample: they must agree in
-//! number, steps and labels. A clock may serve one population while recordings serve others.
+//! Each input population needs a source. A source without population name serves the only input
+//! population, a manifest all of them. Sources of several populations are matched by sample, with
+//! equal numbers, steps and labels. A clock may serve one population while recordings serve others.
 
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -20,8 +20,8 @@ use nsim_ir::stimulus::{InputArg, InputSource, SceneArg};
 use nsim_scene as scene;
 use nsim_scene::clock::{self, Clock};
 
-/// Reads or makes the samples of a run; without arguments, those of the model's own scene. Each has
-/// the steps that the model drains.
+/// Reads or generates the samples of a run; without arguments, by the model's own scene. Each
+/// sample ends with the drain steps of the model.
 ///
 /// # Errors
 /// [`Error`] when a source cannot be read or does not fit the network.
@@ -36,8 +36,8 @@ pub fn stimulus(
     Ok(stimulus)
 }
 
-/// Refuses to price a model that names no scene, where no spikes are given; `help` says how they
-/// are given.
+/// Refuses to estimate the energy of a model without a scene, where no spikes are given. `help`
+/// explains how to give spikes.
 ///
 /// # Errors
 /// `energy.input`.
@@ -48,15 +48,15 @@ pub fn require_scene(model: &str, scene: Option<&str>, help: &str) -> Result<(),
     })
 }
 
-/// How often the samples of a run are repeated at most.
+/// Maximum number of repetitions of the samples of a run.
 pub const MOST_REPEATS: u32 = 1_000_000;
-/// The most samples of a run, each of which has results of its own.
+/// Maximum number of samples of a run, each of which has its own results.
 const MOST_RUNS: u64 = 1 << 22;
 
-/// The numbers of the samples that run, in order: those of a range, this many times.
+/// Returns the indices of the samples that run, in order: the range, `repeat` times.
 ///
 /// # Errors
-/// `input.too-many` before any memory is taken for them.
+/// `input.too-many`, before memory for them is allocated.
 pub fn repeated(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnostic> {
     let runs = range.len() as u64 * u64::from(repeat);
     if runs > MOST_RUNS {
@@ -67,7 +67,7 @@ pub fn repeated(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnost
     Ok((0..repeat).flat_map(|_| range.clone()).collect())
 }
 
-/// Samples with the steps that a network has after the last of its input.
+/// Returns the samples, each followed by the drain steps of the network.
 ///
 /// # Errors
 /// `input.too-long`.
@@ -84,7 +84,7 @@ pub fn drained(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>,
     })
 }
 
-/// The samples of arguments, or those of the model's own scene.
+/// Returns the samples of the arguments, or of the model's own scene.
 fn given(
     network: &Quantised,
     arguments: &[String],
@@ -169,7 +169,7 @@ fn given(
     Ok(Stimulus { samples: joined(&inputs, filled)?, origin: arguments, seed: None })
 }
 
-/// The clock of a sample.
+/// Returns the spikes of a clock over the steps of a sample.
 fn beside(sample: &PopulationSpikes, clock: Clock, population: &Population) -> PopulationSpikes {
     let units = population.shape.len();
     PopulationSpikes {
@@ -181,7 +181,7 @@ fn beside(sample: &PopulationSpikes, clock: Clock, population: &Population) -> P
     }
 }
 
-/// The options of a source without `labels=FILE`, and that file.
+/// Options of a source: key and value.
 type Pairs = Vec<(String, String)>;
 
 fn without_labels(path: &Path, pairs: &[(String, String)]) -> Result<(Pairs, Option<PathBuf>), Error> {
@@ -192,15 +192,15 @@ fn without_labels(path: &Path, pairs: &[(String, String)]) -> Result<(Pairs, Opt
     Ok((others, labels.into_iter().next().map(|(_, file)| file.into())))
 }
 
-/// A data set, or what a fold of it trains or tests on.
+/// A data set, or the training or test samples of one of its folds.
 struct Part {
     manifest: Manifest,
-    /// Whether what it tests on is wanted, and the fold from 0; none for all samples.
+    /// Whether the test samples are wanted, and the fold, from 0; `None` for all samples.
     fold: Option<(bool, usize)>,
 }
 
 impl Part {
-    /// With what stands after the `?`: nothing, `train=K` or `test=K` for fold K from 1.
+    /// Parses the options after the `?`: none, `train=K` or `test=K` for fold K, from 1.
     fn new(manifest: Manifest, pairs: &[(String, String)]) -> Result<Part, Error> {
         let wrong = |message: String| Diagnostic::new("input.option", message).in_file(manifest.source().path());
         let (key, value) = match pairs {
@@ -228,8 +228,8 @@ impl Part {
     }
 }
 
-/// One `--input`. What stands before `=` is a population, unless there is none of this name and a
-/// file of the whole name.
+/// Parses one `--input`. The text before `=` is a population, unless none has this name and the
+/// whole text names a file.
 fn argument(network: &Quantised, text: &str) -> Result<InputArg, Diagnostic> {
     let argument = InputArg::parse(text)?;
     match &argument.population {
@@ -259,8 +259,8 @@ fn unknown(name: &str, inputs: &[&Population]) -> Error {
         .into()
 }
 
-/// What a network with some of the input populations of another sees of a sample of that one;
-/// `None` where the other has no input population of a name and size.
+/// Returns the input of `network` in a sample of `other`, matched by the names of input
+/// populations. `None` where `other` lacks an input population of equal name and size.
 pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Option<Sample> {
     let mut moved = Vec::new();
     for (_, population) in network.inputs() {
@@ -285,7 +285,7 @@ pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Optio
     Sample::with_values(sample.steps(), &events, sample.label()).ok()
 }
 
-/// One sample of all input populations, in their order, from one of each.
+/// Joins the samples of all input populations, in their order.
 ///
 /// # Errors
 /// `input.samples` and `input.disagree` where the populations do not match, `input.spikes` for a

@@ -1,9 +1,9 @@
-//! Runs samples through an engine and keeps what was asked for.
+//! Runs samples through an engine and stores the requested results.
 //!
-//! Input: an engine, samples, the output population, probes, perhaps a rule by which a sample ends
-//! before its last step. Output: an [`Outcome`] for each sample, in run order. Samples share
-//! nothing: each begins from rest, nothing drains at its end. A sample that is decided early did
-//! what the first steps of the whole sample do, count by count.
+//! Input: an engine, samples, the output population, probes, optionally a rule by which a sample
+//! ends before its last step. Output: an [`Outcome`] for each sample, in run order. Samples are
+//! independent: each begins from rest and ends with its own last step. A sample that is decided
+//! early has exactly the counts of the first steps of the whole sample.
 
 pub mod cores;
 pub mod decision;
@@ -92,8 +92,8 @@ pub fn share_right(
     Some(right.count() as f64 / labels.len() as f64)
 }
 
-/// The least step by which half of the samples that were decided early were decided; `None` where
-/// none was.
+/// Median step of the early decisions, the lower of two middle ones; `None` without early
+/// decisions.
 pub fn median_decision(outcomes: &[Outcome]) -> Option<u32> {
     let mut steps: Vec<u32> = outcomes.iter().filter_map(|outcome| outcome.decided_at).collect();
     steps.sort_unstable();

@@ -1,18 +1,18 @@
-//! The metrics of NeuroBench's harness, of a network in integers.
+//! Metrics of NeuroBench's harness for a network in integers.
 //!
 //! Input: a network, samples, an engine that runs them. Output: [`NeuroBench`], each number as the
-//! harness 2.3 computes it (`neurobench/metrics` of its source) from layers of this network:
-//! projections are its connection layers, populations of compartments its spiking layers. What that
-//! means here:
+//! harness 2.3 computes it (`neurobench/metrics` of its source) from layers of this network.
+//! Projections are its connection layers, populations of compartments its spiking layers.
+//! Consequences:
 //!
 //! - A projection is the matrix between its populations, or its kernel where it is a convolution or
-//!   a pool; several synapses of one pair are one entry, their sum.
-//! - An operation is counted where a spike meets an entry that is not zero, whether or not its
-//!   delay lets it arrive before the sample ends. So operations are not `synaptic_events`.
-//! - A membrane update is a compartment in the first timestep, and later one whose voltage a
-//!   timestep leaves changed. So updates are not `compartment_updates`.
-//! - The footprint is that of weights of 16 bits, and of a current and a voltage of 32 bits for
-//!   each compartment.
+//!   a pool. Several synapses of one pair are one entry, their sum.
+//! - An operation is a spike that meets an entry that is not zero, even if its delay ends after the
+//!   sample. So operations are not `synaptic_events`.
+//! - Membrane updates count every compartment in the first timestep, and in later ones each
+//!   compartment whose voltage changes. So updates are not `compartment_updates`.
+//! - The footprint counts 16 bits for each weight, and a current and a voltage of 32 bits for each
+//!   compartment.
 //!
 //! All samples count as one batch. Omitted on purpose: layers of real numbers, and samples that end
 //! early.
@@ -28,14 +28,14 @@ use nsim_ir::quantised::{Projection, Quantised, Units};
 use nsim_ir::source_counts::SourceCounts;
 use nsim_ir::spikes::Sample;
 
-/// What the harness says of a network and a data set.
+/// Metrics of the harness for a network and a data set.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct NeuroBench {
-    /// Bytes.
+    /// Memory footprint, bytes.
     pub footprint_bytes: u64,
-    /// The share of entries that are zero, to four decimals; of a network without entries 0.
+    /// Share of entries that are zero, 0..=1, to four decimals; 0 for a network without entries.
     pub connection_sparsity: f64,
-    /// The share of compartments and timesteps without a spike.
+    /// Share of pairs of compartment and timestep without a spike, 0..=1.
     pub activation_sparsity: f64,
     /// Operations of a sample.
     pub synaptic_operations: SynapticOperations,
@@ -49,20 +49,20 @@ pub struct NeuroBench {
 /// Operations of a sample.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct SynapticOperations {
-    /// Over entries that are not zero, for spikes that carry a number.
+    /// Operations over entries that are not zero, for spikes that carry a number.
     pub effective_macs: f64,
-    /// Those for spikes that carry none.
+    /// Operations over entries that are not zero, for spikes that carry none.
     pub effective_acs: f64,
-    /// What a network without zeros would do.
+    /// Operations if every source spiked in every timestep and no entry were zero.
     pub dense: f64,
 }
 
 /// The entries of a projection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 struct Entries {
-    /// All, zero or not.
+    /// Number of entries.
     all: u64,
-    /// Those that are not zero.
+    /// Number of entries that are not zero.
     nonzero: u64,
     /// Operations of a timestep in which every source spikes and no entry is zero.
     dense: u64,
@@ -91,7 +91,7 @@ fn entries(network: &Quantised, projection: &Projection) -> Entries {
     }
 }
 
-/// The entries of a source that are not zero.
+/// Returns the number of a source's entries that are not zero.
 fn nonzero_of(connectivity: &Connectivity, source: u32, row: &mut Vec<(u32, i64)>) -> u64 {
     row.clear();
     connectivity.for_each_from(source, |target, weight| row.push((target, weight.into())));
@@ -100,7 +100,7 @@ fn nonzero_of(connectivity: &Connectivity, source: u32, row: &mut Vec<(u32, i64)
     pairs.filter(|synapses| synapses.iter().map(|&(_, weight)| weight).sum::<i64>() != 0).count() as u64
 }
 
-/// Operations of spikes that carry no number, and of those that do.
+/// Returns the operations of spikes that carry no number, and of spikes that carry one.
 fn operations(network: &Quantised, counts: &SourceCounts) -> (u64, u64) {
     let (mut plain, mut graded) = (0, 0);
     let mut row = Vec::new();
@@ -119,7 +119,7 @@ fn operations(network: &Quantised, counts: &SourceCounts) -> (u64, u64) {
     (plain, graded)
 }
 
-/// Compartments in the first timestep, and those whose voltage each later one changes.
+/// Returns the number of compartments, plus the voltages that change in later timesteps.
 fn membrane_updates(outcome: &Outcome) -> u64 {
     let steps = outcome.steps as usize;
     let of_compartment = |voltages: &[i32]| 1 + voltages.windows(2).filter(|pair| pair[0] != pair[1]).count() as u64;
@@ -128,11 +128,11 @@ fn membrane_updates(outcome: &Outcome) -> u64 {
 }
 
 impl NeuroBench {
-    /// Runs samples and measures. `run` gives what they did, in order, and the counts of their
-    /// sources; of several copies the first counts. Memory is bounded: samples are run in groups.
+    /// Runs samples and computes the metrics; of several copies only the first counts. `run`
+    /// returns outcomes in order, and counts by source. Memory is bounded: samples run in groups.
     ///
     /// # Errors
-    /// Those of `run`.
+    /// As `run`.
     pub fn measure(
         network: &Quantised,
         samples: &[&Sample],
@@ -159,7 +159,7 @@ impl NeuroBench {
         let (all, nonzero, dense) = (sum(|e| e.all), sum(|e| e.nonzero), sum(|e| e.dense));
         let a_sample = |count: u64| if samples.is_empty() { 0.0 } else { count as f64 / samples.len() as f64 };
         let places = timesteps * u64::from(network.compartments());
-        // As the harness weighs the shares of batches, which costs a last digit.
+        // The harness weighs the shares of batches, which changes the last digit.
         let of_batch = |share: f64| share * samples.len() as f64 / samples.len() as f64;
         Ok(NeuroBench {
             footprint_bytes: 2 * all + 8 * u64::from(network.compartments()),
@@ -179,7 +179,7 @@ impl NeuroBench {
     }
 }
 
-/// To four decimals, as Python rounds.
+/// Rounds to four decimals, as Python does.
 fn rounded(share: f32) -> f64 {
     let share = f64::from(share);
     format!("{share:.4}").parse().unwrap_or(share)

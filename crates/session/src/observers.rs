@@ -1,4 +1,4 @@
-//! What watches a sample while it runs: its outputs and their decision, and probes.
+//! Observers of a running sample: its outputs and their decision, and probes.
 //!
 //! Input: an engine after each step, or after steps in which nothing happened. Output: spikes,
 //! scores and the class of the outputs, the step after which a sample is decided, recorded numbers.
@@ -24,7 +24,7 @@ pub struct Passed {
     pub decided: bool,
 }
 
-/// What sees an engine after its steps.
+/// An observer of an engine after its steps.
 pub trait Observer<E: ?Sized> {
     /// Sees the engine after consecutive steps.
     fn see(&mut self, engine: &E, passed: Passed);
@@ -44,19 +44,19 @@ impl<E: ?Sized> Observer<E> for () {
 pub(crate) struct Outputs<'k> {
     output: Output,
     outcome: Outcome,
-    /// Of spikes, until they are decided; potentials are certain after the last step only.
+    /// Decision by spikes, until it is made; potentials are certain only after the last step.
     decision: Option<Decision<'k>>,
     /// The lead by which potentials decide.
     margin: Option<f64>,
     /// Whether a decision ends the sample.
     ends: bool,
-    /// The step of the silence that is passed over next after which spikes are decided.
+    /// The step of the skipped silence after which spikes are decided.
     decides_at: Option<u32>,
     steps: u32,
 }
 
 impl<'k> Outputs<'k> {
-    /// Before the first of this many steps.
+    /// Returns the state before the first of `steps` steps.
     pub(crate) fn new(keep: &'k Keep, steps: u32) -> Self {
         let Output { count, decision: read_out, .. } = keep.output;
         let potentials = Potentials::new(read_out, count);
@@ -80,12 +80,12 @@ impl<'k> Outputs<'k> {
         self.outcome.decided_at.is_some()
     }
 
-    /// Whether the steps that follow are omitted.
+    /// Whether the later steps are skipped.
     pub(crate) fn is_over(&self) -> bool {
         self.ends && self.is_decided()
     }
 
-    /// How many of the steps without input from `step` to before `next` may be passed over together.
+    /// Returns the number of steps without input, of `step..next`, that may be skipped together.
     pub(crate) fn may_rest<E: Engine + ?Sized>(&mut self, engine: &mut E, step: u32, next: u32) -> u32 {
         self.decides_at = None;
         match &self.decision {
@@ -100,11 +100,11 @@ impl<'k> Outputs<'k> {
         }
     }
 
-    /// What the sample did, which ended before this step.
+    /// Returns the outcome of the sample, which ended before step `end`.
     pub(crate) fn outcome(self, end: u32) -> Outcome {
         let Outputs { mut outcome, steps, .. } = self;
         outcome.steps = end;
-        // What is decided by the last step is not early.
+        // A decision after the last step is not early.
         outcome.decided_at = outcome.decided_at.filter(|decided| decided + 1 < steps);
         outcome.decided_class = outcome.decided_class.filter(|_| outcome.decided_at.is_some());
         outcome.steps_saved = outcome.decided_at.map_or(0, |decided| steps - decided - 1);
@@ -146,17 +146,17 @@ impl<E: Engine + ?Sized> Observer<E> for Outputs<'_> {
     }
 }
 
-/// Numbers that probes record, `[compartments][steps]` for each; of steps at rest they stay 0.
+/// Values recorded by probes, `[compartments][steps]` for each; 0 in idle steps.
 pub(crate) struct Recording<'k, T, R> {
     probes: &'k [Probe],
     steps: usize,
-    /// The number of a quantity of a compartment.
+    /// Reads a quantity of a compartment.
     read: R,
     pub(crate) kept: Vec<Vec<T>>,
 }
 
 impl<'k, T: Copy + From<i32>, R> Recording<'k, T, R> {
-    /// Before the first of this many steps.
+    /// Returns the state before the first of `steps` steps.
     pub(crate) fn new(probes: &'k [Probe], steps: u32, read: R) -> Self {
         let steps = steps as usize;
         let kept = probes.iter().map(|probe| vec![T::from(0); probe.count as usize * steps]).collect();
@@ -192,7 +192,7 @@ where
     }
 }
 
-/// The number of a quantity that an engine of integers holds.
+/// Returns a quantity of a compartment of an engine in integers.
 pub(crate) fn integer<E: Engine + ?Sized>(engine: &E, quantity: Quantity, compartment: CompartmentId) -> i32 {
     match quantity {
         Quantity::U => engine.u(compartment),

@@ -1,9 +1,9 @@
-//! From what a user named to something that runs: the only way there.
+//! Makes a named model ready to run; no other module does.
 //!
 //! Input: a [`Request`]: model, engine, target, saved mapping, copies, pruning, relays. Output: a
 //! [`Job`], or every reason why the network does not fit ([`Error::DoesNotFit`]). [`begin`] stops
-//! before mapping, for those who compare mappings. Each of several processes makes the same request
-//! and holds its share of the program ([`Options::share`]).
+//! before mapping, for callers that compare mappings. Each of several processes makes an equal
+//! request and gets its share of the program ([`Options::share`]).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -29,7 +29,7 @@ use crate::error::Error;
 use crate::front::{has_srm, real_and_integers};
 use crate::{inputs, shapes};
 
-/// What a job is to be ready for.
+/// The engine for which a job is prepared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Wanted {
     /// The fast engine: mapped onto a target.
@@ -42,27 +42,27 @@ pub enum Wanted {
     ByModel,
 }
 
-/// How a network becomes integers: [`crate::front::front`], or a conversion of its spike response
-/// neurons.
+/// Function that converts a network to integers: [`crate::front::front`], or a conversion of its
+/// spike response neurons.
 pub type Integers<'a> = &'a dyn Fn(&Network) -> Result<Front, Error>;
 
-/// What a network is mapped onto.
+/// The target of a mapping.
 #[derive(Clone, Copy)]
 pub enum TargetChoice<'a> {
-    /// A target file or the name of a shipped target; `None` for the model's own, or the usual one.
+    /// A target file or the name of a shipped target; `None` for the model's own or the default.
     Named(Option<&'a str>),
     /// A target that has been loaded.
     Loaded(&'a Target),
 }
 
-/// What a user named.
+/// A user's request: a model, and how it runs.
 #[derive(Clone, Copy)]
 pub struct Request<'a> {
     /// The model as the user named it.
     pub model: &'a str,
-    /// The model as its file says.
+    /// The parsed model file.
     pub network: &'a Network,
-    /// How it becomes integers.
+    /// Its conversion to integers.
     pub integers: Integers<'a>,
     /// The engine.
     pub wanted: Wanted,
@@ -70,20 +70,20 @@ pub struct Request<'a> {
     pub target: TargetChoice<'a>,
     /// The file of a saved mapping.
     pub mapping: Option<&'a Path>,
-    /// Copies of the network; `None` for those of the saved mapping, or 1.
+    /// Copies of the network; `None` for the number of the saved mapping, or 1.
     pub copies: Option<u32>,
-    /// How to map; a saved mapping has a strategy and a seed of its own.
+    /// Options of the mapping; a saved mapping has its own strategy and seed.
     pub options: Options,
-    /// What to leave out, as `--prune` takes it.
+    /// Arguments of `--prune`.
     pub prune: &'a [String],
-    /// Patterns of populations that stay whole however much is pruned.
+    /// Patterns of the names of populations that are never pruned.
     pub probed: &'a [&'a str],
-    /// Whether to add relays where output axons are few.
+    /// Whether to add relays where there are too few output axons.
     pub relays: bool,
 }
 
 impl<'a> Request<'a> {
-    /// A network on its usual target, mapped as usual.
+    /// Returns the request for a network on its default target, with default options.
     pub fn new(model: &'a str, network: &'a Network, integers: Integers<'a>) -> Self {
         Request {
             model,
@@ -105,7 +105,7 @@ impl<'a> Request<'a> {
         !self.prune.is_empty() && self.prune != ["none"]
     }
 
-    /// What to leave out, if anything.
+    /// Returns the pruning plan, if anything is to be pruned.
     fn plan(&self, network: &Quantised) -> Result<Option<Plan>, Error> {
         let plan = match self.prune {
             _ if !self.prunes() => return Ok(None),
@@ -121,7 +121,7 @@ impl<'a> Request<'a> {
         Ok(Some(plan.probing(probed.map(|(id, _)| id).collect::<Vec<PopulationId>>())))
     }
 
-    /// The network in integers, without what is to be pruned.
+    /// Returns the network in integers, pruned.
     fn front(&self) -> Result<Front, Error> {
         let front = (self.integers)(self.network)?;
         let Some(plan) = self.plan(front.quantised())? else { return Ok(front) };
@@ -129,25 +129,25 @@ impl<'a> Request<'a> {
         Ok(front.prune(&plan)?)
     }
 
-    /// How to map; what a saved mapping was made with counts.
+    /// Returns the options of the mapping. A saved mapping has its own strategy and seed.
     fn options(&self, saved: Option<&MappingFile>) -> Options {
         let copies = self.copies.or(saved.map(|file| file.copies)).unwrap_or(1);
         let options = Options { copies, ..self.options };
         let Some(file) = saved else { return options };
-        // A file may have been made by other hands than any of these strategies.
+        // The mapping in a file may come from none of these strategies.
         let strategy = Strategy::ALL.into_iter().find(|strategy| strategy.name() == file.strategy);
         Options { strategy: strategy.unwrap_or(options.strategy), seed: file.seed, ..options }
     }
 }
 
-/// A network ready to run; each with the model's own stimulus.
+/// A network ready to run, with the model's own stimulus.
 #[derive(Debug)]
 pub enum Job {
     /// Mapped onto a target.
     Mapped(Box<Mapping>, Box<Target>, Option<String>),
     /// Only quantised, for the golden engine.
     Quantised(Box<Quantised>, Option<String>),
-    /// In real numbers, for the reference engine; and in integers, with the same unit numbers.
+    /// In real numbers, for the reference engine; and in integers, with equal unit numbers.
     Real(Box<Graph>, Box<Quantised>, Option<String>),
 }
 
@@ -181,17 +181,17 @@ impl Job {
     }
 }
 
-/// A network that is ready to run.
+/// Makes a network ready to run.
 ///
 /// # Errors
-/// [`Error`] when what was named cannot be used, or the network does not fit.
+/// [`Error`] when a part of the request cannot be used, or the network does not fit.
 pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
     let Request { network, mapping, wanted, .. } = *request;
     let scene = network.file().scene.clone();
     let real = match wanted {
         Wanted::Mapped | Wanted::Quantised => false,
         Wanted::Real => true,
-        // A mapping and pruning are of integers.
+        // Mappings and pruning apply to integers only.
         Wanted::ByModel => has_srm(network) && mapping.is_none() && !request.prunes(),
     };
     if real {
@@ -211,7 +211,7 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
     let (front, goal) = begin(request)?;
     let mut compiled = goal.compiled(front)?;
     if goal.options.share.rank > 0 {
-        // Of several ranks the first alone needs the weights once the tables are there.
+        // Once the tables exist, only rank 0 needs the weights.
         compiled.one = compiled.one.without_projections();
         compiled.quantised = compiled.quantised.without_projections();
     }
@@ -219,7 +219,7 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
     Ok(Job::Mapped(Box::new(compiled), Box::new(goal.target), scene))
 }
 
-/// A network that is in integers already, mapped as where a [`Request`] asks for nothing else.
+/// Maps a network in integers, as a [`Request`] with default options does.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -227,18 +227,18 @@ pub fn mapped_as_usual(network: Quantised, target: &Target) -> Result<Mapping, C
     compile(network, target, &Options::default())
 }
 
-/// Where a network is to be mapped.
+/// Target and options of a mapping.
 #[derive(Debug)]
 pub struct Goal {
     /// The target.
     pub target: Target,
-    /// How to map.
+    /// Options of the mapping.
     pub options: Options,
     /// The saved mapping and its file, and the model as the user named it.
     pub saved: Option<(MappingFile, PathBuf, String)>,
 }
 
-/// The network in integers, pruned and with relays, and where it is to be mapped.
+/// Returns the network in integers, pruned and with relays, and the goal of its mapping.
 ///
 /// # Errors
 /// As [`obtain`].
@@ -268,24 +268,24 @@ pub fn begin(request: &Request<'_>) -> Result<(Front, Goal), Error> {
 }
 
 impl Goal {
-    /// The mapping of a network that has begun so: the saved one, or the best for sources of one
-    /// copy that spike this often.
+    /// Returns the mapping of a network from [`begin`]: the saved one, or the best for these firing
+    /// rates of the sources of one copy.
     ///
     /// # Errors
-    /// [`CompileError`]; about a saved mapping with its file.
+    /// [`CompileError`]; it names the file of a saved mapping.
     pub fn mapped(&self, front: Front, rates: &Rates) -> Result<Mapping, CompileError> {
         let Goal { target, options, saved } = self;
         let Some((file, path, model)) = saved else { return explore::map(front, target, options, rates) };
         let mapped = load(front, target, options, file);
-        // A stored mapping stays what it is; what it costs follows the rates that are asked for.
+        // A saved mapping stays unchanged; its cost follows the requested rates.
         let mapped = mapped.map(|mapped| Mapping { rates: rates.copies(options.copies), ..mapped });
         mapped.map_err(|error| mapping_file::explained(error, path, model))
     }
 
-    /// The mapping for the usual rates, with its program.
+    /// Returns the mapping for the default rate, with its program.
     ///
     /// # Errors
-    /// As [`Goal::mapped`], and for a network of too many synapses.
+    /// As [`Goal::mapped`], and for a network with too many synapses.
     pub fn compiled(&self, front: Front) -> Result<Mapping, Error> {
         refuse_to_run(front.quantised(), self.options.copies)?;
         Ok(self.mapped(front, &Rates::assumed(DEFAULT_RATE))?)

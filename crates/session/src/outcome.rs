@@ -1,6 +1,6 @@
-//! What of a sample is kept, and what it did.
+//! Settings of the stored results of a sample, and its outcome.
 //!
-//! Input: an output population, probes, perhaps the rule of an early exit ([`Keep`]). Output: an
+//! Input: an output population, probes, optionally the rule of an early exit ([`Keep`]). Output: an
 //! [`Outcome`] with spikes or scores of the outputs, the class, counts and recorded numbers.
 
 use serde::{Deserialize, Serialize};
@@ -12,7 +12,7 @@ use nsim_ir::neurons::NeuronKind;
 use nsim_ir::potentials::Potentials;
 use nsim_ir::quantised::{Output, Population};
 
-/// What a probe records.
+/// A quantity that a probe records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Quantity {
     /// 0 or 1.
@@ -21,11 +21,11 @@ pub enum Quantity {
     U,
     /// The membrane.
     V,
-    /// What the chip's voltage register reads.
+    /// Value of the chip's voltage register.
     VRegister,
-    /// What the message carries, 0 where none is sent.
+    /// Payload of the message; 0 where none is sent.
     Message,
-    /// A word of state, by its place in the table of the kind.
+    /// A word of state, by its index in the table of the kind.
     State(usize),
 }
 
@@ -56,13 +56,13 @@ pub struct Probe {
     pub first: CompartmentId,
     /// Number of compartments.
     pub count: u32,
-    /// What to record.
+    /// The recorded quantity.
     pub quantity: Quantity,
 }
 
 impl Probe {
-    /// What is called so of a population's compartments: a quantity, or a word of their state;
-    /// `None` where they have no such thing.
+    /// Returns the probe of a population's compartments for this name of a quantity or word of
+    /// state; `None` where they have none of this name.
     pub fn named(population: &Population, what: &str) -> Option<Probe> {
         let (first, count) = (population.first_compartment()?, population.shape.len());
         let kind = population.each_neuron().next().map_or(NeuronKind::Loihi, |neuron| neuron.kind);
@@ -70,26 +70,26 @@ impl Probe {
     }
 }
 
-/// What to keep of each sample, and when it ends.
+/// Results to store of each sample, and the rule by which it ends.
 #[derive(Debug, Clone)]
 pub struct Keep {
-    /// The compartments that decide.
+    /// The output compartments, which decide the class.
     pub output: Output,
-    /// Probes; the steps that an early exit leaves off stay zero in them.
+    /// Probes; steps skipped by an early exit are zero in them.
     pub probes: Vec<Probe>,
-    /// What decides a sample before its last step, and whether it ends then; its outputs are those
-    /// of `output`.
+    /// Rule that decides a sample before its last step, and whether the sample then ends; its
+    /// outputs are `output`.
     pub early_exit: Option<EarlyExit>,
 }
 
 impl Keep {
-    /// Nothing but what these compartments decide.
+    /// Returns settings that store only the spikes and decision of these compartments.
     pub fn new(output: Output) -> Self {
         Keep { output, probes: Vec::new(), early_exit: None }
     }
 }
 
-/// What one sample did.
+/// Results of one sample.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 pub struct Outcome {
     /// Spikes of each output.
@@ -100,15 +100,15 @@ pub struct Outcome {
     pub spikes: Vec<(u32, u32)>,
     /// Timesteps that were run.
     pub steps: u32,
-    /// The step after whose update the sample was decided; `None` when that was its last or never.
+    /// The step after which the sample was decided; `None` for its last step or if undecided.
     pub decided_at: Option<u32>,
-    /// The class after that step; `None` also for a sample that was decided silent.
+    /// The class after that step; `None` also for a sample that was decided without output spikes.
     pub decided_class: Option<u32>,
-    /// Timesteps after that one: omitted when a decision ends the sample.
+    /// Timesteps after that step: skipped when a decision ends the sample.
     pub steps_saved: u32,
-    /// Counts that any engine keeps.
+    /// Counts that every engine has.
     pub totals: Totals,
-    /// What left its field.
+    /// Counts of overflows, by field.
     pub overflow: Overflow,
     /// For each probe `[compartments][steps]`.
     pub probes: Vec<Vec<i32>>,
@@ -117,8 +117,8 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// The output that potentials decide for, where they do; else the one with most spikes, the
-    /// lowest on a tie, none when all are silent.
+    /// Returns the class by potentials, where they decide; else the output with most spikes, the
+    /// lowest on a tie, `None` when all are silent.
     pub fn class(&self) -> Option<u32> {
         if let Some(potentials) = &self.potentials {
             return potentials.class();
@@ -127,7 +127,7 @@ impl Outcome {
         self.counts.iter().position(|&count| count == most).map(|class| class as u32)
     }
 
-    /// The class when the sample was decided; of a sample that was not, that of its end.
+    /// Returns the class when the sample was decided; of an undecided sample, the class at its end.
     pub fn class_when_decided(&self) -> Option<u32> {
         if self.decided_at.is_some() { self.decided_class } else { self.class() }
     }

@@ -1,20 +1,19 @@
-//! What a run did, summed by population.
+//! Counts of a run, summed by population.
 //!
-//! Input: a network and the counts of each of its sources, of one copy or of several that follow
-//! each other. Output: a row for each population of compartments and for each input, in the order
-//! of the model. Sums over the rows are the totals of the run, exactly; of several copies a row is
-//! of all of them together.
+//! Input: a network and the counts of its sources, of one copy or of several consecutive copies.
+//! Output: a row for each population of compartments and for each input, in the order of the model,
+//! summed over copies. Invariant: the rows sum exactly to the totals of the run.
 
 use nsim_ir::base::id::{ChannelId, CompartmentId};
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::source_counts::SourceCounts;
 
-/// What the compartments of a population did.
+/// Counts of a population of compartments.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct PopulationCounts {
     /// Its name.
     pub name: String,
-    /// Compartments that ran, those of all copies.
+    /// Compartments that ran, in all copies.
     pub compartments: u64,
     /// Their spikes.
     pub spikes: u64,
@@ -22,25 +21,25 @@ pub struct PopulationCounts {
     pub silent: u64,
     /// Voltages that were clipped.
     pub clipped: u64,
-    /// Of these, those at the upper end that no reset to zero follows.
+    /// Of these, voltages clipped at the upper bound and not then reset to zero.
     #[serde(skip)]
     pub cut: u64,
     /// Accumulators and currents that wrapped.
     pub wrapped: u64,
 }
 
-/// What came in over the channels of an input population.
+/// Counts of an input population.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct InputCounts {
     /// Its name.
     pub name: String,
-    /// Channels, those of all copies.
+    /// Channels, in all copies.
     pub channels: u64,
     /// Their spikes.
     pub spikes: u64,
 }
 
-/// A run by population.
+/// Counts of a run by population.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
 pub struct ByPopulation {
     /// Populations of compartments.
@@ -85,11 +84,11 @@ impl ByPopulation {
         sum
     }
 
-    /// The counts of this many copies that all do what the counted ones do.
+    /// Returns the counts of `copies` copies that all behave as the counted ones.
     pub fn of_copies(network: &Quantised, counts: &SourceCounts, copies: u32) -> Self {
         let mut sum = ByPopulation::new(network, counts);
         let counted = counts.compartments.len() as u64 / u64::from(network.compartments()).max(1);
-        // Each of the counted copies has the same part of every sum.
+        // Every counted copy contributes equally to every sum.
         let scale = |count: &mut u64| *count = *count / counted.max(1) * u64::from(copies);
         for row in &mut sum.populations {
             let PopulationCounts { name: _, compartments, spikes, silent, clipped, cut, wrapped } = row;
@@ -100,7 +99,7 @@ impl ByPopulation {
     }
 }
 
-/// The numbers of consecutive units in each of this many copies of `per_copy` units.
+/// Returns the indices of consecutive units in each of `copies` copies of `per_copy` units.
 fn numbers_in_copies(first: u32, size: u32, per_copy: u32, copies: u32) -> impl Iterator<Item = u32> {
     (0..copies).flat_map(move |copy| first + copy * per_copy..first + size + copy * per_copy)
 }

@@ -1,4 +1,4 @@
-//! Runs samples on a mapped network and estimates what that costs.
+//! Runs samples on a mapped network and estimates their cost.
 //!
 //! Input: a compiled network, its target, samples of one copy. Output: outcomes, counts, power,
 //! latency and energy.
@@ -31,13 +31,13 @@ impl Meter for StepMeter {
     }
 }
 
-/// Messages of a step from which on it waits for others, which threads follow at the same time.
+/// Least number of messages of a step that is queued, so that threads meter several in parallel.
 const MANY: u64 = 1 << 12;
 
-/// A meter whose busy steps are followed by several threads.
+/// A meter whose steps with many messages are metered by several threads.
 struct Shared {
     meter: StepMeter,
-    /// As many steps as threads at most.
+    /// Queued steps, at most one for each thread.
     waiting: Vec<(StepActivity, u32, bool)>,
 }
 
@@ -66,19 +66,19 @@ impl Meter for Shared {
     }
 }
 
-/// A mapping as it is metered: the program that is run, and where its messages and those of cores
-/// that do the same go.
+/// A mapping to be metered: the program that runs, and the routes of its messages and of the
+/// messages of identical cores.
 #[derive(Debug)]
 pub struct Metered<'c> {
     compiled: &'c Mapping,
-    /// One group of cores of each kind; `None` where all cores are run.
+    /// One group of cores of each kind, which runs; `None` where all cores run.
     groups: Option<CoreGroups>,
     /// The routes of all messages.
     pub routes: Arc<MessageRoutes>,
 }
 
 impl<'c> Metered<'c> {
-    /// Of groups of cores that hold identical copies, one is run for all.
+    /// Runs one group of cores for all groups that hold identical copies.
     pub fn new(compiled: &'c Mapping) -> Self {
         let groups = compiled.core_groups();
         let routes = match &groups {
@@ -88,7 +88,7 @@ impl<'c> Metered<'c> {
         Metered { compiled, groups, routes: Arc::new(routes) }
     }
 
-    /// Metered steps with every core run: the obvious way, which tests compare with.
+    /// Runs every core: the plain method, against which tests compare.
     pub fn every_core(compiled: &'c Mapping) -> Self {
         let one = compiled.one_copy();
         let groups = CoreGroups::each(&compiled.program, one, &compiled.together()).ok();
@@ -97,16 +97,16 @@ impl<'c> Metered<'c> {
         Metered { compiled, groups, routes: Arc::new(routes) }
     }
 
-    /// What steps are metered under when they run as fast as the chip can, with the cores that the
-    /// mapping uses and the target's first constants; and that deployment.
+    /// Returns meter settings and deployment for steps as fast as possible, on the cores of the
+    /// mapping, with the target's first constants.
     ///
     /// # Errors
-    /// A constant that no integer holds.
+    /// A constant that does not fit an integer.
     pub fn offline(&self, target: &Target) -> Result<(MeterSettings, Deployment)> {
         self.offline_with(target, HostWork::for_target(target))
     }
 
-    /// As [`Self::offline`], where x86 cores do this work.
+    /// As [`Self::offline`], for this work of the x86 cores.
     ///
     /// # Errors
     /// As [`Self::offline`].
@@ -117,29 +117,29 @@ impl<'c> Metered<'c> {
         Ok((self.settings(tables, &deployment, Transport::default()), deployment))
     }
 
-    /// What steps are metered under by these presets and a deployment: sums alone.
+    /// Returns the settings of the meter for these presets and a deployment, for sums only.
     pub fn settings(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
         let Mapping { options, one, .. } = self.compiled;
         let timestep = Picoseconds::from_milliseconds(one.parts().timestep_ms);
         MeterSettings::new(tables, deployment.timing(transport, options.copies), self.routes.clone(), timestep)
     }
 
-    /// Copies that are run, which do what all do.
+    /// Number of copies that run; all copies behave as they do.
     pub fn copies_run(&self) -> u32 {
         self.groups.as_ref().map_or(self.compiled.options.copies, CoreGroups::copies)
     }
 
-    /// Copies that there are.
+    /// Number of all copies.
     pub(super) fn copies(&self) -> u32 {
         self.compiled.options.copies
     }
 
-    /// The cores that are run.
+    /// The program that runs.
     fn program(&self) -> &Arc<Program> {
         self.groups.as_ref().map_or(&self.compiled.program, |groups| &groups.program)
     }
 
-    /// Runs samples on these, all copies seeing them, with a meter for each sample.
+    /// Runs samples on this program, with equal input to all copies and a meter for each sample.
     pub(super) fn run_with<M: Meter>(
         &self,
         samples: &[&Sample],
@@ -151,9 +151,9 @@ impl<'c> Metered<'c> {
         fast(self.program(), samples, Running { copies, per_step: true, ..running }, new_meter)
     }
 
-    /// Runs samples and meters each step. Counts and sums are those of all copies, outcomes those
-    /// of the first; counts by source, what was skipped, and an outcome's totals and what left its
-    /// field, are those of the cores that were run.
+    /// Runs samples and meters each step. Counts by core and sums cover all copies, outcomes the
+    /// first copy. Counts by source, skipped updates, and the totals and overflows of an outcome
+    /// cover only the cores that ran.
     ///
     /// # Errors
     /// As [`fast`].
@@ -161,14 +161,14 @@ impl<'c> Metered<'c> {
         let settings = Arc::new(settings);
         let shared = || Shared { meter: StepMeter::new(settings.clone()), waiting: Vec::new() };
         let run = self.run_with(samples, running, shared)?;
-        // Meters of samples follow what waits as they are merged.
+        // Merging the meters of samples has metered all queued steps.
         Ok(self.of_all_copies(run.map_meter(|shared| shared.meter)))
     }
 
-    /// What all cores did, from what those did that were run.
+    /// Extends the counts of the cores that ran to all cores.
     pub(super) fn of_all_copies(&self, run: Run<StepMeter>) -> Run<StepMeter> {
         let Some(groups) = &self.groups else { return run };
-        // Every copy does the same.
+        // Every copy receives equal input.
         let spikes_in = run.activity.spikes_in() / u64::from(groups.copies()) * u64::from(self.copies());
         let mut cores = vec![CoreCounts::default(); self.compiled.program.cores().len()];
         for group in &groups.groups {
@@ -176,7 +176,7 @@ impl<'c> Metered<'c> {
                 cores[core.index()] = run.activity.cores()[CoreId(run_core)];
             }
         }
-        // Of identical groups the first represents all, as of cores that take as long.
+        // Of identical groups only the first counts as slowest, as with cores of equal times.
         let mut slowest = vec![0; cores.len()];
         for (kind, number) in groups.kinds.iter().zip(0..) {
             let first = groups.groups.iter().find(|group| group.kind == number);
@@ -195,7 +195,7 @@ pub fn steps_per_sample(samples: &[&Sample]) -> Option<u32> {
     samples.first().filter(|_| same).map(|sample| sample.steps())
 }
 
-/// What samples did, and what they cost.
+/// Outcomes, counts and cost of samples.
 #[derive(Debug)]
 pub struct Priced {
     /// Spikes and class of each sample, in run order.
@@ -206,11 +206,11 @@ pub struct Priced {
     pub estimate: Estimate,
 }
 
-/// Runs samples as fast as the chip can and estimates power, latency and energy by the target's
-/// first constants, with the cores that the mapping uses.
+/// Runs samples as fast as possible and estimates power, latency and energy by the target's first
+/// constants, on the cores of the mapping.
 ///
 /// # Errors
-/// A constant that no integer holds; as [`fast`].
+/// A constant that does not fit an integer; as [`fast`].
 pub fn run_priced(compiled: &Mapping, target: &Target, samples: &[Sample]) -> Result<Priced> {
     let copies = compiled.options.copies;
     let metered = Metered::new(compiled);

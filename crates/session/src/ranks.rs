@@ -1,11 +1,11 @@
-//! The parts of a program that processes run together, and what they report to the first of them.
+//! Parts of a program that several processes run together, and their reports to rank 0.
 //!
 //! Input: a program assigned to ranks, and the counts of a rank ([`super::samples`]). Output: the
-//! part that a rank holds; on rank 0 the counts of one process alone. Invariant: every
-//! count is found by one rank only, so that adding is all there is to do.
+//! part of a rank; on rank 0, the counts that a single process would have. Invariant: every count
+//! comes from exactly one rank, so sums over ranks are exact.
 //!
-//! Why rank 0 collects counts after the run and not after each step: counts add up in any order,
-//! and only what a step costs, or when a sample is decided, has to be known immediately
+//! Rank 0 collects counts after the run and not after each step, since they add up in any order.
+//! Only the cost of a step and the decision of a sample are needed immediately
 //! ([`nsim_machine::Machine::of_part`]).
 
 use std::collections::BTreeSet;
@@ -20,23 +20,23 @@ use nsim_ir::program::Program;
 use nsim_ir::source_counts::SourceCounts;
 use nsim_machine::ranks::transport::Ranks;
 
-/// What one process held.
+/// Size and memory of the part of one process.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 pub struct RankRow {
-    /// Its number.
+    /// Its rank, from 0.
     pub rank: u32,
     /// Chips that its cores are on.
     pub chips: u32,
-    /// Its compartments.
+    /// Number of compartments.
     pub compartments: u64,
     /// Synapses in the tables of its cores.
     pub synapses: u64,
-    /// The most memory that it has taken, if the system says.
+    /// Peak memory of the process, MiB; `None` if the system does not report it.
     pub peak_mib: Option<f64>,
 }
 
 impl RankRow {
-    /// Of a part that this process holds, or of all of a program.
+    /// Returns the row of this process, for its part of a program or for a whole program.
     pub fn here(program: &Program, rank: u32) -> Self {
         let own = || program.cores().enumerate().filter(|(core, _)| program.holds(*core)).map(|(_, image)| image);
         RankRow {
@@ -49,7 +49,7 @@ impl RankRow {
     }
 }
 
-/// The most memory that this process has taken since it began, if the system says.
+/// Returns the peak memory of this process, MiB; `None` if the system does not report it.
 pub fn peak_mib() -> Option<f64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find(|line| line.starts_with("VmHWM:"))?;
@@ -57,10 +57,10 @@ pub fn peak_mib() -> Option<f64> {
     Some(kib / 1024.0)
 }
 
-/// The part of a program that a rank holds: the program itself where it is that part.
+/// Returns a rank's part of a program: the program itself where it is that part already.
 ///
 /// # Errors
-/// `run.part` when the program is not distributed or is another rank's part: a caller's fault.
+/// `run.part` when the program is not distributed or is another rank's part: a caller's error.
 pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Diagnostic> {
     let wrong = |what: String| Diagnostic::new("run.part", what);
     match program.held_rank() {
@@ -70,11 +70,11 @@ pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Di
     }
 }
 
-/// The results of a rank: outcomes, counts of its cores and of its compartments, updates that it
-/// skipped, and its part.
+/// The results of a rank: outcomes, counts of its cores and of its compartments, skipped updates,
+/// and the row of its part.
 pub(super) type Found = (Vec<Outcome>, Activity, SourceCounts, u64, RankRow);
 
-/// Adds what another rank found of a sample; `shown`: every rank has seen the output spikes.
+/// Adds another rank's outcome of a sample. `shown`: every rank has received all output spikes.
 pub(super) fn add_outcome(outcome: &mut Outcome, other: Outcome, shown: bool) {
     outcome.totals += other.totals;
     outcome.overflow.merge(&other.overflow);

@@ -1,7 +1,7 @@
-//! Runs many samples on an engine, in parallel where that pays.
+//! Runs many samples on an engine, in parallel where that is faster.
 //!
-//! Input: a program or network, samples, what to keep of each. Output: outcomes in run order, for
-//! any number of threads. Errors: a program whose sums could leave their integers.
+//! Input: a program or network, samples, the results to store of each. Output: outcomes in run
+//! order, equal for any number of threads. Errors: sums that could overflow.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -27,19 +27,19 @@ use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_reference::{Model, Real, Reference};
 
-/// Compartments of all threads together up to which each thread has a machine of its own, however
-/// few the synapses: some 300 MiB of state.
+/// Maximum number of compartments over all threads for which each thread has its own machine,
+/// however few the synapses: about 300 MiB of state.
 const HELD: u64 = 8_000_000;
-/// With fewer synapses than this, sharing the cores of a sample costs more than it gains.
+/// Up to this number of synapses, sharing the cores of a sample costs more than it gains.
 const SHARED: u64 = 100_000;
 
-/// Called after each sample, from any thread.
+/// Callback after each sample, from any thread.
 pub type Progress<'a> = &'a (dyn Fn() + Sync);
 
-/// How the machine runs samples.
+/// Settings of the machine for a run of samples.
 #[derive(Clone, Copy)]
 pub struct Running<'a> {
-    /// What to keep of each sample.
+    /// Results to store of each sample.
     pub keep: &'a Keep,
     /// The copies of the program, all of which see the sample.
     pub copies: Copies,
@@ -49,24 +49,23 @@ pub struct Running<'a> {
     pub per_step: bool,
     /// Called after each sample.
     pub progress: Progress<'a>,
-    /// The processes that run the program together, each a part of it; `None` where this one runs
-    /// it alone.
+    /// The processes that run the program together, each its part; `None` for a single process.
     pub ranks: Option<&'a Ranks>,
 }
 
 impl<'a> Running<'a> {
-    /// One copy in one process, without counts of each step.
+    /// Returns settings of one copy in one process, without counts of each step.
     pub fn new(keep: &'a Keep) -> Self {
         Running { keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None }
     }
 }
 
-/// What watches the steps of a run, a part of it in each thread.
+/// An observer of the steps of a run, which sees a part of the run in each thread.
 pub trait Meter: Send {
     /// Sees consecutive steps with equal counts.
     fn see(&mut self, step: &StepActivity, passed: Passed);
 
-    /// Adds what another one saw of later samples. What it says may not depend on the parts.
+    /// Adds another meter's observations of later samples. Results must not depend on the division.
     fn merge(&mut self, other: Self);
 }
 
@@ -76,37 +75,37 @@ impl Meter for () {
     fn merge(&mut self, (): ()) {}
 }
 
-/// What a run yields.
+/// Results of a run.
 #[derive(Debug, Default)]
 pub struct Run<M> {
-    /// In run order.
+    /// Outcome of each sample, in run order.
     pub outcomes: Vec<Outcome>,
-    /// Of all samples; without cores where no program ran.
+    /// Counts of all samples by core; without cores where no program ran.
     pub activity: Activity,
-    /// Of all samples, by source.
+    /// Counts of all samples, by source.
     pub counts: SourceCounts,
-    /// What saw all samples.
+    /// The meter of all samples.
     pub meter: M,
     /// Compartment updates that were skipped because the compartment was idle.
     pub skipped_updates: u64,
-    /// Seconds spent.
+    /// Wall time of the run, s.
     pub wall_s: f64,
-    /// The processes that ran it, where it was not one alone.
+    /// The processes that ran it; empty for a single process.
     pub ranks: Vec<RankRow>,
 }
 
 /// How a run is divided among threads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Division {
-    /// Parts of a network that threads run together.
+    /// Number of parts of a network that threads run in parallel.
     pub shards: usize,
-    /// Whether samples follow each other, rather than run at the same time.
+    /// Whether samples run sequentially, rather than in parallel.
     pub in_turn: bool,
 }
 
 impl Division {
-    /// For this many samples of a program. Threads share a sample where there are fewer samples
-    /// than threads, or where states of their own would take more memory than the image of all.
+    /// Returns the division for n samples. Threads share a sample where there are fewer samples
+    /// than threads, or where a state for each thread would take more memory than the image.
     pub fn new(program: &Program, samples: usize) -> Self {
         let (synapses, threads) = (program.synapses_of(|_| true), rayon::current_num_threads());
         let states = u64::from(program.compartments()) * threads as u64;
@@ -115,7 +114,7 @@ impl Division {
     }
 }
 
-/// A program laid out for runs that are divided in this way.
+/// Lays out a program for runs of this division.
 ///
 /// # Errors
 /// `run.too-large` when the program's sums could not be exact.
@@ -140,9 +139,9 @@ pub fn fast<M: Meter>(
     Ok(fast_on(&laid_out(program, division)?, division, samples, running, new_meter))
 }
 
-/// Runs samples together with other processes; every rank makes this call with the same ones. They
-/// run one after the other; the threads of a rank share its cores. On rank 0 the result is that of
-/// one process alone.
+/// Runs samples together with other processes; every rank makes this call with equal samples.
+/// Samples run sequentially, and the threads of a rank share its cores. On rank 0 the result equals
+/// the result of a single process.
 ///
 /// # Errors
 /// As [`laid_out`], and `run.part`.
@@ -164,13 +163,13 @@ fn on_ranks<M: Meter>(
     let here = RankRow::here(&part, ranks.rank());
     let shards = if here.synapses > SHARED { rayon::current_num_threads() } else { 1 };
     let image = laid_out(&part, Division { shards, in_turn: true })?;
-    // The rank that decides has to see all outputs.
+    // The deciding rank needs the spikes of all outputs.
     let shown = keep.early_exit.as_ref().map(|_| (keep.output.first, keep.output.count));
     let run_all = || {
         let machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);
         in_turn(machine, samples, running, &new_meter)
     };
-    // A step that is shared from outside the pool would wake a thread each time.
+    // Sharing a step from outside the pool would wake a thread for each step.
     let mut run = if shards > 1 { rayon::scope(|_| run_all()) } else { run_all() };
     let here = RankRow { peak_mib: peak_mib(), ..here };
     let Run { outcomes, activity, counts, skipped_updates, ranks: rows, .. } = &mut run;
@@ -187,7 +186,7 @@ fn on_ranks<M: Meter>(
     Ok(run)
 }
 
-/// Runs samples on a program that is laid out already, for runs of the same division.
+/// Runs samples on a program that is laid out for this division.
 pub fn fast_on<M: Meter>(
     image: &Arc<Image>,
     division: Division,
@@ -209,7 +208,7 @@ pub fn fast_on<M: Meter>(
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
 
-/// Runs samples one after the other on a machine; of several processes the first is metered.
+/// Runs samples sequentially in a session; of several processes only rank 0 is metered.
 fn in_turn<M: Meter>(
     mut machine: Machine,
     samples: &[&Sample],
@@ -224,8 +223,8 @@ fn in_turn<M: Meter>(
 /// Parts of the samples for each thread: enough for samples of different lengths to balance.
 const PARTS: usize = 16;
 
-/// Runs samples at the same time, on a machine for each thread, which takes the next part as soon
-/// as it has run one. Counts are summed once, over all machines.
+/// Runs samples in parallel, in a session for each thread; a thread that finishes a part takes the
+/// next one. Counts are summed once, over all machines.
 fn at_once<M: Meter>(
     new_machine: impl Fn() -> Machine + Sync,
     samples: &[&Sample],
@@ -263,7 +262,7 @@ fn at_once<M: Meter>(
     all
 }
 
-/// Runs samples one after the other on a machine, whose counts stay in it.
+/// Runs samples sequentially in a session, whose machine accumulates their counts.
 fn uncounted<M: Meter>(
     machine: &mut Machine,
     samples: &[&Sample],
@@ -288,8 +287,8 @@ fn uncounted<M: Meter>(
     Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new() }
 }
 
-/// Runs parts of the samples at the same time. Four parts a thread balance samples of different
-/// lengths; one thread takes all, since counts are summed once a part.
+/// Runs parts of the samples in parallel. Four parts a thread balance samples of different lengths.
+/// A single thread has one part, since counts are summed once a part.
 fn in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + Sync) -> Run<M> {
     let parts = if rayon::current_num_threads() == 1 { 1 } else { rayon::current_num_threads() * 4 };
     let runs: Vec<Run<M>> = samples.par_chunks(samples.len().div_ceil(parts).max(1)).map(&run).collect();
@@ -301,7 +300,7 @@ fn in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + 
 }
 
 impl<M> Run<M> {
-    /// This run with what is made of its meter.
+    /// Returns this run with its meter converted by `made`.
     pub fn map_meter<N>(self, made: impl FnOnce(M) -> N) -> Run<N> {
         let Run { outcomes, activity, counts, meter, skipped_updates, wall_s, ranks } = self;
         Run { outcomes, activity, counts, meter: made(meter), skipped_updates, wall_s, ranks }
@@ -309,7 +308,7 @@ impl<M> Run<M> {
 }
 
 impl<M: Meter> Run<M> {
-    /// Adds the samples that ran after these.
+    /// Appends a run of later samples.
     pub fn append(&mut self, later: Run<M>) {
         self.outcomes.extend(later.outcomes);
         self.activity.merge(&later.activity);
@@ -351,10 +350,10 @@ pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: P
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
 
-/// For each probe `[compartments][steps]`, in real numbers.
+/// Values of each probe, `[compartments][steps]`, in real numbers.
 pub type Traces = Vec<Vec<f64>>;
 
-/// Those of each sample.
+/// Traces of each sample.
 impl Meter for Vec<Traces> {
     fn see(&mut self, _: &StepActivity, _: Passed) {}
 
@@ -363,8 +362,8 @@ impl Meter for Vec<Traces> {
     }
 }
 
-/// Runs samples of a network with this many channels and compartments on the reference engine; the
-/// probes come as real numbers in the place of a meter. Nothing leaves a field of real numbers.
+/// Runs samples on the reference engine, of a network with these numbers of channels and
+/// compartments. The meter of the run holds the probes as real numbers, which cannot overflow.
 pub fn reference<F: Real>(
     model: &Model<F>,
     (channels, compartments): (u32, u32),
@@ -397,8 +396,8 @@ pub fn reference<F: Real>(
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
 
-/// How often each channel and compartment fires over samples, on the golden interpreter: it needs
-/// no mapping.
+/// Returns the firing rates of all channels and compartments over samples. The golden interpreter
+/// runs them, since it needs no mapping.
 pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &'s Sample>) -> Rates {
     let samples: Vec<&Sample> = samples.into_iter().collect();
     let Run { outcomes, counts, .. } = golden(network, &samples, &Keep::new(network.output()), &|| ());

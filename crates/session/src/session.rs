@@ -1,15 +1,16 @@
-//! A mapped network that is stepped from outside: by a robot, an environment, a notebook.
+//! An engine that runs step by step; every run of a network uses it.
 //!
-//! Input: a laid-out program and, in each step, the channels that spike. Output: who spiked, and
-//! registers. The length of the sample is not needed. A session is a value: a copy continues from
-//! the same step, independently, and serves as a snapshot. Stepping a sample does exactly what
-//! running it does. What was shown is stored, so that the steps so far can be priced as a sample.
+//! Input: an engine over some copies of a network, and samples, or the spiking channels of each
+//! step, from a robot, an environment, a notebook. Output: the outcome of a sample; the spikes of a
+//! step, and registers. Stepping needs no sample length, and gives exactly the results of running
+//! the sample. A session is a value: a clone continues independently from the same step, and serves
+//! as a snapshot. The input of steps is stored, so that the steps so far can be priced as a sample.
 //!
 //! Weights of plastic projections are read and written between steps, or a rule changes them. Each
-//! copy of the session has its own.
+//! clone of the session has its own weights.
 //!
-//! Errors: `session.channel` for channels that the network lacks, `session.too-long` beyond what
-//! can be stored, `session.weights.*` for weights that cannot be written or would be lost,
+//! Errors: `session.channel` for channels that the network lacks, `session.too-long` for more input
+//! than is stored, `session.weights.*` for weights that cannot be written or would be lost,
 //! `session.rule.*` for rules that cannot act.
 
 use std::sync::Arc;
@@ -34,7 +35,7 @@ pub struct Session {
     machine: Machine,
     copies: Copies,
     plastic: Arc<[PlasticProjection]>,
-    /// Whether weights were written, or a rule changes them.
+    /// Whether weights were written.
     is_written: bool,
     /// Input spikes of one copy: (step, channel, value).
     kept: Vec<(u32, ChannelId, i32)>,
@@ -82,9 +83,9 @@ impl Session {
         self.steps
     }
 
-    /// One timestep in which these channels of each copy spike, in any order, each with what its
-    /// message carries, 1 for a spike; of one that is given twice the first counts, and a value of
-    /// 0 is no message.
+    /// Runs one timestep in which these channels of each copy spike, in any order. Each has the
+    /// value of its message, 1 for a plain spike. Of a channel given twice the first value counts;
+    /// a value of 0 is no message.
     ///
     /// # Errors
     /// `session.channel`; the session stays as it was.
@@ -118,8 +119,8 @@ impl Session {
         Ok(())
     }
 
-    /// Passes over steps without input, if nothing at all would happen in them; otherwise does
-    /// nothing and returns false.
+    /// Skips steps without input, if the engine would be idle in them, and returns true; otherwise
+    /// does nothing and returns false.
     pub fn skip(&mut self, steps: u32) -> bool {
         let rests = self.machine.rest(steps);
         if rests && steps > 0 {
@@ -134,8 +135,8 @@ impl Session {
         &self.shown
     }
 
-    /// Which of `count` compartments from `first` on spiked in the last step, counted from `first`,
-    /// and what their spikes carried, ascending.
+    /// Returns the compartments that spiked in the last step, of `count` from `first` on, with
+    /// their payloads. Compartments are counted from `first`, ascending.
     pub fn spikes(&self, first: CompartmentId, count: u32) -> Vec<(u32, i32)> {
         let payloads = self.machine.payloads().iter().copied().chain(std::iter::repeat(1));
         let spikes = self.machine.spikes().iter().zip(payloads);
@@ -171,8 +172,8 @@ impl Session {
         Ok(())
     }
 
-    /// The weights of a plastic projection, source by source, in the order of its synapses. Where a
-    /// rule changes them, an epoch that ends with a step has changed them after that step.
+    /// Returns the weights of a plastic projection, source by source, in the order of its synapses.
+    /// After the last step of a learning epoch, they include the changes of that epoch.
     ///
     /// # Errors
     /// `session.weights.not-plastic`.
@@ -180,9 +181,9 @@ impl Session {
         Ok(self.plastic(projection)?.places[0].iter().map(|&place| self.machine.weight(place)).collect())
     }
 
-    /// Sets the weights of a plastic projection, in every copy of the network. They hold from the
-    /// next step on, also for spikes of compartments in the last; what is on its way over a delay
-    /// arrives as it was.
+    /// Sets the weights of a plastic projection, in every copy of the network. They apply from the
+    /// next step on, also to compartment spikes of the last step. Arrivals in flight over a delay
+    /// keep the old weights.
     ///
     /// # Errors
     /// `session.weights.not-plastic`, `session.weights.size`, `session.weights.range`; all weights
@@ -216,7 +217,7 @@ impl Session {
         })
     }
 
-    /// What was shown so far, as a sample of as many steps.
+    /// Returns the input so far, as a sample with as many steps.
     ///
     /// # Errors
     /// `session.too-long`; `session.weights.written` when a run of the sample would not have the

@@ -1,11 +1,10 @@
-//! What a network needs by its shapes alone: refuses what no mapping fits, before anything is
-//! generated or expanded.
+//! Resources that a network needs by its shapes alone: refuses a network that no mapping fits,
+//! before it is generated or expanded.
 //!
-//! Input: a model as it is written, a target. Output: the reasons for which it cannot fit, if any.
-//! Every source that reaches every compartment, or samples its targets, takes at least the bits of
-//! its weights in the synapse memory of the cores that it reaches; the mean over a population's
-//! compartments is a bound that some compartment is not below. What the shapes do not decide, or
-//! the model says wrongly, is left to the later stages.
+//! Input: a model as written, a target. Output: the reasons for which it cannot fit, if any. A
+//! dense or random projection takes at least the bits of its weights in the synapse memory of its
+//! target cores. At least one compartment of a population needs the mean over the population, or
+//! more. Later stages check everything else, and report errors of the model.
 
 use std::collections::HashMap;
 
@@ -17,12 +16,11 @@ use nsim_ir::resource::Resource;
 
 /// Bits of a synapse word.
 const WORD: u128 = 64;
-/// Networks of fewer synapses are mapped in a second or so, which gives every reason and not only
-/// this one.
+/// Networks of fewer synapses are mapped in about a second, and mapping gives every reason.
 const SMALL: u128 = 1 << 24;
 
-/// Refuses a large network some compartment of which needs more synapse memory than a core has, or
-/// that needs more cores than there are for its synapses.
+/// Refuses a large network if a compartment needs more synapse memory than a core has, or all
+/// synapses need more cores than the target has.
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`].
@@ -35,7 +33,7 @@ pub fn check(network: &Network, target: &Target, copies: u32) -> Result<(), Comp
         .iter()
         .filter_map(|population| Some((population.name.as_str(), units(&population.shape)?)))
         .collect();
-    // A population that is too large for any network is refused where it is lowered.
+    // Lowering refuses a population that is too large for any network.
     if sizes.len() < file.populations.len() || sizes.values().any(|&size| size > MOST_UNITS) {
         return Ok(());
     }

@@ -1,12 +1,12 @@
-//! A run with a row for each timestep: spikes by population, events, messages, hops, time and
-//! energy by part.
+//! Runs with a row for each timestep: spikes by population, events, messages, hops, time and energy
+//! by part.
 //!
-//! Input: a mapping, samples, what steps are metered under. Output: the run, and its rows in the
-//! order of the samples in a [`StepWriter`]. Sums over rows are the totals of the run, exactly: the
-//! columns count spikes, ps and fJ.
+//! Input: a mapping, samples, settings of the meter. Output: the run, and its rows in the order of
+//! the samples in a [`StepWriter`]. Invariant: rows sum exactly to the totals of the run, since the
+//! columns are integers (ps and fJ).
 //!
-//! Memory is bounded: samples run in parallel in groups of at most [`CELLS`] numbers together; a
-//! longer sample runs alone, and its rows are written as they come.
+//! Memory is bounded: samples run in parallel in groups of at most [`CELLS`] numbers in total. A
+//! longer sample runs alone, and its rows are written during the run.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -22,23 +22,23 @@ use nsim_ir::base::id::Id;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 
-/// Numbers of a group of samples, 8 bytes each.
+/// Maximum number of values of a group of samples, 8 bytes each.
 pub const CELLS: usize = 1 << 22;
-/// Rows of a long sample that are written together.
+/// Number of rows of a long sample that are written in one call.
 const ROWS_TOGETHER: usize = 1 << 10;
 
-/// The columns of a row, and where its numbers come from.
+/// The columns of a row, and the population of each channel and compartment.
 #[derive(Debug, Clone)]
 pub struct StepLayout {
     columns: Vec<Column>,
-    /// For each channel of one copy the population that it is in; then the same for compartments.
+    /// Population of each channel of one copy; then population of each compartment.
     pub(super) channels: Vec<u32>,
     pub(super) compartments: Vec<u32>,
     populations: usize,
 }
 
 impl StepLayout {
-    /// The columns for a network, whose copies count together.
+    /// Returns the columns for a network; rows are sums over its copies.
     pub fn new(network: &Quantised) -> Self {
         let (mut channels, mut compartments, mut columns) = (Vec::new(), Vec::new(), Vec::new());
         let mut add = |name: String, unit| columns.push(Column { name, unit });
@@ -65,20 +65,20 @@ impl StepLayout {
     }
 }
 
-/// A meter that keeps the rows of its sample, or writes them.
+/// A meter that stores the rows of its sample, or writes them.
 pub(super) struct Recorder<'r, 'w> {
     meter: StepMeter,
     pub(super) layout: &'r StepLayout,
-    /// Copies that are run, and copies that there are.
+    /// Number of copies that run, and number of all copies.
     copies: (u64, u64),
-    /// Rows that are not written yet, one after the other.
+    /// Concatenated rows that are not written yet.
     pub(super) cells: Vec<u64>,
-    /// Where rows are written as they come.
+    /// Writer of rows during the run; `None` where rows are stored.
     direct: Option<&'r Mutex<StepWriter<'w>>>,
 }
 
 impl<'r> Recorder<'r, '_> {
-    /// One that keeps the rows of what all copies of a mapping do.
+    /// Returns a recorder that stores rows over all copies of a mapping.
     pub(super) fn kept(metered: &Metered<'_>, settings: Arc<MeterSettings>, layout: &'r StepLayout) -> Self {
         let copies = (metered.copies_run().into(), metered.copies().into());
         Recorder { meter: StepMeter::new(settings), layout, copies, cells: Vec::new(), direct: None }
@@ -101,7 +101,7 @@ impl<'r> Recorder<'r, '_> {
         let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
         self.cells.extend([sum.synaptic_events(), sum.messages_in, hops.links()]);
         self.cells.extend(self.meter.last_time().parts().map(|(_, part)| part.0));
-        // The meter of a recorder has a preset.
+        // The meter of a recorder has at least one preset.
         let energy = self.meter.tables().first().map(|table| energy_of_counts(sum, hops, table));
         let parts = energy.unwrap_or_default().parts();
         self.cells.extend(parts.map(|(_, part)| u64::try_from(part.0).unwrap_or(u64::MAX)));
@@ -148,8 +148,7 @@ impl Meter for Recorder<'_, '_> {
 /// Runs samples on a mapping, meters each step and writes a row for it.
 ///
 /// # Errors
-/// As [`Metered::run`]. That rows cannot be written is for the second result to say; samples after
-/// that are not run.
+/// As [`Metered::run`]. The second result has the error of writing rows; later samples do not run.
 pub fn run_recorded(
     metered: &Metered<'_>,
     settings: MeterSettings,
@@ -188,8 +187,8 @@ pub fn run_recorded(
     Ok((metered.of_all_copies(whole), written))
 }
 
-/// Samples that follow each other and together have at most [`CELLS`] numbers, or one that has
-/// more.
+/// Returns groups of consecutive samples with at most [`CELLS`] numbers in total, or of one longer
+/// sample.
 pub(super) fn groups<'g, 's>(samples: &'g [&'s Sample], columns: usize) -> Vec<&'g [&'s Sample]> {
     let (mut groups, mut start, mut cells) = (Vec::new(), 0, 0);
     for (index, sample) in samples.iter().enumerate() {

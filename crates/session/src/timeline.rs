@@ -1,10 +1,10 @@
-//! One sample, step by step: rows of all copies as [`StepLayout`] has them, spikes and traces of
-//! the first copy.
+//! One sample, step by step: rows of all copies in the columns of [`StepLayout`], spikes and traces
+//! of the first copy.
 //!
-//! Input: a mapping, a sample, what steps are metered under, the compartments of which a quantity
-//! is wanted. Output: a [`Timeline`]. Memory is bounded for any length of the sample and any size
-//! of the network: the first [`MOST_STEPS`] steps, of each population at most [`MOST_UNITS`] units
-//! in equal distances and [`MOST_SPIKES`] spikes; what was omitted is said.
+//! Input: a mapping, a sample, settings of the meter, a quantity and the compartments to trace.
+//! Output: a [`Timeline`]. Memory is bounded for any sample and network. It stores the first
+//! [`MOST_STEPS`] steps and, of each population, at most [`MOST_UNITS`] equally spaced units and
+//! [`MOST_SPIKES`] spikes. Fields report the omissions.
 
 use std::sync::Arc;
 
@@ -20,21 +20,21 @@ use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::spikes::Sample;
 
-/// Steps that are stored.
+/// Maximum number of stored steps.
 pub const MOST_STEPS: u32 = 1 << 15;
-/// Units of a population whose spikes are stored.
+/// Maximum number of units of a population whose spikes are stored.
 pub const MOST_UNITS: u32 = 400;
-/// Spikes of a population that are stored.
+/// Maximum number of stored spikes of a population.
 pub const MOST_SPIKES: usize = 40_000;
 
 /// Spikes of some units of a population.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Raster {
-    /// The population, by its place in the network.
+    /// The population, by its index in the network.
     pub population: usize,
-    /// Units of the population.
+    /// Number of units of the population.
     pub units: u32,
-    /// One unit in this many is stored.
+    /// One unit in `every` is stored.
     pub every: u32,
     /// (step, unit), ascending by step.
     pub spikes: Vec<(u32, u32)>,
@@ -42,22 +42,22 @@ pub struct Raster {
     pub cut: bool,
 }
 
-/// What happened in the steps of a sample.
+/// Rows, spikes and traces of the steps of a sample.
 #[derive(Debug, Clone)]
 pub struct Timeline {
-    /// Steps that are stored, and steps of the sample.
+    /// Number of stored steps, and of steps of the sample.
     pub steps: (u32, u32),
     /// Columns of a row.
     pub layout: StepLayout,
     /// A row for each stored step, in the integers of its columns' units.
     pub rows: Vec<u64>,
-    /// By population, in the network's order.
+    /// Spikes by population, in the network's order.
     pub rasters: Vec<Raster>,
-    /// The quantity of the compartments that were asked for, `[compartments][steps]`.
+    /// The quantity of the traced compartments, `[compartments][steps]`.
     pub traces: Vec<Vec<i32>>,
 }
 
-/// Keeps rows and spikes of a sample.
+/// A meter that stores rows and spikes of a sample.
 struct Watch<'w> {
     recorder: Recorder<'w, 'w>,
     /// The first channel or compartment of each population.
@@ -67,7 +67,7 @@ struct Watch<'w> {
 }
 
 impl Watch<'_> {
-    /// Keeps a spike, by the population of each source; of other copies' sources there is none.
+    /// Stores a spike; `populations` has the population of each source of the first copy only.
     fn keep(&mut self, populations: &[u32], source: usize) {
         let Some(&population) = populations.get(source) else { return };
         let (unit, raster) = (source as u32 - self.firsts[population as usize], &mut self.rasters[population as usize]);
@@ -89,7 +89,7 @@ impl Meter for Watch<'_> {
         self.steps += passed.steps;
     }
 
-    /// There is one sample: what is merged into is a meter that saw nothing.
+    /// There is one sample, so `self` is an empty meter.
     fn merge(&mut self, other: Self) {
         self.recorder.merge(other.recorder);
         (self.rasters, self.steps) = (other.rasters, other.steps);

@@ -1,9 +1,8 @@
-//! What a user should be warned of after a run, each with the one change that would help most.
+//! Warnings after a run, each with the one change that helps most.
 //!
-//! Input: a network, what its populations did, the samples that it was shown. Output: warnings in
-//! the order of the populations. A silent population is shown the samples with most spikes once
-//! more, to measure how near it came to firing: the share of the threshold that it reached is the
-//! change to make.
+//! Input: a network, the counts of its populations, its samples. Output: warnings in the order of
+//! the populations. For a silent population, the samples with most spikes run again. They measure
+//! the share of the threshold that it reached, which gives the change to make.
 
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
@@ -25,14 +24,14 @@ use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
 
-/// Something about a run that its user should look at.
+/// A finding about a run that its user should check.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Warning {
-    /// What kind: `silent-population`, `silent-output`, `clipped`, `wrapped` or `weights-rounded`.
+    /// Its kind: `silent-population`, `silent-output`, `clipped`, `wrapped` or `weights-rounded`.
     pub code: &'static str,
     /// The population that it is about.
     pub population: Option<String>,
-    /// What was seen, and what to change.
+    /// The observation, and the advised change.
     pub message: String,
 }
 
@@ -52,24 +51,24 @@ pub enum Ran<'a> {
 pub struct Finished<'a> {
     /// The network; of several copies, one.
     pub network: &'a Quantised,
-    /// On what it ran.
+    /// The engine.
     pub ran: Ran<'a>,
-    /// What it did.
+    /// Its counts by population.
     pub sums: &'a ByPopulation,
-    /// What it was shown.
+    /// The input samples.
     pub samples: &'a [&'a Sample],
-    /// What came out of each.
+    /// Outcome of each sample.
     pub outcomes: &'a [Outcome],
 }
 
-/// With more synapses, or more potentials to read, no sample is run again.
+/// Maximum number of synapses, and of potentials to read, for which samples run again.
 const MOST_AGAIN: u64 = 4_000_000;
-/// Rounding of real weights by a greater share of the greatest weight is worth a warning: half a
-/// step of 5 bits and a sign.
+/// Rounding error of real weights, as a share of the greatest weight, above which a warning
+/// follows: half a step of 5 bits and a sign.
 const COARSE: f64 = 1.0 / 64.0;
-/// This many samples are run again.
+/// Maximum number of samples that run again.
 const SAMPLES_AGAIN: usize = 20;
-/// Names that a warning lists at most.
+/// Maximum number of names in a warning.
 const LISTED: usize = 5;
 
 /// The compartment of a silent population that came nearest to its threshold.
@@ -88,7 +87,7 @@ impl Nearest {
     }
 }
 
-/// What to warn of.
+/// Returns the warnings of a run, in the order of the populations.
 pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
     let mut found = Vec::new();
     let network = run.network;
@@ -107,7 +106,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         let by_potential = is_output && network.parts().decision != ReadOut::Spikes;
         let mut add = |code, message| found.push(Warning { code, population: Some(row.name.clone()), message });
         if by_potential {
-            // That such an output never spikes is as it should be.
+            // An output that decides by its potentials may be silent.
             if let Some(message) = still(run, &spiking, id) {
                 add("silent-output", message);
             }
@@ -118,7 +117,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         } else if is_output && let Some(message) = silent_classes(run) {
             add("silent-output", message);
         }
-        // A negative voltage that is clipped, or one that a spike sets to zero, is not missed.
+        // Clipping a negative voltage, or a voltage that a spike resets to zero, is harmless.
         if row.cut > 0 {
             let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
             let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);
@@ -145,7 +144,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
     found
 }
 
-/// The warnings of a mapped network that is shown samples, where no caller has counted yet.
+/// Runs samples on a mapped network and returns its warnings, for callers without counts.
 ///
 /// # Errors
 /// As [`fast`].
@@ -156,7 +155,7 @@ pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Samp
     Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))
 }
 
-/// Why the potentials of the output that they should decide by never leave zero.
+/// Returns why the potentials that should decide the output stay 0; `None` otherwise.
 fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
     let why = || {
@@ -167,14 +166,14 @@ fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option
     (!decided && !run.outcomes.is_empty()).then(|| format!("{what}: {}", why()))
 }
 
-/// Why nothing reaches a population; `None` where something does. Populations and inputs with
-/// spikes are given by name.
+/// Returns why nothing reaches a population; `None` where input reaches it. `spiking` has the names
+/// of populations and inputs with spikes.
 fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let network = run.network;
     let populations = network.populations();
     let sources: BTreeSet<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
     let fired = |source: &PopulationId| spiking.contains(populations[*source].name.as_str());
-    // By a bias or a child.
+    // Driven by a bias or a child compartment.
     let driven = populations[id].any_neuron(|neuron| neuron.bias_mant.get() != 0 || neuron.stack.pops.is_some());
     if sources.is_empty() && !driven {
         return Some("no projection leads to it; add one, or a bias".to_string());
@@ -187,7 +186,7 @@ fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Op
     None
 }
 
-/// What makes a silent population fire.
+/// Returns the change that makes a silent population fire.
 fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: Option<Nearest>) -> String {
     let network = run.network;
     if let Some(why) = unreached(run, spiking, id) {
@@ -228,7 +227,7 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
     }
 }
 
-/// The threshold at which the nearest compartment would have fired.
+/// Returns the change at which the nearest compartment would have fired.
 fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
     let vth = nearest.neuron.vth.get();
     let below = if test == ThresholdTest::Strict { nearest.potential - 1 } else { nearest.potential };
@@ -247,8 +246,8 @@ fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
     }
 }
 
-/// The nearest compartment of each of these populations in the samples with most spikes; none where
-/// that would take long to find.
+/// Returns the nearest compartment of each of these populations, in the samples with most spikes.
+/// Empty where the search would take too long.
 fn nearest(run: Finished<'_>, silent: &[PopulationId]) -> Vec<Option<Nearest>> {
     let network = run.network;
     let size = |&id: &PopulationId| u64::from(network.populations()[id].shape.len());
@@ -311,7 +310,7 @@ fn watched(
     best
 }
 
-/// The population of the first value that left its field, and where that was.
+/// Returns the population of the first overflow, and a text with its place.
 fn first_overflow(run: Finished<'_>) -> Option<(PopulationId, String)> {
     let firsts = run.outcomes.iter().enumerate();
     let (sample, (step, compartment)) = firsts.filter_map(|(i, outcome)| Some((i, outcome.overflow.first?))).next()?;
@@ -320,7 +319,7 @@ fn first_overflow(run: Finished<'_>) -> Option<(PopulationId, String)> {
     Some((population, format!(", first at compartment {index}, sample {sample}, step {step}")))
 }
 
-/// Outputs that never spike though samples of their class were shown.
+/// Returns a message on outputs that never spike although the run has samples of their class.
 fn silent_classes(run: Finished<'_>) -> Option<String> {
     let mut silent: BTreeSet<u32> = run.samples.iter().filter_map(|sample| sample.label()).collect();
     let fired =
@@ -344,15 +343,15 @@ fn silent_classes(run: Finished<'_>) -> Option<String> {
 const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vth_mant and bias_mant: the same spikes \
                      at half the values";
 
-/// What leaves room to voltages above.
+/// Returns the advice that raises the upper bound of voltages.
 pub fn widen(network: &Quantised, id: PopulationId) -> String {
     let narrow = network.populations()[id].any_neuron(|neuron| neuron.vmax < VmaxExponent::MAX);
     if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
 }
 
-/// Projections into a population all of whose weights were rounded.
+/// Returns a message on the projections into a population whose weights were all rounded.
 fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
-    // Real numbers are hardly ever multiples of a step: what counts is how coarse the steps are.
+    // Real weights are hardly ever multiples of a step, so the size of the steps counts.
     let whole = |note: &&Note| {
         note.rounded.is_some_and(|rounded| {
             rounded.changed == rounded.weights && (!rounded.real || rounded.worst_share > COARSE)

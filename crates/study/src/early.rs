@@ -1,4 +1,4 @@
-//! How soon a network decides as it will in the end.
+//! Accuracy over time, and the time since which a decision stays right.
 //!
 //! Input: outcomes of labelled samples. Output: accuracy after each step.
 
@@ -7,14 +7,14 @@ use nsim_session::Outcome;
 use nsim_session::error::Error;
 use nsim_train::loss::class_of;
 
-/// One model on its samples.
+/// Results of one model on its samples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Trial {
     /// Milliseconds of a timestep.
     pub timestep_ms: f64,
-    /// Share of the samples that are right on the spikes up to each step.
+    /// Share of the samples whose class is right by the spikes up to each step.
     pub accuracy: Vec<f64>,
-    /// For each sample when it was right for good; `None` where it never is.
+    /// For each sample the time since which it stays right, ms; `None` if it ends wrong.
     pub decided_ms: Vec<Option<f64>>,
 }
 
@@ -22,7 +22,7 @@ impl Trial {
     /// Accuracy over samples of this many steps.
     ///
     /// # Errors
-    /// [`Error::Usage`] for a sample without a label.
+    /// [`Error::Usage`] for a sample without a label, or a model that potentials decide.
     pub fn new(samples: &[&Sample], outcomes: &[Outcome], timestep_ms: f64, steps: usize) -> Result<Trial, Error> {
         let mut trial = Trial { timestep_ms, accuracy: vec![0.0; steps], decided_ms: Vec::new() };
         let share = 1.0 / samples.len().max(1) as f64;

@@ -1,11 +1,11 @@
-//! Ladders: run time a synaptic event along one property of a network or a run, to find cliffs.
+//! Ladders: run time of a synaptic event along one property of a network or a run, to find cliffs.
 //!
-//! Input: a seed, which determines what a ladder holds fixed. Output: for each rung the time of an
-//! event, the goal, and whether it is a *cliff*. The goal is that of its class and of the updates
-//! between two events. A cliff takes more than [`CLIFF`] times as long as a neighbour, where its
-//! goal is not longer; where it is, as many times more. Times are those of a run as users start it,
-//! sums of counts included. On several threads a time is that of all threads together. Errors: a
-//! network that does not map, a fault.
+//! Input: a seed, which determines the fixed properties of a ladder. Output: for each rung the time
+//! of an event, the goal, and whether it is a *cliff*. The goal is the sum of the goals of the
+//! class and of the updates between two events. A cliff takes more than [`CLIFF`] times as long as
+//! a neighbour; a goal longer than the neighbour's raises this limit in proportion. Times include
+//! all of a user's run, also sums of counts. On several threads a time is the total of all threads.
+//! Errors: a network that does not map, an internal error.
 
 use nsim_compile::{Options, Strategy, compile};
 use nsim_files::target::load_target;
@@ -22,14 +22,14 @@ use crate::networks::delivery::{NEVER, silent};
 use crate::networks::layers::Layers;
 use crate::networks::{BuildError, random_synapses};
 
-/// How much longer than a neighbour a cliff takes.
+/// Ratio of a cliff's time to a neighbour's, at least.
 pub const CLIFF: f64 = 2.5;
 /// The goal of a compartment's update, in nanoseconds: a million compartments in 0.57 ms, as
 /// `nsim bench step` measured `silent-1m` without skipping (AVX-512, `docs/benchmarks.md`).
 const UPDATE_NS: f64 = 0.6;
 /// Runs of a rung, of which the fastest counts: other programs only make runs longer.
 const REPEATS: usize = 15;
-/// Synaptic events of a run, about.
+/// Approximate number of synaptic events of a run.
 const EVENTS: u64 = 12_000_000;
 /// The longest delay of a ladder.
 const LONGEST: u32 = 60;
@@ -39,9 +39,9 @@ const TARGET: &str = "pohoiki-springs";
 /// A kind of connections, which has a goal of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Class {
-    /// Random synapses, of this many delays.
+    /// Random synapses, over this number of delays.
     Lists { fan_out: u32, delays: u32 },
-    /// All to all.
+    /// Dense synapses.
     Dense,
     /// A square kernel of this side, to all channels or each to its own.
     Convolution { kernel: u32, depthwise: bool },
@@ -61,10 +61,10 @@ impl Class {
     }
 }
 
-/// A rung of a ladder: what is run, and how.
+/// A rung of a ladder: a network and the settings of its run.
 #[derive(Debug, Clone)]
 pub struct Rung {
-    /// What differs along the ladder.
+    /// Property that differs along the ladder.
     pub ladder: &'static str,
     /// Its value here.
     pub at: String,
@@ -81,10 +81,10 @@ pub struct Rung {
     seed: u64,
 }
 
-/// What was measured of a rung.
+/// Measurements of a rung.
 #[derive(Debug, Clone, serde::Serialize)]
 pub struct Row {
-    /// What differs along the ladder.
+    /// Property that differs along the ladder.
     pub ladder: &'static str,
     /// Its value here.
     pub at: String,
@@ -93,17 +93,17 @@ pub struct Row {
     /// Synaptic events of a run.
     #[serde(rename = "synaptic_events")]
     pub events: u64,
-    /// Nanoseconds of a thread for each.
+    /// Thread time of an event, nanoseconds.
     pub ns_an_event: f64,
-    /// The goal: of the class, and of the updates of compartments that an event comes with.
+    /// Goal in nanoseconds: of the class, plus the compartment updates of an event.
     #[serde(rename = "goal_ns")]
     pub goal: f64,
-    /// Whether it takes too long for its neighbours.
+    /// Whether it takes too long compared with its neighbours.
     #[serde(rename = "cliff")]
     pub is_cliff: bool,
 }
 
-/// The rungs of all ladders, generated from this seed, for up to this many threads.
+/// The rungs of all ladders, generated from `seed`, for up to `threads` threads.
 pub fn rungs(seed: u64, threads: usize) -> Vec<Rung> {
     let mut rungs = Vec::new();
     let base = |ladder: u64| {
@@ -193,7 +193,7 @@ impl Rung {
         Ok(net.build()?)
     }
 
-    /// Samples with about [`EVENTS`] synaptic events, of a network with this many channels.
+    /// Samples with about [`EVENTS`] synaptic events, for a network of `channels` channels.
     fn samples(&self, channels: u32, synapses: u64) -> Result<Vec<Sample>, BuildError> {
         let spikes = (u64::from(channels) * self.per_mille / 1_000).max(1);
         let events_a_step = spikes * (synapses / u64::from(channels)).max(1);
@@ -212,7 +212,7 @@ impl Rung {
     /// Maps and runs it.
     ///
     /// # Errors
-    /// [`Error::Fault`]: a rung fits its target.
+    /// [`Error::Fault`], an internal error, since every rung fits its target.
     pub fn measure(&self) -> Result<Row, Error> {
         let fault = |error: &dyn std::fmt::Display| Error::Fault(format!("{} {}: {error}", self.ladder, self.at));
         let network = self.build().map_err(|error| fault(&error))?;
@@ -231,7 +231,7 @@ impl Rung {
         let events = runs[0].1.sum().synaptic_events();
         let seconds = runs.iter().map(|run| run.0).fold(f64::INFINITY, f64::min);
         let ns_an_event = seconds * 1e9 * self.threads as f64 / events.max(1) as f64;
-        // In the order of the file a core holds a part of one channel, which is a list.
+        // With the sequential strategy a core has a part of one channel, which becomes a list.
         let class = match (self.class, self.strategy) {
             (Class::Convolution { .. }, Strategy::Sequential) => Class::Lists { fan_out: 1, delays: 1 },
             (class, _) => class,

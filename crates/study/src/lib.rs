@@ -1,11 +1,10 @@
-//! How fast the machine is, and how good mappings are: standard networks, steps of them measured,
-//! and mapped.
+//! Speed of the machine and quality of mappings, measured on standard networks.
 //!
-//! Input: the name of a standard network. Output: medians with their spread, along with what a step
-//! did and the machine it was measured on. What a figure is good for, and how it was taken:
-//! `docs/benchmarks.md`.
+//! Input: the name of a standard network. Output: medians with their spread, the counts of a step,
+//! and the machine of the measurement. `docs/benchmarks.md` describes the meaning and the method of
+//! each figure.
 //!
-//! There are no goals here: documents say whether a figure is good.
+//! Only [`ladders`] have goals: for other figures, documents say whether they are good.
 
 pub mod early;
 pub mod ladders;

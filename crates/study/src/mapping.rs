@@ -1,10 +1,10 @@
 //! Mappings of the suite's networks, measured.
 //!
-//! Input: a network and how to map it. Output: a [`MeasuredMapping`] for each way: what it uses,
-//! how far spikes go at an assumed rate, and what a simulated step of it costs in energy and time.
-//! Every mapping has passed the checker, and its spikes over the input are compared with those of
-//! the golden interpreter; one that differs is an error, not a row. A network that is mapped by its
-//! kernels is not run, and its energy and time are the expected ones.
+//! Input: a network and how to map it. Output: a [`MeasuredMapping`] for each combination of
+//! options: its resources, spike traffic at an assumed rate, energy and time of a simulated step.
+//! Every mapping has passed the checker. Spikes that differ from the golden interpreter's are an
+//! error, not a row. A network that is mapped by its kernels is not run, and its energy and time
+//! are the expected ones.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -26,16 +26,16 @@ use nsim_session::error::Error;
 use nsim_session::priced::Metered;
 use nsim_session::ranks::peak_mib;
 
-/// A mapping and what it is worth.
+/// Measurements of a mapping.
 #[derive(Debug, Clone)]
 pub struct MeasuredMapping {
     /// The network.
     pub network: &'static str,
-    /// How compartments were assigned to cores.
+    /// Strategy by which compartments were assigned to cores.
     pub strategy: Strategy,
     /// Whether cores were placed by traffic.
     pub placed: bool,
-    /// What for.
+    /// Objective of the mapping.
     pub objective: Objective,
     /// Cores in use.
     pub cores: u32,
@@ -55,7 +55,7 @@ pub struct MeasuredMapping {
     pub peak_mib: Option<f64>,
 }
 
-/// Why there is no row: none of these happens to a network of the suite.
+/// Error in place of a row; it happens to no network of the suite.
 fn fault(case: &SuiteCase, strategy: Strategy, problem: impl std::fmt::Display) -> Error {
     Error::Fault(format!("{} {}: {problem}", case.name, strategy.name()))
 }
@@ -71,7 +71,7 @@ fn golden(network: &Quantised, sample: &Sample) -> Vec<Vec<u32>> {
     (0..STEPS).map(step).collect()
 }
 
-/// The ways in which every network is mapped.
+/// Strategies, objectives and placements (by traffic or not) of every network's mappings.
 pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
     (Strategy::Sequential, Objective::Cores, &[false, true]),
     (Strategy::Greedy, Objective::Cores, &[false, true]),
@@ -79,10 +79,10 @@ pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
     (Strategy::Multilevel, Objective::Latency, &[true]),
 ];
 
-/// The ways in which a network is mapped whose synapses are not written out.
+/// Entries of [`WAYS`] for networks whose synapses are not listed.
 const IN_BOXES: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
 
-/// Every way of mapping a case; `row` gets each as soon as it is there.
+/// Maps a case in all ways; calls `row` with each result as soon as it is ready.
 ///
 /// # Errors
 /// [`Error::Fault`], which no network of the suite gives.
@@ -117,7 +117,7 @@ pub fn map_all(
         // Both placements share one partition, unless a second copy of it takes gigabytes.
         let partitioned = if !in_boxes && objective == Objective::Cores {
             match front().and_then(|front| front.partition(target, &options, rates)) {
-                // Layers that only fit in tiles have no row in the order of the file.
+                // Layers that only fit in tiles have no row for the sequential strategy.
                 Err(CompileError::DoesNotFit(_)) if strategy == Strategy::Sequential => continue,
                 partitioned => Some(partitioned.map_err(failed)?),
             }
@@ -182,7 +182,7 @@ fn simulated(
     let strategy = compiled.options.strategy;
     let (settings, deployment) =
         Metered::new(compiled).offline(target).map_err(|error| fault(case, strategy, error))?;
-    // Every core runs, so that routes are those of the program itself.
+    // Every core runs, so the routes are the program's.
     let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
     let cores = settings.tables[0].core_static_power.milliwatts() * deployment.cores_used as f64;
     let mut meter = StepMeter::new(MeterSettings { routes, ..settings });
@@ -193,7 +193,7 @@ fn simulated(
     for step in 0..STEPS {
         machine.step(sample.input(step));
         let copies = (0..case.copies).flat_map(|k| meant[step as usize].iter().map(move |id| id + k * of_copy));
-        // Those of relays are not the network's.
+        // Spikes of relays are skipped: the network has none.
         let spikes = machine.ascending_spikes();
         if !spikes.iter().map(|id| id.0).filter(|id| id % of_copy < own).eq(copies) {
             return Err(fault(case, strategy, format!("step {step} has other spikes than golden")));
@@ -208,8 +208,8 @@ fn simulated(
     Ok((dynamic + cores * time * 1e-3, time))
 }
 
-/// Lets the peak of memory begin anew, where Linux allows it.
+/// Resets the peak of memory, where Linux allows it.
 fn reset_peak() {
-    // Where it is not allowed the peak of everything before counts too, and is at worst too large.
+    // Where this fails, the peak includes earlier work and is at worst too large.
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }

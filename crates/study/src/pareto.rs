@@ -2,12 +2,12 @@
 //!
 //! Input: a network as it was trained, the converted form of its spike response populations,
 //! samples. Output: a [`VariantRow`] for each [`Variant`]: microseconds a timestep on one thread,
-//! and how far its spikes and potentials are from the trained network in doubles. Variants that
-//! claim to be exact are held against the golden interpreter besides; for them
-//! [`VariantRow::exact`] must be true.
+//! and the distance of its spikes and potentials from the trained network in doubles. Variants that
+//! claim to be exact are also compared with the golden interpreter; for them [`VariantRow::exact`]
+//! must be true.
 //!
-//! A timestep is one of the samples' own, also where a variant merges or leaves off steps. Only
-//! runs are timed, not what makes a variant ready.
+//! A timestep is a step of the sample, also where a variant merges or skips steps. Only runs are
+//! timed, not the preparation of a variant.
 
 use std::hint::black_box;
 use std::num::NonZeroU32;
@@ -41,7 +41,7 @@ use nsim_session::obtain::mapped_as_usual;
 use nsim_session::priced::Metered;
 use nsim_session::{Keep, run_sample};
 
-/// A form of the network, and a way to run it.
+/// A form of the network, and an engine that runs it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Variant {
     /// In real numbers.
@@ -51,7 +51,7 @@ pub enum Variant {
         /// Truncated kernels by convolution instead of exact ones by recursion.
         convolution: bool,
     },
-    /// The slow interpreter.
+    /// The golden interpreter.
     Golden,
     /// The machine.
     Fast {
@@ -60,7 +60,7 @@ pub enum Variant {
     },
     /// The machine with every step metered, energy and time under this model of the mesh.
     Metered(Transport),
-    /// The machine with weights of this many bits; 1 is two values of one size.
+    /// The machine with weights of this many bits; 1: a sign, with one size for a projection.
     WeightBits(u8),
     /// The machine with decays of this many bits.
     DecayBits(u8),
@@ -71,7 +71,7 @@ pub enum Variant {
 }
 
 impl Variant {
-    /// Every variant that a network has; those by convolution only with spike response neurons.
+    /// All variants of a network; convolution needs spike response neurons.
     pub fn all(srm: bool) -> Vec<Variant> {
         let mut all = Vec::new();
         for single in [false, true] {
@@ -111,15 +111,15 @@ impl Variant {
     }
 }
 
-/// What was measured of a variant.
+/// Measurements of a variant.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct VariantRow {
     /// The variant.
     #[serde(serialize_with = "by_name")]
     pub variant: Variant,
-    /// Median of the repeats.
+    /// Median of the repeats, microseconds.
     pub us_per_timestep: f64,
-    /// Distance of the quartiles.
+    /// Interquartile range of the repeats.
     pub spread: f64,
     /// Share of samples with the class of the trained network, of those that both decide.
     pub class_agreement: Option<f64>,
@@ -127,13 +127,13 @@ pub struct VariantRow {
     pub coincidence: f64,
     /// Potentials over all layers in thresholds; none where steps do not correspond.
     pub potential_rmse: Option<f64>,
-    /// Whether no other variant is faster and nearer.
+    /// Whether no other variant is both faster and nearer to the trained network.
     pub on_front: bool,
     /// Share of right classes, when samples have labels.
     pub accuracy: Option<f64>,
     /// For variants that claim it: whether every spike is the golden interpreter's.
     pub exact: Option<bool>,
-    /// Repeats.
+    /// Number of repeats.
     pub repeats: usize,
 }
 
@@ -141,12 +141,12 @@ fn by_name<S: serde::Serializer>(variant: &Variant, serializer: S) -> Result<S::
     serializer.serialize_str(&variant.name())
 }
 
-/// A variant that contradicts itself.
+/// Error of an inconsistent variant.
 fn wrong(problem: impl std::fmt::Display) -> Error {
     Diagnostic::new("pareto.variant", problem.to_string()).into()
 }
 
-/// A network with everything that its variants share.
+/// A network with the data that its variants share.
 pub struct Subject<'a> {
     graph: &'a Graph,
     deployed: Quantised,
@@ -162,7 +162,7 @@ pub struct Subject<'a> {
 }
 
 impl<'a> Subject<'a> {
-    /// Makes a network ready: runs it as trained and on the golden interpreter.
+    /// Prepares a network: runs it as trained and on the golden interpreter.
     ///
     /// # Errors
     /// As [`quantise`].
@@ -271,7 +271,7 @@ impl<'a> Subject<'a> {
         Ok(self.row(variant, &self.real_traces(&model), times))
     }
 
-    /// A network on the machine, which is given samples with `merged` steps in one.
+    /// Measures a network on the machine, with `merged` steps of each sample in one.
     fn machine(&self, variant: Variant, network: &Quantised, merged: u32) -> Result<VariantRow, Error> {
         let compiled = mapped_as_usual(network.clone(), self.target)?;
         let image = Image::new(&compiled.program, 1).map_err(wrong)?;
@@ -367,7 +367,7 @@ pub fn on_front(points: &[(f64, f64)]) -> Vec<bool> {
     on
 }
 
-/// Marks the rows that no other is faster and nearer than; distance is 1 minus the coincidence.
+/// Marks the rows on the front of run time and distance, which is 1 minus the coincidence.
 pub fn mark_front(rows: &mut [VariantRow]) {
     let points: Vec<(f64, f64)> = rows.iter().map(|row| (row.us_per_timestep, 1.0 - row.coincidence)).collect();
     rows.iter_mut().zip(on_front(&points)).for_each(|(row, on)| row.on_front = on);
@@ -381,7 +381,7 @@ fn drive<E: Engine>(engine: &mut E, sample: &Sample) {
     }
 }
 
-/// The sample with this many steps in one: a channel that spikes in any of them spikes.
+/// The sample with `steps` steps in one: a channel that spikes in any of them spikes.
 fn merge(sample: &Sample, steps: u32) -> Sample {
     if steps == 1 {
         return sample.clone();
@@ -426,7 +426,7 @@ fn weights(kind: &ProjectionKind) -> Vec<f64> {
     match kind {
         ProjectionKind::Dense { weights } | ProjectionKind::Conv2d { weights, .. } => weights.reals().collect(),
         ProjectionKind::Sparse { synapses } => synapses.iter().map(|synapse| synapse.2).collect(),
-        // These stay as they are.
+        // Their weights are not changed.
         ProjectionKind::SumPool2d { .. } | ProjectionKind::Random { .. } => Vec::new(),
     }
 }
@@ -442,8 +442,8 @@ fn with_neurons(network: &Quantised, f: impl Fn(Neuron) -> Result<Neuron, OutOfR
     Quantised::new(parts).map_err(wrong)
 }
 
-/// The network for steps that are this many times as long: the share left by a step is raised to
-/// this power; the threshold is divided, since the current is added once instead of so often.
+/// The network for steps `steps` times as long: the fraction kept by a step is raised to this
+/// power. The threshold is divided, since the current is added once instead of `steps` times.
 fn slower(network: &Quantised, steps: u32) -> Result<Quantised, Error> {
     let decay = |d: Decay| {
         let keep = libm::pow(1.0 - f64::from(d.get()) / 4096.0, f64::from(steps));
@@ -486,7 +486,7 @@ mod tests {
         let mut rows = [row(3.0, 1.0), row(1.0, 0.9), row(2.0, 0.8), row(0.5, 0.2), row(1.0, 0.9)];
         mark_front(&mut rows);
         assert_eq!(rows.map(|row| row.on_front), [true, true, false, true, true]);
-        // Against every pair, with equal points and equal numbers.
+        // Compared with a search over all pairs, with equal points and equal coordinates.
         let points: Vec<(f64, f64)> =
             (0..400u32).map(|k| (f64::from(k * 7919 % 23), f64::from(k * 104_729 % 31 / 2))).collect();
         let beaten = |own: &(f64, f64)| points.iter().any(|p| p.0 <= own.0 && p.1 <= own.1 && p != own);

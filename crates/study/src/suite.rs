@@ -1,8 +1,8 @@
-//! The networks on which mappings are compared, as code.
+//! Networks on which mappings are compared, as code.
 //!
-//! Input: a name. Output: the network in integers, a short input, and the board. Sizes are those of
-//! published networks where there is one; weights are random (`base::rng`), because places do not
-//! depend on them.
+//! Input: a name. Output: the network in integers, a short input, and the board. Sizes follow
+//! published networks where there are any. Weights are random (`base::rng`), because placement does
+//! not depend on them.
 //!
 //! - `vtsnn-slip`, `container-tactile`: 156 / 3,150 -> 50 / 10 -> 2 and 78 -> 32 -> 20, dense;
 //!   `vtsnn-slip-x32`: 32 copies of the first, which share nothing.
@@ -17,13 +17,12 @@
 //! - `conv-33x100`: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x 49, 36 @ 7 x 24 and
 //!   64 @ 3 x 11, one more to 64 @ 1 x 9, then 200, 100, 50, 10, 1.
 //! - `mlp-3x1024`: 784, three layers of 1,024, 10.
-//! - `conv-10m`: that of [`crate::networks`].
+//! - `conv-10m`: the network of [`crate::networks`].
 //! - `random-N`: N compartments, each with a driving channel and 64 random synapses
 //!   ([`crate::networks::random`]).
-//! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 32
-//!   nearest of its square neighbourhood; one synapse in fifty goes to any other instead (Watts &
-//!   Strogatz 1998, whose small worlds have between one in a hundred and one in ten, on a sheet
-//!   instead of a ring).
+//! - `small-world-N`: N compartments on a square sheet, numbered row by row, each joined to the 36
+//!   nearest; one synapse in fifty goes to any other instead (Watts & Strogatz 1998, whose small
+//!   worlds have between one in a hundred and one in ten, on a sheet instead of a ring).
 //! - `fly-140k`: as many compartments as the connectome of a fly (FlyWire, Dorkenwald et al. 2024)
 //!   and some 14 million weighted connections. Degrees have heavy tails: out-degrees are sampled
 //!   from a Pareto distribution with exponent 1.6 from 40 to 10,000, in-degrees fall as 1 / sqrt(j)
@@ -43,7 +42,7 @@ use nsim_ir::quantised::connectivity::Connectivity;
 
 /// Steps of input: enough for spikes to reach every layer.
 pub const STEPS: u32 = 16;
-/// Of each channel, one step in this many has a spike.
+/// Reciprocal of the probability that a channel spikes in a step.
 const RARE: u64 = 20;
 
 /// A network to map.
@@ -51,9 +50,9 @@ const RARE: u64 = 20;
 pub struct SuiteCase {
     /// Its name in results.
     pub name: &'static str,
-    /// Copies.
+    /// Number of copies.
     pub copies: u32,
-    /// Whether it is skipped unless everything is asked for.
+    /// Whether it is skipped unless all networks are requested.
     pub large: bool,
     /// Whether it is mapped with relays.
     pub relays: bool,
@@ -178,12 +177,12 @@ fn listed(
     bench(net, if compartments > 50_000 { "pohoiki-springs" } else { "nahuku-32" })
 }
 
-/// Synapses of a compartment of the networks below.
+/// Synapses of a compartment of scale-free networks; small worlds have 4 more.
 const FAN_OUT: u32 = 32;
 
 fn small_world(name: &'static str, side: u32) -> Result<BenchNetwork, BuildError> {
     let n = side * side;
-    // The 33 nearest of a square of 7 x 7, without its corners, less the compartment itself.
+    // The 36 places within a distance of sqrt(10), without the compartment itself.
     let near: Vec<(i64, i64)> = (-3..=3i64)
         .flat_map(|y| (-3..=3i64).map(move |x| (y, x)))
         .filter(|&(y, x)| (y, x) != (0, 0) && y * y + x * x <= 10)
@@ -215,7 +214,7 @@ fn hubs(
     listed(name, n, delay, |source, targets| {
         let mut taken = taken.borrow_mut();
         for k in 0..fan_out(source.into()) {
-            // The square of an even number of [0, 1) falls below x with a probability of sqrt(x).
+            // The square of a uniform number of [0, 1) is below x with a probability of sqrt(x).
             let even = rng::unit(seed, u64::from(source), k);
             let rank = (even * even * f64::from(n)) as u64;
             let mut target = (target_of(rank) % u64::from(n)) as u32;

@@ -1,5 +1,5 @@
-//! Kinds of neurons of Loihi 2 as model files state them, with the parameters of the kind that nsim
-//! has, in their order.
+//! Loihi 2 neuron kinds, declared as in a model file, with the parameters of nsim's built-in kinds
+//! in their order.
 
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::neurons::{MicrocodeKind, NeuronKind};
@@ -171,16 +171,16 @@ const RESONATOR: &str = r#"state: [(name: "re", bits: 24, overflow: Clip), (name
             (name: "decay_bits", range: (1, 15), default: 12),
         ],"#;
 
-/// A kind as a model file states it; itself where there is no such text.
+/// Returns the declared form of a kind, or the kind itself where there is none.
 ///
 /// # Panics
-/// When the text of a kind is wrong.
+/// When a declaration is invalid.
 pub fn stated(kind: NeuronKind) -> NeuronKind {
     own(kind.name()).unwrap_or(kind)
 }
 
-/// The kind with this name after `Own`: `AlifAbove` is `Alif` with theta counted from where it
-/// starts, `DeltaEncoder` that of lava's host with the limits of its messages.
+/// Kind whose name is `Own` and `name`. `AlifAbove` is `Alif` with theta relative to its start.
+/// `DeltaEncoder` is the encoder of lava's host with the limits of its messages.
 ///
 /// # Panics
 /// As [`stated`].

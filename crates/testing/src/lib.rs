@@ -1,6 +1,6 @@
 //! Networks and targets for tests, by hand and at random. Nothing here is part of nsim itself.
 
-// What cannot be made for a test fails it.
+// A failure to build a network fails the test.
 #![allow(clippy::unwrap_used)]
 
 pub mod kinds;
@@ -36,13 +36,13 @@ pub fn graph(text: impl AsRef<str>) -> Graph {
     lower(&model(text)).unwrap()
 }
 
-/// Number of its cases that a test takes: all where `NSIM_LONG` is 1, as in `.ci/nightly`, or else
-/// two thirds.
+/// Number of a test's cases to run: all where `NSIM_LONG` is 1, as in `.ci/nightly`, else two
+/// thirds.
 pub fn cases(all: u64) -> u64 {
     if std::env::var_os("NSIM_LONG").is_some_and(|long| long == "1") { all } else { (2 * all).div_ceil(3) }
 }
 
-/// The limits of a Loihi core as the shipped chip has them, with one synapse format more.
+/// Limits of a core of the shipped Loihi chip, with 16 synapse formats.
 pub fn limits() -> Limits {
     static LIMITS: LazyLock<Limits> = LazyLock::new(|| {
         let shipped = load_target("loihi1-chip").unwrap();
@@ -71,13 +71,13 @@ pub fn plain_format() -> SynapseFormat {
     format(0, SignMode::Mixed, 8)
 }
 
-/// A format.
+/// A synapse format without plasticity.
 pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
     let (exponent, bits) = (WeightExponent::new(exponent).unwrap(), WeightBits::new(bits).unwrap());
     SynapseFormat { exponent, sign, bits, port: Port::First, apart: None, plastic: false }
 }
 
-/// The synapses of each source, by target and weight.
+/// Connectivity from a list of (target, weight) for each source.
 pub fn sparse(lists: impl IntoIterator<Item = Vec<(u32, i16)>>) -> Connectivity {
     let (mut first, mut targets, mut weights) = (vec![0], Vec::new(), Vec::new());
     for list in lists {
@@ -100,7 +100,7 @@ pub fn neurons() -> Neurons {
 
 /// Builds a network population by population.
 pub struct Builder {
-    /// What it has so far.
+    /// Parts of the network so far.
     pub parts: Parts,
     channels: u32,
     compartments: u32,
@@ -113,7 +113,7 @@ impl Default for Builder {
 }
 
 impl Builder {
-    /// Nothing yet.
+    /// An empty builder.
     pub fn new() -> Self {
         let parts = Parts { name: "test".to_string(), ..Parts::default() };
         Builder { parts, channels: 0, compartments: 0 }
@@ -130,19 +130,19 @@ impl Builder {
         self.parts.populations.push(Population { name: name.to_string(), shape, units, message: Message::Spike })
     }
 
-    /// An input of this shape.
+    /// Adds an input population of this shape.
     pub fn input_shape(&mut self, name: &str, shape: Shape) -> PopulationId {
         let units = Units::Input(ChannelId(self.channels));
         self.channels += shape.len();
         self.add(name, shape, units)
     }
 
-    /// An input of this many channels.
+    /// Adds an input population with this number of channels.
     pub fn input(&mut self, name: &str, channels: u32) -> PopulationId {
         self.input_shape(name, Shape::Line(channels))
     }
 
-    /// Compartments that are held before this step; the last population is the output.
+    /// Adds compartments that are held before `start_step`; the last population is the output.
     fn compartments(&mut self, name: &str, shape: Shape, neurons: Neurons, start_step: u32) -> PopulationId {
         let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step };
         self.compartments += shape.len();
@@ -150,23 +150,23 @@ impl Builder {
         self.parts.output
     }
 
-    /// Compartments with these parameters.
+    /// Adds compartments with these parameters.
     pub fn loihi_with(&mut self, name: &str, shape: Shape, neurons: Neurons) -> PopulationId {
         self.compartments(name, shape, neurons, 0)
     }
 
-    /// Compartments with parameters of their own, held before this step.
+    /// Adds compartments with parameters of their own, held before `start_step`.
     pub fn each(&mut self, name: &str, shape: Shape, neurons: &[Neuron], start_step: u32) -> PopulationId {
         assert_eq!(shape.len() as usize, neurons.len());
         self.compartments(name, shape, PerCompartment::Each(neurons.to_vec()), start_step)
     }
 
-    /// This many compartments.
+    /// Adds this number of compartments with the parameters of [`neurons`].
     pub fn loihi(&mut self, name: &str, compartments: u32) -> PopulationId {
         self.loihi_with(name, Shape::Line(compartments), neurons())
     }
 
-    /// A projection.
+    /// Adds a projection.
     pub fn connect(
         &mut self,
         (source, target): (PopulationId, PopulationId),
@@ -180,7 +180,7 @@ impl Builder {
         self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
     }
 
-    /// A dense projection of plain weights `f(source, target)`.
+    /// Adds a dense projection of plain weights `f(source, target)`.
     pub fn dense(&mut self, source: PopulationId, target: PopulationId, f: impl Fn(u32, u32) -> i16) {
         let size = |id: PopulationId| self.parts.populations[id].shape.len();
         let (sources, targets) = (size(source), size(target));
@@ -189,7 +189,7 @@ impl Builder {
         self.connect((source, target), plain_format(), 0, Connectivity::Dense { targets, weights });
     }
 
-    /// All to all with plain weights `[target][source]`, as model files have them.
+    /// Adds a dense projection of plain weights `[target][source]`, the order of model files.
     pub fn matrix(&mut self, source: PopulationId, target: PopulationId, delay: i64, weights: &[i64]) {
         let size = |id: PopulationId| self.parts.populations[id].shape.len() as usize;
         let (sources, targets) = (size(source), size(target));
@@ -204,7 +204,7 @@ impl Builder {
         self.parts.reset = Some(Reset { interval, offset });
     }
 
-    /// A random projection of plain weights.
+    /// Adds a random projection of plain weights.
     pub fn random(&mut self, source: PopulationId, target: PopulationId, fan_out: u32, seed: u64) {
         let targets = self.parts.populations[target].shape.len();
         let random = Connectivity::Random { targets, fan_out, low: -64, high: 64, step: 2, seed, first_source: 0 };
@@ -251,7 +251,7 @@ impl Draw {
         self.from(0, 99) < percent
     }
 
-    /// One of these, each as often as another.
+    /// One of these items; each is equally likely.
     pub fn one_of<T: Copy>(&mut self, items: &[T]) -> T {
         items[self.from(0, items.len() as i64 - 1) as usize]
     }

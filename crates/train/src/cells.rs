@@ -1,7 +1,7 @@
 //! The neurons of a layer: the forward pass to potentials and spikes, and the backward pass from
 //! errors at the spikes to errors at the inputs.
 //!
-//! Both kinds are a linear filter of their input followed by a threshold. Arrays are
+//! SRM and Loihi neurons are a linear filter of their input followed by a threshold. Arrays are
 //! `[step][neuron]`, so that the inner loop runs over contiguous memory. Potentials and thresholds
 //! are in the units of the trained weights.
 
@@ -16,10 +16,10 @@ use nsim_reference::kernel::{Alpha, EPSILON, Kernel};
 /// The longest kernel in timesteps.
 const LONGEST: u32 = 100_000;
 
-/// How a potential becomes a spike.
+/// Form of the spike function.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Spiking {
-    /// Spikes and what follows them, as deployed.
+    /// Spikes, resets and refractory responses, as deployed.
     Hard,
     /// The integral of the surrogate, without refractory response or reset, to check gradients.
     Smooth,
@@ -30,11 +30,11 @@ pub enum Spiking {
 pub struct Srm {
     /// Threshold.
     pub theta: f32,
-    /// For each neuron the decay and the gain of its response.
+    /// Decay and gain of each neuron's response.
     pub response: Vec<(f32, f32)>,
     /// Decay and gain of the refractory response, which is negative.
     pub refractory: (f32, f32),
-    /// Instead of the recursions, kernels by step: response and refractory, cut off as SLAYER does.
+    /// Kernels by step in place of the recursions: response and refractory, truncated as by SLAYER.
     pub truncated: Option<(Vec<f32>, Vec<f32>)>,
 }
 
@@ -43,13 +43,13 @@ pub struct Srm {
 pub struct Loihi {
     /// Each compartment's fields.
     pub fields: Vec<Fields>,
-    /// Share of u and of v left by a step, and one over the peak of the response; by compartment.
+    /// Fractions of u and of v kept by a step, and one over the response's peak; by compartment.
     pub leaves: Vec<(f32, f32, f32)>,
     /// Threshold in the units of the trained weights; infinite where the potential is read out.
     pub theta: f32,
-    /// What a trained weight of 1 counts in the units that [`update`] takes.
+    /// Contribution of a trained weight of 1, in the units of [`update`].
     pub weight_unit: f32,
-    /// Which credit is assigned.
+    /// Rule of the credit assignment.
     pub credit: CreditDesc,
 }
 
@@ -65,8 +65,8 @@ pub enum Cells {
 }
 
 impl Srm {
-    /// Neurons with a response each and the refractory response of all; `kernel` says how they are
-    /// applied, the first response being that of all when they are cut off.
+    /// Neurons with one response each and one refractory response for all. `kernel` selects
+    /// recursions or truncated kernels; truncated kernels give all neurons the first response.
     pub fn new(theta: f64, responses: &[Alpha], refractory: Alpha, kernel: Kernel) -> Self {
         let taps = |alpha: &Alpha| alpha.truncated(EPSILON, LONGEST).into_iter().map(|tap| tap as f32).collect();
         let cut = |first| (taps(first), taps(&refractory));
@@ -80,7 +80,7 @@ impl Srm {
 }
 
 impl Loihi {
-    /// Compartments with these fields; a trained weight of 1 counts `weight_unit` units of 64.
+    /// Compartments with these fields; a trained weight of 1 contributes `weight_unit` units of 64.
     pub fn new(fields: Vec<Fields>, theta: f32, weight_unit: f32, credit: CreditDesc) -> Self {
         let leaves = |f: &Fields| {
             let (keep_u, keep_v) = (keep(f.neuron.du), keep(f.neuron.dv));
@@ -88,7 +88,7 @@ impl Loihi {
         };
         let mut leaves: Vec<_> = fields.iter().map(leaves).collect();
         if theta.is_infinite() {
-            // The registers are compared, so their units are equal.
+            // The outputs' registers are compared, so they need one unit.
             let unit = leaves.first().map_or(1.0, |first| first.2);
             leaves.iter_mut().for_each(|leaves| leaves.2 = unit);
         }
@@ -120,7 +120,7 @@ impl Cells {
         }
     }
 
-    /// The register that is read out at a potential of 1 in the units of the trained weights.
+    /// The register value of a potential of 1 in the units of the trained weights.
     pub fn unit(&self) -> f32 {
         match self {
             Cells::Srm(_) => 1.0,
@@ -153,8 +153,8 @@ impl Cells {
         impulse
     }
 
-    /// Steps from a spike of another layer to the update that it enters: a Loihi compartment's
-    /// spike takes one step, an SRM layer answers in the same (its kernel is 0 at 0).
+    /// Steps from a spike of another layer to the update that it enters. A Loihi compartment's
+    /// spike takes one step; an SRM layer responds in the step of the spike (its kernel is 0 at 0).
     pub fn lag(&self) -> usize {
         match self {
             Cells::Srm(_) => 0,
@@ -162,7 +162,7 @@ impl Cells {
         }
     }
 
-    /// Potentials and spikes of a layer whose input in each step is `drive`, `[step][neuron]`; for
+    /// Potentials and spikes of a layer with input `drive` in each step, `[step][neuron]`; for
     /// Loihi cells in the units of [`update`], whole numbers below 2^24.
     pub fn forward(&self, drive: &[f32], surrogate: &Surrogate, spiking: Spiking, trace: &mut Trace) {
         let n = self.count();
@@ -180,9 +180,9 @@ impl Cells {
         }
     }
 
-    /// From the derivative of the loss by each spike (`error`, `[step][neuron]`), or by each
-    /// potential of neurons that never spike, to that by each step's input in the units of the
-    /// trained weights, in place.
+    /// Converts `error`, `[step][neuron]`, in place: from the derivative of the loss by each spike
+    /// to the derivative by each step's input, in the units of the trained weights. For neurons
+    /// that never spike it starts as the derivative by each potential.
     pub fn backward(&self, trace: &Trace, surrogate: &Surrogate, error: &mut [f32]) {
         if self.theta().is_finite() && !matches!(self, Cells::Loihi2(_)) {
             error.iter_mut().zip(&trace.potential).for_each(|(e, &u)| *e *= surrogate.slope(u));
@@ -222,7 +222,7 @@ impl Srm {
                 }
                 Some((_, kernel)) => {
                     for (k, &nu) in kernel.iter().enumerate().skip(1).take_while(|&(k, _)| k <= t) {
-                        // A spike is known by its state; potentials of the past already hold their
+                        // The state marks spikes; earlier potentials already include their
                         // refractory part.
                         for (u, &state) in now.iter_mut().zip(&trace.state[(t - k) * n..]) {
                             if state == SPIKED {
@@ -276,7 +276,7 @@ impl Srm {
         }
     }
 
-    /// The correlation with `eps`: the same filter, run backward.
+    /// The correlation with `eps`: this filter, run backward in time.
     fn correlate(&self, error: &mut [f32]) {
         let n = self.response.len();
         if let Some((kernel, _)) = &self.truncated {
@@ -355,7 +355,7 @@ impl Loihi {
         for (e, s) in error.rchunks_exact_mut(n).zip(state.rchunks_exact(n)) {
             for j in 0..n {
                 let (a, b, gain) = self.leaves[j];
-                // A spike erases the voltage so far; while it is held nothing enters it.
+                // A spike erases the earlier voltage; a held voltage receives nothing.
                 let (keeps, enters) = match self.credit {
                     CreditDesc::Slayer => (1.0, 1.0),
                     CreditDesc::UpToReset => (f32::from(u8::from(s[j] == FREE)), f32::from(u8::from(s[j] != HELD))),

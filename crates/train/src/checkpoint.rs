@@ -1,9 +1,9 @@
-//! A training's state as a safetensors file. A training that resumes from it ends as one that was
-//! never interrupted.
+//! A training's state as a safetensors file. A training resumed from it ends as an uninterrupted
+//! one.
 //!
-//! The file holds a fingerprint of plan and samples: a checkpoint of another training is refused.
-//! It holds a checksum: a damaged one is refused. A file of a version without checksums is read
-//! only when it is of a finished training and its second copy of the weights is the same.
+//! The file has a fingerprint of plan and samples: a checkpoint of another training is refused. It
+//! has a checksum: a damaged one is refused. A file of a version without checksums is read only
+//! when its training is finished and both its copies of the weights are equal.
 
 use std::collections::HashMap;
 use std::path::Path;
@@ -25,8 +25,8 @@ use nsim_files::write::{self, checksum};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// A digest of a training's plan and samples. What is digested of the plan is written out field by
-/// field under names of its own: renaming a type invalidates no stored checkpoint.
+/// A digest of a training's plan and samples. The plan is written out field by field under stable
+/// names, so renaming a type invalidates no stored checkpoint.
 pub fn fingerprint(plan: &Plan, examples: &[Example]) -> String {
     let mut hash = Sha256::new();
     hash.update(described(plan).to_string());
@@ -72,7 +72,7 @@ fn described(plan: &Plan) -> Value {
         "initial": initial,
         "seed": seed,
     });
-    // Checkpoints without these are of trainings without them.
+    // A value of 0 has no key, so that older checkpoints keep their fingerprints.
     for (key, value) in [("l1", optimiser.l1), ("dropout", *dropout)] {
         if value > 0.0 {
             object[key] = json!(value);
@@ -136,7 +136,7 @@ fn fields(fields: &Fields) -> Value {
     ])
 }
 
-/// The entry of the file's metadata.
+/// Name of the entry in the file's metadata.
 const FACTS: &str = "nsim_training";
 const PARTS: [&str; 4] = ["weights", "average", "first", "second"];
 
@@ -179,10 +179,10 @@ pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()>
     write::file(path, true, |out| out.write_all(&file))
 }
 
-/// Reads the state of this training, if the file is there.
+/// Reads the state of this training, if the file exists.
 ///
 /// # Errors
-/// `train.checkpoint` for a file that is no checkpoint, or one of another training; `io.*`.
+/// `train.checkpoint` for a file that is no checkpoint, or is of another training; `io.*`.
 pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<TrainingState>> {
     let wrong = |why: &str| {
         Diagnostic::new("train.checkpoint", why.to_string())

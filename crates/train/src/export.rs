@@ -1,7 +1,7 @@
 //! Trained weights as a model.
 //!
-//! Loihi weights are half their (even) mantissa, which fits a byte, SRM weights those of training:
-//! the model decides as it did in training.
+//! A Loihi weight is stored as half its (even) mantissa, which fits a byte, an SRM weight as
+//! trained. The model decides as it did in training.
 
 use super::cells::Cells;
 use super::network::{Layer, Topology, Weights};
@@ -32,7 +32,7 @@ pub fn model(file: &TrainingFile, topology: &Topology, weights: &Weights, proven
             ..ProjectionDesc::new("", &desc.name, kind)
         });
     }
-    // The chip that has these kinds.
+    // This target has the kinds of Loihi 2.
     let loihi2 = |layer: &Layer| matches!(layer.cells, Cells::Loihi2(_));
     model.target = topology.layers.iter().any(loihi2).then(|| "oheo-gulch".to_string());
     model.output = file.layers.last().map_or_else(String::new, |layer| layer.name.clone());

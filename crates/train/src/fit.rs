@@ -1,13 +1,12 @@
-//! The training loop: minibatches run on threads, gradients are summed in the order of samples, one
-//! step each.
+//! The training loop. Minibatches run on threads; their gradients are summed in the order of
+//! samples, for one step each.
 //!
-//! What runs forward is a [`Forward`]: the trained neurons themselves, or what represents them once
-//! they are deployed; the gradient is taken at the potentials and spikes that it leaves, through
-//! the trained neurons' responses.
+//! A [`Forward`] runs the samples: the trained neurons themselves, or their deployed form. The
+//! gradient is taken at its potentials and spikes, through the trained neurons' responses.
 //!
 //! Everything random is a function of (seed, entity, epoch), sums have a fixed order, and
-//! [`TrainingState`] is all that one epoch passes to the next: results depend neither on threads
-//! nor on where a run was interrupted and resumed.
+//! [`TrainingState`] is all that one epoch passes to the next. So results depend neither on threads
+//! nor on interruptions.
 
 use std::convert::Infallible;
 
@@ -35,7 +34,7 @@ pub struct Example {
 }
 
 impl Example {
-    /// A sample as the inputs of a network see it; none without a label.
+    /// A sample as the inputs of a network; none without a label.
     pub fn from_sample(network: &Quantised, sample: &Sample) -> Option<Example> {
         let inputs = network.inputs().map(|(_, population)| {
             let units = population.shape.len();
@@ -51,11 +50,11 @@ impl Example {
     }
 }
 
-/// What runs samples forward while a network is trained.
+/// The forward pass while a network is trained.
 pub trait Forward: Sync {
-    /// What runs, with the weights of a minibatch.
+    /// The network that runs, with the weights of a minibatch.
     type Network: Sync;
-    /// Why there can be none.
+    /// The reason for which weights have no network.
     type Error;
 
     /// The network with these weights.
@@ -64,11 +63,11 @@ pub trait Forward: Sync {
     /// Where the weights have no such network.
     fn network(&self, weights: &Weights) -> Result<Self::Network, Self::Error>;
 
-    /// Runs a sample and leaves all layers in [`Workspace::traces`], in the trained network's time.
+    /// Runs a sample and fills [`Workspace::traces`] of all layers, in the trained network's time.
     fn run(&self, network: &Self::Network, deployed: &Deployed, inputs: &[Raster], work: &mut Workspace);
 }
 
-/// The trained neurons themselves.
+/// The trained neurons, run without another form.
 impl Forward for Topology {
     type Network = ();
     type Error = Infallible;
@@ -82,30 +81,30 @@ impl Forward for Topology {
     }
 }
 
-/// How a network is trained.
+/// Settings of a training.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Plan {
     /// Sizes and neurons.
     pub topology: Topology,
-    /// What is minimised.
+    /// The objective.
     pub loss: Loss,
     /// The optimiser.
     pub optimiser: Optimiser,
     /// Learning rate of each layer at the first step.
     pub rates: Vec<f32>,
-    /// Share of the learning rate that is left at the last step; it falls as half a cosine.
+    /// Fraction of the learning rate kept at the last step; it falls as half a cosine.
     pub last_rate: f32,
-    /// Samples of a minibatch.
+    /// Samples in a minibatch.
     pub batch: usize,
     /// Epochs.
     pub epochs: u32,
     /// Data augmentation.
     pub augment: AugmentDesc,
-    /// Probability with which a unit of a hidden layer is dropped from a sample.
+    /// Probability with which a unit of a hidden layer is dropped from a sample, 0..=0.99.
     pub dropout: f32,
-    /// Decay of the moving average of the weights, which is deployed. 0: the weights themselves.
+    /// Decay of the deployed moving average of the weights; 0 deploys the weights themselves.
     pub averaging: f32,
-    /// Initial weights are uniform within this many times `1 / sqrt(fan-in)`, for each layer.
+    /// Half the range of the uniform initial weights of each layer, in units of `1 / sqrt(fan-in)`.
     pub initial: Vec<f32>,
     /// The seed.
     pub seed: u64,
@@ -126,14 +125,14 @@ pub struct TrainingState {
     pub history: Vec<EpochRow>,
 }
 
-/// What is recorded of an epoch.
+/// Measures of an epoch.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize, serde::Deserialize)]
 pub struct EpochRow {
     /// The epoch, from 1.
     pub epoch: u32,
     /// Mean loss over its (varied) samples while it ran.
     pub loss: f64,
-    /// Share of them that was right while it ran.
+    /// Fraction of these samples with the right class while it ran, 0..=1.
     pub accuracy: f64,
 }
 
@@ -163,7 +162,7 @@ impl Plan {
         TrainingState { epoch: 0, average: weights.clone(), weights, moments, history: Vec::new() }
     }
 
-    /// One epoch over the examples, run forward by the trained network or by another.
+    /// Runs one epoch over the examples, with the trained network or its deployed form.
     ///
     /// # Errors
     /// Where the weights have no such network; the epoch is then unfinished.
@@ -209,7 +208,7 @@ impl Plan {
             let rates: Vec<f32> = self.rates.iter().map(|rate| rate * factor).collect();
             self.optimiser.step(&rates, &mut state.weights, &sum, &mut state.moments);
             self.keep_in_range(&mut state.weights);
-            // Early on the mean is over the steps taken so far.
+            // In the first steps the mean is over the steps taken so far.
             let keep = self.averaging.min(1.0 - 1.0 / (state.moments.steps as f32));
             for (average, weights) in state.average.iter_mut().zip(&state.weights) {
                 average.iter_mut().zip(weights).for_each(|(a, w)| *a += (1.0 - keep) * (w - *a));
@@ -269,7 +268,7 @@ impl Plan {
         (loss, right)
     }
 
-    /// The weights that are deployed.
+    /// The deployed weights.
     pub fn result<'a>(&self, state: &'a TrainingState) -> &'a Weights {
         if self.averaging > 0.0 { &state.average } else { &state.weights }
     }
@@ -284,7 +283,7 @@ impl Plan {
         examples.par_iter().map_init(|| Workspace::new(&self.topology), run).collect()
     }
 
-    /// The share of the examples that is right.
+    /// The fraction of the examples with the right class, 0..=1.
     pub fn accuracy(&self, weights: &Weights, examples: &[Example]) -> f64 {
         let outputs = self.outputs(weights, examples);
         let right = outputs.iter().zip(examples).filter(|((_, class), example)| *class == Some(example.label)).count();

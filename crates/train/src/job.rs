@@ -1,8 +1,8 @@
-//! A training from its file to its result.
+//! A training, from its file to its result.
 //!
-//! Input: the text of a training file, labelled samples. Output: [`Trained`]: weights, their score,
-//! the digest of their output spikes; and the model that holds them. Errors: `train.*`. Omitted on
-//! purpose: studies of many trainings.
+//! Input: the text of a training file, labelled samples. Output: [`Trained`], with weights, their
+//! score and the digest of their output spikes; and the model with these weights. Errors:
+//! `train.*`. Omitted on purpose: studies of many trainings.
 
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -24,7 +24,7 @@ use nsim_ir::spikes::Sample;
 use nsim_session::error::Result;
 use nsim_session::{Outcome, digest, inputs};
 
-/// The text of a training file, by its path or as one of the shipped ones.
+/// The text of a training file, by its path or the name of a shipped one.
 ///
 /// # Errors
 /// `io.*`; `train.unknown` for a name that is not shipped.
@@ -48,7 +48,7 @@ pub fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<Sourc
     Ok(SourceText::new(source.path(), text))
 }
 
-/// A training file, checked.
+/// A checked training file.
 #[derive(Debug)]
 pub struct Job {
     /// Its text.
@@ -59,7 +59,7 @@ pub struct Job {
     pub plan: Plan,
 }
 
-/// What samples are for.
+/// Purpose of samples.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Part {
     /// To train on.
@@ -71,40 +71,40 @@ pub enum Part {
 /// Training and test samples.
 #[derive(Debug, Default)]
 pub struct Data {
-    /// What is trained on.
+    /// Samples to train on.
     pub train: Vec<Example>,
-    /// What is scored on, never used to choose anything.
+    /// Samples to score on, never used to choose anything.
     pub test: Vec<Example>,
 }
 
-/// Where a training is saved, and of which training the file is.
+/// File of a training's state, with the fingerprint of the training.
 #[derive(Debug, Clone)]
 pub struct Checkpoint {
     path: PathBuf,
     fingerprint: String,
 }
 
-/// What a training came to.
+/// Result of a training.
 #[derive(Debug)]
 pub struct Trained {
     /// Weights and the history of the epochs.
     pub state: TrainingState,
-    /// Share of the training samples that is right.
+    /// Fraction of the training samples with the right class, 0..=1.
     pub train_accuracy: f64,
-    /// Share of the test samples that is right; none without any.
+    /// Fraction of the test samples with the right class; none without test samples.
     pub test_accuracy: Option<f64>,
     /// Digest of the output spikes on the test (else training) samples, as `nsim run` computes it.
     pub digest: String,
     /// Accuracy on each fold excluded from the training samples.
     pub folds: Vec<f64>,
-    /// Training and test samples.
+    /// Numbers of training and test samples.
     pub samples: (usize, usize),
-    /// Seconds that training took, without reading samples.
+    /// Seconds of training, without reading samples.
     pub seconds: f64,
 }
 
 impl Job {
-    /// Reads a training file; `seed` and `epochs` stand in for the file's.
+    /// Reads a training file; `seed` and `epochs` replace the file's.
     ///
     /// # Errors
     /// `train.*` at the field that cannot be used.
@@ -116,7 +116,7 @@ impl Job {
         Ok(Job { source, file, plan })
     }
 
-    /// A network with the inputs of the training file, by which samples are read as for `nsim run`.
+    /// A network with the inputs of the training file; samples are read with it as for `nsim run`.
     ///
     /// # Errors
     /// `model.*` for an input that no network can have.
@@ -134,7 +134,7 @@ impl Job {
         Ok(nsim_session::front::front(&network)?.into_quantised())
     }
 
-    /// Labelled samples as training takes them; `what` they are is for messages.
+    /// Labelled samples as examples; `what` names them in messages.
     ///
     /// # Errors
     /// `train.label` for a sample without a label, or with one that no output represents.
@@ -153,7 +153,7 @@ impl Job {
         samples.iter().enumerate().map(labelled).collect()
     }
 
-    /// Samples of the given sources, or of those that the training file names.
+    /// Samples of the given sources, or of the training file's sources.
     ///
     /// # Errors
     /// As [`Self::examples`]; a source that cannot be read.
@@ -178,21 +178,21 @@ impl Job {
         Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
     }
 
-    /// Stratified folds of samples from a fixed seed: the same for every setting.
+    /// Stratified folds of samples from a fixed seed: equal folds for every setting.
     pub fn folds(examples: &[Example], k: u32) -> Vec<Vec<usize>> {
         let labels: Vec<u32> = examples.iter().map(|example| example.label).collect();
         Job::folds_by_label(&labels, k)
     }
 
-    /// Stratified folds of samples of which only the labels are known.
+    /// Stratified folds, from the labels of samples alone.
     pub fn folds_by_label(labels: &[u32], k: u32) -> Vec<Vec<usize>> {
         stratified_folds(labels, k as usize, FOLD_SEED)
     }
 
-    /// What a trained state is good for, and how well trainings without each of the folds do on it.
+    /// Scores a trained state, and for each fold a training without its samples.
     ///
     /// # Errors
-    /// Those of `each`, which trains on other samples to the end.
+    /// Errors of `each`, which trains on the given samples to the end.
     pub fn trained(
         &self,
         (state, seconds): (TrainingState, f64),
@@ -229,8 +229,8 @@ impl Job {
         Ok(export::model(&self.file, &self.plan.topology, weights, provenance)?)
     }
 
-    /// Writes the model of trained weights to a path, with `force` in the place of a file that is
-    /// there, and the weights next to it; the names of both.
+    /// Writes the model of trained weights to a path, and the weights next to it; returns both
+    /// paths. `force` replaces existing files.
     ///
     /// # Errors
     /// As [`Self::model`]; `write.*`.
@@ -242,7 +242,7 @@ impl Job {
         provenance: &str,
     ) -> Result<[PathBuf; 2]> {
         let mut model = self.model(weights, provenance)?;
-        // What was trained here is no network that others know by the training file's name.
+        // The training file's name is another network's; this one has its file's name.
         model.name = path.file_stem().map_or(model.name, |stem| stem.to_string_lossy().into_owned());
         model.write_under(comment, path, force)?;
         Ok([path.to_path_buf(), weights_path(path)])
@@ -258,17 +258,17 @@ impl Job {
     }
 }
 
-/// Where the weights of a model file are.
+/// The path of the weights of a model file.
 pub fn weights_path(model: &Path) -> PathBuf {
     model.with_extension("safetensors")
 }
 
 const FOLD_SEED: u64 = 0;
 
-/// Trains on all samples but those of a fold, and scores on them.
+/// Trains on all samples except a fold's, and scores on the fold; returns accuracy and weights.
 ///
 /// # Errors
-/// Those of `train`.
+/// Errors of `train`.
 pub fn cross_validate(
     plan: &Plan,
     examples: &[Example],
@@ -305,11 +305,11 @@ impl Checkpoint {
     }
 }
 
-/// Trains to the end, from the checkpoint when there is one; `after` sees the state after each
-/// epoch. Also gives the seconds that it took.
+/// Trains to the end, from the checkpoint if there is one; returns the state and the seconds taken.
+/// `after` receives the state after each epoch.
 ///
 /// # Errors
-/// `train.checkpoint` for a file of another training; `write.*` when a state cannot be saved.
+/// `train.checkpoint` for a file of another training; `write.*` if a state cannot be saved.
 pub fn train(
     plan: &Plan,
     examples: &[Example],

@@ -2,10 +2,10 @@
 //! 2018).
 //!
 //! Input: a training file and labelled samples. Output: weights, and a model file that the rest of
-//! nsim maps and runs. Forward, SRM neurons compute in f32, Loihi compartments in the machine's own
-//! integers with the weights as they will be stored, so that a trained Loihi network decides as the
-//! deployed one, spike by spike. Backward, both use SLAYER's temporal credit assignment and
-//! surrogate; rounding is passed straight through. Convolutions, recurrent projections and trained
+//! nsim maps and runs. In the forward pass, SRM neurons compute in f32, Loihi compartments in the
+//! machine's own integers with the weights as stored. A trained Loihi network thus decides as the
+//! deployed one, spike by spike. In the backward pass, both use SLAYER's temporal credit assignment
+//! and surrogate; rounding has a derivative of 1. Convolutions, recurrent projections and trained
 //! delays are omitted on purpose.
 
 pub mod augment;

@@ -1,9 +1,9 @@
 //! Neurons of Loihi 2 in training.
 //!
-//! Input: the drive of each step in the integers that arrive. Output: what each neuron sends, and
-//! the state that its surrogate needs. Forward is the machine's own update. Backward follows
-//! lava-dl d825ac5: a change passes errors on as if its threshold were 0 (`slayer/axon/delta.py`),
-//! and a spike of a resonator has the surrogate of `slayer/spike/complex.py`.
+//! Input: the arriving integers of each step. Output: messages, and the state for the surrogate.
+//! The forward pass is the machine's own update. The backward pass follows lava-dl d825ac5: a
+//! change passes errors on as if its threshold were 0 (`slayer/axon/delta.py`), and a spike of a
+//! resonator has the surrogate of `slayer/spike/complex.py`.
 
 use super::surrogate::Surrogate;
 use super::trace::Trace;
@@ -21,9 +21,9 @@ pub struct Loihi2 {
     pub turns: Vec<[f32; 2]>,
     /// Threshold in the units of the trained weights; infinite where the state is read out.
     pub theta: f32,
-    /// The arriving integer that is a trained weight of 1.
+    /// Arriving integer of a trained weight of 1.
     pub weight_unit: f32,
-    /// The state that is a potential of 1 in the units of the trained weights.
+    /// State at a potential of 1 in the units of the trained weights.
     pub unit: f32,
 }
 
@@ -95,7 +95,7 @@ impl Loihi2 {
     pub(super) fn backward(&self, trace: &Trace, surrogate: &Surrogate, error: &mut [f32]) {
         let n = self.rows.len();
         if let NeuronKind::SigmaDelta = self.kind {
-            // A change counts in its own step, and with the opposite sign in the next.
+            // The state enters its step's change, and with the opposite sign the next change.
             for at in 0..error.len() {
                 let next = error.get(at + n).copied().unwrap_or(0.0);
                 let open = f32::from(u8::from(trace.potential[at] > 0.0));
@@ -115,7 +115,7 @@ impl Loihi2 {
         self.correlate(error, &imaginary);
     }
 
-    /// From errors at the real (and imaginary) part of the state to those at the drive.
+    /// Converts errors at the real (and imaginary) part of the state to errors at the drive.
     pub(super) fn correlate(&self, error: &mut [f32], imaginary: &[f32]) {
         let n = self.rows.len();
         let (mut re, mut im) = (vec![0.0f32; n], vec![0.0f32; n]);

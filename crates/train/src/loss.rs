@@ -4,29 +4,27 @@
 //! Counts are compared with a target for the right class and one for every other, in four forms:
 //!
 //! - [`Form::SpikeCount`]: `1/2 sum_n (sum_t s_n(t) - target_n)^2` (Taunyazov et al. 2020,
-//!   spike-count loss). The derivative by a spike is the same at every step: the excess of the
-//!   count.
-//! - [`Form::Weighted`]: both sums weighted with `omega(t) = beta t^2 + gamma`, decreasing (the
-//!   same paper, weighted spike-count loss). The desired spikes are taken as evenly spread, so that
-//!   the target is its count times the mean of omega; an early spike then makes up for several late
-//!   ones.
-//! - [`Form::NumSpikes`]: what slayerPytorch's `spikeLoss.py` computes under that name. It differs
-//!   twice: the excess is divided by the number of steps, and it is correlated with the response
-//!   kernel, because the error passes through `psp` on its way to the spikes. The second makes
-//!   errors fade toward the end of the sample.
+//!   spike-count loss). The derivative by a spike is the excess of the count, at every step.
+//! - [`Form::Weighted`]: both sums weighted with `omega(t) = beta t^2 + gamma`, decreasing (that
+//!   paper's weighted spike-count loss). The desired spikes are taken as evenly spread: the target
+//!   is its count times the mean of omega. An early spike then makes up for several late ones.
+//! - [`Form::NumSpikes`]: slayerPytorch's loss of this name (`spikeLoss.py`). It differs twice: the
+//!   excess is divided by the number of steps, and it is correlated with the response kernel. The
+//!   correlation, which makes errors fade toward the end of the sample, comes from the path of the
+//!   error through `psp` to the spikes.
 //! - [`Form::CrossEntropy`]: `-log softmax(scale * count)` of the right class, without targets; not
 //!   in the paper.
 //!
 //! [`Form::Potential`] compares the potentials of outputs that never spike:
-//! `-log softmax(score / temperature)` of the right class. The score of an output is the greatest
-//! of its potentials, their sum or the last, as the model's `decision` says. The derivative by a
-//! potential is exact, at the steps that enter the score: the first of the greatest, all, the last.
+//! `-log softmax(score / temperature)` of the right class. The score of an output is its greatest
+//! potential, their sum or the last, as the model's `decision` says. The derivative by a potential
+//! is exact, at the steps that enter the score: the first of the greatest, all, the last.
 
 use super::trace::Trace;
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::potentials::Potentials;
 
-/// Which loss.
+/// Form of a loss.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Form {
     /// Spike-count loss.
@@ -45,16 +43,16 @@ pub enum Form {
     },
     /// Cross-entropy of the softmax of counts.
     CrossEntropy {
-        /// What a spike adds to its class's logit.
+        /// Logit that a spike adds to its class.
         scale: f32,
     },
     /// Cross-entropy of the softmax of potentials.
     Potential {
-        /// What of the potential is the score.
+        /// Score of an output, as the model's `decision`.
         decision: ReadOut,
-        /// The register v that is a potential of 1 in the units of the trained weights.
+        /// The register v at a potential of 1 in the units of the trained weights.
         unit: f32,
-        /// The score, in the units of the trained weights, that is a logit of 1.
+        /// The score, in the units of the trained weights, of a logit of 1.
         temperature: f32,
     },
 }
@@ -118,7 +116,7 @@ impl Loss {
             Form::NumSpikes { kernel } => {
                 let excess: Vec<f32> =
                     counts.iter().enumerate().map(|(class, count)| (count - target(class)) / steps as f32).collect();
-                // The kernel summed over what is left of the sample.
+                // The kernel summed over the remaining steps of the sample.
                 let mut reach = 0.0;
                 for (k, error) in error.chunks_exact_mut(n).rev().enumerate() {
                     reach += kernel.get(k).copied().unwrap_or(0.0);
@@ -156,7 +154,7 @@ impl Loss {
     }
 }
 
-/// The cross-entropy of the softmax of logits, and its derivative by what adds `scale` to a logit.
+/// The cross-entropy of the softmax of logits, and its derivative by inputs of factor `scale`.
 fn cross_entropy(logits: &[f64], label: u32, scale: f32) -> (f64, Vec<f32>) {
     let most = logits.iter().copied().fold(f64::NEG_INFINITY, f64::max);
     let powers: Vec<f64> = logits.iter().map(|logit| libm::exp(logit - most)).collect();

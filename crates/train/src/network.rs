@@ -1,9 +1,9 @@
 //! The trained network: dense layers of neurons over spike rasters, forward and backward for one
 //! sample.
 //!
-//! Weights are `[source][target]`, sources concatenated in the order that a layer names them: a
-//! spike adds one row. Work forward and in the weights' gradient grows with the spikes; only errors
-//! between layers are dense.
+//! Weights are `[source][target]`, sources concatenated in the order of a layer's declaration, so a
+//! spike adds one row. Work of the forward pass and of the weights' gradient grows with the spikes;
+//! only errors between layers are dense.
 
 use super::cells::{Cells, Spiking};
 use super::loss::Loss;
@@ -13,7 +13,7 @@ use super::trace::Trace;
 use nsim_dynamics::arithmetic::scaled_weight;
 use nsim_ir::base::fixed::WeightExponent;
 
-/// Where a layer's input comes from.
+/// Source of a layer's input.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Source {
     /// An input population.
@@ -25,7 +25,7 @@ pub enum Source {
 /// How trained weights become the integers of a projection.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Mantissas {
-    /// Mantissa units that a trained weight of 1 counts.
+    /// Mantissa units of a trained weight of 1.
     pub scale: f32,
     /// The projection's weight exponent.
     pub exponent: WeightExponent,
@@ -38,12 +38,12 @@ impl Mantissas {
         (2.0 * (weight * self.scale / 2.0).round_ties_even()).clamp(-256.0, 254.0) as i16
     }
 
-    /// What a mantissa adds, in units of 64.
+    /// Contribution of a mantissa, in units of 64.
     pub fn adds(&self, mantissa: i16) -> i32 {
         scaled_weight(mantissa, self.exponent) >> 6
     }
 
-    /// What a trained weight of 1 adds, in units of 64.
+    /// Contribution of a trained weight of 1, in units of 64.
     pub fn unit(&self) -> f32 {
         self.scale * f32::from(self.exponent.get()).exp2()
     }
@@ -54,13 +54,13 @@ impl Mantissas {
 pub struct Layer {
     /// Its name.
     pub name: String,
-    /// What is concatenated to its input.
+    /// Sources, concatenated to its input.
     pub sources: Vec<Source>,
     /// Summed sizes of the sources.
     pub fan_in: usize,
     /// Its neurons.
     pub cells: Cells,
-    /// How its weights become integers, for Loihi cells.
+    /// Conversion of its weights to integers; none for SRM cells.
     pub mantissas: Option<Mantissas>,
     /// The surrogate of its spikes.
     pub surrogate: Surrogate,
@@ -71,7 +71,7 @@ pub struct Layer {
 pub struct Topology {
     /// Channels of each input population.
     pub inputs: Vec<usize>,
-    /// Layers, each after what it reads; the last one decides.
+    /// Layers, each after its sources; the last one decides.
     pub layers: Vec<Layer>,
 }
 
@@ -123,7 +123,7 @@ impl Topology {
     }
 }
 
-/// Weights as a minibatch uses them: rounded where the deployed network rounds.
+/// Weights of a minibatch, rounded where the deployed network rounds.
 #[derive(Debug, Clone, Default)]
 pub struct Deployed {
     /// The contribution of a spike to each target, `[layer][source * targets + target]`; whole
@@ -137,17 +137,17 @@ pub struct Deployed {
 #[derive(Debug, Clone, Default)]
 pub struct Workspace {
     drive: Vec<f32>,
-    /// Of each layer.
+    /// The trace of each layer.
     pub traces: Vec<Trace>,
     errors: Vec<Vec<f32>>,
-    /// Factor of the spikes of each unit of each hidden layer; empty: 1.
+    /// Factor of the spikes of each unit of each hidden layer; 1 where empty.
     pub(super) factors: Vec<Vec<f32>>,
     /// Derivative of the loss by each trained weight.
     pub gradient: Weights,
 }
 
 impl Workspace {
-    /// For a network.
+    /// Buffers for a network.
     pub fn new(topology: &Topology) -> Self {
         Workspace {
             traces: topology.layers.iter().map(|_| Trace::default()).collect(),
@@ -162,8 +162,8 @@ impl Workspace {
         &self.traces[self.traces.len() - 1]
     }
 
-    /// The loss of the sample that ran; its derivative by each output spike, or each output
-    /// potential, is what [`Topology::backward`] begins with.
+    /// Returns the loss of the sample that ran, and stores its derivative by each output spike, or
+    /// each output potential, for [`Topology::backward`].
     pub fn evaluate(&mut self, loss: &Loss, label: u32) -> f64 {
         let last = self.traces.len() - 1;
         let (trace, error) = (&self.traces[last], &mut self.errors[last]);
@@ -288,7 +288,7 @@ mod tests {
         ))
     }
 
-    /// The gradient of the smoothed network against central differences of its loss.
+    /// Compares the gradient of the smoothed network with central differences of its loss.
     #[test]
     fn the_gradient_is_that_of_the_smoothed_network() {
         let neurons = [
@@ -319,7 +319,7 @@ mod tests {
         for (case, (neuron, output, loss)) in by_spikes.chain(by_potential).enumerate() {
             let plan = smooth_plan(neuron, output, loss);
             let topology = &plan.topology;
-            // Potentials fall after the input, so that their maximum is not the last.
+            // Potentials fall after the input ends, so that their maximum is not the last.
             let until = if output.is_empty() { 25 } else { 12 };
             let inputs: Vec<Raster> = [5u64, 7]
                 .iter()
@@ -332,7 +332,7 @@ mod tests {
                 .collect();
             let mut work = Workspace::new(topology);
             if case % 2 == 1 {
-                // As a dropout of two fifths leaves two layers.
+                // Dropout factors of both hidden layers.
                 work.factors = vec![vec![1.5, 0.0, 1.5, 1.5], vec![0.0, 1.5, 1.5]];
             }
             let loss_of = |weights: &Weights, work: &mut Workspace| {
@@ -360,8 +360,8 @@ mod tests {
                     worst = worst.max((difference - f64::from(gradient[layer][i])).abs());
                 }
             }
-            // The surrogate of a zero crossing has a corner, which a difference of 2 h may step
-            // over: with a smooth one, 1 / (1 + x^2), gradients agree within 0.04 %.
+            // The pulse of a zero crossing has a corner, and a difference of 2 h may straddle it.
+            // With a smooth pulse, 1 / (1 + x^2), gradients agree within 0.04 %.
             let most = if neuron == RF { 1.5e-2 } else { 2e-3 };
             assert!(worst < most * norm, "{neuron}, {loss}: {worst} of {norm}");
         }

@@ -3,7 +3,7 @@
 
 use super::network::Weights;
 
-/// Which rule.
+/// Update rule.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rule {
     /// Means of the gradient and of its square, 0.9 and 0.999.
@@ -17,11 +17,11 @@ pub enum Rule {
 pub struct Optimiser {
     /// The rule.
     pub rule: Rule,
-    /// Multiple of the weights added to the gradient (l2, as in the paper) or taken off directly.
+    /// Multiple of the weights added to the gradient (l2, as in the paper) or subtracted directly.
     pub weight_decay: f32,
-    /// What is added to the gradient with the sign of each weight (l1).
+    /// Constant added to the gradient with the sign of each weight (l1).
     pub l1: f32,
-    /// Whether decay is taken off the weights, times the rate (Loshchilov, Hutter: ICLR 2019).
+    /// Whether the decay, times the rate, is subtracted (Loshchilov, Hutter: ICLR 2019).
     pub decoupled: bool,
 }
 
@@ -39,7 +39,7 @@ pub struct Moments {
 const EPSILON: f32 = 1e-8;
 
 impl Optimiser {
-    /// One step, at a learning rate, for the layers that have one above 0.
+    /// Takes one step, at a learning rate of each layer.
     pub fn step(&self, rate: &[f32], weights: &mut Weights, gradient: &Weights, moments: &mut Moments) {
         moments.steps += 1;
         let power = |beta: f32| 1.0 - libm::pow(f64::from(beta), moments.steps as f64) as f32;

@@ -1,4 +1,4 @@
-//! From a training file to a plan whose values are checked to be in range.
+//! A training file -> a plan whose values are checked to be in range.
 
 use super::cells::{Cells, Loihi, Srm};
 use super::fit::Plan;
@@ -18,9 +18,9 @@ use nsim_quantise::analytic::{early_peak, keep};
 use nsim_reference::kernel::{Alpha, Kernel};
 use nsim_reference::srm::Parameters;
 
-/// Time constants are at most this many steps.
+/// Longest time constant in steps.
 const LONGEST: f64 = 1e6;
-/// A layer is at most so large.
+/// Most neurons of a layer, channels of an input and levels of a spread.
 const LARGEST: u32 = 65_536;
 
 struct Problems<'a>(&'a SourceText);
@@ -30,7 +30,7 @@ impl Problems<'_> {
         Diagnostic::new(code, message).at(self.0, span)
     }
 
-    /// A number within a closed range.
+    /// Returns a number if it lies within a closed range.
     fn number(&self, span: Span, what: &str, value: f64, low: f64, high: f64) -> Result<f64> {
         if (low..=high).contains(&value) {
             return Ok(value);
@@ -46,7 +46,7 @@ impl Problems<'_> {
 /// Checks a training file and makes its plan.
 ///
 /// # Errors
-/// `train.range` for a number, `train.layer` for an unknown source of a layer, at its place.
+/// `train.range` for a number, `train.layer` for an unknown source of a layer, with their place.
 pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
     let problems = Problems(source);
     let whole = Span::default();
@@ -122,7 +122,7 @@ pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
     })
 }
 
-/// The loss; potentials decide where the last layer never spikes, and nowhere else.
+/// The loss. Potentials decide exactly where the last layer never spikes.
 fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Loss> {
     let span = file.loss.span;
     let last = layers.len() - 1;
@@ -265,11 +265,11 @@ fn cells(
     }
 }
 
-/// Bits of the state of a resonator below an arriving 1, as netx sets them.
+/// State bits of a resonator below an arriving 1, as netx sets them.
 const RF_STATE_EXP: i32 = 6;
 
-/// Neurons of a kind of Loihi 2: weight scale, threshold in trained weights and bits of the state
-/// below an arriving 1; `build` makes rows and rotations from the threshold in units of the state.
+/// Neurons of a kind of Loihi 2, from weight scale, threshold in trained weights and state bits
+/// below an arriving 1. `build` makes rows and rotations from the threshold in units of the state.
 fn loihi2(
     problems: &Problems,
     span: Span,

@@ -34,7 +34,7 @@ impl Surrogate {
         self.scale * if x < 0.0 { exp_minus(-x) } else { 2.0 - exp_minus(x) }
     }
 
-    /// A pulse at 0 of area 1, as wide as the slope: what a zero crossing has instead of a step.
+    /// A pulse at 0 of area 1, as wide as the slope; a zero crossing has it in place of a step.
     #[inline]
     pub fn pulse(&self, x: f32) -> f32 {
         0.5 * self.steepness * exp_minus((x * self.steepness).abs())

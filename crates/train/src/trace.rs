@@ -1,17 +1,17 @@
-//! What a forward pass leaves for the backward pass.
+//! Record of a forward pass, for the backward pass.
 
 use super::raster::Raster;
 
-/// What a neuron did in a step, as far as credit depends on it.
+/// State of a neuron in a step: without spike, with a spike, or held after one.
 pub(super) const FREE: u8 = 0;
 pub(super) const SPIKED: u8 = 1;
 pub(super) const HELD: u8 = 2;
 
-/// What a forward pass records of a layer, for the backward pass.
+/// Record of a layer's forward pass, for the backward pass.
 #[derive(Debug, Clone, Default)]
 pub struct Trace {
-    /// Potentials before the reset by a spike, `[step][neuron]`; of neurons that never spike, the
-    /// register v after the step. Of neurons of Loihi 2 the first word of state.
+    /// Potentials before the reset by a spike, `[step][neuron]`. Neurons that never spike have the
+    /// register v after the step, neurons of Loihi 2 the first word of state.
     pub potential: Vec<f32>,
     /// Imaginary parts of resonators.
     pub(super) imaginary: Vec<f32>,

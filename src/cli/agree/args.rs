@@ -1,7 +1,7 @@
-//! The arguments of `nsim agree`, and what all of its comparisons end in.
+//! Arguments of `nsim agree`, and the last steps that all its comparisons share.
 //!
 //! Input: the arguments, comparisons. Output: the answer, warnings about the deployed network, the
-//! picture that was asked for.
+//! picture of `--plot`.
 
 use std::path::PathBuf;
 
@@ -42,14 +42,14 @@ pub struct Args {
     pub(super) timestep: TimestepArgs,
     #[command(flatten)]
     pub(super) input: InputArgs,
-    /// What the deployed network is compared with: srm (as trained), cuba (current-based neurons in
-    /// real numbers), golden (the reference interpreter), a model file or several, or recorded
-    /// spikes, [POPULATION=]FILE [default: srm for spike response networks, else cuba]
+    /// Counterpart of the deployed network: srm (as trained), cuba (current-based neurons in real
+    /// numbers), golden (the reference interpreter), a model file or several, or recorded spikes,
+    /// [POPULATION=]FILE [default: srm for spike response networks, else cuba]
     #[arg(long, value_name = "srm|cuba|golden|FILE")]
     pub(super) against: Vec<String>,
     #[command(flatten)]
     pub(super) conversion: ConversionArgs,
-    /// How many samples to search on
+    /// Samples to search on
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) calibration_samples: u32,
     /// Compare only this many steps of each sample
@@ -58,13 +58,13 @@ pub struct Args {
     /// Attribute the disagreement to causes
     #[arg(long, value_enum, default_value = "on")]
     pub(super) attribution: Switch,
-    /// How many samples the attribution uses
+    /// Samples that the attribution uses
     #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     pub(super) attribution_samples: u32,
     /// Write a bar chart of the causes
     #[arg(long, visible_alias = "svg", value_name = FILE)]
     pub(super) plot_causes: Option<PathBuf>,
-    /// Draw both potentials around the first spike in which the two part
+    /// Draw both potentials around the first spike that differs
     #[arg(long, value_name = FILE)]
     pub(super) plot: Option<PathBuf>,
     /// Replace the section `<!-- agree MODEL -->` of this document, and write the bar chart next to
@@ -83,8 +83,8 @@ pub struct Args {
     pub(super) require_exact: bool,
 }
 
-/// Prints a comparison unless a file took its place; whether the bounds that were asked for are
-/// kept. Layers that never fire agree in nothing.
+/// Prints a comparison, unless a file is on stdout, and checks the required bounds. It is not exact
+/// if the first network never spikes.
 pub(super) fn answer(args: &Args, report: &AgreeReport<'_>, taken: bool, context: Context) -> Result<Answer, Error> {
     report.falls().iter().for_each(|falls| tracing::warn!("{falls}"));
     if !taken {
@@ -95,22 +95,22 @@ pub(super) fn answer(args: &Args, report: &AgreeReport<'_>, taken: bool, context
     Ok(within_bounds(args, report.class_agreement(), exact))
 }
 
-/// Whether the bounds are kept, of the share of samples of the same class and of whether every
-/// spike is the same.
+/// Returns `Yes` where the share of samples of equal class and, if required, exact spikes are
+/// within the bounds.
 pub(super) fn within_bounds(args: &Args, class_agreement: Option<f64>, exact: bool) -> Answer {
     let enough = args.require_class_agreement.is_none_or(|share| class_agreement.is_some_and(|is| is >= share));
     if enough && (exact || !args.require_exact) { Answer::Yes } else { Answer::No }
 }
 
-/// What to warn of in the deployed network. What its rounding costs, the comparison says itself.
+/// Warnings about the deployed network, except of rounding, whose cost the comparison reports.
 pub(super) fn deployed_warnings(deployed: &Mapping, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
     let mut warnings = warnings_of(&deployed.quantised, &deployed.program, samples)?;
     warnings.retain(|warning| warning.code != "weights-rounded");
     Ok(warnings)
 }
 
-/// Writes the picture of both potentials, where one is asked for and something parts; gives what
-/// was written.
+/// Writes the picture of both potentials, where `--plot` names one and a spike differs; returns the
+/// written files.
 pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Context) -> Result<Vec<String>, Error> {
     let Some(path) = &args.plot else { return Ok(Vec::new()) };
     match nsim_report::agree::potentials(model, layers) {

@@ -1,7 +1,7 @@
 //! `nsim agree`: where and why two networks disagree.
 //!
-//! Input: a model, what it is compared with, samples. Output: how far spikes and potentials differ
-//! layer by layer, and the causes. The answer is no when a bound that was asked for is missed.
+//! Input: a model, its counterpart, samples. Output: the differences of spikes and potentials layer
+//! by layer, and their causes. The answer is no when a required bound is missed.
 
 mod args;
 mod models;
@@ -42,7 +42,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let models = models::named(&args.against)?;
-    // A network in real numbers is not mapped: what it is compared with is.
+    // A network in real numbers is not mapped; its counterpart is.
     let deployed = match models.as_slice() {
         [other, ..] if is_real(&graph) => &args.timestep.load(other)?,
         _ => &network,

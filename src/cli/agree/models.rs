@@ -1,9 +1,9 @@
-//! `nsim agree MODEL --against FILE..`: a network as it was trained compared with other model files
-//! in integers.
+//! `nsim agree MODEL --against FILE..`: a trained network compared with other model files in
+//! integers.
 //!
-//! Input: the network, one model file or several, samples. Output: for one file the comparison
-//! layer by layer, for several a table with all of them. Errors: files of other populations;
-//! pictures of more than one comparison.
+//! Input: the network, one or several model files, samples. Output: for one file the comparison
+//! layer by layer, for several files one table. Errors: files of other populations; pictures of
+//! more than one comparison.
 
 use std::path::Path;
 
@@ -26,10 +26,10 @@ use nsim_session::front::real_and_integers;
 use nsim_session::obtain::mapped_as_usual;
 use nsim_train::convert::staged::is_real;
 
-/// The model files that `--against` names; none where it names something else.
+/// Model files that `--against` names; none where it names other things.
 ///
 /// # Errors
-/// Usage, where only some of several are model files.
+/// Usage, where some names are model files and others are not.
 pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
     let is_model = |word: &&str| {
         let path = Path::new(word);
@@ -47,7 +47,7 @@ pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
     Ok(models)
 }
 
-/// A network on simulated cores; none where it does not fit, which is said.
+/// A network on simulated cores; none where it does not fit, after printing the reasons.
 pub(super) fn deployed(
     model: &str,
     network: &Quantised,
@@ -63,8 +63,8 @@ pub(super) fn deployed(
     }
 }
 
-/// The network as it was trained, and other files in integers, each compared with it, and what it
-/// is; none where one of them does not fit.
+/// Compares the trained network with each file in integers. Returns each comparison with the role
+/// of the file; none where a network does not fit.
 fn compared(
     args: &Args,
     (graph, integers): (&Graph, &Quantised),
@@ -72,7 +72,7 @@ fn compared(
     samples: &[&Sample],
     (target, context): (&Target, Context),
 ) -> Result<Option<Vec<(Compared, &'static str)>>, Error> {
-    // A network in real numbers is not mapped: it runs as it was trained.
+    // A network in real numbers is not mapped: it runs in its trained form.
     let mapped = if is_real(graph) { None } else { deployed(&args.model, integers, (target, context))? };
     if mapped.is_none() && !is_real(graph) {
         return Ok(None);
@@ -93,7 +93,7 @@ fn compared(
     Ok(Some(all))
 }
 
-/// A network as it was trained compared with another model file.
+/// Compares a trained network with another model file.
 pub(super) fn with_one(
     args: &Args,
     (graph, integers): (&Graph, &Quantised),
@@ -112,7 +112,7 @@ pub(super) fn with_one(
     answer(args, &report, args.plot.as_deref().is_some_and(io::text::is_standard_stream), context)
 }
 
-/// A network as it was trained compared with several model files.
+/// Compares a trained network with several model files.
 pub(super) fn with_several(
     args: &Args,
     (graph, integers): (&Graph, &Quantised),

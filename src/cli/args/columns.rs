@@ -1,20 +1,20 @@
-//! Help within the columns of a terminal: a screen with `-h`, everything with `--help`.
+//! Help within the columns of a terminal: a summary with `-h`, everything with `--help`.
 //!
-//! Input: the command line as it is declared. Output: the same with two texts. `--help` is clap's,
-//! wrapped at [`COLUMNS`], with examples that are folded there: what an example does goes onto a
-//! line of its own, and a longer command is continued as shells take it. `-h` lists the options of
-//! [`MOST_USED`] with the first clause of their help, and two examples.
+//! Input: the declared command line. Output: the same with two help texts. `--help` is clap's text,
+//! wrapped at [`COLUMNS`]. In its examples the description gets a line of its own, and a long
+//! command is continued as in shells. `-h` lists the options of [`MOST_USED`] with the first clause
+//! of their help, and two examples.
 
 use clap::builder::{Str, StyledStr};
 use clap::{Arg, ArgAction, Command};
 
 use nsim_files::table::{shell_lines, wrapped_at};
 
-/// Columns of help, those of the narrowest usual terminal.
+/// Columns of help, as many as the narrowest usual terminal has.
 const COLUMNS: usize = 80;
-/// Column at which `-h` says what an option does.
+/// Column at which `-h` describes an option.
 const TEXT: usize = 28;
-/// Options that `-h` lists of a command that [`MOST_USED`] does not name.
+/// Options that `-h` lists for a command that is not in [`MOST_USED`].
 const MOST: usize = 8;
 
 /// The options that `-h` lists.
@@ -33,10 +33,10 @@ const MOST_USED: [(&str, &str); 12] = [
     ("nsim bench paper", "full train cell results output"),
 ];
 
-/// What `-h` says of the options that it does not list.
+/// Reference of `-h` to the options that it does not list.
 const OTHERS: &str = "--format, --threads, --set and all other options: ";
 
-/// Commands by what they are for, as `nsim -h` lists them.
+/// Commands by purpose, as `nsim -h` lists them.
 const GROUPS: [(&str, &[&str]); 4] = [
     ("Your network", &["map", "run", "energy", "compare", "agree", "convert", "import", "export", "report", "plot"]),
     ("Studies", &["sweep", "train", "scene", "bench paper"]),
@@ -44,11 +44,11 @@ const GROUPS: [(&str, &[&str]); 4] = [
     ("What proves nsim itself", &["stress", "bench"]),
 ];
 
-/// A command and those below it, with help that is so wide at most.
+/// A command and its subcommands, with help of at most [`COLUMNS`] columns.
 pub(in crate::cli) fn folded(command: Command) -> Command {
     let name = command.get_name().to_string();
     let help = folded_as(command, &name);
-    // The groups take the place of clap's one list.
+    // The groups replace clap's one list.
     let about = help.get_about().map(ToString::to_string).unwrap_or_default();
     let group = |(title, names): &(&str, &[&str])| {
         let line = |name: &&str| {
@@ -87,7 +87,7 @@ fn folded_as(command: Command, path: &str) -> Command {
         .after_long_help(all.join("\n"))
 }
 
-/// What `-h` says after the usage.
+/// Text of `-h` after the usage.
 fn short(command: &Command, path: &str, examples: &[String]) -> String {
     let named = MOST_USED.iter().find(|(name, _)| *name == path).map(|(_, names)| names.split(' '));
     let options: Vec<&Arg> = match named {
@@ -106,7 +106,7 @@ fn short(command: &Command, path: &str, examples: &[String]) -> String {
     format!("{out}{examples}\n\n{OTHERS}{path} --help")
 }
 
-/// An argument as it is typed.
+/// An argument as the user types it.
 fn spelled(arg: &Arg) -> String {
     let short = arg.get_short().map(|short| format!("-{short}, ")).unwrap_or_default();
     let names = arg.get_value_names().filter(|_| arg.get_action().takes_values());
@@ -118,7 +118,7 @@ fn spelled(arg: &Arg) -> String {
     }
 }
 
-/// A line of a list: a name, and at a column the first clause of a text that has no room.
+/// A line of a list: a name, and at `column` the text or its first clause.
 fn entry(name: &str, column: usize, text: Option<&StyledStr>) -> String {
     let text = text.map(ToString::to_string).unwrap_or_default();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -132,13 +132,13 @@ fn entry(name: &str, column: usize, text: Option<&StyledStr>) -> String {
     format!("  {name:width$}{below}{text}\n", width = if below.is_empty() { column - 2 } else { 0 })
 }
 
-/// Where a text may end, before a separator and within these columns.
+/// Offsets at which a text may be cut: before a separator, within `room` columns.
 fn ends(text: &str, separators: [&'static str; 2], room: usize) -> impl Iterator<Item = usize> {
     let all = separators.into_iter().flat_map(move |separator| text.match_indices(separator));
     all.map(|(at, _)| at).filter(move |&at| text[..at].chars().count() <= room)
 }
 
-/// A line of the text after options: an example, two spaces in front, or anything else.
+/// Folds a line after the options if it is a long example (two spaces first).
 fn line(text: &str) -> String {
     let Some(example) = text.strip_prefix("  ").filter(|_| text.chars().count() > COLUMNS) else {
         return text.to_string();

@@ -11,11 +11,11 @@ use nsim_train::convert::calibration::RunInput;
 use nsim_train::convert::copies;
 use nsim_train::convert::deployed::{Choice, Conversion, Integers};
 
-/// What a conversion may cost.
+/// Limit on the delayed copies of a conversion.
 #[derive(Debug, Clone, clap::Args)]
 pub struct CopiesArgs {
-    /// At most this many delayed copies of what comes in to a spike response population, each with
-    /// synapses of its own; twice as many where they are few
+    /// Most delayed copies of the input of a spike response population, each with synapses of its
+    /// own; twice this number where synapses are few
     #[arg(
         long,
         help_heading = "Conversion",
@@ -33,7 +33,7 @@ impl CopiesArgs {
     }
 }
 
-/// How a spike response network becomes integers, and on which samples it is searched for.
+/// Method of converting a spike response network to integers, and the samples of its search.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ConversionArgs {
     /// How a spike response network becomes integers: by a search on samples, or by the analytic

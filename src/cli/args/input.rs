@@ -1,4 +1,4 @@
-//! `--input` and what goes with it: which samples a run takes.
+//! `--input` and related options: the samples of a run.
 
 use std::ops::Range;
 
@@ -10,7 +10,7 @@ use nsim_quantise::prune::check_stimulus;
 use nsim_session::error::Error;
 use nsim_session::inputs::{MOST_REPEATS, repeated};
 
-/// Where the spikes of a run come from.
+/// Sources and selection of the input samples of a run.
 #[derive(Debug, Clone, clap::Args)]
 pub struct InputArgs {
     /// Input spikes: SOURCE, or POPULATION=SOURCE when the model has several input populations
@@ -38,7 +38,7 @@ impl InputArgs {
     /// The sources, the first with the file of its labels.
     ///
     /// # Errors
-    /// [`Error::Usage`] for labels with a scene, or whose name cannot stand in a source.
+    /// [`Error::Usage`] for labels with a scene, or in a file whose name contains `?` or `&`.
     pub fn sources(&self) -> Result<Vec<String>, Error> {
         let mut sources = self.input.clone();
         if let (Some(labels), Some(first)) = (&self.labels, sources.first_mut()) {
@@ -50,7 +50,7 @@ impl InputArgs {
         Ok(sources)
     }
 
-    /// The options that give these samples again.
+    /// Command-line options with the sources and seed of these samples.
     pub fn words(&self) -> Vec<String> {
         let sources = self.sources().unwrap_or_default().into_iter().map(|source| ("--input", source));
         let options = sources.chain(self.seed.map(|seed| ("--seed", seed.to_string())));
@@ -58,15 +58,15 @@ impl InputArgs {
     }
 }
 
-/// Takes the samples that a run asks for, as often as it asks.
+/// Selected samples, repeated `--repeat` times.
 pub fn select<'a>(samples: &'a [Sample], args: &InputArgs) -> Result<Vec<&'a Sample>, Error> {
     Ok(select_numbers(samples.len(), args)?.into_iter().map(|number| &samples[number]).collect())
 }
 
-/// The numbers of the samples that a run asks for, of this many, as often as it asks.
+/// Numbers of the selected samples out of `samples`, repeated `--repeat` times.
 ///
 /// # Errors
-/// [`Error::Usage`] when the range holds no sample, `input.too-many`.
+/// [`Error::Usage`] for a range that is empty or ends after the last sample; `input.too-many`.
 pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Error> {
     let range = args.samples.clone().unwrap_or(0..usize::MAX);
     let (start, end, last) = (range.start, range.end, samples.max(1) - 1);

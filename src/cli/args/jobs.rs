@@ -1,4 +1,4 @@
-//! From MODEL, `--target` and `--mapping` to something that can run.
+//! From MODEL, `--target` and `--mapping` to a job that an engine can run.
 
 use std::path::PathBuf;
 
@@ -18,14 +18,14 @@ use nsim_session::obtain::{Integers, Job, Request, TargetChoice, Wanted, obtain}
 use nsim_train::convert::copies;
 use nsim_train::convert::prepare::integers;
 
-/// How a network is mapped anew, by every command that maps one.
+/// Options of a new mapping, for every command that maps a network.
 #[derive(Debug, Clone, clap::Args)]
 pub struct MappingArgs {
     /// Add relay compartments where spikes reach more cores than a compartment or a core has output
     /// axons; let sources share input axons where a core has too few
     #[arg(help_heading = "Mapping", long)]
     pub relays: bool,
-    /// Remove what cannot change an output: none; static, for every input; or for an INPUT as in
+    /// Prune parts that change no output: none; static, for every input; or for an INPUT as in
     /// --input, which also removes channels that never spike in it
     #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
     pub prune: Vec<String>,
@@ -39,7 +39,7 @@ impl Default for MappingArgs {
     }
 }
 
-/// What names the network and the hardware.
+/// Network and hardware of a job.
 #[derive(Debug, Clone, clap::Args)]
 pub struct JobArgs {
     /// A model file or the name of a shipped model
@@ -55,10 +55,10 @@ pub struct JobArgs {
     pub mapping: Option<PathBuf>,
     #[command(flatten)]
     pub anew: MappingArgs,
-    /// Where copies of the model are mapped.
+    /// Placement of copies of the model.
     #[arg(skip)]
     pub placement: CopyPlacement,
-    /// Whether a model has to name a scene: energy follows activity, and no spikes are given.
+    /// Whether the model has to name a scene: energy depends on activity, and no input is given.
     #[arg(skip)]
     pub needs_scene: bool,
 }
@@ -77,7 +77,7 @@ impl JobArgs {
         }
     }
 
-    /// What is asked for, of a network that has been loaded.
+    /// Request for a loaded network.
     pub fn request<'a>(&'a self, network: &'a Network, integers: Integers<'a>) -> Request<'a> {
         Request {
             target: TargetChoice::Named(self.target.as_deref()),
@@ -90,7 +90,7 @@ impl JobArgs {
     }
 }
 
-/// Why something does not fit.
+/// Reasons for which a model does not fit its target.
 #[derive(Debug)]
 pub struct Refusal {
     model: String,
@@ -99,7 +99,7 @@ pub struct Refusal {
 }
 
 impl Refusal {
-    /// That this model does not fit this target for these reasons, to the user of this command.
+    /// Refusal of a model on a target, with advice for the running command.
     pub fn new(model: &str, target: Target, mut reasons: Vec<Reason>) -> Self {
         reasons.iter_mut().for_each(|reason| reason.help = with_owners(&reason.help));
         Refusal { model: model.to_string(), target: Box::new(target), reasons }
@@ -110,8 +110,8 @@ impl Refusal {
         &self.reasons
     }
 
-    /// Prints the reasons on stderr and, as JSON, the command's own object with the keys of a run
-    /// left empty.
+    /// Prints the reasons on stderr. With JSON it also prints `object`, the empty result of the
+    /// command, with model, target and reasons.
     pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer> {
         let text = nsim_report::map::refusal(&self.model, &self.target, &self.reasons);
         diagnostics::say(&text);
@@ -126,9 +126,9 @@ impl Refusal {
     }
 }
 
-/// Loads a model and makes it ready for an engine, or says why it does not fit, with this many
-/// copies, else those of the saved mapping, else 1. Populations that fit the patterns stay whole
-/// however much is pruned.
+/// Loads a model and prepares it for an engine, or returns the reasons for which it does not fit.
+/// `copies` defaults to the number of the saved mapping, else 1. Populations that match a pattern
+/// of `probed` are never pruned.
 pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Result<Job, Refusal>> {
     let network = args.timestep.load(&args.model)?;
     if args.needs_scene {

@@ -1,10 +1,10 @@
-//! Names of earlier versions that were removed, each with what to use instead.
+//! Removed names of earlier versions, each with its replacement.
 
 use std::ffi::OsString;
 
 use clap::error::{ContextKind, ContextValue};
 
-/// What was typed, word by word, and its replacement.
+/// Removed words of a command line, and the advice that replaces them.
 pub const REMOVED: &[(&str, &str)] = &[
     (
         "cache",
@@ -41,7 +41,7 @@ pub const REMOVED: &[(&str, &str)] = &[
     ("plot early-energy", "`nsim bench paper --train DIR` has early decisions in its rows `early`"),
 ];
 
-/// An error of clap, or what to use instead where a removed name is its cause.
+/// Returns the error of clap, or the advice where a removed name is the cause.
 pub fn explained(error: clap::Error, line: &[OsString], command: &mut clap::Command) -> clap::Error {
     let wrong = [ContextKind::InvalidSubcommand, ContextKind::InvalidArg, ContextKind::InvalidValue];
     let is_cause = |word: &str| {

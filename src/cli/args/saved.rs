@@ -1,4 +1,4 @@
-//! Results that commands printed as JSON and that were saved.
+//! Saved JSON results of commands.
 
 use std::path::Path;
 
@@ -9,7 +9,7 @@ use nsim_files::write::checksum;
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_session::error::Error;
 
-/// Whether a name is that of a saved result.
+/// Whether a file name has the extension of a saved result.
 pub fn is_result(name: &str) -> bool {
     Path::new(name).extension().is_some_and(|extension| extension.eq_ignore_ascii_case("json"))
 }
@@ -17,7 +17,7 @@ pub fn is_result(name: &str) -> bool {
 /// A saved result of one of these schemas, and its text.
 ///
 /// # Errors
-/// `report.result` when it is none; when the file cannot be read.
+/// `report.result` for other text, another schema or checksum; when the file cannot be read.
 pub fn read(path: &Path, schemas: &[&str], help: &str) -> Result<(Value, SourceText), Error> {
     let text = io::text::read_text(path)?;
     let wrong = |message: String| Diagnostic::new("report.result", message).in_file(path).help(help);

@@ -18,8 +18,8 @@ use nsim_session::steps::{StepLayout, run_recorded};
 /// Checks the file before the run.
 ///
 /// # Errors
-/// [`Error::Usage`] for a name of another form, and for stdout, which carries the result;
-/// `write.*`.
+/// [`Error::Usage`] for a name that ends in neither .csv nor .npy, and for stdout, which carries
+/// the result; `write.*`.
 pub fn check(path: &Path, force: bool) -> Result<(), Error> {
     form(path)?;
     Ok(check_free(path, force)?)
@@ -33,7 +33,7 @@ fn form(path: &Path) -> Result<StepFormat, Error> {
 /// Runs samples and writes a row for each of their timesteps, under a temporary name.
 ///
 /// # Errors
-/// [`Error::Usage`] for an array of samples that end early; as [`run_recorded`]; when the file
+/// [`Error::Usage`] for a .npy file of samples that end early; as [`run_recorded`]; when the file
 /// cannot be written.
 pub fn recorded(
     (path, batch): (&Path, &mut Batch),
@@ -50,7 +50,7 @@ pub fn recorded(
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let layout = StepLayout::new(network);
     if ranks::several().is_some_and(|ranks| ranks.rank() > 0) {
-        // Rank 0 learns of all steps; the others take part in its groups of samples.
+        // Rank 0 writes the rows of all steps; the others run their part of each group of samples.
         let mut nowhere = std::io::sink();
         let table = StepWriter::new(&mut nowhere, StepFormat::Csv, layout.columns(), None)
             .map_err(|error| Error::Fault(error.to_string()))?;

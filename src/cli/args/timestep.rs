@@ -4,10 +4,10 @@ use nsim_files::network::Network;
 use nsim_import::model;
 use nsim_ir::base::diagnostic::Result;
 
-/// What a model's file may not say.
+/// Timestep of a model whose file has none.
 #[derive(Debug, Clone, Copy, Default, clap::Args)]
 pub struct TimestepArgs {
-    /// Milliseconds that a timestep represents, where the file of a model does not say
+    /// Milliseconds of a timestep, where the file of a model has none
     #[arg(long = "dt", value_name = "MS", value_parser = milliseconds)]
     pub dt_ms: Option<f64>,
 }
@@ -18,7 +18,7 @@ fn milliseconds(text: &str) -> Result<f64, String> {
 }
 
 impl TimestepArgs {
-    /// The model of this path or name.
+    /// Returns the model of a path or shipped name.
     pub fn load(self, argument: &str) -> Result<Network> {
         model::load_model_with(argument, self.dt_ms)
     }

@@ -1,4 +1,4 @@
-//! Values that are typed: a switch, a range of samples, a duration.
+//! Values of arguments: a switch, a range of samples, a duration.
 
 use std::ops::Range;
 use std::time::Duration;

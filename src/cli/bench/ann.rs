@@ -30,13 +30,13 @@ EXAMPLES:
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct AnnArgs {
-    /// Training files (models/train/paper); their samples, inputs and classes are taken
+    /// Training files (models/train/paper); their samples, inputs and classes are used
     #[arg(value_name = "CONFIG.ron", required = true)]
     config: Vec<PathBuf>,
     /// Only these networks [default: both]
     #[arg(long, value_name = "NAME", num_args = 1.., value_parser = one_of(&AnnKind::ALL, AnnKind::name))]
     network: Vec<AnnKind>,
-    /// Divide the samples into K stratified folds, the same as those of nsim train
+    /// Divide the samples into K stratified folds, as nsim train does
     #[arg(long, value_name = "K", default_value_t = 5, value_parser = clap::value_parser!(u32).range(2..=1000))]
     folds: u32,
     /// Test on the first N folds only [default: all]
@@ -55,10 +55,10 @@ pub struct AnnArgs {
 
 /// Learning rate of Adam.
 const RATE: f64 = 1e-3;
-/// Samples of a step.
+/// Samples of a step of the optimiser.
 const BATCH: usize = 16;
 
-/// What networks see of these samples.
+/// Input shapes, timesteps and classes of these samples.
 fn senses(file: &TrainingFile, examples: &[Example], classes: usize) -> Result<Senses, Error> {
     let place = |name: &str, shape: &[u64]| match *shape {
         [units] => Ok((1, 1, units as usize)),
@@ -71,13 +71,13 @@ fn senses(file: &TrainingFile, examples: &[Example], classes: usize) -> Result<S
     Ok(Senses { shapes, steps: steps.unwrap_or(0), classes })
 }
 
-/// The task that samples are of, by the name of their scene.
+/// Task of the samples: the name of their scene, else of the training file.
 fn task_of(file: &TrainingFile) -> String {
     let scene = file.train.first().and_then(|source| source.strip_prefix("scene:"));
     scene.map_or_else(|| file.name.clone(), |scene| scene.split('?').next().unwrap_or(scene).to_string())
 }
 
-/// The rows of one network on one task.
+/// Rows of one network on one task.
 fn rows(file: &TrainingFile, kind: AnnKind, results: &[AnnResult], folds: u32, epochs: u32) -> Vec<PaperRow> {
     let modality = match file.inputs.as_slice() {
         [one] => one.name.clone(),

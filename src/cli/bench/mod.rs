@@ -79,7 +79,7 @@ enum Which {
 }
 
 /// Cores, traffic, energy and step time of mappings by every strategy, placed and unplaced; each
-/// mapping is run and its spikes are compared with those of the reference interpreter
+/// mapping is run and its spikes are compared with the reference interpreter's
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct MapArgs {
@@ -181,7 +181,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     let budget = args.steps.map_or(Budget::Time(args.seconds), Budget::Steps);
     let bar = output::progress(context, networks.len() as u64, "networks");
     let mut rows = Vec::new();
-    // Networks of the same program are mapped and flattened once.
+    // Networks that share a program are mapped and flattened once.
     for same in networks.chunk_by(|a, b| a.program_of() == b.program_of()) {
         let build = |standard: StandardNetwork| standard.build().map_err(|e| fault(standard, &e));
         let BenchNetwork { network, target, .. } = build(same[0])?;
@@ -205,7 +205,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
-/// A program flattened for one thread and for all, each when it is first asked for.
+/// Images of a program for one thread and for all threads, each made on first use.
 struct Images {
     program: Arc<Program>,
     one: OnceCell<Arc<Image>>,
@@ -229,8 +229,8 @@ impl Images {
     }
 }
 
-/// One network's rows: with skipping and without on one thread, and on all threads where that can
-/// pay.
+/// Rows of one network: with and without skipping on one thread, and on all threads where that may
+/// be faster.
 fn step_rows(
     standard: StandardNetwork,
     images: &Images,
@@ -253,7 +253,7 @@ fn step_rows(
         let mut machine =
             ranks.map_or_else(|| Machine::new(image, settings), |ranks| Machine::of_part(image, settings, ranks, None));
         let agreed = |number| ranks.map_or(number, |ranks| ranks.agreed(number));
-        // Threads that share a step are called from one of them, as a run does.
+        // The threads of a step need a caller in their pool, as in a run.
         let measured = match threads {
             1 => measure_agreed(&mut machine, period, budget, agreed),
             _ => rayon::scope(|_| measure_agreed(&mut machine, period, budget, agreed)),
@@ -275,8 +275,8 @@ fn step_rows(
     measured.collect()
 }
 
-/// What was measured on this rank, with the counts, bytes and synapses of all; on all but the first
-/// its own.
+/// Measurement of this rank with the counts, bytes and synapses of all ranks on the first rank;
+/// with its own on every other rank.
 fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
     let Some(ranks) = ranks::several() else { return (measured, bytes, synapses) };
     let (mut totals, mut sums) = (measured.totals, (bytes, synapses));

@@ -1,5 +1,5 @@
-//! `nsim bench paper`: the tables of the paper on visual and tactile sensing next to what was
-//! measured here.
+//! `nsim bench paper`: the tables of the paper on visual and tactile sensing next to results of
+//! nsim.
 
 use std::path::{Path, PathBuf};
 
@@ -41,12 +41,12 @@ EXAMPLES:
   nsim bench paper --results my.json        with rows of one's own instead of those stored";
 
 /// The tables of Taunyazov et al. 2020 on classification, early decisions and hardware: each figure
-/// as printed, then what trainings with nsim reached, and what those rest on
+/// as printed, then the results of trainings with nsim, and their notes
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct PaperArgs {
-    /// Files of rows that take the place of stored ones: {"rows": [{"table": .., "task": ..,
-    /// "measured": ..}]}
+    /// Files of rows that replace stored ones: {"rows": [{"table": .., "task": .., "measured":
+    /// ..}]}
     #[arg(long, value_name = "FILE.json")]
     results: Vec<PathBuf>,
     /// Every figure, with its interval and note; the shipped networks are run
@@ -71,7 +71,7 @@ pub struct PaperArgs {
         value_parser = clap::value_parser!(u32).range(2..=100)
     )]
     folds: u32,
-    /// Epochs, instead of those of the training files
+    /// Epochs, instead of the training files'
     #[arg(long, value_name = "N", requires = "train", value_parser = clap::value_parser!(u32).range(0..=1_000_000))]
     epochs: Option<u32>,
     /// Scenes of each task, instead of 1000
@@ -88,8 +88,8 @@ const NAMES: [&str; 6] =
 /// Folds of the paper.
 const FOLDS: u32 = 5;
 
-/// What a network does with samples: on simulated cores, or in real numbers where its neurons are
-/// no chip's.
+/// Accuracy of a network over the steps of samples: on simulated cores, or in real numbers for
+/// spike response neurons, which no chip has.
 fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) -> Result<Trial> {
     let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
     let Ok(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(1), &[])? else {
@@ -125,8 +125,8 @@ fn chosen(samples: &[Sample], numbers: &[usize]) -> Vec<Sample> {
     numbers.iter().map(|&number| samples[number].clone()).collect()
 }
 
-/// Trains the folds that the folder does not have, and runs every fold's network on the scenes that
-/// it was not trained on.
+/// Trains the folds that the folder lacks, and runs the network of every fold on the scenes that
+/// its training did not use.
 fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<PaperRow>> {
     let mut rows = Vec::new();
     each_cell(&args.cell, args.scenes, |cell, scenes| {
@@ -155,8 +155,8 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
                     let model = model.display().to_string();
                     let trial = trial(&model, chosen(&samples, tested), neurons, context)?;
                     let run = trial.accuracy.last().copied().unwrap_or(0.0);
-                    // Integers are the same in training and on cores; real numbers have fewer
-                    // digits in training.
+                    // Training and cores compute equal integers. Real numbers have fewer digits in
+                    // training.
                     if neurons == Neurons::Loihi && (trained - run).abs() > 1e-9 {
                         return Err(Error::Fault(format!("{model}: accuracy {trained} in training, {run} on cores")));
                     }
@@ -171,8 +171,8 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
     Ok(rows)
 }
 
-/// Runs the shipped network of each cell on the scenes that its training did not use, and puts what
-/// came out next to what is stored.
+/// Runs the shipped network of each cell on the scenes that its training did not use, and adds its
+/// accuracy to the stored row.
 fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Result<()> {
     each_cell(&args.cell, args.scenes, |cell, scenes| {
         for loss in LOSSES {

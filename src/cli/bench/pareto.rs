@@ -52,7 +52,7 @@ pub struct ParetoArgs {
     update: Option<PathBuf>,
 }
 
-/// Samples that a conversion is searched on.
+/// Samples of the search of a conversion.
 const CALIBRATION_SAMPLES: usize = 100;
 
 /// The answer is no when a variant that claims to be exact is not.

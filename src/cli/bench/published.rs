@@ -1,4 +1,4 @@
-//! `nsim bench published`: what others measured next to what nsim predicts.
+//! `nsim bench published`: published measurements next to the predictions of nsim.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
 use nsim_study::published::rows;
 
-/// The constants whose findings are omitted work by work.
+/// Preset of constants whose findings are excluded, one work at a time.
 const CONSTANTS: &str = "loihi1-evidence";
 
 const EXAMPLES: &str = "\
@@ -21,9 +21,8 @@ EXAMPLES:
   nsim bench published --plot published.svg       published against predicted, with intervals
   nsim bench published --format csv > rows.csv    a row a figure";
 
-/// Energies, powers and times that others measured on the chip, and what nsim predicts for their
-/// workloads: once by all that is known of the constants, once without what is known from the work
-/// itself
+/// Published energies, powers and times of the chip, and nsim's predictions for their workloads:
+/// once from all evidence for the constants, once without evidence from the work itself
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct PublishedArgs {

@@ -1,7 +1,7 @@
 //! The scenes of the paper's tasks, which the cells of its tables share.
 //!
 //! Input: names of cells, the number of scenes. Output: each cell with the scenes of its task, made
-//! once a task. Errors: those of the training files and scenes.
+//! once per task. Errors: as for training files and scenes.
 
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::quantised::Quantised;
@@ -11,7 +11,7 @@ use nsim_session::inputs::{seen_by, stimulus};
 use nsim_study::published::cells::{Cell, cells};
 use nsim_train::job::Job as Training;
 
-/// The scenes of a task as the network of both senses sees them, made once for all its cells.
+/// Scenes of a task as input of the network with both senses, made once for all its cells.
 pub(super) struct Scenes {
     task: &'static str,
     network: Quantised,
@@ -28,7 +28,7 @@ impl Scenes {
         Ok(Scenes { task: cell.task, network, stimulus })
     }
 
-    /// What a network with some of the senses sees.
+    /// Scenes as input of a network with some of the senses.
     pub(super) fn seen_by(&self, network: &Quantised) -> Result<Vec<Sample>> {
         let seen = self.stimulus.samples.iter().map(|sample| seen_by(network, &self.network, sample));
         let unlike = || Error::Fault(format!("a network of the task {} has other inputs than its scenes", self.task));
@@ -36,7 +36,7 @@ impl Scenes {
     }
 }
 
-/// A source with this many scenes.
+/// A source with its number of scenes replaced.
 fn with_scenes(source: &str, scenes: Option<u32>) -> String {
     match (scenes, source.split_once("samples=")) {
         (Some(scenes), Some((before, after))) => {
@@ -47,7 +47,7 @@ fn with_scenes(source: &str, scenes: Option<u32>) -> String {
     }
 }
 
-/// The cells that are asked for, with the scenes of their tasks.
+/// Calls `each` with every selected cell and the scenes of its task.
 pub(super) fn each_cell(
     names: &[&str],
     number: Option<u32>,

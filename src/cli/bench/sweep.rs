@@ -13,11 +13,11 @@ EXAMPLES:
   nsim bench sweep --format json > sweep.json with the environment, for comparison";
 
 /// Run time of a synaptic event along fan-out, delays, steps of a sample, sparsity, populations,
-/// kernels, strategies and threads, on networks drawn by a seed; cliffs are marked
+/// kernels, strategies and threads, on networks sampled by a seed; cliffs are marked
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct SweepArgs {
-    /// Draws what each ladder holds fixed
+    /// Seed of the networks
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
 }

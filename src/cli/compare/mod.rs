@@ -43,16 +43,16 @@ pub struct Args {
     /// As fast as possible, or held to the model's timestep
     #[arg(long, default_value = "offline", value_parser = one_of(&Mode::ALL, Mode::name))]
     mode: Mode,
-    /// Where input spikes come from, as --host of nsim energy [default: stream where the chip has
-    /// x86 cores]
+    /// Source of input spikes, as --host of nsim energy [default: stream where the chip has x86
+    /// cores]
     #[arg(long, value_parser = one_of(&Host::ALL, Host::name))]
     host: Option<Host>,
-    /// What Intel's profiler attributes to the program, or the power of the whole board
+    /// Power that Intel's profiler attributes to the program, or of the whole board
     #[arg(long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
     accounting: Accounting,
 }
 
-/// The answer is no if no target can hold the network. That one cannot is a row.
+/// The answer is no if the network fits no target. A target that it does not fit is a row.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let targets = args.targets.iter().map(|name| Ok(io::target::load_target(name)?));
     let targets = targets.collect::<Result<Vec<Target>, Error>>()?;
@@ -61,7 +61,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let mut found = Comparison { model: name, input: Vec::new(), seed: None, set: Vec::new(), targets: Vec::new() };
     for (name, target) in args.targets.iter().zip(&targets) {
         let on_target = match priced(args, name, target, &mut found, context) {
-            // A diagnostic of mapping reports what a chip does not have.
+            // A diagnostic of mapping reports a feature that a chip lacks.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
                 let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
                 Err(vec![Refused { code: problem.code.to_string(), message: problem.message.clone() + &help }])
@@ -79,7 +79,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(if holds { Answer::Yes } else { Answer::No })
 }
 
-/// The network on one target, or why it cannot be held there.
+/// Cost of the network on one target, or the reasons for which it does not fit.
 fn priced(
     args: &Args,
     name: &str,

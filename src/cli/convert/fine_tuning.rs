@@ -1,8 +1,8 @@
-//! `nsim convert --fine-tune`: what is trained on, a bar while it lasts, and what a signal leaves.
+//! `nsim convert --fine-tune`: its samples, its progress bar, and the file after a signal.
 //!
 //! Input: a converted network and its training file. Output: the integers of the best epoch. A
-//! signal writes those of the best epoch so far to the file of `-o`. Errors: a training file of
-//! another network, samples without labels.
+//! signal writes the integers of the best epoch so far to the file of `-o`. Errors: a training file
+//! of another network, samples without labels.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex};
@@ -18,7 +18,7 @@ use nsim_train::convert::fine_tune::{BestEpoch, Task, Tuned, trainable};
 use nsim_train::convert::job::{Done, FineTuning, Job};
 use nsim_train::convert::model_file;
 
-/// How integers are trained further.
+/// Options of fine-tuning.
 #[derive(Debug, Clone, clap::Args)]
 pub struct FineTuneArgs {
     /// Then train for this many epochs with the integers in the forward pass, on training samples
@@ -35,7 +35,7 @@ pub struct FineTuneArgs {
 }
 
 impl FineTuneArgs {
-    /// Whether the network can be trained further, where that is asked for: before it is converted.
+    /// Checks before the conversion that the network can be fine-tuned, if `--fine-tune` is given.
     pub fn check(&self, job: &Job) -> Result<(), Error> {
         if self.fine_tune.is_some() {
             trainable(&job.graph)?;
@@ -43,8 +43,7 @@ impl FineTuneArgs {
         Ok(())
     }
 
-    /// Trains further, where that is asked for; `output` is the file to write and what it says of
-    /// its origin.
+    /// Fine-tunes, if `--fine-tune` is given; `output` is the file to write and its provenance.
     pub fn tune(
         &self,
         job: &Job,
@@ -76,7 +75,7 @@ impl FineTuneArgs {
     }
 }
 
-/// Writes the best epoch so far.
+/// Writes the integers of the best epoch so far; returns a message.
 fn keep(
     task: &Task,
     best: &Mutex<Option<BestEpoch>>,

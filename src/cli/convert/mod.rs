@@ -1,8 +1,8 @@
 //! `nsim convert MODEL`: makes integers of a network with real numbers, stage by stage.
 //!
-//! Input: a model, calibration samples, held-out samples. Output: what each stage gained, what is
-//! left, and with `-o` a model file of integers whose provenance says how it was made. With
-//! `--fine-tune` it is then trained for some epochs.
+//! Input: a model, calibration samples, held-out samples. Output: the gain of each stage, the
+//! remaining disagreement, and with `-o` a model file of integers with their provenance. With
+//! `--fine-tune` they are then trained for some epochs.
 
 mod fine_tuning;
 
@@ -33,7 +33,7 @@ EXAMPLES:
   nsim convert graph.nir --input spikes.npy --format json  only say how near it comes
   nsim agree srm.ron --against loihi.ron                   compare the network with what was kept";
 
-/// Convert a network with real numbers to integers, and say what each stage gains
+/// Convert a network with real numbers to integers, and report each stage's gain
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -47,12 +47,12 @@ pub struct Args {
     /// first half of the input]
     #[arg(long, value_name = "SOURCE")]
     calibrate: Vec<String>,
-    /// How many samples to convert on
+    /// Samples to convert on
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     calibration_samples: u32,
     #[command(flatten)]
     copies: CopiesArgs,
-    /// What the integers are for: a target without resets by subtraction makes them resets to zero
+    /// Target of the integers: resets by subtraction become resets to zero if it lacks them
     #[arg(long, default_value = "nahuku-32")]
     target: String,
     #[command(flatten)]
@@ -98,7 +98,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let typed = Typed {
         model: &args.model,
         conversion: (Conversion::Search, args.copies.most()),
-        // Its target has no reset by subtraction either.
+        // The target of `nsim agree` has no reset by subtraction either.
         closer: (!job.resets_are_replaced()).then_some(closer),
         words,
     };

@@ -1,4 +1,4 @@
-//! What is typed after `nsim energy`.
+//! Arguments of `nsim energy`.
 
 use std::path::PathBuf;
 
@@ -31,7 +31,7 @@ EXAMPLES:
   nsim energy --export-sanafe DIR                 the same program for SANA-FE
   nsim energy slip-tactile --input tactile=recording.npy --format json";
 
-/// What is run, on what, and how it is priced: what `nsim energy` and `nsim report` have in common.
+/// Job, input and cost model: arguments of `nsim energy`, `nsim report` and `nsim plot`.
 #[derive(Debug, Clone, Args)]
 pub struct CostArgs {
     #[command(flatten)]
@@ -42,14 +42,13 @@ pub struct CostArgs {
     /// those of the measured job with --deployment paper]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub copies: Option<u32>,
-    /// Where copies are: each on chips of its own and then more on each chip (spread), or on as few
-    /// cores as they fit (packed); as in the measured job of the model (paper); numbers of cores,
-    /// chips and x86 cores; or the file of a saved mapping or a scenario [default: spread]
+    /// Placement of copies: each on chips of its own and then more on each chip (spread), or on as
+    /// few cores as they fit (packed); as in the measured job of the model (paper); numbers of
+    /// cores, chips and x86 cores; or the file of a saved mapping or a scenario [default: spread]
     #[arg(help_heading = "Cost model", long, value_name = "spread|packed|paper|FILE|CORES,CHIPS,X86")]
     pub deployment: Option<String>,
-    /// Where input spikes come from: a computer through an x86 core of each chip, that x86 core's
-    /// memory, or nothing, for the neuron cores alone [default: stream where the chip has x86
-    /// cores]
+    /// Source of input spikes: a computer through an x86 core of each chip, that x86 core's memory,
+    /// or nothing, for the neuron cores alone [default: stream where the chip has x86 cores]
     #[arg(help_heading = "Cost model", long, value_parser = one_of(&Host::ALL, Host::name))]
     pub host: Option<Host>,
     /// Input streams of a chip: one that its copies share, or one for each copy
@@ -78,25 +77,23 @@ pub struct CostArgs {
     /// without a name
     #[arg(long, value_name = "NAME", num_args = 0.., value_delimiter = ',')]
     pub baseline: Option<Vec<String>>,
-    /// Power of this machine's processor at idle and busy, where its counters cannot be read or are
-    /// not to be
+    /// Power of this machine's processor at idle and busy, instead of its counters
     #[arg(help_heading = "Cost model", long, value_name = "IDLE,BUSY")]
     pub cpu_watts: Option<Watts>,
     /// A command that passes the same samples through a GPU, to be timed with the board's power
     #[cfg(feature = "nvml")]
     #[arg(help_heading = "Cost model", long, value_name = "COMMAND")]
     pub gpu_command: Option<String>,
-    /// Preset of constants: of those that the target names (its first when omitted), or a file
+    /// Preset of constants: one that the target names (its first when omitted), or a file
     #[arg(help_heading = "Cost model", long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
-    /// Which power counts: what Intel's profiler attributes to the job, or what a meter shows of
-    /// the whole board
+    /// Power to report: the job's by Intel's profiler, or the whole board's by a power meter
     #[arg(
         help_heading = "Cost model", long, default_value = "profiler",
         value_parser = one_of(&Accounting::ALL, Accounting::name)
     )]
     pub accounting: Accounting,
-    /// How long messages take: every message through finite buffers, or the longest route and the
+    /// Model of message times: every message through finite buffers, or the longest route and the
     /// busiest link
     #[arg(
         help_heading = "Cost model", long, default_value = Transport::default().name(),
@@ -106,7 +103,7 @@ pub struct CostArgs {
     /// Whether the simulator skips work that cannot change anything; no figure depends on it
     #[arg(help_heading = "Cost model", long, default_value = "on")]
     pub skip: Switch,
-    /// Say what ending a sample would save when an output leads by this many spikes, or when no
+    /// Show the savings of ending a sample when an output leads by this many spikes, or when no
     /// other can overtake it
     #[arg(help_heading = "Cost model", long, value_name = "MARGIN|certain")]
     pub early_exit: Option<Rule>,

@@ -16,8 +16,8 @@ use nsim_energy::workload::Workload;
 use nsim_session::error::Error;
 use nsim_session::obtain::Wanted;
 
-/// Runs and prices a job, with a row for each timestep in a file where one is named, and warns of
-/// what stands out; `report` takes the result. What does not fit is said, and the answer is no.
+/// Runs and prices a job, prints its warnings, and passes the result to `report`. With `steps` each
+/// timestep is a row of that file. A model that does not fit is reported, and the answer is no.
 pub fn evaluate(
     args: &CostArgs,
     steps: Option<&Path>,
@@ -40,10 +40,10 @@ pub fn evaluate(
             return refusal.say(nothing(copies, args.mode, args.convention), context);
         }
     };
-    // The network of a published job is mapped as that was.
+    // The network of a published job is mapped as in its publication.
     let of_job = job.mapped().map(|(compiled, target)| plan.job_mapped(compiled, target)).transpose()?.flatten();
     let workload = workload(&job, of_job.as_ref(), &args.input)?;
-    // Other hardware runs the network without what the chip needs, such as relays.
+    // Other hardware runs the network without additions for the chip, such as relays.
     let alone = match of_job.is_some() || options.baselines.cpu && workload.copies > 1 {
         true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, Some(1), &[])?),
         false => None,

@@ -1,4 +1,4 @@
-//! `nsim energy`: what was typed -> a simulated run -> its report.
+//! `nsim energy`: arguments -> a simulated run -> its report.
 //!
 //! [`workload`] runs, [`mod@evaluate`] prices through `nsim_energy`.
 
@@ -59,7 +59,7 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     evaluate(&args.cost, args.steps.as_deref(), context, reported)
 }
 
-/// The files of an export.
+/// Paths of the files of an export.
 fn sanafe_files(folder: &std::path::Path) -> [PathBuf; 2] {
     ["arch.yaml", "snn.yaml"].map(|name| folder.join(name))
 }

@@ -1,5 +1,5 @@
-//! The samples that options name, on the mapped program: with a progress bar, and with a row for
-//! each timestep in a file.
+//! Runs the selected samples on the mapped program, with a progress bar and an optional file with a
+//! row for each timestep.
 
 use std::path::Path;
 
@@ -32,8 +32,7 @@ pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs)
     Workload::new(compiled, target, stimulus, order)
 }
 
-/// Runs all samples under a progress bar, with a row for each timestep in a file where one is
-/// named.
+/// Runs all samples under a progress bar. With `steps` each timestep is a row of that file.
 pub fn simulate(
     workload: &Workload<'_>,
     settings: MeterSettings,

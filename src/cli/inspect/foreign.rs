@@ -1,9 +1,8 @@
-//! What files of other tools hold: networks and checkpoints, recordings of event sensors.
+//! Contents of files of other tools: networks and checkpoints, recordings of event sensors.
 //!
 //! Input: a path. Output: every array with its type, shape and range, and whether the file can be
-//! imported as it is or what would have to be said; of a recording its events, extent and duration.
-//! Nothing in a file is executed. How a recording becomes spikes is for the options of a run to
-//! say.
+//! imported as it is or which options it needs; for a recording its events, extent and duration.
+//! Nothing in a file is executed. The options of a run decide how a recording becomes spikes.
 
 use std::path::Path;
 
@@ -18,19 +17,19 @@ use nsim_import::spikes::events::{nir_data, read};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::inspect::{Findings, FindingsTable, number};
 
-/// A row each: an array, or a text.
+/// Columns of the table, in which each array or text is a row.
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
 /// Characters of a text that are shown.
 const MOST_TEXT: usize = 60;
-/// Rows of a table; files may hold a group for each of very many nodes.
+/// Most rows of a table, as files may hold a group for each of very many nodes.
 const MOST_ROWS: usize = 1 << 12;
-/// Numbers of a checkpoint that are looked at for their range: many tensors may share one storage.
+/// Most numbers of a checkpoint that are read for ranges: many tensors may share one storage.
 const MOST_NUMBERS: usize = 1 << 28;
 
-/// A network or a checkpoint.
+/// Contents of a network or a checkpoint.
 ///
 /// # Errors
-/// `inspect.kind` for what is neither, those of [`foreign::read`] for what cannot be opened at all.
+/// `inspect.kind` for any other file; `hdf5.*`, `import.*` and `io.*` for an unreadable one.
 pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
     let bytes = hdf5::bytes_of(path)?;
     let in_file = |problem: Diagnostic| problem.or_in_file(path);
@@ -61,7 +60,7 @@ pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<F
                         left = rest;
                         array_row(&name, &dtype, &shape, numbers.into_iter())
                     }
-                    // What cannot be read of one says nothing of the others.
+                    // An unreadable tensor does not affect the others.
                     Some((_, Err(problem))) => bare_row(&name, Some(&dtype), Some(&shape), Some(&problem.message)),
                     None => bare_row(&name, Some(&dtype), Some(&shape), None),
                 });
@@ -73,7 +72,7 @@ pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<F
     Ok(found(kind, Some(importable), rows))
 }
 
-/// The problem of a file that is not inspected.
+/// Error for a file of a kind that is not inspected.
 fn unknown(kind: FileKind) -> Diagnostic {
     Diagnostic::new("inspect.kind", format!("this is {kind}, which is not inspected")).help(format!(
         "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; {RECORDINGS}; \
@@ -87,7 +86,7 @@ fn found(kind: &'static str, importable: Option<String>, rows: Vec<Vec<Value>>) 
     Findings { kind, facts, tables: vec![FindingsTable::new("arrays", COLUMNS, rows.into_iter().map(Value::Array))] }
 }
 
-/// Whether a file becomes a model as it is, in words.
+/// Text that says whether a file can be imported as it is.
 fn import_summary(imported: &Result<Imported, Diagnostic>) -> String {
     match imported {
         Ok(Imported { model, .. }) => {
@@ -109,7 +108,7 @@ fn array_row(name: &str, dtype: &str, shape: &[usize], numbers: impl Iterator<It
     vec![json!(name), json!(dtype), json!(shape), json!(least.map(number)), json!(greatest.map(number)), json!(one)]
 }
 
-/// An array or a text without a range.
+/// Row of an array or a text without a range.
 fn bare_row(name: &str, dtype: Option<&str>, shape: Option<&[usize]>, value: Option<&str>) -> Vec<Value> {
     let value = value.map(|text| text.chars().take(MOST_TEXT).collect::<String>());
     vec![json!(name), json!(dtype), json!(shape), Value::Null, Value::Null, json!(value)]
@@ -136,7 +135,7 @@ fn arrays(group: &Group, path: &str, rows: &mut Vec<Vec<Value>>) {
     }
 }
 
-/// What a recording's events have in common.
+/// Counts and extent of the events of a recording.
 #[derive(Debug, Default)]
 struct Extent {
     counts: Counts,
@@ -163,7 +162,8 @@ impl Sink for Extent {
     }
 }
 
-/// What a recording holds, by the options that say how a file is read.
+/// Reads a recording. Of the options only stream, unit and size are allowed, which say how to read
+/// the file.
 fn extent(path: &Path, format: EventFormat, options: &EventOptions) -> Result<Extent, Diagnostic> {
     let &EventOptions { stream, unit, size, .. } = options;
     if *options != (EventOptions { stream, unit, size, ..EventOptions::default() }) {
@@ -176,15 +176,15 @@ fn extent(path: &Path, format: EventFormat, options: &EventOptions) -> Result<Ex
     Ok(extent)
 }
 
-/// How many events a recording has.
+/// Number of events of a recording.
 pub(super) fn events(path: &Path, format: EventFormat, options: &EventOptions) -> Result<u64, Diagnostic> {
     Ok(extent(path, format, options)?.counts.events)
 }
 
-/// A recording of an event sensor.
+/// Contents of a recording of an event sensor.
 ///
 /// # Errors
-/// `input.events` for what is malformed, `input.option`, `io.*`.
+/// `input.events` for malformed files, `input.option`, `io.*`.
 pub(super) fn recording(path: &Path, format: EventFormat, options: &EventOptions) -> Result<Findings, Diagnostic> {
     let Extent { counts, rising, sensor, most } = extent(path, format, options)?;
     let times = counts.span_us;

@@ -1,4 +1,4 @@
-//! What the files of hardware say: targets, chips, presets of constants, baselines, scenarios.
+//! Contents of hardware files: targets, chips, presets of constants, baselines, scenarios.
 //!
 //! Input: parsed files. Output: facts and tables, each constant with unit, source and status.
 
@@ -16,7 +16,7 @@ fn limits_table(chip: &Chip, own: &str) -> FindingsTable {
     let pools = &chip.limits.pools;
     let row = |(name, value): (String, Value)| {
         let source_of = |name: &str| chip.limit_sources.iter().find(|entry| entry.limit.value == name);
-        // A resource without a source of its own has that of its pool.
+        // A resource without a source of its own has the source of its pool.
         let pool = pools.iter().find(|pool| pool.costs.keys().any(|resource| resource.name() == name));
         let origin = source_of(&name).or_else(|| source_of(&pool?.name));
         let (status, source) = (origin.map(|entry| entry.status), origin.map(|entry| &entry.source));
@@ -38,10 +38,10 @@ fn limits_table(chip: &Chip, own: &str) -> FindingsTable {
     }
 }
 
-/// Where a value stands that the file itself states.
+/// Origin of a value that the file itself states.
 const OWN: &str = "here";
 
-/// Constants of presets; where one stands that its preset states is `own`, or the preset's name.
+/// Constants of presets. A constant of its preset has the origin `own`, else the preset's name.
 fn constants_table(presets: &[Constants], own: Option<&str>) -> FindingsTable {
     let mut rows = Vec::new();
     for preset in presets {

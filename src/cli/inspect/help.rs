@@ -1,4 +1,4 @@
-//! `nsim help`: what `--help` prints, and the manual pages of all commands.
+//! `nsim help`: the text of `--help`, and the manual pages of all commands.
 
 use std::path::PathBuf;
 
@@ -15,7 +15,7 @@ use nsim_session::error::Error;
   nsim help bench map
   nsim help --man share/man/man1           manual pages of all commands, for man(1)")]
 pub struct Args {
-    /// A command, and the one below it
+    /// A command, and its subcommand
     #[arg(value_name = "COMMAND")]
     pub commands: Vec<String>,
     /// Write the manual pages of all commands into this folder
@@ -23,7 +23,7 @@ pub struct Args {
     pub man: Option<PathBuf>,
 }
 
-/// The command, for the commands below `root`.
+/// Prints the help of a command below `root`, or writes the manual pages.
 pub fn run(args: &Args, root: Command, context: Context) -> Result<Answer, Error> {
     let mut root = root;
     root.build();
@@ -49,7 +49,7 @@ pub fn run(args: &Args, root: Command, context: Context) -> Result<Answer, Error
     Ok(Answer::Yes)
 }
 
-/// The name and the manual page of a command and of all below it.
+/// Adds the name and manual page of a command and of all its subcommands.
 fn manual(command: &Command, pages: &mut Vec<(String, Vec<u8>)>) -> Result<(), Error> {
     let name = command.get_display_name().unwrap_or(command.get_name()).to_string();
     let mut page = Vec::new();

@@ -1,8 +1,7 @@
-//! `nsim inspect FILE`: what a file holds.
+//! `nsim inspect FILE`: the contents of a file.
 //!
-//! Input: a file, a folder, or the name of something shipped. Output: its kind, what it says about
-//! itself, and tables of its parts. Nothing is compiled: a model that is inspected may still be
-//! refused by `nsim map`.
+//! Input: a file, a folder, or a shipped name. Output: its kind, its facts, and tables of its
+//! parts. Nothing is compiled: `nsim map` may still refuse an inspected model.
 
 mod foreign;
 mod hardware;
@@ -37,7 +36,7 @@ use nsim_ir::stimulus::{InputArg, InputSource};
 use nsim_report::inspect::{Findings, FindingsTable, number};
 use nsim_session::error::Error;
 
-/// What was typed.
+/// Command-line arguments.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_help = "EXAMPLES:
   nsim inspect vtsnn-slip                 a shipped model
@@ -173,7 +172,7 @@ fn mapping_findings(mapping: &MappingFile) -> Findings {
     }
 }
 
-/// For what a mapping was pruned.
+/// Pruning of a mapping, as text: for its input spikes, or static.
 fn of_pruning(pruned: &PrunedFile) -> Value {
     let dead: u64 = pruned.dead.iter().map(|run| u64::from(run.count)).sum();
     match &pruned.stimulus {
@@ -229,7 +228,7 @@ fn inspect_npy(path: &Path) -> Result<Findings, Diagnostic> {
             ("numbers", json!(tensor.len())),
             ("min", json!(least.map(number))),
             ("max", json!(greatest.map(number))),
-            // Fractions are no spikes.
+            // Arrays with fractions hold no spikes.
             ("spikes", json!(tensor.reals().all(|x| x.fract() == 0.0).then_some(non_zero))),
             ("density", json!(density)),
         ],
@@ -342,8 +341,8 @@ Network(name: "m", timestep_ms: 1.0,
     fn a_model_is_counted_without_being_compiled() {
         let found = findings("m.ron", MODEL.as_bytes()).unwrap();
         let object = object(&found);
-        // Of 3 places from -1 in steps of 2 over an axis of 4, the first window loses one: 2 + 3 on
-        // each axis.
+        // Windows of 3 places start at -1 and 1 on an axis of 4. The first loses one place: 2 + 3
+        // on each axis.
         let counts: Vec<_> = object["projections"].as_array().unwrap().iter().map(|p| p["synapses"].as_u64()).collect();
         assert_eq!(counts, [Some(3 * 2 * 5 * 5), Some(2 * 4 * 4), Some(20 * 2), Some(6)]);
         assert_eq!((&object["synapses"], &object["kind"]), (&json!(150 + 32 + 40 + 6), &json!("model")));

@@ -1,7 +1,7 @@
 //! Contents of a model file: its populations, and the number of synapses of its projections.
 //!
 //! Input: a parsed network. Output: facts and tables. Synapses are counted from shapes, without
-//! making any; what would take too long to count stays unknown.
+//! making any; a count that would take too long stays unknown.
 
 use std::collections::HashMap;
 
@@ -14,8 +14,8 @@ fn units_of(shape: &[u64]) -> Option<u64> {
     shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
 }
 
-/// How many of the places of a window that slides over an axis lie on the axis, over all its
-/// positions.
+/// Places of a sliding window that lie on an axis, summed over its positions; none where counting
+/// would take too long.
 fn taps(input: u64, output: u64, kernel: u64, stride: u64, padding: u64, dilation: u64) -> Option<u64> {
     if output.checked_mul(kernel)? > 1 << 24 {
         return None;
@@ -27,7 +27,7 @@ fn taps(input: u64, output: u64, kernel: u64, stride: u64, padding: u64, dilatio
     Some((0..output).map(|o| (0..kernel).filter(|&k| on_axis(o, k).is_some()).count() as u64).sum())
 }
 
-/// The synapses that a projection makes, when its shapes let them be counted.
+/// Number of synapses of a projection, if its shapes determine it.
 fn synapses(network: &Network, shapes: &HashMap<&str, &[u64]>, projection: &ProjectionDesc) -> Option<u64> {
     let shape_of = |name: &String| shapes.get(name.as_str()).copied();
     let sources = projection.from.iter().try_fold(0u64, |sum, name| sum.checked_add(units_of(shape_of(name)?)?))?;
@@ -56,7 +56,7 @@ fn synapses(network: &Network, shapes: &HashMap<&str, &[u64]>, projection: &Proj
     }
 }
 
-/// What a population is, and its parameters, in words.
+/// Kind of a population, and its parameters as text.
 pub(in crate::cli) fn kind_and_parameters(population: &PopulationDesc) -> (String, String) {
     let real = population.srm.into_iter().flatten().map(|(name, x)| format!("{name} {x}"));
     let parameters = population.loihi.iter().flatten().map(|(name, parameter)| match parameter {

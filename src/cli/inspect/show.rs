@@ -2,7 +2,7 @@
 //!
 //! Input: the name of a shipped file, or its kind and name (`chips/tiny`) where several have it, or
 //! the path of a file; a training file is found by its name where no other file has it. With `--as`
-//! a model. Output: its text, which can be saved, changed and used in its place; or the network in
+//! a model. Output: its text, which can be saved, changed and used instead of it; or the network in
 //! integers, its cores, their places, or their tables, as `nsim::ir` reads them.
 
 use std::path::{Path, PathBuf};
@@ -65,7 +65,7 @@ pub struct Args {
     pub output: Option<PathBuf>,
 }
 
-/// A model that does not fit is an answer.
+/// A model that does not fit is an answer, not an error.
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let Some(name) = &args.name else {
         let names: Vec<&str> = all().map(without_extension).collect();
@@ -89,7 +89,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
                 Ok(job) => job,
                 Err(why) => return why.say(json!({ "schema": "nsim.show/1", "name": name }), context),
             };
-            // So deep that an entry of a table takes a line.
+            // At these depths an entry of a table takes a line.
             let text = match (stage, job.mapped()) {
                 (Stage::Partition, Some((compiled, _))) => pretty(&compiled.partition, 2)?,
                 (Stage::Placement, Some((compiled, _))) => pretty(&compiled.placement, 2)?,
@@ -123,7 +123,7 @@ fn find(name: &str) -> Result<&'static Shipped, Error> {
         let path = without_extension(file);
         path == given || file.name == given || path.strip_suffix(given).is_some_and(|folder| folder.ends_with('/'))
     };
-    // Many a training file has the name of its model.
+    // Many training files have the name of their model.
     let is_training = |file: &&'static Shipped| file.path.starts_with("models/train/");
     let (trainings, mut found): (Vec<_>, Vec<_>) = all().filter(is).partition(is_training);
     if found.is_empty() {

@@ -1,10 +1,10 @@
 //! `nsim plot`: one picture, of a run of a model on an input, of a mapping, or of a saved result.
 //!
-//! Input: what to draw; a model and what `nsim energy` takes, or a JSON object that a command
-//! printed. Output: an SVG, PNG or PDF file, as its name says. Of a run the first sample that is
-//! chosen is drawn.
+//! Input: the kind of picture; a model with the options of `nsim energy`, or a JSON result of a
+//! command. Output: an SVG, PNG or PDF file, by its name. Of a run the first selected sample is
+//! drawn.
 //!
-//! Errors: what is drawn from results alone and gets a model; a result that has not what is drawn.
+//! Errors: a model for a picture of results alone; a result without the data of the picture.
 
 use std::path::{Path, PathBuf};
 
@@ -45,7 +45,7 @@ EXAMPLES:
   nsim agree --format json > a.json && nsim plot agreement a.json -o causes.svg
   nsim map --pareto p.svg --format json > m.json && nsim plot pareto m.json -o pareto.svg";
 
-/// What is drawn.
+/// Kinds of pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum What {
     /// Spikes of a sample over time, a panel for each population
@@ -56,11 +56,11 @@ pub enum What {
     Messages,
     /// Power, time and energy of a timestep on all hardware
     Hardware,
-    /// Where the energy of a timestep goes
+    /// Energy of a timestep by part
     Energy,
-    /// Where the time of a timestep goes
+    /// Time of a timestep by part
     Time,
-    /// Cores on their chips, what they hold, and the traffic of links
+    /// Cores on their chips, their contents, and the traffic of links
     Map,
     /// Results of bench pareto or map --pareto, and their front
     Pareto,
@@ -68,16 +68,16 @@ pub enum What {
     Agreement,
 }
 
-/// Schemas of results, the command that prints one, and how one is drawn.
+/// Schemas of results, the command that prints one, and the function that draws one.
 type OfResult = (&'static [&'static str], &'static str, fn(&Value) -> Option<String>);
 
 impl What {
-    /// The name that is typed.
+    /// Name of the kind on the command line.
     fn name(self) -> String {
         self.to_possible_value().map_or(String::new(), |value| value.get_name().to_string())
     }
 
-    /// How it is drawn from a result; none for what needs a run.
+    /// Drawing from a result; none for a picture that needs a run.
     fn of_result(self) -> Option<OfResult> {
         Some(match self {
             What::Raster | What::Voltage | What::Messages | What::Map => return None,
@@ -94,7 +94,7 @@ impl What {
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
-    /// What to draw
+    /// Kind of picture
     #[arg(value_enum, value_name = "WHAT")]
     what: What,
     #[command(flatten)]
@@ -103,15 +103,15 @@ pub struct Args {
     /// such as 'out[2]' [default: all; of compartments those that spike most]
     #[arg(long, value_name = "POP")]
     probe: Vec<String>,
-    /// The picture; its name says what kind it is: SVG in every build of nsim, PNG and PDF in those
-    /// with the feature pictures
+    /// The picture; its name gives the format: SVG in every build of nsim, PNG and PDF with the
+    /// feature pictures
     #[arg(short, long, value_name = FILE)]
     output: PathBuf,
 }
 
-/// Compartments of a population that are drawn when none is named.
+/// Most compartments of a population that are drawn if none is named.
 const OF_EACH: usize = 3;
-/// Compartments that are drawn.
+/// Most compartments of a picture.
 const MOST_TRACED: usize = 11;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
@@ -199,7 +199,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     write(args, &traces(&title, network, &timeline, &traced, quantity), taken, context)
 }
 
-/// The pattern of a probe, and the compartment that it names.
+/// Pattern of a probe, and the index of its compartment, if any.
 fn pattern(text: &str) -> (&str, Option<&str>) {
     match text.strip_suffix(']').and_then(|text| text.rsplit_once('[')) {
         Some((pattern, index)) => (pattern, Some(index)),
@@ -207,7 +207,7 @@ fn pattern(text: &str) -> (&str, Option<&str>) {
     }
 }
 
-/// The populations that are named, with the compartment of each that is; all when none is named.
+/// Populations that probes name, each with its named compartment, if any; all without probes.
 fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(PopulationId, Option<u32>)>, Error> {
     let fits = |id: PopulationId| what == What::Raster || network.populations()[id].first_compartment().is_some();
     let all: Vec<PopulationId> = network.populations().ids().filter(|&id| fits(id)).collect();

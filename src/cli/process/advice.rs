@@ -1,20 +1,20 @@
-//! Advice that names options of other commands than the one that runs.
+//! Advice that names options of commands other than the running one.
 //!
-//! Input: advice, as stages give it that do not know for which command they work. Output: the same,
-//! and for each option that the running command lacks a command that has it. A command that the
-//! advice itself names is taken for the options after it.
+//! Input: advice of stages, which do not know the running command. Output: the advice, with a
+//! command for each option that the running command lacks. If the advice names a command, the
+//! options after it are checked against that command.
 
 use std::sync::OnceLock;
 
 use clap::ArgMatches;
 
-/// Every command, as it is typed, and its options.
+/// Name and options of every command.
 type Commands = Vec<(String, Vec<String>)>;
 
-/// The command that runs, as it is typed, and what makes the list of all.
+/// Name of the running command, and the function that lists all commands.
 static RUNS: OnceLock<(String, fn() -> Commands)> = OnceLock::new();
 
-/// Remembers which command of those that `all` lists runs.
+/// Stores the name of the running command; `all` lists the commands.
 pub fn runs(matches: &ArgMatches, all: fn() -> Commands) {
     let (mut names, mut matches) = (Vec::new(), matches);
     while let Some((name, below)) = matches.subcommand() {
@@ -24,7 +24,7 @@ pub fn runs(matches: &ArgMatches, all: fn() -> Commands) {
     let _ = RUNS.set((names.join(" "), all));
 }
 
-/// Advice of the running command.
+/// Advice with a command for each option that the running command lacks.
 pub fn with_owners(advice: &str) -> String {
     match RUNS.get() {
         Some((runs, all)) if advice.contains("--") => completed(advice, runs, &all()),

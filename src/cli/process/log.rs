@@ -1,5 +1,4 @@
-//! Messages on stderr. That no one can read them is no reason to lose a result: failed writes are
-//! ignored.
+//! Messages on stderr. Failed writes are ignored, so a closed stderr loses no result.
 
 use std::io::Write;
 
@@ -24,8 +23,8 @@ impl Write for Unheard {
     }
 }
 
-/// Starts the log at the level that `--verbose` and `--quiet` ask for; by default with a line for
-/// each recording where `recordings` asks for them.
+/// Starts the log at the level of `--verbose` and `--quiet`. With `recordings` the default level
+/// also has a line for each recording.
 pub fn start(verbose: u8, quiet: bool, recordings: bool) {
     let all = |level| Targets::new().with_default(level);
     let level = match (quiet, verbose) {

@@ -1,7 +1,7 @@
-//! The process around a command: its log, its threads, signals, and what becomes of a panic.
+//! The process around a command: its log, threads, ranks, signals and panics.
 //!
 //! However a command ends, the exit status is 0 to 4, or 130 and 143 for SIGINT and SIGTERM, and
-//! what was being written is absent, old or complete.
+//! each written file is absent, old or complete.
 
 pub mod advice;
 pub mod log;

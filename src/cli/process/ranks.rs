@@ -1,9 +1,9 @@
 //! The processes of a job that was started by `mpirun` or `srun`.
 //!
 //! Rank 0 prints and writes files, the others are silent. A rank that fails ends the job, with one
-//! message: an error that all ranks find is rank 0's to say, so the others wait a moment before
-//! they say theirs; that of another rank is said by it, and rank 0, which a signal then ends, is
-//! notified. Without the feature `mpi` every process is alone.
+//! message. Rank 0 reports an error of all ranks, so the others wait a moment before they report
+//! it. Another rank reports its own error and notifies rank 0, which a signal then ends. Without
+//! the feature `mpi` every process is alone.
 
 use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -17,23 +17,23 @@ use nsim_machine::ranks::transport::Ranks;
 use nsim_session::error::Error;
 use nsim_session::ranks::RankRow;
 
-/// How much longer each rank than the one before it waits for another to say what is wrong.
+/// Wait of a failed rank, per rank number, for the message of another rank.
 #[cfg(feature = "mpi")]
 const MOMENT: Duration = Duration::from_millis(250);
-/// How long rank 0 listens for what another rank has to say, once it is ended: `mpirun` soon passes
-/// on nothing more.
+/// Wait of rank 0, after a signal, for the notice of another rank: `mpirun` soon forwards no more
+/// output.
 #[cfg(feature = "mpi")]
 const HEARING: Duration = Duration::from_millis(10);
-/// From this rank on all wait as long: a job ends within two seconds.
+/// From this rank on the wait is constant: a job ends within two seconds.
 #[cfg(feature = "mpi")]
 const LONGEST: u32 = 4;
 
-/// The job that this process is one rank of, several or not.
+/// Job of this process, with one rank or several.
 static HERE: OnceLock<Ranks> = OnceLock::new();
 /// Whether rank 0 needs the whole program.
 static WHOLE: AtomicBool = AtomicBool::new(false);
 
-/// Joins the job, if this process is of one.
+/// Joins the job, if this process belongs to one.
 pub fn start() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = nsim_machine::ranks::mpi::start() {
@@ -47,13 +47,13 @@ pub fn several() -> Option<&'static Ranks> {
     HERE.get().filter(|ranks| ranks.ranks() > 1)
 }
 
-/// Refuses what runs in one process.
+/// Returns a usage error if several processes run `what`.
 pub fn alone(what: &str) -> Result<(), Error> {
     let message = format!("{what} runs in one process: start it without mpirun or srun, or with one task");
     refuse_if(several().is_some(), message)
 }
 
-/// Lets rank 0 hold the whole program, which prices it.
+/// Makes rank 0 keep the whole program, which it prices.
 pub fn price() {
     WHOLE.store(true, Ordering::SeqCst);
 }
@@ -66,7 +66,7 @@ pub fn share() -> Share {
     })
 }
 
-/// What each process held in a run; also where one is all of a job.
+/// Rows of the processes of a run, also for a job of one process.
 pub fn rows(of_run: &[RankRow], program: Option<&Program>) -> Vec<RankRow> {
     match (HERE.get(), program) {
         (Some(_), Some(program)) if of_run.is_empty() => vec![RankRow::here(program, 0)],
@@ -74,7 +74,7 @@ pub fn rows(of_run: &[RankRow], program: Option<&Program>) -> Vec<RankRow> {
     }
 }
 
-/// Ends any process but the first, which has the result; it waits until the first has written it.
+/// Ends any process but the first, which has the result, once the first has written it.
 pub fn leave_to_first() {
     if several().is_some_and(|ranks| ranks.rank() > 0) {
         finish();
@@ -82,7 +82,7 @@ pub fn leave_to_first() {
     }
 }
 
-/// Leaves the job in peace, once every rank does.
+/// Leaves the job without an error, once every rank does.
 pub fn finish() {
     #[cfg(feature = "mpi")]
     if HERE.get().is_some() {
@@ -90,8 +90,8 @@ pub fn finish() {
     }
 }
 
-/// What comes before the message of a failure. What another rank has said already is not said
-/// again.
+/// Waits before the message of a failure. If another rank reports first, this rank stays silent;
+/// else it notifies the others and may print.
 pub fn before_failing() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {
@@ -108,7 +108,7 @@ pub fn before_failing() {
     }
 }
 
-/// Whether a signal that ends this process has been said, or is said, by another.
+/// Whether another rank reports the signal that ends this process.
 pub fn is_said_elsewhere() -> bool {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {

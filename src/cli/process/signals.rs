@@ -17,16 +17,16 @@ use crate::cli::diagnostics;
 use crate::cli::process::ranks;
 use nsim_files::write;
 
-/// What is left to do for a command that a signal ends: it keeps what is finished and says what.
+/// Last action of a command that a signal ends: it saves finished work and returns a message.
 type Last = Box<dyn FnOnce() -> Option<String> + Send>;
 
 static LAST: Mutex<Option<Last>> = Mutex::new(None);
 
-/// Work whose last act is due while this is alive.
+/// Guard of a last action, which stays registered until the guard is dropped.
 #[derive(Debug)]
 pub struct Ending(());
 
-/// What a signal does before it ends the process, until the value is dropped.
+/// Registers an action that a signal runs before it ends the process.
 pub fn at_end(last: impl FnOnce() -> Option<String> + Send + 'static) -> Ending {
     if let Ok(mut place) = LAST.lock() {
         *place = Some(Box::new(last));
@@ -42,12 +42,12 @@ impl Drop for Ending {
     }
 }
 
-/// Listens from now on. Where the system does not let it, signals do what they do by default.
+/// Starts to handle signals. If the system refuses, signals keep their default actions.
 pub fn listen(format: Format) {
     let _ = flag::register(SIGXFSZ, Arc::new(AtomicBool::new(false)));
     let _ = flag::register_conditional_shutdown(SIGABRT, 4, Arc::new(AtomicBool::new(true)));
-    // A later signal does not wait for the first one's work. One that comes with the first
-    // (`timeout` signals the process and its group) is the same.
+    // A later signal ends the process immediately. A signal within 300 ms is ignored, as `timeout`
+    // signals the process and its group.
     let ending = Arc::new(AtomicBool::new(false));
     let Ok(mut signals) = Signals::new([SIGINT, SIGTERM]) else { return };
     for signal in [SIGINT, SIGTERM] {
@@ -66,8 +66,8 @@ pub fn listen(format: Format) {
     });
     if thread.is_err() {
         handle.close();
-        // Without a thread they end the process immediately; what it leaves is removed by the next
-        // one.
+        // Without a thread signals end the process immediately; the next run removes its temporary
+        // files.
         for signal in [SIGINT, SIGTERM] {
             let _ = flag::register_conditional_shutdown(signal, 128 + signal, Arc::new(AtomicBool::new(true)));
         }
@@ -76,7 +76,7 @@ pub fn listen(format: Format) {
 
 fn end(signal: i32, format: Format) {
     let name = if signal == SIGINT { "SIGINT" } else { "SIGTERM" };
-    // The work goes on meanwhile; it may end before the process is ended.
+    // The command runs on meanwhile, and may end before the process is ended.
     let last = LAST.lock().ok().and_then(|mut last| last.take());
     let kept = last.and_then(|last| last());
     let unfinished: Vec<String> = write::abandon().iter().map(|folder| folder.display().to_string()).collect();

@@ -2,11 +2,11 @@
 
 use nsim_session::error::Error;
 
-/// The most threads that are started: more cost time and memory and gain nothing.
+/// Most threads: more cost time and memory without gain.
 pub const MOST_THREADS: usize = 1024;
 
-/// Starts the threads that `--threads` asks for, one for each core without it. Where the system
-/// allows fewer, those that it allows: their number changes no result. Returns how many there are.
+/// Starts `asked` threads, one for each core by default, and returns their number. If the system
+/// refuses, it starts fewer, which changes no result.
 pub fn start(asked: Option<usize>) -> Result<usize, Error> {
     let mut threads = match asked {
         Some(threads) if !(1..=MOST_THREADS).contains(&threads) => {
@@ -17,7 +17,7 @@ pub fn start(asked: Option<usize>) -> Result<usize, Error> {
     };
     loop {
         let builder = rayon::ThreadPoolBuilder::new().num_threads(threads);
-        // One thread is this one.
+        // A single thread is the current one.
         let builder = if threads == 1 { builder.use_current_thread() } else { builder };
         match builder.build_global() {
             Ok(()) => return Ok(threads),

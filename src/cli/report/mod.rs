@@ -1,8 +1,8 @@
-//! `nsim report`: a run, or results that were saved, as one page.
+//! `nsim report`: a run, or saved results, as one page.
 //!
-//! Output: an HTML file that opens without a network. A model is run and priced as `nsim energy`
-//! does; of its first sample every step is shown. A model in real numbers is also compared with
-//! itself as it was trained.
+//! Output: an HTML file that opens without a network. A model is run and priced as in `nsim
+//! energy`; every step of its first sample is shown. A model in real numbers is also compared with
+//! its trained form.
 
 use std::path::{Path, PathBuf};
 
@@ -26,8 +26,8 @@ EXAMPLES:
   nsim report vtsnn-slip-srm -o report.html       a trained network, and how its deployed form agrees with it
   nsim report a.json b.json -o compared.html      two results of nsim energy or nsim run --format json, side by side";
 
-/// Write a page that shows a run: fit onto cores, spikes, potentials, power, time, energy, and what
-/// was compared
+/// Write a page that shows a run: fit onto cores, spikes, potentials, power, time, energy, and
+/// comparisons
 #[derive(Debug, clap::Args)]
 #[command(after_help = EXAMPLES)]
 pub struct Args {
@@ -60,7 +60,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     evaluate(&args.cost, None, context, |workload, evaluated| page(args, workload, &evaluated, context))
 }
 
-/// A page of one or two results that were saved.
+/// Writes a page of one or two saved results.
 fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
     let (mut results, mut origins) = (Vec::new(), Vec::new());
     for path in [Some(Path::new(&args.cost.job.model)), args.other.as_deref()].into_iter().flatten() {
@@ -78,10 +78,10 @@ fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
     write(args, &title, &sections, origins, context)
 }
 
-/// The page of a run.
+/// Writes the page of a run.
 fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Context) -> Result<Answer, Error> {
     let (target, network) = (workload.target, &workload.compiled.one);
-    // What came through a pipe is gone: it is neither compared with itself in real numbers nor
+    // A model from a pipe cannot be read again: it is neither compared with its real form nor
     // hashed.
     let piped = io::text::is_standard_stream(Path::new(&args.cost.job.model));
     let file = (!piped).then(|| args.cost.job.timestep.load(&args.cost.job.model)).transpose()?;
@@ -129,7 +129,7 @@ fn write(
         true => word,
         false => format!("'{}'", word.replace('\'', "'\\''")),
     };
-    // Replacing a file is no part of what is in it.
+    // `--force` does not affect the content of the page.
     let words = std::env::args_os().skip(1).filter(|word| word != "--force");
     let words = words.map(|word| quoted(word.to_string_lossy().into_owned()));
     let command = std::iter::once("nsim".to_string()).chain(words).collect::<Vec<_>>().join(" ");

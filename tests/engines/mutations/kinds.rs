@@ -1,4 +1,4 @@
-//! The kinds of mutations: each changes one thing of a program, chosen at random, and says who
+//! The kinds of mutations: each changes one random thing of a program, and states the check that
 //! should notice first.
 
 use std::sync::Arc;
@@ -19,17 +19,17 @@ use nsim::ir::spikes::Message;
 
 use crate::common::random::Draw;
 
-/// What `Program::new` and the verifier say of a mutated program.
+/// Expected verdict of `Program::new` and the verifier on a mutated program.
 pub enum Expected {
     /// `Program::new` refuses it.
     NotClosed,
-    /// The verifier names this rule.
+    /// The verifier reports a violation of this rule.
     Breaks(fn(&Violation) -> bool),
     /// The verifier finds nothing.
     Verified,
-    /// It is closed; the verifier may find something, depending on what was chosen.
+    /// It is closed; the verifier may find something, depending on the random choice.
     Closed,
-    /// Depends on what was chosen.
+    /// The verdict depends on the random choice.
     Anything,
 }
 
@@ -38,7 +38,7 @@ use SignMode::{Excitatory, Inhibitory};
 
 const BREAKS_FORMAT: Expected = Breaks(|v| matches!(v, Violation::Format { .. }));
 
-/// Changes a program; nothing where it has no place for the change.
+/// Changes a program; returns `None` if the program has no place for the change.
 pub type Kind = fn(&mut Parts, &mut Draw) -> Option<Expected>;
 
 /// Every kind with its name.
@@ -64,7 +64,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("kind of a neuron", |p, d| {
         let (core, slot) = compartment(p, d);
         p.class_mut(core).compartments[slot].neuron.kind = d.one_of(&NeuronKind::ALL);
-        // A synapse may then lead to a sum that is not there.
+        // A synapse may then lead to a missing sum.
         Some(Anything)
     }),
     ("what messages carry", |p, d| {
@@ -91,7 +91,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         sources.end = d.from(sources.start.into(), i64::from(sources.end) + 2) as u32;
         Some(Anything)
     }),
-    // Formats may then be the same twice, or lead to a sum that is not there.
+    // Formats may then be equal, or lead to a missing sum.
     ("port of a format", |p, d| {
         format_field(p, d, Anything, |format, _| {
             format.synapse.port = if format.synapse.port.is_first() { Port::Second } else { Port::First };
@@ -247,7 +247,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         let (core, at) = synapse(p, d, |image, at| (1..6).contains(&format_of(image, at).delay_bits))?;
         let bits = format_of(p.class_of(core), at).delay_bits;
         p.class_mut(core).inputs.lists.items_mut()[at].delay = Delay::new(d.from(1 << bits, 62)).unwrap();
-        // Then the core's delays are wider than its formats say.
+        // The core's delays then exceed the width in its formats.
         Some(Breaks(|v| matches!(v, Violation::Format { .. } | Violation::Delay { .. })))
     }),
     ("another delay", |p, d| {
@@ -284,8 +284,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("a list without synapses", |p, d| {
         let (core, list) = list(p, d, |list| !list.is_empty())?;
         edit(&mut p.class_mut(core).inputs.lists, |lists| lists[list].clear());
-        // Its delays may have been the only long ones of the core, whose formats then have bits too
-        // many.
+        // It may have had the only long delays of the core, whose formats then have too many bits.
         Some(Breaks(|v| matches!(v, Violation::EmptyAxon { .. } | Violation::Format { .. })))
     }),
     ("two lists swapped", |p, d| {
@@ -347,7 +346,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("weights of seven bits", |p, d| {
         format_field(p, d, BREAKS_FORMAT, |f, _| f.synapse.bits = WeightBits::new(7).unwrap())
     }),
-    // Neither none nor what any core has.
+    // Widths that are neither 0 nor any core's.
     ("delay bits of a format", |p, d| format_field(p, d, BREAKS_FORMAT, |f, d| f.delay_bits = d.from(7, 20) as u8)),
     ("index bits of a format", |p, d| {
         format_field(p, d, BREAKS_FORMAT, |f, d| f.index_bits = Some(d.from(12, 20) as u8))
@@ -380,7 +379,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         let copy = *population(p, d)?;
         let core = p.cores.ids().find(|&core| p.class_of(core).inputs.populations.contains(&copy))?;
         p.class_mut(core).inputs.populations.push(copy);
-        // It has lists, and no source selects them.
+        // The axon has lists, and no source selects them.
         Some(Breaks(|v| matches!(v, Violation::EmptyAxon { .. } | Violation::Population { .. })))
     }),
     ("input axons swapped", |p, d| {
@@ -433,7 +432,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("a message to another core", |p, d| {
         let cores = p.cores.len() as i64;
         let core = CoreId(d.from(0, cores - 1) as u32);
-        // Two messages then meet at one axon, or none does at another.
+        // Two messages then meet at one axon, or an axon receives none.
         messages(p, d, 1, |lists, at| {
             lists.get_mut(at)[0].core = core;
             Some(NotClosed)
@@ -455,7 +454,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("messages of two channels swapped", |p, d| {
         let [a, b] = [0, 1].map(|_| d.from(0, p.channels.len() as i64 - 1) as usize);
         edit(&mut p.channels, |lists| lists.swap(a, b));
-        // Population axons are in the core's own tables, which stay.
+        // The core keeps its own population axons.
         Some(Verified)
     }),
     ("messages of two compartments swapped", |p, d| {
@@ -507,7 +506,7 @@ pub const KINDS: &[(&str, Kind)] = &[
             return None;
         }
         p.cores[core].site = site;
-        // It changes what a run costs, not what it computes.
+        // This changes the cost of a run, not its results.
         Some(Verified)
     }),
     ("a larger board", |p, d| {
@@ -560,31 +559,31 @@ fn edit<T: Copy>(lists: &mut Csr<T>, change: impl FnOnce(&mut Vec<Vec<T>>)) {
     all.into_iter().for_each(|list| lists.push(list));
 }
 
-/// Takes the last item off.
+/// Removes the last item.
 fn shorten<T>(list: &mut Vec<T>) {
     list.pop();
 }
 
-/// Any core that something is true of.
+/// A random core whose class fits.
 fn core(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreClass) -> bool) -> Option<CoreId> {
     let fitting: Vec<CoreId> = parts.cores.ids().filter(|&core| fits(parts.class_of(core))).collect();
     (!fitting.is_empty()).then(|| draw.one_of(&fitting))
 }
 
-/// Any compartment: its core and slot.
+/// Core and slot of a random compartment.
 fn compartment(parts: &Parts, draw: &mut Draw) -> (CoreId, usize) {
     let seat = parts.seats[CompartmentId::new(draw.from(0, parts.seats.len() as i64 - 1) as usize)];
     (seat.core, usize::from(seat.slot))
 }
 
-/// Changes a field of any compartment.
+/// Changes a field of a random compartment.
 fn field(parts: &mut Parts, draw: &mut Draw, change: fn(&mut Neuron, &mut Draw)) -> Option<Expected> {
     let (core, slot) = compartment(parts, draw);
     change(&mut parts.class_mut(core).compartments[slot].neuron, draw);
     Some(Verified)
 }
 
-/// Any stored synapse that something is true of: its core, and its number among all of the core.
+/// A random stored synapse that fits: its core, and its number among all of the core.
 fn synapse(parts: &Parts, draw: &mut Draw, fits: impl Fn(&CoreClass, usize) -> bool) -> Option<(CoreId, usize)> {
     let fitting = |image: &CoreClass| (0..image.inputs.lists.items().len()).filter(|&at| fits(image, at)).collect();
     let core = core(parts, draw, |image| (0..image.inputs.lists.items().len()).any(|at| fits(image, at)))?;
@@ -596,13 +595,13 @@ fn format_of(image: &CoreClass, synapse: usize) -> CoreFormat {
     image.formats[usize::from(image.inputs.lists.items()[synapse].format)]
 }
 
-/// The synapse after this one in the same list.
+/// The next synapse of this one's list.
 fn next_of(image: &CoreClass, synapse: usize) -> Option<Synapse> {
     let ends = image.inputs.lists.firsts().contains(&(synapse as u32 + 1));
     (!ends).then(|| image.inputs.lists.items()[synapse + 1])
 }
 
-/// Any stored list that something is true of.
+/// A random stored list that fits.
 fn list(parts: &Parts, draw: &mut Draw, fits: impl Fn(&[Synapse]) -> bool) -> Option<(CoreId, usize)> {
     let core = core(parts, draw, |image| image.inputs.lists.iter().any(&fits))?;
     let lists = &parts.class_of(core).inputs.lists;
@@ -610,7 +609,7 @@ fn list(parts: &Parts, draw: &mut Draw, fits: impl Fn(&[Synapse]) -> bool) -> Op
     Some((core, draw.one_of(&fitting)))
 }
 
-/// Changes a field of any format.
+/// Changes a field of a random format.
 fn format_field(
     parts: &mut Parts,
     draw: &mut Draw,
@@ -622,7 +621,7 @@ fn format_field(
     Some(expected)
 }
 
-/// Changes a field of any population axon.
+/// Changes a field of a random population axon.
 fn population_field(
     parts: &mut Parts,
     draw: &mut Draw,
@@ -633,13 +632,13 @@ fn population_field(
     Some(expected)
 }
 
-/// Any format.
+/// A random format.
 fn format_at(parts: &Parts, draw: &mut Draw) -> Option<(CoreId, usize)> {
     let core = core(parts, draw, |image| !image.formats.is_empty())?;
     Some((core, draw.from(0, parts.class_of(core).formats.len() as i64 - 1) as usize))
 }
 
-/// Any population axon.
+/// A random population axon.
 fn population<'a>(parts: &'a mut Parts, draw: &mut Draw) -> Option<&'a mut PopulationAxon> {
     let core = core(parts, draw, |image| !image.inputs.populations.is_empty())?;
     let axons = &mut parts.class_mut(core).inputs.populations;

@@ -1,12 +1,12 @@
-//! Random programs with one random thing changed: any change of a program's meaning is rejected, by
-//! the judge that should reject it.
+//! Random programs with one random change: any change of a program's meaning is rejected, by the
+//! judge that should reject it.
 //!
-//! Three judges look at a program, each at what the one before let pass: `Program::new` (its tables
-//! are closed), `verify` (it keeps the target's limits and formats) and the equivalence checker (it
-//! says what its network says). Each kind of mutation states the verdict of the first two, with the
-//! rule that is broken. The verdict of the third is not stated but computed: a slow decoder written
-//! here says what the original and the mutated program mean, and the checker has to accept exactly
-//! those that mean the same, and name the first difference of the others.
+//! Three judges look at a program, each after the previous one accepted it: `Program::new` (its
+//! tables are closed), `verify` (it keeps the target's limits and formats) and the equivalence
+//! checker (its meaning equals its network's). Each kind of mutation states the verdict of the
+//! first two, with the broken rule. The verdict of the third is computed: a slow decoder in this
+//! file finds the meaning of the original and of the mutated program. The checker has to accept
+//! exactly the mutations of equal meaning, and name the first difference of the others.
 
 mod kinds;
 
@@ -30,14 +30,14 @@ use nsim::ir::quantised::connectivity::SynapseFormat;
 use nsim::ir::resource::{Packing, Resource};
 use rayon::prelude::*;
 
-/// Random networks; each is mapped in five ways, some in three copies, and each program is mutated
-/// once by every kind.
+/// Random networks. Each is mapped by five methods, some in three copies, and each program is
+/// mutated once by every kind.
 const NETWORKS: u64 = 60;
 
-/// A synapse as its source's spike reaches it.
+/// A synapse as its source's spike reaches it: target, format, weight, delay.
 type Reached = (CompartmentId, SynapseFormat, i16, Delay);
 
-/// What a program means, decoded without a thought for speed.
+/// Meaning of a program, decoded simply, without regard to speed.
 #[derive(PartialEq)]
 struct Meaning {
     compartments: Vec<Compartment>,
@@ -79,8 +79,8 @@ impl Meaning {
     }
 }
 
-/// The verdicts that the equivalence checker may reach about a closed program: one, but of several
-/// sources that reach something else it may name any.
+/// The admissible verdicts of the equivalence checker on a closed program. If several sources reach
+/// something else, it may name any of them.
 fn verdicts(good: &Parts, meant: &Meaning, mutated: &Parts) -> Vec<Result<(), Difference>> {
     let frame = [
         (good.channels.len() == mutated.channels.len(), "number of input channels"),
@@ -108,8 +108,7 @@ fn verdicts(good: &Parts, meant: &Meaning, mutated: &Parts) -> Vec<Result<(), Di
     if differ.is_empty() { vec![Ok(())] } else { differ }
 }
 
-/// The shipped chip with room for what is not tested here, so that a mutation breaks the rule that
-/// it is meant to break.
+/// The shipped chip with room for all untested limits, so that a mutation breaks its intended rule.
 fn roomy(compartments: u32, packing: Packing) -> Target {
     let chip = small_cores("oheo-gulch", compartments);
     let mut limits = chip.limits().clone();
@@ -118,7 +117,7 @@ fn roomy(compartments: u32, packing: Packing) -> Target {
     chip.with_limits(limits)
 }
 
-/// Whether two programs are the same, whichever cores share a class.
+/// Whether two programs are equal, regardless of the sharing of classes.
 fn is_same(a: &Parts, b: &Parts) -> bool {
     let rest = |parts: &Parts| Parts { classes: IdVec::new(), cores: IdVec::new(), ..parts.clone() };
     let of_core = |parts: &Parts, image: &CoreImage| {
@@ -128,11 +127,11 @@ fn is_same(a: &Parts, b: &Parts) -> bool {
     cores(a) == cores(b) && rest(a) == rest(b)
 }
 
-/// A kind's verdicts over all programs.
+/// Verdicts on a kind of mutation over all programs.
 #[derive(Default, Clone)]
 struct Tally {
     applied: u64,
-    /// How often each judge was the one to reject, and how often none did.
+    /// Number of rejections by each judge, and of programs that none rejected.
     rejected_by: BTreeMap<&'static str, u64>,
     wrong: Vec<String>,
 }
@@ -142,19 +141,19 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
     let Mapping { program, quantised: network, partition, options: Options { copies, .. }, .. } = compiled;
     let check = |program: &Program| check_copies(&network, program, copies).map(drop);
     assert_eq!((verify(&program, target), check(&program)), (Ok(()), Ok(())), "seed {seed}");
-    // One less of anything than the program uses is too little.
+    // A limit one below the program's need is too small.
     let counted = used(&program, target).unwrap();
     for resource in Resource::ALL {
         let most = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().map(|used| used[resource]).max().unwrap();
         let need = most(&counted);
-        // Of stored synapses the checker counts the least that the tables need.
+        // For stored synapses the checker counts the least that the tables need.
         assert!(need == most(partition.usage()) || resource == Resource::StoredSynapses, "seed {seed}: {resource:?}");
         let Some(less) = need.checked_sub(1) else { continue };
         let tight = target.clone().with_limits(target.limits().clone().with(resource, less as u32));
         let found = verify(&program, &tight);
         assert!(matches!(&found, Err(Violation::Excess { capacity, .. }) if *capacity == resource), "{found:?}");
     }
-    // So are a chip that lacks a kind, and one whose messages are a bit too narrow.
+    // A chip without a kind, and one with messages a bit too narrow, do not suffice either.
     let kind = program.classes()[ClassId(0)].compartments[0].neuron.kind;
     let mut chip = target.chip().clone();
     chip.neuron_kinds.retain(|&family| family != kind.family());
@@ -178,7 +177,7 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
         let mut wrong = |what: String| tally.wrong.push(format!("{name}, seed {seed}: {what}"));
         let judge = match Program::new(parts) {
             Err(reason) => {
-                // What moves a synapse or a neuron may part a resonator from its second sum.
+                // Moving a synapse or a neuron may separate a resonator from its second sum.
                 let by_sum = reason.0.contains("a sum that its compartment does not have");
                 if !by_sum && !matches!(expected, Expected::NotClosed | Expected::Anything) {
                     wrong(format!("rejected as not closed: {reason}"));
@@ -217,8 +216,8 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
         .into_par_iter()
         .map(|seed| {
             let network = if seed % 2 == 0 { random::network(seed) } else { random::mixed(seed) };
-            // A mutation chooses the places of cores; none are searched for. The tables of one copy
-            // are those of all, until a mutation gives a core tables of its own.
+            // A mutation chooses the places of cores, so none are searched for. All copies share
+            // the tables of one, until a mutation gives a core its own tables.
             let copies = if network.compartments() < 100 { 3 } else { 1 };
             let options = Options { copies, ..unsearched() };
             let mut tallies = vec![Tally::default(); KINDS.len()];
@@ -248,11 +247,11 @@ fn what_changes_the_meaning_of_a_program_is_rejected_by_whom_it_should_be() {
     let mut wrong: Vec<String> = Vec::new();
     for ((name, _), tally) in KINDS.iter().zip(&tallies) {
         println!("{name}: {} times, rejected by {:?}", tally.applied, tally.rejected_by);
-        // A kind that never comes into play would prove nothing.
+        // A kind that is never applied would prove nothing.
         if tally.applied < 5 {
             wrong.push(format!("{name}: applied {} times only", tally.applied));
         }
-        // The first few of a kind say enough.
+        // The first few failures of a kind suffice.
         wrong.extend(tally.wrong.iter().take(3).cloned());
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));

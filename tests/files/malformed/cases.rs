@@ -1,6 +1,6 @@
-//! The files themselves: each is a sound one with one thing wrong.
+//! The damaged files: each is a valid one with one fault.
 
-/// What a file is given to.
+/// Argument for which a file is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Through {
     /// As MODEL.
@@ -11,7 +11,7 @@ pub enum Through {
     Spikes,
 }
 
-/// A file and what is to be said about it.
+/// A file and the expected message.
 #[derive(Debug, Clone)]
 pub struct Case {
     pub name: String,
@@ -49,7 +49,7 @@ const TARGET: &str = r#"Target(
 )
 "#;
 
-/// An array file as NumPy writes it.
+/// An array file in NumPy's format.
 pub fn npy(descr: &str, shape: &str, data: &[u8]) -> Vec<u8> {
     let header = format!("{{'descr': {descr}, 'fortran_order': False, 'shape': {shape}, }}\n");
     let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
@@ -71,7 +71,7 @@ fn lfs_pointer() -> Vec<u8> {
     format!("version https://git-lfs.github.com/spec/v1\noid sha256:{}\nsize 12628\n", "0f".repeat(32)).into_bytes()
 }
 
-/// Bytes without any order, the same each time.
+/// Reproducible random bytes.
 fn noise(length: usize) -> Vec<u8> {
     let mut state = 0x2545_f491_4f6c_dd1d_u64;
     (0..length)
@@ -84,7 +84,7 @@ fn noise(length: usize) -> Vec<u8> {
         .collect()
 }
 
-/// The files that the others are made from.
+/// The valid files from which the others are made.
 pub fn sound() -> Vec<Case> {
     let case = |name: &str, through, file, bytes: Vec<u8>| Case {
         name: name.to_string(),
@@ -112,7 +112,7 @@ pub fn cases() -> Vec<Case> {
         cases.push(Case { name: name.to_string(), through, file, bytes, beside, code, line, says });
     };
 
-    // Model files: what replaces what, and what is said where (line 0: the file as a whole).
+    // Model files: replaced text, its replacement, code, line (0: the file as a whole), message.
     let syntax = "model.syntax";
     let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 55] = [
         ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`dw` in `Loihi`"),
@@ -122,7 +122,7 @@ pub fn cases() -> Vec<Case> {
         ("field twice", "du: 1024", "du: 1024, du: 1024", syntax, 6, "du"),
         ("missing field", "    output: \"o\",\n", "", syntax, 11, "output"),
         ("trailing text", "output: \"o\",\n)", "output: \"o\",\n) x", syntax, 12, "railing"),
-        // The next quote, three lines further down, closes it.
+        // The next quote, three lines below, closes it.
         ("unclosed string", "\"o\", shape", "\"o, shape", syntax, 9, "comma"),
         ("word for a number", "du: 1024", "du: fast", syntax, 6, ""),
         ("string for a number", "du: 1024", "du: \"1024\"", syntax, 6, "expected a number"),

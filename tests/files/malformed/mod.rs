@@ -1,6 +1,5 @@
-//! Files that are damaged, hostile or wrong: each is refused with the code, the words and the line
-//! that tell its user what to mend; none panics, none takes more memory than a small multiple of
-//! what it is.
+//! Damaged, hostile or wrong files. Each is refused with a code, words and a line that help its
+//! user to correct it. None panics, none takes more memory than a small multiple of its size.
 
 use crate::memory;
 mod cases;
@@ -15,7 +14,7 @@ use nsim::import::spikes::read_source;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::quantise::quantise::quantise;
 
-/// Channels of the population that spike files are read for.
+/// Channels of the population that receives the spike files.
 const UNITS: u64 = 4;
 
 fn lay_out(folder: &Path, case: &Case) -> PathBuf {
@@ -75,7 +74,7 @@ fn what_they_were_made_from_is_accepted() {
     }
 }
 
-/// Small changes anywhere in a sound file are accepted or refused, and never bring anything down.
+/// Small changes anywhere in a valid file are accepted or refused, and never crash the reader.
 #[test]
 fn random_damage_never_panics() {
     let sound = cases::sound();

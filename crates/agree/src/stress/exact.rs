@@ -37,7 +37,7 @@ pub struct Compartment {
     last: Option<u64>,
 }
 
-/// What a step did.
+/// Events of one step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Step {
     /// It spiked.
@@ -61,7 +61,7 @@ pub fn decayed(x: i128, d: i128) -> i128 {
     x * (4096 - d) / 4096
 }
 
-/// Equation (1): what a spike over a weight adds.
+/// Equation (1): the accumulator's increment by a spike over a weight.
 pub fn scaled(weight: i128, exponent: i32) -> i128 {
     match u32::try_from(exponent) {
         Ok(up) => weight * 64 * 2i128.pow(up),
@@ -70,7 +70,7 @@ pub fn scaled(weight: i128, exponent: i32) -> i128 {
 }
 
 impl Compartment {
-    /// One update, with the sum of what arrived in register units.
+    /// Runs one update with the sum of the arrivals in register units.
     pub fn step(&mut self, now: u64, arrived: i128, p: &Parameters) -> Step {
         let q = wrapped(arrived, 21);
         let sum = decayed(self.u, p.du) + q;
@@ -94,7 +94,7 @@ impl Compartment {
         }
     }
 
-    /// What decides how it goes on, besides its inputs: the state, and how long v is still held.
+    /// State that decides later steps, with the inputs: u, v, and the steps for which v is held.
     pub fn fingerprint(&self, now: u64, p: &Parameters) -> (i128, i128, u64) {
         let held = self.last.map_or(0, |last| (last + p.refractory.max(1)).saturating_sub(now + 1));
         (self.u, self.v, held)

@@ -23,9 +23,9 @@ use nsim_ir::resource::Resource;
 use nsim_ir::spikes::{Engine, Message};
 use nsim_machine::{Image, Machine, Settings};
 
-/// Synapses of the one population of a case, all to all.
+/// All-to-all synapses onto the population of a case.
 struct Link {
-    /// From the population itself instead of the channels.
+    /// Whether they come from the population itself instead of the channels.
     recurrent: bool,
     /// `[source][target]`
     weights: Vec<Vec<i16>>,
@@ -40,10 +40,10 @@ struct Plan {
     links: Vec<Link>,
 }
 
-/// What must have happened for a case to show anything.
+/// Counts of a run, which show whether a case reached its edge.
 #[derive(Default)]
 struct Seen {
-    /// Sums of a step and compartment that were not zero.
+    /// Non-zero sums, by step and compartment.
     arrivals: u64,
     spikes: u64,
     q_wrapped: u64,
@@ -55,10 +55,10 @@ struct Seen {
 const PLAIN: Parameters =
     Parameters { du: 1024, dv: 128, vth: 5, bias_mant: 0, bias_exp: 0, refractory: 1, vmin: 23, vmax: 7 };
 
-/// Why a case cannot be built: a value, a network or a mapping that its type refuses.
+/// Error of building a case: a value, a network or a mapping that its type refuses.
 type Unbuildable = Box<dyn std::error::Error>;
 
-/// What is wrong with a case that cannot be built.
+/// Failure of a case that cannot be built.
 fn fault(error: impl std::fmt::Display) -> (u64, String) {
     (0, format!("the case cannot be built: {error}"))
 }
@@ -127,7 +127,7 @@ impl Plan {
         Ok((network, compiled.program))
     }
 
-    /// The outcome of a case that reaches its edge when `met` says so.
+    /// Outcome of a case that reaches its edge when `met` returns true.
     fn outcome(
         &self,
         target: &Target,
@@ -147,7 +147,7 @@ impl Plan {
         }
     }
 
-    /// Runs the three over this many steps and compares everything in each.
+    /// Runs the three engines over this number of steps and compares each with the exact model.
     fn run(&self, target: &Target, steps: u32, drive: impl Fn(u32) -> Vec<u32>) -> Result<Seen, (u64, String)> {
         let (network, program) = self.program(target).map_err(fault)?;
         let image = Image::new(&program, 1).map_err(fault)?;
@@ -211,7 +211,7 @@ impl Plan {
     }
 }
 
-/// Adds what a source's spike brings to the sums of a step.
+/// Adds the weights of a source's spike to the sums of a step.
 fn send(coming: &mut HashMap<(u32, usize), i128>, link: &Link, source: usize, step: u32) {
     for (target, &weight) in link.weights[source].iter().enumerate() {
         *coming.entry((step, target)).or_default() += scaled(weight.into(), link.exponent);
@@ -257,7 +257,7 @@ pub(super) fn fan_in(target: &Target, weight: i16) -> Outcome {
 }
 
 fn exponent(target: &Target, exponent: i32, met: fn(&Seen) -> bool) -> Outcome {
-    // Every weight of the format, and with it every way to lose low bits.
+    // Every weight of the format, hence every pattern of lost low bits.
     let weights = (-128..128).map(|half: i16| vec![2 * half, -2 * half.max(-127)]).collect();
     let plan = Plan {
         channels: 256,
@@ -268,7 +268,7 @@ fn exponent(target: &Target, exponent: i32, met: fn(&Seen) -> bool) -> Outcome {
 }
 
 pub(super) fn exponent_least(target: &Target) -> Outcome {
-    // Of all weights only -256 is left of it: the others lose all of their bits.
+    // Only the weight -256 stays non-zero: the others lose all of their bits.
     exponent(target, -8, |seen| seen.q_wrapped == 0 && seen.arrivals > 50)
 }
 
@@ -311,7 +311,7 @@ pub(super) fn biases(target: &Target) -> Outcome {
 pub(super) fn refractory(target: &Target) -> Outcome {
     let of = |refractory| Parameters { refractory, ..PLAIN };
     let plan = Plan { channels: 1, neurons: [0, 1, 2, 62, 63].map(of).to_vec(), links: vec![uniform(1, 5, 254, 0)] };
-    // One that spikes whenever it may does so 1000, 1000, 500, 17 and 16 times.
+    // A compartment that spikes whenever it may spikes 1000, 1000, 500, 17 and 16 times.
     plan.outcome(target, 1000, |_| vec![0], |seen| seen.spikes == 1000 + 1000 + 500 + 17 + 16)
 }
 
@@ -396,7 +396,7 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
             }
         };
         check("fast", &mut machine)?;
-        // The interpreter takes its time: the first hundred thousand steps, far beyond a period.
+        // The interpreter is slow, so it runs only 100,000 steps, more than a period.
         if now < 100_000 {
             check("golden", &mut golden)?;
         }

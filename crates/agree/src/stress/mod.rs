@@ -3,9 +3,9 @@
 //! Input: a target whose cores the integer cases are mapped onto. Output: [`Verdict`]s. Three
 //! engines run each integer case: the machine, the golden interpreter, and a model in 128-bit
 //! integers written from `docs/semantics.md` with remainders and quotients ([`exact`]). A case
-//! passes when every register and spike of every step agrees *and* the edge that it is about was
-//! reached (something wrapped, clipped, spiked). Cases in real numbers hold the recursions of
-//! `reference` against compensated sums of the definition; the bound follows from the number of
+//! passes when every register and spike of every step agrees *and* the case reached its edge
+//! (something wrapped, clipped, spiked). Cases in real numbers compare the recursions of
+//! `reference` with compensated sums of the definition; the bound follows from the number of
 //! roundings.
 
 pub mod exact;
@@ -23,11 +23,11 @@ use nsim_ir::hardware::Target;
 pub struct Verdict {
     /// The case.
     pub name: &'static str,
-    /// Whether it held.
+    /// Whether the case passed.
     pub pass: bool,
     /// Timesteps that were run.
     pub steps: u64,
-    /// What was seen, or what is wrong.
+    /// Observed counts, or the error.
     pub detail: String,
 }
 
@@ -40,7 +40,7 @@ pub struct Case {
 }
 
 impl Case {
-    /// Runs it; the target's limits on profiles are lifted, since a case has many kinds.
+    /// Runs it; limits on profiles and synapse words are raised, since a case may exceed them.
     pub fn run(&self, target: &Target) -> Verdict {
         let outcome = (self.run)(target);
         let pass = outcome.is_ok();

@@ -1,4 +1,4 @@
-//! What a case returns.
+//! Outcome of a case.
 
-/// Steps and what was seen, or steps and what is wrong.
+/// Number of steps, with the observed counts or with the error.
 pub(super) type Outcome = Result<(u64, String), (u64, String)>;

@@ -1,9 +1,9 @@
 //! Cases in real numbers: the recursions against compensated sums of the definition.
 //!
-//! The bound. What an input contributes after k steps has gone through at most 4 k + 4 roundings
-//! (of the decay, of two products and two sums a step), each of relative size u, half of the
-//! distance from 1 to the next number. So the error of a kernel a over inputs x is at most
-//! `u sum_k abs(x) a(k) (4 k + 4)`, however many steps have been run: it cannot grow.
+//! The bound: after k steps the contribution of an input has passed at most 4 k + 4 roundings (of
+//! the decay, of two products and two sums a step). Each has relative size u, half of the distance
+//! from 1 to the next number. So the error of a kernel a over inputs x is at most
+//! `u sum_k abs(x) a(k) (4 k + 4)`. It does not grow with the number of steps.
 
 use super::outcome::Outcome;
 use nsim_dynamics::RealForm;
@@ -45,7 +45,7 @@ fn input(step: u64) -> f64 {
     if number < 64.0 { 0.0 } else { (number - 112.0) / 64.0 }
 }
 
-/// Runs a recursion and compares it with the kernel `(k, weight)` over its inputs: says the
+/// Runs a recursion and compares it with the kernel `(k, weight)` over its inputs. Reports the
 /// greatest error over the first and the last tenth, and the bound.
 fn growth(what: &str, unit: f64, kernel: &[f64], mut next: impl FnMut(f64) -> f64) -> Outcome {
     let (mut early, mut late) = (0.0f64, 0.0f64);

@@ -1,9 +1,9 @@
-//! Cores in classes.
+//! Classes of equal cores.
 //!
 //! Input: a network of equal copies that share nothing, and its partition. Output: the class of
-//! each core, and how far the sources of its input axons lie from those of the first core of its
-//! class. Cores of a class store the same. They hold the same compartments of other copies, or of
-//! one population into which windows alone lead the same ones some rows and columns further on
+//! each core, and the distances of its sources from the sources of the first core of its class.
+//! Cores of a class store equal tables. They hold equal compartments of different copies, or
+//! compartments of one population that only windows reach, shifted by some rows and columns
 //! ([`crate::emit::windows`]), or both. Classes are numbered by their first cores.
 
 use std::collections::HashMap;
@@ -22,7 +22,7 @@ use nsim_partition::resources::formats::Formats;
 /// Cores whose keys are found side by side: the keys of all take the memory of their compartments.
 const TOGETHER: usize = 1 << 10;
 
-/// Which core is of which class.
+/// The classes of cores.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Classes {
     /// The class of each core.
@@ -48,40 +48,40 @@ impl Classes {
     }
 }
 
-/// What cores of a class have in common.
+/// Content that cores of a class have in common.
 #[derive(PartialEq, Eq, Hash)]
 enum Common {
-    /// Compartments in slot order, counted from the first of the first copy that they are of.
+    /// Compartments in slot order, relative to the first compartment of their first copy.
     Members(Vec<u32>),
-    /// Compartments of one population into which windows lead.
+    /// Compartments of one population that only windows reach.
     Pattern(Pattern),
 }
 
-/// Where a core is: the copy that it begins with, and where windows into it begin.
+/// Position of a core: its first copy, and the origins of the windows into it.
 #[derive(Debug, Clone)]
 struct Place {
     copy: u32,
     origins: Option<Box<[Origin]>>,
 }
 
-/// Sources of these numbers, below the second, and how far they lie from those of another core.
+/// Range of sources (first, end), and their distance from the sources of another core.
 pub type Shift = (u32, u32, i64);
 
 /// The cores of a network in classes.
 #[derive(Debug)]
 pub struct CoreClasses<'n> {
-    /// Which core is of which.
+    /// The class of each core.
     pub classes: Classes,
     windows: Windows<'n>,
     places: IdVec<CoreId, Place>,
-    /// All input channels; those of one copy, and its compartments.
+    /// Number of all input channels; `of_copy`: channels of one copy, and its compartments.
     channels: u32,
     of_copy: [u32; 2],
 }
 
 impl<'n> CoreClasses<'n> {
-    /// The classes of the cores of this many copies. Cores that `holds` says are written are of
-    /// other classes than the rest.
+    /// Returns the classes of the cores of `copies` copies. Cores with `holds`, which are written,
+    /// are in other classes than the rest.
     pub fn new(network: &'n Quantised, partition: &Partition, copies: u32, holds: impl Fn(CoreId) -> bool) -> Self {
         let of_copy = [network.channels(), network.compartments()].map(|units| units / copies.max(1));
         let windows = Windows::new(network, copies);
@@ -106,7 +106,7 @@ impl<'n> CoreClasses<'n> {
         CoreClasses { classes, windows, places, channels: network.channels(), of_copy }
     }
 
-    /// Each core as a class of its own.
+    /// Each core as a separate class.
     #[cfg(test)]
     pub fn apart(network: &'n Quantised, partition: &Partition) -> Self {
         let place = |_| Place { copy: 0, origins: None };
@@ -119,14 +119,14 @@ impl<'n> CoreClasses<'n> {
         }
     }
 
-    /// The synapses of a core with these compartments in the order of its lists, and the longest of
-    /// their delays; `None` where something else than windows leads into it.
+    /// Synapses of a core with these compartments in the order of its lists, and their longest
+    /// delay; `None` where other projections than windows reach it.
     pub fn keys(&self, core: CoreId, held: &[CompartmentId], formats: &Formats) -> Option<(Vec<Key>, Delay)> {
         let Place { copy, origins } = &self.places[core];
         origins.as_ref().and_then(|_| self.windows.keys(held, self.of_copy.map(|units| copy * units), formats))
     }
 
-    /// How far the sources of a core lie from those of the first of its class, ascending.
+    /// Distances of a core's sources from the sources of the first core of its class, ascending.
     pub fn shifts(&self, core: CoreId) -> Vec<Shift> {
         let [from, to] = [self.classes.first(core), core].map(|core| &self.places[core]);
         let later = i64::from(to.copy) - i64::from(from.copy);
@@ -149,7 +149,7 @@ impl<'n> CoreClasses<'n> {
     }
 }
 
-/// The first copy, of this many compartments each, that these are of.
+/// The first copy, of `compartments` compartments each, with any of these compartments.
 fn copy_of(held: &[CompartmentId], compartments: u32) -> u32 {
     held.iter().map(|id| id.0 / compartments.max(1)).min().unwrap_or(0)
 }

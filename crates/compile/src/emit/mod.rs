@@ -1,4 +1,4 @@
-//! A program written out: routes, axon tables, synapse words.
+//! Emission of a program: routes, axon tables, synapse words.
 
 pub mod classes;
 pub mod route;

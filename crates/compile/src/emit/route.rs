@@ -1,16 +1,15 @@
-//! From seats and sites to tables: the program.
+//! From seats and sites to the tables of a program.
 //!
 //! Input: a network, its partition and placement. Output: a [`Program`]. Each source sends one
-//! message to each core that holds a target of it, the own core included; there an input axon of
-//! its own leads to the list of its synapses, which is one of a table where
-//! [`nsim_partition::resources::axon_sharing`] says so. Input axons of a core are numbered by
+//! message to each core that holds a target of it, its own core included. There a separate input
+//! axon selects the list of its synapses, which is part of a table where
+//! [`nsim_partition::resources::axon_sharing`] decides so. Input axons of a core are numbered by
 //! source: channels in order, then compartments in order. A list is sorted by format, then slot,
-//! delay and weight; formats are numbered as they first appear. Widths are those of
+//! delay and weight; formats are numbered as they first appear. Widths come from
 //! [`nsim_partition::resources::packing`].
 //!
-//! Cores are written down in parallel, from their own synapses alone. Then each core's input axons
-//! are sorted by the cores that send to them. Cores that send the same to other cores share what
-//! they send.
+//! Cores are written in parallel, from their own synapses alone. Then each core's input axons are
+//! sorted by the cores that send to them. Cores with equal messages to other cores share them.
 
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -30,12 +29,13 @@ use nsim_ir::ranks::RankAssignment;
 use nsim_ir::resource::Limits;
 use nsim_ir::spikes::Message;
 
-/// The program of a network, this many equal copies that share nothing, on its places. What equal
-/// cores store is written once. Of a program distributed over ranks, only the part held is written.
+/// Returns the program of a network, of `copies` equal copies that share nothing, on its places.
+/// Tables of equal cores are written once. Of a program distributed over ranks, only the part held
+/// is written.
 ///
 /// # Errors
 /// A sentence when the tables contradict each other or a core has more formats than can be
-/// numbered: a fault of the stages before, whose limits exclude it.
+/// numbered: an internal error, because limits of earlier stages exclude it.
 pub fn route(
     network: &Quantised,
     partition: &Partition,
@@ -48,7 +48,7 @@ pub fn route(
     route_classes(network, partition, places, &classes, limits)
 }
 
-/// The program of [`route`], of cores in these classes.
+/// The program of [`route`], with cores in these classes.
 pub(crate) fn route_classes(
     network: &Quantised,
     partition: &Partition,
@@ -106,7 +106,7 @@ pub(crate) fn route_classes(
     .map_err(|error| error.to_string())
 }
 
-/// Ascending sources, each shifted as those of its range.
+/// Ascending sources, each shifted by the distance of its range.
 fn shifted(sources: &[u32], shifts: Vec<Shift>) -> impl Iterator<Item = u32> {
     let mut shifts = shifts.into_iter().peekable();
     sources.iter().map(move |&source| {
@@ -127,20 +127,20 @@ fn graded(network: &Quantised) -> Vec<Graded> {
     graded
 }
 
-/// Parts of the senders that each thread takes one after the other.
+/// Number of parts of the senders for each thread.
 const PARTS: usize = 8;
 
-/// What a core receives from each of its senders: slots there and input axons here.
+/// Messages to a core from each of its senders: slots there and input axons here.
 #[derive(Default, PartialEq, Eq, Hash)]
 struct Received {
-    /// Where what each sender sends begins, and where the last ends.
+    /// Index of the first message of each sender, and the end.
     firsts: Vec<u32>,
-    /// The slot in the upper half, the axon in the lower; ascending.
+    /// Slot in the upper half, axon in the lower; ascending.
     messages: Vec<u32>,
 }
 
-/// For each core its senders, ascending, and what it receives from them. Cores of a class that
-/// receive the same of as many senders share it.
+/// For each core its senders, ascending, and its messages from them. Cores of a class with equal
+/// messages from as many senders share them.
 fn received<M: Iterator<Item = (Seat, u16)>>(
     classes: &Classes,
     messages: impl Fn(CoreId) -> M + Sync,
@@ -185,7 +185,7 @@ fn received<M: Iterator<Item = (Seat, u16)>>(
     all.into_iter().map(|(_, received)| received).collect()
 }
 
-/// The messages of each core, from what all receive.
+/// The messages of each core, from the messages that all cores receive.
 ///
 /// # Errors
 /// A core that sends to more cores than can be numbered.

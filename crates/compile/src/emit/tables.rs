@@ -1,8 +1,8 @@
-//! What cores store: formats, lists of synapses, input axons.
+//! Tables of cores: formats, lists of synapses, input axons.
 //!
 //! Input: a network, its partition and the classes of its cores. Output: the [`CoreClass`] of each,
-//! and the source of each input axon of its first core. A core of windows is written from their
-//! kernels; all others from the synapses of the sources that reach them.
+//! and the source of each input axon of its first core. A core that only windows reach is written
+//! from their kernels; all others from the synapses of the sources that reach them.
 
 use crate::emit::classes::CoreClasses;
 use nsim_ir::base::csr::Csr;
@@ -19,7 +19,7 @@ use nsim_partition::resources::formats::Formats;
 use nsim_partition::resources::packing::{Compression, Group, Widths, stored};
 use rayon::prelude::*;
 
-/// What the tables of every core are written from.
+/// Common input of the tables of every core.
 pub(super) struct Tables<'a> {
     network: &'a Quantised,
     partition: &'a Partition,
@@ -28,7 +28,7 @@ pub(super) struct Tables<'a> {
     places: Places,
 }
 
-/// What a core stores, and the source of each of its input axons.
+/// Tables of a core, and the source of each of its input axons.
 type Table = (CoreClass, Vec<u32>);
 
 impl<'a> Tables<'a> {
@@ -37,7 +37,7 @@ impl<'a> Tables<'a> {
         Tables { network, partition, limits, formats, places }
     }
 
-    /// Of each class what its first core stores; nothing of those that are not held.
+    /// Tables of the first core of each class; parameters alone for cores that are not held.
     pub(super) fn of_classes(
         &self,
         found: &CoreClasses<'_>,
@@ -70,7 +70,7 @@ impl<'a> Tables<'a> {
         written.into_iter().flatten().collect()
     }
 
-    /// What a core with these synapses stores.
+    /// Tables of a core with these synapses.
     fn class(&self, core: CoreId, keys: &[Key], longest: Delay) -> Result<Table, String> {
         let held = &self.partition.members()[core];
         let widths = Widths::for_core(held.len() as u32, longest, self.limits.packing);
@@ -86,7 +86,7 @@ fn parameters(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
     let mut known = None;
     held.iter()
         .filter_map(|&id| {
-            // Neighbours mostly are of one population.
+            // Consecutive compartments mostly belong to one population.
             let inside = |population: &PopulationId| {
                 let population = &network.populations()[*population];
                 population
@@ -119,7 +119,7 @@ struct Writer<'a> {
 }
 
 impl Writer<'_> {
-    /// The number of the format of a group of this make-up, a new one where the core has none.
+    /// Number of the format of a group of this make-up; a new one where the core has none.
     fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
         if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
             return Some(number);
@@ -143,7 +143,7 @@ impl Writer<'_> {
         Some(number)
     }
 
-    /// Writes a list, its slots counted from a base.
+    /// Writes a list, with slots relative to a base.
     fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
         for group in by_core::groups(list) {
             let number = self.number(group_of(group, self.formats))?;
@@ -158,7 +158,7 @@ impl Writer<'_> {
     }
 }
 
-/// What a core keeps of its synapses; `None` when it has more input axons or formats than can be
+/// Tables of a core's synapses; `None` when it has more input axons or formats than can be
 /// numbered.
 fn write_lists(
     keys: &[Key],

@@ -1,20 +1,20 @@
 //! An encoder and a decoder of synapse memory, for tests.
 //!
-//! Input: a core's class. Output: the bits that its formats say, and the lists that these bits
-//! decode to. They show that what was counted can be stored: as many 64-bit words as
-//! [`nsim_partition::resources::packing`] counts, and every synapse back. `verify` counts words by
-//! the formula; the tests hold the formula to this.
+//! Input: a core's class. Output: its lists in the bits of its formats, and the lists decoded from
+//! these bits. They show that the counted memory suffices: as many 64-bit words as
+//! [`nsim_partition::resources::packing`] counts, and every synapse decoded. `verify` counts words
+//! by the formula; the tests compare the formula with this.
 //!
 //! An entry: number of the format (4 bits), synapses less one (6 bits), the first slot (as wide as
 //! the core's indices; in run-length entries, and with NxTF's counting in dense ones), then the
 //! synapses: weight, delay, and run or index. A weight is stored as its number of steps above the
 //! least weight of its format. Where a dense entry holds no slot, the input axon's entry of the
-//! synapse map does (nengo-loihi's `cx_base`), one for each dense group; it also says where the
-//! list begins and ends. Fields stand from the lowest bit on and entries begin at a word.
+//! synapse map does (nengo-loihi's `cx_base`), one for each dense group; it also has begin and end
+//! of the list. Fields start at the lowest bit, and entries begin at a word.
 //!
-//! The table of population axons is stored once, its lists at equal distances; the synapse map's
-//! entry of each population axon says where it begins, that distance and the base. Dense entries of
-//! a table hold their slots, counted from the base.
+//! The table of population axons is stored once, with its lists at equal distances. The synapse
+//! map's entry of each population axon has its begin, that distance and the base. Dense entries of
+//! a table hold their slots, relative to the base.
 
 use std::collections::BTreeMap;
 
@@ -57,7 +57,7 @@ fn take(bits: &mut &[bool], width: u8) -> Option<u64> {
     Some(field.iter().rev().fold(0, |value, &bit| value << 1 | u64::from(bit)))
 }
 
-/// What the entries of a core have in common.
+/// Parameters that the entries of a core have in common.
 struct Layout<'a> {
     class: &'a CoreClass,
     limits: &'a Limits,
@@ -80,7 +80,7 @@ impl<'a> Layout<'a> {
         }
     }
 
-    /// Bits of an entry, as they are counted.
+    /// Counted bits of an entry.
     fn counted(&self, format: &CoreFormat, synapses: u32, in_table: bool) -> usize {
         let how = compression(format);
         let group = Group {
@@ -133,7 +133,7 @@ impl<'a> Layout<'a> {
         bits.resize(before + counted.max(needed), false);
     }
 
-    /// A list; `slots` has the first slots of its dense groups where entries do not.
+    /// Decodes a list; `slots` has the first slots of its dense groups where entries do not.
     fn decoded(&self, mut bits: &[bool], slots: Option<&[u16]>) -> Option<Vec<Synapse>> {
         let (in_table, mut slots) = (slots.is_none(), slots.unwrap_or_default().iter());
         let (mut list, mut last_dense): (Vec<Synapse>, Option<(u8, u16)>) = (Vec::new(), None);
@@ -145,7 +145,7 @@ impl<'a> Layout<'a> {
             let (how, least, step) = fields(format);
             let mut next = match self.holds_slot(how, in_table) {
                 true => take(&mut entry, self.widths.index)? as u16,
-                // A group that goes on in another entry goes on where it stopped.
+                // A group that continues in another entry continues at its next slot.
                 false if how == Compression::Dense => match last_dense.filter(|&(of, _)| of == number) {
                     Some((_, next)) => next,
                     None => *slots.next()?,
@@ -178,13 +178,13 @@ fn compression(format: &CoreFormat) -> Compression {
     }
 }
 
-/// How a format stores slots, its least weight, and the step between weights.
+/// Compression of a format, its least weight, and the step between weights.
 fn fields(format: &CoreFormat) -> (Compression, i16, i16) {
     let synapse = format.synapse;
     (compression(format), synapse.sign.range(synapse.bits).0, synapse.sign.step(synapse.bits))
 }
 
-/// A core's lists in its memory.
+/// Encodes a core's lists into its memory.
 fn encode(class: &CoreClass, limits: &Limits) -> Memory {
     let (layout, inputs) = (Layout::new(class, limits), &class.inputs);
     let mut memory = Memory::default();
@@ -210,8 +210,8 @@ fn encode(class: &CoreClass, limits: &Limits) -> Memory {
     memory
 }
 
-/// The lists that a core's input axons select, as its memory says them, with the slots that they
-/// lead to; or `None` when it says nothing sensible.
+/// Decodes the lists that a core's input axons select, with their target slots; `None` for invalid
+/// memory.
 fn decode(memory: &Memory, class: &CoreClass, limits: &Limits) -> Option<Vec<Vec<Synapse>>> {
     let (layout, inputs) = (Layout::new(class, limits), &class.inputs);
     let mut discrete = memory.map.iter().skip(inputs.populations.len());
@@ -231,7 +231,7 @@ fn decode(memory: &Memory, class: &CoreClass, limits: &Limits) -> Option<Vec<Vec
     (0..inputs.len()).map(|axon| inputs.axon(axon)).map(list).collect()
 }
 
-/// Encodes and decodes every core of a program; returns how many of its formats have runs.
+/// Encodes and decodes every core of a program; returns the number of its formats with runs.
 pub fn proved(compiled: &Mapping, limits: &Limits, what: &str) -> usize {
     for core in compiled.program.cores().ids() {
         let class = compiled.program.class_of(core);

@@ -1,13 +1,13 @@
-//! Cores that windows alone lead into.
+//! Cores that only windows reach.
 //!
 //! Input: a network of equal copies, and the compartments of a core. Output: the core's
-//! [`Pattern`], if all its compartments are of one population and convolutions or pools alone lead
-//! into it; and the synapses of such a core. Cores of one pattern have the same sources, some rows
-//! and columns further on.
+//! [`Pattern`], if all its compartments belong to one population and only convolutions or pools
+//! lead into it; and the synapses of such a core. Cores of one pattern have equal sources, shifted
+//! by some rows and columns.
 //!
-//! Why it is right: a window reaches rows and columns independently of each other, and what a
-//! source reaches of a core depends on its field in both, which [`WindowAxis::pattern`] lists in
-//! order. A test holds tables made so against those of all synapses.
+//! A window reaches rows and columns independently. So a source's synapses on a core depend on its
+//! field in both, which [`WindowAxis::pattern`] lists in order. A test compares these tables with
+//! tables from all synapses.
 
 use std::ops::Range;
 
@@ -23,10 +23,10 @@ use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
 /// The sources of an axis that reach a core, counted from the first, and what each reaches.
 type Reached = Vec<(u32, ReceptiveField)>;
 
-/// What of a core decides what it stores.
+/// Parameters of a core that decide its tables.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct Pattern {
-    /// The population, of the first copy.
+    /// The population, in the first copy.
     population: PopulationId,
     /// Compartments in slot order, counted from the first row and column that is held.
     held: Vec<u32>,
@@ -37,14 +37,14 @@ pub struct Pattern {
     neurons: Vec<Neuron>,
 }
 
-/// Where the sources of a window begin.
+/// Origin of a window's sources.
 #[derive(Debug, Clone, Copy)]
 pub struct Origin {
-    /// The number of the population's first source, in the first copy.
+    /// Number of the population's first source, in the first copy.
     pub first: u32,
     /// Number of sources.
     pub sources: u32,
-    /// The source at the first row and column that reach a core.
+    /// Index of the source at the first row and column that reach a core.
     pub at: i64,
 }
 
@@ -66,14 +66,14 @@ enum Weights<'n> {
 }
 
 impl Incoming<'_> {
-    /// The channels into which a channel of sources leads.
+    /// Target channels of a channel of sources.
     fn reached(&self, channel: u32) -> Range<u32> {
         let outgoing = self.window.target.0 / self.window.groups;
         let group = channel / self.ingoing();
         group * outgoing..(group + 1) * outgoing
     }
 
-    /// Channels that lead into one.
+    /// Number of source channels of a target channel.
     fn ingoing(&self) -> u32 {
         self.window.source.0 / self.window.groups
     }
@@ -91,7 +91,7 @@ impl Incoming<'_> {
 }
 
 /// By population of the first copy, the windows into it in the order of their sources; `None` where
-/// something else leads into it too, or two from the same population.
+/// other projections lead into it too, or two from one population.
 #[derive(Debug)]
 pub struct Windows<'n> {
     network: &'n Quantised,
@@ -112,7 +112,7 @@ struct Held {
 }
 
 impl<'n> Windows<'n> {
-    /// The windows of a network of this many equal copies.
+    /// The windows of a network of `copies` equal copies.
     pub fn new(network: &'n Quantised, copies: u32) -> Self {
         let ids = network.populations().ids().take(network.populations().len() / copies.max(1) as usize);
         let into = ids.map(|id| windows_into(network, id)).collect();
@@ -139,7 +139,7 @@ impl<'n> Windows<'n> {
         Some((Held { population: id, indices, rows, columns, width, height, reached }, incoming))
     }
 
-    /// The pattern of these compartments, and by window where its sources begin.
+    /// The pattern of these compartments, and the origin of each window's sources.
     pub fn pattern(&self, held: &[CompartmentId], later: u32) -> Option<(Pattern, Box<[Origin]>)> {
         let (Held { population, indices, rows, columns, width, reached, .. }, incoming) = self.held(held, later)?;
         let origin = |(incoming, [(row, _), (column, _)]): (&Incoming<'_>, &[(u32, _); 2])| {
@@ -160,8 +160,8 @@ impl<'n> Windows<'n> {
         Some((Pattern { population, held, reached, neurons }, origins))
     }
 
-    /// The synapses of a core of windows in the order of its lists, and the longest of their
-    /// delays. `before` are the channels and the compartments of the copies before the core's.
+    /// Synapses of a core that only windows reach, in the order of its lists, and their longest
+    /// delay. `before`: channels and compartments in the copies before the core's.
     pub fn keys(&self, held: &[CompartmentId], before: [u32; 2], formats: &Formats) -> Option<(Vec<Key>, Delay)> {
         let (Held { indices, rows, columns, width, height, reached, .. }, incoming) = self.held(held, before[1])?;
         let (mut keys, mut longest) = (Vec::new(), Delay::MIN);

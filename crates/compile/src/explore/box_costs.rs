@@ -1,8 +1,8 @@
-//! What placed boxes are expected to carry and cost, at a rate for each population.
+//! Expected traffic and cost of placed boxes, at a rate for each population.
 //!
-//! Input: boxes and places, and how often the sources of each population spike. Output: traffic
-//! and the [`Score`] of a step, counted as [`crate::explore::traffic`] and
-//! [`crate::explore::cost_estimate`] count those of a program.
+//! Input: boxes and places, and the firing rate of each population's sources. Output: traffic and
+//! the [`Score`] of a step, counted as in a program by [`crate::explore::traffic`] and
+//! [`crate::explore::cost_estimate`].
 
 use crate::explore::cost_estimate::{Score, score_of};
 use crate::explore::traffic::{self, Traffic};
@@ -42,7 +42,7 @@ impl<'a> PlacedBoxes<'a> {
         traffic::of_flows(self.placement, self.flows(rates)).traffic()
     }
 
-    /// What a mean step with this traffic, that at these rates, is expected to cost.
+    /// Expected cost of a mean step at these rates, with the traffic at these rates.
     ///
     /// # Errors
     /// As [`score_of`].

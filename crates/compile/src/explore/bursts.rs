@@ -1,11 +1,10 @@
-//! Steps in which many sources spike simultaneously, in which candidates for the shortest step are
-//! compared.
+//! Steps in which many sources spike simultaneously, to compare candidates for the shortest step.
 //!
-//! Output: the rates of steps in which all sources spike, and in which those of one population do,
+//! Output: the rates of steps in which all sources spike, and in which one population's sources do,
 //! for the expected step ([`crate::explore::cost_estimate`]); and the time of a step in which
 //! random compartments spike, every message followed as in a run ([`nsim_cost::transport::queue`]).
-//! The expected step knows how busy links are. It does not know that messages hold up those queued
-//! after them, and that is most of a step in which many compartments spike.
+//! The expected step includes the load of links. It excludes the waiting of messages queued after
+//! others, which is most of a step in which many compartments spike.
 
 use crate::explore::cost_estimate::first_constants;
 use nsim_cost::deployment::{Deployment, HostWork};
@@ -21,13 +20,13 @@ use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_partition::strategy::box_fan_out::{PopulationRates, everywhere, only};
 
-/// Populations whose bursts candidates are compared in.
+/// Most populations in whose bursts candidates are compared.
 const MOST_BURSTS: usize = 16;
-/// Where the draws of compartments begin.
+/// Seed of the random compartments.
 const SEED: u64 = 0xb0_4575;
 
-/// Rates of steps in which all sources spike, and in which those of one population do, for as many
-/// as are affordable.
+/// Rates of steps in which all sources spike, and in which one population's sources do, for as many
+/// populations as are affordable.
 pub fn bursts(network: &Quantised) -> Vec<Rates> {
     let mut bursts = vec![Rates::assumed(1.0)];
     for population in network.populations().iter().take(MOST_BURSTS) {
@@ -47,13 +46,13 @@ pub fn population_bursts(network: &Quantised) -> Vec<PopulationRates> {
     std::iter::once(everywhere(network, &once)).chain(of_one).collect()
 }
 
-/// Messages when every compartment of a program spikes once.
+/// Number of messages when every compartment of a program spikes once.
 pub fn messages(program: &Program) -> u64 {
     program.cores().iter().map(|core| core.axons_out.items().len() as u64).sum()
 }
 
-/// The time of a step in which every compartment spikes with this chance, the same ones in every
-/// mapping of a network, and no input; in microseconds, under the target's first preset.
+/// Time of a step without input in microseconds, under the target's first preset. Every compartment
+/// spikes with the probability `chance`; the sample is equal in every mapping of a network.
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.

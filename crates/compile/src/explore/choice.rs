@@ -1,41 +1,41 @@
-//! Which of several mappings is best for an objective.
+//! Choice of the best of several mappings for an objective.
 //!
-//! Input: candidates with what a step of them is expected to cost, the first of which is what
-//! others are measured by: the sequential order, unplaced as the public tools leave it. Output: the
-//! one to take, if any is better.
+//! Input: candidates with the expected cost of a step. The others are compared with the first: the
+//! sequential order, unplaced as the public tools leave it. Output: the candidate to take, if any
+//! is better.
 //!
 //! The expected step of mean rates is not the simulated one: spikes come in bursts, and more cores
-//! mean more messages over the busiest link in a burst. For the time of a step a candidate must
-//! therefore be no slower than the first when every source spikes simultaneously, and when all
-//! sources of one population do: over all populations and, but where that is `SHORT`, for each. One
-//! that is faster by `MARGIN` at the rates that it is made for, or holds the same compartments on
-//! the same cores, may be slower by as much in one population's burst; another must be faster by
-//! `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the host
-//! takes equally long to inject for all mappings, and may take most of a step. Where it does, what
-//! is saved has to be a part of the whole, too (`OF_WHOLE`). Last, a step in which random
-//! compartments spike and every message is followed may take no longer, with the same allowance.
+//! mean more messages over the busiest link in a burst. For the time of a step, a candidate must
+//! therefore be no slower than the first when every source spikes simultaneously, and when one
+//! population's sources do. The latter holds for their sum, and for each except where it is
+//! `SHORT`. A candidate that is faster by `MARGIN` at its own rates, or has the same compartments
+//! on the same cores, may be slower by as much in one population's burst. Any other must be faster
+//! by `EVERYWHERE`, also when every source spikes. Both are parts of the time on the chips: the
+//! host injects equally long for all mappings, which may be most of a step. So the saving has to be
+//! a part of the whole, too (`OF_WHOLE`). Last, a step in which random compartments spike and every
+//! message is followed may take no longer, with the same allowance.
 
 use crate::explore::cost_estimate::Score;
 use nsim_partition::error::Result;
 use nsim_partition::options::{Objective, Strategy};
 
-/// How much less a mean step must take to be trusted to take no longer in a burst.
+/// Ratio of mean steps below which a candidate is trusted to take no longer in a burst.
 const MARGIN: f64 = 0.9;
-/// How much less it must take where no burst may take longer and that of all sources takes as much
-/// less.
+/// Ratio of mean steps that suffices if no burst takes longer and the burst of all sources has this
+/// ratio too.
 const EVERYWHERE: f64 = 0.95;
-/// How much less the whole mean step must take, injection included.
+/// Ratio of whole mean steps, injection included, that is required.
 const OF_WHOLE: f64 = 0.99;
-/// A step in which one population spikes is short when it takes less than this part of one in which
-/// all sources do.
+/// Ratio to the step in which all sources spike, below which a step in which one population spikes
+/// is short.
 const SHORT: f64 = 0.1;
 
-/// A way of mapping.
+/// Options of one mapping.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
 pub struct Candidate {
-    /// How compartments are grouped into cores.
+    /// Strategy that groups compartments into cores.
     pub strategy: Strategy,
-    /// A core is filled to one part in this many.
+    /// A core is filled to one part in `divisor`.
     pub divisor: u32,
     /// Whether cores are placed by traffic.
     pub placed: bool,
@@ -46,7 +46,7 @@ pub struct Candidate {
 pub struct Found {
     /// How it was made.
     pub candidate: Candidate,
-    /// What it is worth.
+    /// Its expected cost.
     pub score: Score,
 }
 
@@ -59,17 +59,17 @@ pub struct Made<M> {
     pub kept: M,
 }
 
-/// Steps in which many sources spike simultaneously, which are expensive to know.
+/// Steps in which many sources spike simultaneously; evaluating them is expensive.
 pub trait Bursts<M> {
-    /// The expected cost of a step in which all sources spike, then of those in which the sources
-    /// of one population do.
+    /// Expected cost of a step in which all sources spike, then of the steps in which one
+    /// population's sources do.
     ///
     /// # Errors
     /// When the target's constants cannot be used.
     fn expected(&mut self, kept: &M) -> Result<Vec<Score>>;
 
-    /// The time of a step in which random compartments spike, the same in all candidates, every
-    /// message followed, in microseconds; none where that cannot be known.
+    /// Time in microseconds of a step in which random compartments spike, the same in all
+    /// candidates, with every message followed; none where it is unknown.
     ///
     /// # Errors
     /// When the target's constants cannot be used.
@@ -82,7 +82,7 @@ pub struct Choice<'p, M, B> {
     plain: &'p Made<M>,
     objective: Objective,
     bursts: B,
-    /// What bursts take in the first, once they are needed.
+    /// Cost of the first candidate's bursts, once it is needed.
     expected: Option<Vec<Score>>,
     followed_us: Option<Option<f64>>,
 }
@@ -150,8 +150,8 @@ fn same_cores(one: &Found, other: &Found) -> bool {
 }
 
 /// Whether bursts take no longer than in the unplaced sequential mapping: the first, in which all
-/// sources spike; those of one population, all of them together; and each of these, but for `slack`
-/// and for those that are short compared with the first.
+/// sources spike; the others, of one population each, in sum; and each of these, but for `slack`
+/// and for bursts that are short compared with the first.
 fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
     let (Some((all, each)), Some((all_plain, each_plain))) = (times.split_first(), plain.split_first()) else {
         return true;
@@ -179,7 +179,7 @@ pub fn front(found: &[Found]) -> Vec<&Found> {
 mod tests {
     use super::*;
 
-    /// Bursts that take what was stored, and a followed step of this many microseconds.
+    /// Bursts with a stored cost, and a followed step with a stored time in microseconds.
     struct Same;
 
     impl Bursts<(u32, Score, f64)> for Same {
@@ -192,7 +192,7 @@ mod tests {
         }
     }
 
-    /// The divisor of the one that is taken, if any, of candidates with their time on the chips and
+    /// Divisor of the chosen candidate, if any, from candidates with their time on the chips and
     /// followed; the first takes 40 and 100 us.
     fn taken(host_us: f64, others: &[(u32, f64, f64)]) -> Option<u32> {
         let made = |(divisor, on_chip, followed): (u32, f64, f64)| {

@@ -1,10 +1,10 @@
-//! What a step of a program is expected to cost, before it has run.
+//! Expected cost of a step of a program, before it has run.
 //!
 //! Input: a program on its places and the rates of its sources. Output: energy and time of a mean
 //! step under the target's first preset, by the equations of `docs/energy.md` applied to expected
-//! counts: those of a million steps, in whole numbers, so that they are the same everywhere. No
-//! compartment counts as idle. A simulated step can take longer, since spikes arrive in bursts; the
-//! estimate is for comparing mappings.
+//! counts. These are for a million steps, in whole numbers, so that they are equal on every
+//! machine. No compartment counts as idle. A simulated step can take longer, since spikes arrive in
+//! bursts; the estimate is for comparing mappings.
 
 use std::cmp::Ordering;
 use std::ops::Range;
@@ -27,25 +27,25 @@ use nsim_ir::placement::{Placement, Site};
 use nsim_ir::program::{AxonTarget, CoreImage, Program};
 use nsim_partition::options::Objective;
 
-/// What a mapping is expected to be worth.
+/// Expected cost of a mapping.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct Score {
     /// Cores in use.
     pub cores: u64,
     /// Energy of a mean step in microjoules: events, static power of cores, and x86 cores in use.
     pub energy_uj: f64,
-    /// That energy without x86 cores.
+    /// Energy of a mean step without x86 cores, in microjoules.
     pub chip_energy_uj: f64,
     /// Time of a mean step in microseconds.
     pub step_us: f64,
-    /// Of it, that in which the host injects: no mapping changes it but by its chips.
+    /// Host's part of that time (injection, turn): a mapping changes it by its chips only.
     #[serde(skip)]
     pub host_us: f64,
     /// Static power of the cores in use in milliwatts.
     pub static_mw: f64,
 }
 
-/// The expected cost of a program whose sources spike at these rates, on its places.
+/// Expected cost of a program on its places, whose sources spike at these rates.
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
@@ -59,7 +59,7 @@ pub fn score_at(
     score_of(&expected(program, rates), &of_program(program, rates).traffic(), placement, target, copies)
 }
 
-/// The expected cost of what happens in as many steps as rates count, and of the traffic of one.
+/// Expected cost of the activity in the steps that rates count, and of the traffic of one step.
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
@@ -74,13 +74,13 @@ pub fn score_of(
     let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
     let timing = deployment.timing(Transport::Analytic, copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
-    // Turn and barrier are of one step, spikes of as many as rates count.
+    // Turn and barrier belong to one step, spikes to all steps that rates count.
     let once = timing.host_and_barrier(0, &table);
     let injection = timing.host_and_barrier(activity.spikes_in, &table).injection.microseconds();
     let route = route_time(activity.longest, &table);
     let fixed: f64 = [route, once.barrier, once.turn].map(Picoseconds::microseconds).iter().sum();
-    // Messages of a step wait for each other at the busiest link, or at the busiest of the slower
-    // ones between chips.
+    // Messages of a step wait at the busiest link, or at the busiest of the slower links between
+    // chips.
     let wait = (traffic.max_link_load * table.link_time.microseconds())
         .max(traffic.max_chip_link_load * table.link_chip_time.microseconds());
     let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
@@ -108,7 +108,7 @@ pub fn first_constants(target: &Target) -> Result<CostTable, Diagnostic> {
     CostTable::new(target.constants().first().ok_or_else(none)?)
 }
 
-/// Expected counts of as many steps as rates count.
+/// Expected counts in the steps that rates count.
 pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
     let cores = program.cores().as_slice();
     let sites: Vec<Site> = cores.iter().map(|image| image.site).collect();
@@ -153,14 +153,14 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
     sum
 }
 
-/// Adds what arrives at each core: an input axon is the end of one message, so it has the rate of
+/// Adds the arrivals at each core: an input axon is the end of one message, so it has the rate of
 /// one source.
 fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
     let of_axons = match rates {
         Rates::Assumed(_) => None,
         Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
     };
-    // At one rate for all, cores of a class have as much arriving.
+    // With one rate for all, cores of a class have equal arrivals.
     let firsts = program.first_cores();
     let like = |(core, image): (CoreId, &CoreImage)| if of_axons.is_some() { core } else { firsts[image.class] };
     let like: IdVec<CoreId, CoreId> = program.cores().enumerate().map(like).collect();
@@ -188,7 +188,7 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
     }
 }
 
-/// The rate of the source that leads to each input axon, by core.
+/// Rate of the source of each input axon, by core.
 fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
     let mut of_axons: Vec<Vec<u64>> =
         program.cores().ids().map(|core| vec![0; program.class_of(core).inputs.len()]).collect();
@@ -211,7 +211,7 @@ impl Score {
         self.step_us - self.host_us
     }
 
-    /// Which of two is better for an objective; ties fall to the other measures.
+    /// Compares two scores for an objective, the better first; ties fall to the other measures.
     pub fn better(&self, other: &Score, objective: Objective) -> Ordering {
         let cores = self.cores.cmp(&other.cores);
         let energy = self.energy_uj.total_cmp(&other.energy_uj);
@@ -224,7 +224,7 @@ impl Score {
         }
     }
 
-    /// Whether nothing of another is better and something is worse: the other is not on the front.
+    /// Whether no measure of `other` is better and one is worse: `other` is not on the front.
     pub fn dominates(&self, other: &Score) -> bool {
         let pairs =
             [(self.cores as f64, other.cores as f64), (self.energy_uj, other.energy_uj), (self.step_us, other.step_us)];

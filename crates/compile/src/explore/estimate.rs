@@ -1,4 +1,4 @@
-//! What a mapping is expected to carry and cost at the rates that it was made for.
+//! Expected traffic and cost of a mapping, at the rates that it was made for.
 
 use crate::explore::cost_estimate::{Score, expected, score_at, score_of};
 use crate::explore::traffic::{self, Links, Traffic};
@@ -18,7 +18,7 @@ impl Mapping {
         traffic::of_program(&self.program, &self.rates).links()
     }
 
-    /// What a mean step with this traffic is expected to cost.
+    /// Expected cost of a mean step with this traffic.
     ///
     /// # Errors
     /// A diagnostic when the target's constants cannot be used or there are none.
@@ -26,7 +26,7 @@ impl Mapping {
         score_of(&expected(&self.program, &self.rates), traffic, &self.placement, target, self.options.copies)
     }
 
-    /// What a mean step is expected to cost when the sources of each copy spike at these rates.
+    /// Expected cost of a mean step when the sources of each copy spike at these rates.
     ///
     /// # Errors
     /// A diagnostic when the target's constants cannot be used or there are none.

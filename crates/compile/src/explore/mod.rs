@@ -1,5 +1,5 @@
-//! Several mappings compared: cost estimates, traffic, remedies. Calls the pipeline and is never
-//! called by it.
+//! Comparison of several mappings: cost estimates, traffic, remedies. It calls the pipeline and is
+//! never called by it.
 
 pub mod box_costs;
 pub mod bursts;

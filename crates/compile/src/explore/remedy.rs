@@ -1,22 +1,21 @@
 //! Changes that make a network fit, found by trying them.
 //!
-//! Input: a network that does not fit its target, the reasons, and what reads model and target
-//! again with fields changed. Output: [`Remedy`]s that were tried and made it fit, the cheapest
-//! change first. What is tried:
+//! Input: a network that does not fit its target, the reasons, and a function that reads model and
+//! target again with changed fields. Output: [`Remedy`]s that were tried and made it fit, the
+//! cheapest change first. These are tried:
 //!
 //! - the default strategy, where another was asked for;
-//! - leaving out what can change no output (`--prune static`);
+//! - pruning of parts that can change no output (`--prune static`);
 //! - relays, and sources that share input axons (`--relays`);
 //! - fewer copies: the most that fit;
-//! - fewer weight bits, each weight rounded to the coarser step, unless a projection then has no
-//!   weight but 0: whether the network still does its task is another question, which the remedy
-//!   says;
+//! - fewer weight bits, each weight rounded to the coarser step, unless no weight but 0 is left
+//!   between two populations. The network may then fail its task, as the remedy warns;
 //! - the next larger shipped board, or more of the same chips;
 //! - two to sixteen times the limit that fills the cores of a mapping;
-//! - the least limits of a core with which the network fits, for a chip of one's own.
+//! - the least limits of a core with which the network fits, for a custom chip.
 //!
-//! Not tried: what needs another model (merging polarities, pooling), which is advice in the reason
-//! itself. Another sign mode changes no count of words, so it is no remedy for what does not fit.
+//! Not tried: changes of the model (merging polarities, pooling), which the reason itself advises.
+//! Another sign mode changes no count of words, so it is no remedy.
 
 use std::collections::BTreeMap;
 
@@ -30,15 +29,15 @@ use nsim_ir::resource::{Capacity, Resource};
 use nsim_partition::reason::Taken;
 use nsim_quantise::prune::{Plan, prune};
 
-/// Synapses above which trying changes would take too long.
+/// Most synapses of a network for which all changes are tried.
 const MOST_SYNAPSES: u64 = 10_000_000;
-/// Synapses up to which one larger board is tried all the same.
+/// Most synapses of a network for which one larger board is tried.
 const MOST_ON_BOARD: u64 = 30_000_000;
 /// Weight bits that are tried.
 const BITS: [u32; 3] = [6, 5, 4];
-/// Factors by which the limit is raised that fills the cores of a mapping.
+/// Factors for the limit that fills the cores of a mapping.
 const DOUBLED: [u64; 4] = [2, 4, 8, 16];
-/// Rounds in which limits are raised: one that is met can uncover another.
+/// Most rounds in which limits are raised: meeting one can uncover another.
 const MOST_RAISED: usize = 4;
 
 /// The network and its target with fields changed, each `PATH=VALUE`; `None` where they are
@@ -51,26 +50,26 @@ pub struct Remedy {
     /// A stable name for scripts: `strategy`, `prune`, `relays`, `copies`, `weight_bits`, `target`,
     /// `limit` or `doubled_limit`.
     pub kind: &'static str,
-    /// What to change, in words, with what to type where there is something to type.
+    /// The change in words, with its command-line arguments if there are any.
     pub change: String,
-    /// Cores that it then takes.
+    /// Number of cores with the change.
     pub cores: u32,
-    /// Copies that fit then.
+    /// Number of copies that fit with the change.
     pub copies: u32,
 }
 
-/// What does not fit.
+/// A mapping that does not fit.
 #[derive(Clone, Copy)]
 pub struct Refused<'a> {
     /// The network.
     pub one: &'a Quantised,
     /// The target.
     pub target: &'a Target,
-    /// How it was to be mapped.
+    /// Options of the mapping.
     pub options: &'a Options,
-    /// Why it does not fit.
+    /// Reasons for which it does not fit.
     pub reasons: &'a [Reason],
-    /// By projection of the model file, the population that it leads to, and its weight bits.
+    /// By projection of the model file: name of its target population, and weight bits.
     pub weight_bits: &'a [(String, i64)],
 }
 
@@ -85,14 +84,14 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     }
     let quick = Options { effort: Effort::Work(0), objective: Objective::Cores, place: false, ..*options };
     let rates = Rates::assumed(DEFAULT_RATE);
-    // What has cores fits: routes and tables follow from them.
+    // A partition suffices: routes and tables follow from it.
     let tried = |front: Front, target: &Target, options: &Options| -> Result<Fitting, CompileError> {
         let made = front.partition(target, options, &rates)?;
         Ok(Fitting { cores: made.partition.cores() as u32, copies: options.copies })
     };
     let fits = |front: Front, target: &Target| tried(front, target, &quick).ok();
     let changed = |changes: &[String]| if changes.is_empty() { None } else { changed(changes) };
-    // A board has the cores that are known to be taken; of a large network one alone is tried.
+    // Boards have at least the known number of cores; for a large network only one is tried.
     let taken = reasons.iter().filter(|reason| reason.resource == Capacity::Cores).map(|reason| reason.need).max();
     let large_enough = boards.iter().filter(|board| u64::from(board.cores()) >= taken.unwrap_or(0));
     let mut on_board = large_enough.take(if few { usize::MAX } else { 1 }).filter_map(|board| {
@@ -142,7 +141,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         let changes = refused.fewer_bits(bits);
         let Some((front, target)) = changed(&changes) else { continue };
         let (before, after) = (non_zero(one), non_zero(front.quantised()));
-        // Without any weight between two populations it is another network.
+        // Without any weight between two populations, it would be a different network.
         if before.iter().any(|(ends, count)| *count > 0 && after.get(ends) == Some(&0)) {
             break;
         }
@@ -177,7 +176,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     }
     let (mut limits, mut reasons) = (BTreeMap::new(), reasons.to_vec());
     for _ in 0..MOST_RAISED {
-        // What a single compartment needs is the least of which a core has to have as much.
+        // A core must have at least the need of a single compartment.
         let alone = reasons.iter().filter(|reason| reason.population.is_some());
         for reason in alone {
             if let Capacity::Resource(resource) = &reason.resource {
@@ -200,7 +199,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     found
 }
 
-/// By source and target population, the synapses between them whose weight is not 0.
+/// Number of synapses with a weight other than 0, by source and target population.
 fn non_zero(network: &Quantised) -> BTreeMap<(PopulationId, PopulationId), u64> {
     let mut counts = BTreeMap::new();
     for projection in network.projections() {
@@ -212,13 +211,13 @@ fn non_zero(network: &Quantised) -> BTreeMap<(PopulationId, PopulationId), u64> 
     counts
 }
 
-/// Changes as they are typed.
+/// Changes as command-line arguments.
 fn typed(changes: &[String]) -> String {
     changes.iter().map(|change| format!("--set {change}")).collect::<Vec<_>>().join(" ")
 }
 
 impl Refused<'_> {
-    /// What stores fewer weight bits, where the reasons name populations in what leads to these.
+    /// Changes to fewer weight bits; if reasons name populations, of projections into these only.
     fn fewer_bits(&self, bits: u32) -> Vec<String> {
         let named = |name: &str| self.reasons.iter().any(|reason| reason.population.as_deref() == Some(name));
         let all = self.reasons.iter().all(|reason| reason.population.is_none());

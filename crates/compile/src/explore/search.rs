@@ -1,10 +1,10 @@
-//! Several mappings of a network, compared by what a step of them is expected to cost.
+//! Several mappings of a network, compared by their expected cost of a step.
 //!
 //! Input: a network, a target and an objective. Output: the best of several *candidates*. A
-//! candidate is a strategy and the part of each core that it may fill: cores that hold half as much
-//! take half as long and are twice as many. The first candidates are always the sequential order,
-//! unplaced as the public tools leave it and placed. [`choice`](crate::explore::choice) says which
-//! is better.
+//! candidate is a strategy and the part of each core that it may fill: half-filled cores take half
+//! as long and are twice as many. The first candidates are always the sequential order, unplaced as
+//! the public tools leave it and placed. [`choice`](crate::explore::choice) decides which is
+//! better.
 
 use std::time::{Duration, Instant};
 
@@ -34,29 +34,29 @@ use nsim_partition::strategy::boxes::{Boxes, Layers};
 
 /// Parts of a core, as divisors, that candidates fill.
 const DIVISORS: [u32; 6] = [1, 2, 4, 8, 16, 32];
-/// Those for the shortest step, in the order in which they are likely to take it, for networks so
-/// large that the effort is not enough for all (`nsim bench map`). The first two are always tried.
+/// Divisors for the shortest step, the most likely first, for networks so large that the effort is
+/// not enough for all (`nsim bench map`). The first two are always tried.
 const SHORTEST: [u32; 7] = [4, 1, 8, 32, 16, 64, 2];
-/// The part that is tried when none of these is taken.
+/// The divisor that is tried when no candidate with these is taken.
 const HALF: u32 = 2;
 /// Compartments that a second of effort allows to be cut into boxes, over all candidates.
 const COMPARTMENTS_PER_SECOND: u64 = 20_000_000;
 /// Synapses that a second of effort allows to be mapped, over all candidates.
 const SYNAPSES_PER_SECOND: u64 = 4_000_000;
 
-/// Synapses of 8 bits in a word.
+/// Number of synapses of 8 bits in a word.
 const SYNAPSES_PER_WORD: u64 = 8;
 
-/// Stages that follow once cores have their places.
+/// Stages after placement.
 const FINISHING: [&str; 3] = ["route", "verify", "check"];
-/// Time reserved for them, relative to the time that they last took.
+/// Time reserved for them, relative to their last time.
 const SLACK: f64 = 1.2;
 /// The part of the time that must be left for looking for a better mapping to be worth it.
 const LEAST_LEFT: f64 = 0.1;
 /// The part of what is left that the partition may take; the rest is for placing.
 const PARTITIONING: f64 = 0.7;
 
-/// A core's limits divided, but for the words that one compartment needs, as far as they are known.
+/// The target with a core's limits divided; words stay enough for the known need of a compartment.
 fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let limits = target.limits();
     let words = (limits[Resource::SynapseWords] / divisor).max(limits[Resource::SynapseWordsPerAxon]).max(words);
@@ -65,15 +65,15 @@ fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     target.clone().with_limits(divided)
 }
 
-/// The synapses of a core that is filled to a part: those of 8 bits that the part's words hold; of
-/// a whole one as many as there may be.
+/// Most synapses of a core that is filled to a part: the synapses of 8 bits in the part's words;
+/// `None` for a whole core, which has no such bound.
 fn most_synapses(target: &Target, divisor: u32) -> Option<u64> {
     let words = u64::from(target.limits()[Resource::SynapseWords]);
     (divisor > 1).then(|| words * SYNAPSES_PER_WORD / u64::from(divisor))
 }
 
-/// The words that one compartment alone needs, when they are all that a divided core lacks and a
-/// whole one has them.
+/// Words that one compartment alone needs, when words are all that a divided core lacks and a whole
+/// one has enough.
 fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
     let CompileError::DoesNotFit(reasons) = error else { return None };
     let words = |reason: &Reason| Some(reason.need).filter(|_| reason.resource == Resource::SynapseWords);
@@ -86,9 +86,9 @@ fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
 enum Kept {
     /// The mapping, which has not been checked.
     Whole(Box<Unchecked>),
-    /// Of a mapping in boxes, which takes much memory, only where they are: it is made again from
-    /// there. With the name of the placement, and steps in which sources spike simultaneously when
-    /// they are needed.
+    /// A mapping in boxes takes much memory, so only its boxes and places are stored, from which it
+    /// is made again. Further: the name of the placement, and the cost of bursts when they are
+    /// needed.
     Boxes { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
 }
 
@@ -100,7 +100,7 @@ struct KeptBursts<'a> {
     target: &'a Target,
     copies: u32,
     rates: Option<Vec<Rates>>,
-    /// Of a compartment to spike in a step that is followed.
+    /// Probability that a compartment spikes in a followed step.
     chance: Option<f64>,
 }
 
@@ -126,8 +126,8 @@ impl Bursts<Kept> for KeptBursts<'_> {
     }
 }
 
-/// A mapping for an objective: with [`Objective::Cores`] the one that the options say, otherwise
-/// the best of several. `rates` are of one copy.
+/// Returns a mapping for an objective: with [`Objective::Cores`] the mapping of the options,
+/// otherwise the best of several. `rates` are of one copy.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -173,14 +173,14 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> R
     Ok(best)
 }
 
-/// The best mapping found until a time: the quickest, unless there is time for a better one.
+/// The best mapping found until `end`: the quickest, unless there is time for a better one.
 fn by_the_clock(front: Front, target: &Target, options: &Options, rates: &Rates, end: Instant) -> Result<Mapping> {
     let begin = Instant::now();
     let given = end.saturating_duration_since(begin);
     let quick = Options { effort: Effort::Work(0), ..*options };
     let mut best = compile::map(front.clone(), target, &quick, rates)?;
     best.options = *options;
-    // What a mapping takes once its cores have their places.
+    // Time of a mapping's stages after placement.
     let finishing = |mapping: &Mapping| {
         let stages = mapping.seconds.iter().filter(|(stage, _)| FINISHING.contains(stage));
         Duration::from_secs_f64(SLACK * stages.map(|(_, seconds)| seconds).sum::<f64>())
@@ -205,8 +205,8 @@ fn by_the_clock(front: Front, target: &Target, options: &Options, rates: &Rates,
     Ok(best)
 }
 
-/// Every candidate that fits and that the effort allows for, the one that others are measured by
-/// first.
+/// Every candidate that fits and that the effort allows for, first the one that all others are
+/// compared with.
 ///
 /// # Errors
 /// [`CompileError`] of the first candidate, when none fits.
@@ -215,7 +215,7 @@ pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rat
     Ok(search.all(&search.ways()?, 0)?.into_iter().map(|made| made.found).collect())
 }
 
-/// What candidates are made of.
+/// Common input of the candidates.
 struct Search<'a> {
     front: &'a Front,
     in_boxes: bool,
@@ -356,7 +356,7 @@ impl<'a> Search<'a> {
         places.iter().map(made).collect()
     }
 
-    /// The stored form of boxes at these places, and their cost.
+    /// Stored form of boxes at these places, and their cost.
     fn of_boxes(
         &self,
         all: &Quantised,

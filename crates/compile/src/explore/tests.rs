@@ -1,4 +1,4 @@
-//! Networks mapped by their kernels, against the same mappings written synapse by synapse.
+//! Networks mapped by their kernels, compared with these mappings written synapse by synapse.
 
 use crate::emit::classes::CoreClasses;
 use crate::emit::route::{route, route_classes};
@@ -36,8 +36,8 @@ fn by_kernels(network: Quantised, board: &Target, options: &Options) -> Result<M
     explore::map(front(network), board, options, &Rates::assumed(DEFAULT_RATE))
 }
 
-/// A weight of a format; those near each other differ: kernels in which parts repeat would share
-/// more tables than geometry can tell.
+/// A weight of a format. Neighbours differ: kernels with repeated parts would share more tables
+/// than geometry shows.
 fn weight(format: SynapseFormat, seed: u64, layer: u64, at: u64) -> i16 {
     let (low, high) = format.sign.range(format.bits);
     let step = format.sign.step(format.bits);
@@ -45,8 +45,8 @@ fn weight(format: SynapseFormat, seed: u64, layer: u64, at: u64) -> i16 {
     low + step * ((rng::below(levels, seed, layer, at / levels) + at) * 37 % levels) as i16
 }
 
-/// Two inputs and layers of windows, some of which skip a layer or see their own channel only, and
-/// a dense one at the end.
+/// An input of two channels, layers of windows, some with one channel as input or recurrent, and a
+/// dense layer at the end.
 fn layered(seed: u64) -> Quantised {
     let draw = |n: u64, k: u64| rng::below(n, seed, 9, k) as u32;
     let mut net = Builder::new();
@@ -89,7 +89,7 @@ fn layered(seed: u64) -> Quantised {
             let kernel = (0..weights).map(|i| weight(kind, seed, k, i as u64)).collect();
             net.connect((from, to), kind, delay, Connectivity::Conv2d { window, kernel });
         }
-        // Itself, as recurrent convolutions have it.
+        // A recurrent convolution.
         if draw(3, k + 15) == 0 {
             let once = Window {
                 source: shape,
@@ -118,7 +118,7 @@ fn layered(seed: u64) -> Quantised {
 
 fn small(seed: u64) -> Limits {
     let packing = if seed.is_multiple_of(2) { Packing::Nengo } else { Packing::Nxtf };
-    // Every third counts output axons by position.
+    // Every third seed counts output axons by position.
     let all = if seed.is_multiple_of(3) { nsim_testing::limits() } else { limits() };
     Limits { packing, ..all.with(Resource::Compartments, 24 + (seed % 40) as u32).with(Resource::SynapseWords, 2_000) }
 }
@@ -220,7 +220,7 @@ fn a_wrong_count_is_found() {
     }
 }
 
-/// A mapping in boxes, its board, and how it was made.
+/// A mapping in boxes, its board and its options.
 fn saved(seed: u64, copies: u32) -> (Mapping, Target, Options) {
     let board = target(8, 4, small(seed));
     let options = Options { copies, place: !seed.is_multiple_of(4), effort: Effort::Work(0), ..Options::default() };
@@ -343,7 +343,7 @@ fn no_file_makes_it_contradict_itself() {
 fn objectives_take_the_best_candidate_and_never_a_worse_one() {
     let mut changed = [0, 0];
     for seed in 0..8 {
-        // The cores of a real chip, and nothing spent on places: what differs is the size of boxes.
+        // The cores of a real chip, and no placement: only the sizes of boxes differ.
         let board = target(8, 8, limits());
         let options = Options { effort: Effort::Work(1), place: false, ..Options::default() };
         let (front, rates) = (front(layered(seed)), Rates::assumed(DEFAULT_RATE));
@@ -376,7 +376,7 @@ fn objectives_take_the_best_candidate_and_never_a_worse_one() {
 
 #[test]
 fn profiles_make_boxes_smaller() {
-    // A population of which every third compartment has its own decay.
+    // Some populations have three different decays.
     let few = small(1).with(Resource::CompartmentProfiles, 2);
     let options = Options { effort: Effort::Work(0), ..Options::default() };
     let several = (0..20).filter(|&seed| {
@@ -392,8 +392,8 @@ fn profiles_make_boxes_smaller() {
     assert!(seen > 3, "{seen} networks have several profiles");
 }
 
-/// What is written once for all boxes of a pattern is what each of them stores, and its sources are
-/// where they would be.
+/// Tables written once for all boxes of a pattern equal the tables of each box, and their sources
+/// are right.
 #[test]
 fn programs_of_boxes_are_those_written_synapse_by_synapse() {
     let (mut alike, mut cores) = (0, 0);

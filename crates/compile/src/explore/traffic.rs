@@ -1,12 +1,12 @@
-//! How far messages go, at given rates of spikes.
+//! Distances that messages travel, at given firing rates.
 //!
 //! Input: a program and a rate for every source. Output: a [`Traffic`]. Each source sends one
 //! message to each of its cores. A message goes along its row of tiles first, then along its column
 //! (see [`nsim_ir::placement`]); an input's message enters at the corner of its target's chip.
 //! Links are counted in both directions separately, over the whole board. Routes are added as
 //! differences at their ends, so that the work does not depend on their length. A multicast spike,
-//! copied where routes part, crosses each link once, however many of its messages do. Everything is
-//! counted in whole numbers ([`Rates`]) before it is divided by the steps that they count.
+//! copied where routes part, crosses each link once for all its messages. Everything is counted in
+//! whole numbers ([`Rates`]), then divided by the number of steps.
 
 use std::ops::Range;
 
@@ -23,9 +23,9 @@ use nsim_ir::program::{AxonTarget, Program};
 /// Expected messages in a step.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Traffic {
-    /// Messages to another core than the source's own; an input's are all of this kind.
+    /// Messages to another core than the source's own; all messages of inputs are included.
     pub cut_spikes_per_step: f64,
-    /// Links crossed, each message by itself.
+    /// Links crossed, each message counted separately.
     pub hops_per_step: f64,
     /// Links crossed when a spike is copied where the routes of its messages part.
     pub hops_multicast_per_step: f64,
@@ -37,7 +37,7 @@ pub struct Traffic {
     pub max_chip_link_load: f64,
 }
 
-/// Messages over each link, both directions of it together, in a step.
+/// Messages over each link in a step, both directions together.
 #[derive(Debug, Clone)]
 pub struct Links {
     columns: usize,
@@ -49,17 +49,17 @@ pub struct Links {
 }
 
 impl Links {
-    /// Over the link from a tile of the board to its eastern neighbour and back.
+    /// Messages over the link from a tile of the board to its eastern neighbour and back.
     pub fn east_west(&self, x: u32, y: u32) -> f64 {
         self.east_west.get(y as usize * self.columns + x as usize).copied().unwrap_or(0.0)
     }
 
-    /// Over the link from a tile of the board to its southern neighbour and back.
+    /// Messages over the link from a tile of the board to its southern neighbour and back.
     pub fn north_south(&self, x: u32, y: u32) -> f64 {
         self.north_south.get(x as usize * self.rows + y as usize).copied().unwrap_or(0.0)
     }
 
-    /// The most over any link.
+    /// Messages over the busiest link.
     pub fn busiest(&self) -> f64 {
         self.east_west.iter().chain(&self.north_south).copied().fold(0.0, f64::max)
     }
@@ -75,8 +75,8 @@ pub struct Counts<'a> {
     of_chip: Vec<(u32, (u32, u32))>,
 }
 
-/// The totals of flows, each given by the core that sends (none for inputs), the cores reached, and
-/// its spikes in as many steps as rates count.
+/// The totals of flows. A flow has its sending core (none for inputs), the cores reached, and its
+/// spikes in the steps that rates count.
 pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     placement: &Placement,
     flows: impl Iterator<Item = (Option<CoreId>, T, u64)>,
@@ -90,11 +90,11 @@ pub fn of_flows<T: Iterator<Item = CoreId> + Clone>(
     counts
 }
 
-/// Parts that a program's cores, and its channels, are counted in; fixed, so that nothing depends
-/// on threads.
+/// Number of parts in which a program's cores, and its channels, are counted; fixed, so that
+/// nothing depends on threads.
 const PARTS: usize = 8;
 
-/// This many items in at most [`PARTS`] ranges of nearly the same size.
+/// Ranges of nearly equal size over `items` items, at most [`PARTS`].
 pub(crate) fn parts(items: usize) -> Vec<Range<usize>> {
     let size = items.div_ceil(PARTS).max(1);
     (0..items).step_by(size).map(|from| from..(from + size).min(items)).collect()
@@ -140,7 +140,7 @@ impl<'a> Counts<'a> {
         }
     }
 
-    /// The sum of both.
+    /// Sum of both.
     fn together(mut self, other: &Self) -> Self {
         self.loads.merge(&other.loads);
         self.cut += other.cut;
@@ -148,7 +148,7 @@ impl<'a> Counts<'a> {
         self
     }
 
-    /// Spikes of a core's compartments.
+    /// Adds spikes of a core's compartments.
     fn spikes(&mut self, core: CoreId, site: Site, to: impl Iterator<Item = (CoreId, Site)> + Clone, weight: u64) {
         let (mesh, from) = (self.mesh, self.mesh.tile(site));
         for (other, site) in to.clone() {
@@ -158,7 +158,7 @@ impl<'a> Counts<'a> {
         self.multicast += weight * self.tree.links(from, to.map(|(_, site)| mesh.tile(site))).0;
     }
 
-    /// Spikes of input channels, which enter each chip at its corner.
+    /// Adds spikes of input channels, which enter each chip at its corner.
     fn inputs(&mut self, to: impl Iterator<Item = Site>, weight: u64) {
         let mesh = self.mesh;
         // Chips of a list are not in order when chips were exchanged.
@@ -258,7 +258,7 @@ mod tests {
         for seed in 0..30u64 {
             let limits = limits().with(Resource::Compartments, 1).with(Resource::AxonsOutPerCompartment, 4096);
             let target = target(2, 2, limits);
-            // Where cores are is all that counts; searching for it takes most of the time.
+            // Only the sites of cores matter; searching for them takes most of the time.
             let options = Options { place: seed.is_multiple_of(6), ..Options::default() };
             let compiled = compile(random_network(seed), &target, &options).unwrap();
             let traffic = of_program(&compiled.program, &Rates::assumed(1.0)).traffic();

@@ -1,9 +1,8 @@
-//! Boxes as a file, and back.
+//! Conversion of boxes to a file, and back.
 //!
-//! A file holds, layer by layer, the size of a box and the core of each box. Loading one takes
-//! these from it after checking that they are of this network and target; everything else is
-//! counted again. Nothing is allocated by a number in the file before the file has been found to
-//! hold as many entries.
+//! A file holds, layer by layer, the size of a box and the core of each box. Loading checks that
+//! these belong to this network and target; everything else is counted again. No number in the file
+//! decides an allocation before the file is found to hold as many entries.
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{CoreId, IdVec, PopulationId};
@@ -17,7 +16,7 @@ use nsim_partition::strategy::boxes::Lattices;
 use nsim_partition::strategy::lattice::{self, Lattice};
 use nsim_partition::strategy::members::Members;
 
-/// The layers of a file.
+/// Layers of a mapping, as a file has them.
 pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement) -> Vec<MappedLayer> {
     let (mesh, mut sites) = (placement.mesh(), placement.sites().iter());
     let mut layers = Vec::new();
@@ -36,7 +35,7 @@ pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement
     layers
 }
 
-/// The core of this number on this chip.
+/// Site of a core, given by its number on a chip.
 ///
 /// # Errors
 /// `mapping.site` when there is none.
@@ -48,7 +47,7 @@ fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site> {
     site.ok_or_else(none)
 }
 
-/// Where a file cuts the layers of a network, all copies, and where it puts their boxes.
+/// Lattices of a network's layers, all copies, and the placement of their boxes, from a file.
 ///
 /// # Errors
 /// A diagnostic that names the population whose boxes are missing, not of its layer, or too many or
@@ -114,11 +113,11 @@ pub fn outline(
     Ok((found.iter().map(|found| found.map(|(lattice, _)| lattice)).collect(), placement))
 }
 
-/// The membership and the places that a file of boxes gives, for a network small enough to be
-/// written out.
+/// Members and placement from a file of boxes, for a network small enough to be written synapse by
+/// synapse.
 ///
 /// # Errors
-/// As [`outline`]; `mapping.layers` when the network is not made of layers.
+/// As [`outline`]; `mapping.layers` when the network does not consist of layers.
 pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, Placement)> {
     let not_layers = || {
         let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor \

@@ -1,10 +1,10 @@
-//! Mappings as files, and back.
+//! Conversion of mappings to files, and back.
 //!
-//! A file says which compartments are on which core of which chip, as runs of populations
-//! ([`MappedCore`]) or as boxes of layers ([`mod@layers`]). Loading one checks that it is of this
-//! network and target and takes membership and places from it; everything else (what cores use,
-//! tables, messages, what is pruned) is computed again. Files number compartments as the model
-//! does, pruned or not.
+//! A file gives the compartments on each core of each chip, as runs of populations ([`MappedCore`])
+//! or as boxes of layers ([`mod@layers`]). Loading checks that it belongs to this network and
+//! target, and takes membership and places from it. Everything else (resource use, tables,
+//! messages, pruning) is computed again. Files number compartments as the model does, pruned or
+//! not.
 
 pub mod layers;
 pub mod pruned;
@@ -43,7 +43,7 @@ impl Mapping {
     }
 }
 
-/// A file that holds nothing yet.
+/// A file without cores and layers.
 fn empty(network: &Quantised, target: &str, options: &Options) -> MappingFile {
     MappingFile {
         model: network.parts().name.clone(),
@@ -69,7 +69,7 @@ pub fn file_of_boxes(
     MappingFile { layers: layers::layers_of(network, lattices, placement), ..empty(network, target, options) }
 }
 
-/// The cores of a file.
+/// Cores of a mapping, as a file has them.
 fn cores_of(network: &Quantised, partition: &Partition, placement: &Placement) -> Vec<MappedCore> {
     let population_of = populations_of(network);
     let mapped = |(core, held): (CoreId, &Arc<Vec<CompartmentId>>)| {
@@ -84,11 +84,11 @@ fn cores_of(network: &Quantised, partition: &Partition, placement: &Placement) -
     partition.members().enumerate().map(mapped).collect()
 }
 
-/// The partition and the placement that a file gives for all copies of a network, and where it cuts
+/// The partition and the placement from a file for all copies of a network, and the lattices of its
 /// layers.
 ///
 /// # Errors
-/// [`CompileError::Input`] when the file is of another network or target, names what there is not,
+/// [`CompileError::Input`] when the file is of another network or target, names an unknown entity,
 /// or was changed; [`CompileError::DoesNotFit`] when a core exceeds a limit.
 pub fn load(
     file: &MappingFile,
@@ -155,8 +155,8 @@ pub fn one_copy(file: &MappingFile) -> MappingFile {
     MappingFile { copies: 1, cores, layers, ..file.clone() }
 }
 
-/// Finds the name of a compartment's population, and the index that the model file gives it, by
-/// bisection.
+/// Returns a function that finds a compartment's population, by name, and its index in the model
+/// file, by bisection.
 fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a str, u32) {
     let firsts: Vec<(u32, PopulationId, &str)> = network
         .populations()
@@ -186,7 +186,7 @@ pub fn belongs(file: &MappingFile, network: &Quantised, target: &Target) -> Resu
     Ok(())
 }
 
-/// An error about a saved mapping, with its file and what to do.
+/// Adds its file and advice to an error about a saved mapping.
 pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError {
     match error {
         CompileError::Input(diagnostic) if diagnostic.code.starts_with("mapping.") => {
@@ -202,7 +202,7 @@ pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError 
     }
 }
 
-/// Checks that a file is of this many copies.
+/// Checks that a file is of `copies` copies.
 ///
 /// # Errors
 /// `mapping.copies`.
@@ -217,11 +217,11 @@ pub fn of_copies(file: &MappingFile, copies: u32) -> Result<()> {
     )))
 }
 
-/// The membership and the places that a file gives; `network` is all copies that the file is for.
+/// Members and placement from a file; `network` is all copies of the file.
 ///
 /// # Errors
-/// A diagnostic that names what does not match: the model, the target, a population, a run, a
-/// compartment, a place.
+/// A diagnostic that names the mismatch: the model, the target, a population, a run, a compartment,
+/// a place.
 pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, Placement)> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     belongs(file, network, target)?;

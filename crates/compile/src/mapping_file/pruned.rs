@@ -1,4 +1,4 @@
-//! What was pruned, as a mapping file records it, and back.
+//! Conversion of the record of pruning to a mapping file, and back.
 
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
@@ -22,7 +22,7 @@ pub fn pruned_file(pruned: &Pruned) -> PrunedFile {
     PrunedFile { stimulus: pruned.stimulus.clone(), dead, probed }
 }
 
-/// The pruning that a file records.
+/// The plan of the pruning that a file records.
 ///
 /// # Errors
 /// A diagnostic that names a population or a run of channels that the network does not have.

@@ -1,16 +1,16 @@
-//! Exchanging cores of a chip, and chips of the board, until messages go less far.
+//! Exchange of cores of a chip, and of chips of the board, to shorten the routes of messages.
 //!
-//! Input: nets, places to start from and how much may be tried. Output: places, never worse under
-//! the objective. A proposal takes a core and another site of its chip, half of the time the one
-//! nearest to the mean position of the cores that it exchanges messages with (the force-directed
-//! part), else any, and swaps the two; a tile that is not in use receives a whole tile, so that no
-//! more tiles are in use than before. It is accepted when it saves links, and otherwise with a
-//! probability that falls with its cost and with time (Kirkpatrick et al., "Optimization by
-//! simulated annealing", Science 220, 1983). The best places found are the result.
+//! Input: nets, places to start from and the effort. Output: places, never worse under the
+//! objective. A proposal swaps a core with another site of its chip. Half of the time that is a
+//! site near the mean position of the cores that it exchanges messages with (the force-directed
+//! part), else any. A tile that is not in use receives a whole tile, so that no more tiles are in
+//! use than before. A proposal is accepted when it saves links, and otherwise with a probability
+//! that falls with its cost and with time (Kirkpatrick et al., "Optimization by simulated
+//! annealing", Science 220, 1983). The best places found are the result.
 //!
-//! Chips are annealed side by side in rounds, each from the places in which all others were when
-//! the round began; after a round all are put together and accepted if that is better. So it does
-//! not matter how many threads there are.
+//! Chips are annealed in parallel in rounds, each from the places of all others at the begin of the
+//! round. After a round all are combined and accepted if that is better. So the result does not
+//! depend on the number of threads.
 
 use std::time::Instant;
 
@@ -28,52 +28,52 @@ const TREE: i64 = 2;
 /// Rounds in which chips are annealed against each other; a single chip restarts from its best
 /// places.
 const ROUNDS: u64 = 6;
-/// The first temperature as a part of what a proposal changes on average.
+/// The first temperature, relative to the average change by a proposal.
 const HOTTEST: f64 = 0.3;
-/// The last temperature as a part of the first.
+/// The last temperature, relative to the first.
 const COOLEST: f64 = 5e-2;
-/// Destinations of nets that placing visits in a second, roughly.
+/// Destinations of nets that placing visits in a second, approximately.
 const PLACED_PER_SECOND: u64 = 25_000_000;
-/// Proposals of a core in a round at most.
+/// Most proposals of a core in a round.
 const PROPOSALS: u64 = 200;
 /// Proposals that any chip gets: a few cores have so few places that all good ones are found, which
 /// costs next to nothing.
 const LEAST_PROPOSALS: u64 = 1500;
 
-/// A chip is annealed if there is a proposal in a round for one core in this many.
+/// Chips are annealed if a round of any of them has a proposal for one core in `FEW`.
 const FEW: u64 = 8;
-/// Nets by which places of whole chips are compared, about.
+/// Approximate number of nets by which places of whole chips are compared.
 const SAMPLED_NETS: usize = 1 << 12;
 
-/// Proposals from one look at the clock to the next.
+/// Number of proposals between two checks of the clock.
 const LOOKS: u64 = 64;
 
-/// How places are looked for.
+/// Options of the search for places.
 #[derive(Debug, Clone, Copy)]
 pub struct Search<'a> {
-    /// What for.
+    /// Objective of the mapping.
     pub objective: Objective,
-    /// How often sources of the whole network spike.
+    /// Firing rates of the sources of the whole network.
     pub rates: &'a Rates,
     /// Seed of the annealing.
     pub seed: u64,
-    /// Units of work: destinations of nets visited.
+    /// Effort in units of work: destinations of nets visited.
     pub work: u64,
-    /// When to end in any case.
+    /// Time at which the search ends in any case.
     pub end: Option<Instant>,
     /// Weight of a link of a multicast tree, in links of a single message.
     pub tree: i64,
 }
 
 impl<'a> Search<'a> {
-    /// As options say, for sources of the whole network that spike this often.
+    /// Returns the search for these options, with firing rates of the whole network.
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
         let (work, end) = (options.effort.work(PLACED_PER_SECOND), options.effort.end());
         Search { objective: options.objective, rates, seed: options.seed, work, end, tree: TREE }
     }
 }
 
-/// Places near the cores that exchange messages with each.
+/// Returns places at which each core is near the cores that exchange messages with it.
 pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
     let cost = |sites: &IdVec<CoreId, Site>| nets.costs(mesh, sites, search.objective).objective(search.objective);
     let mut best = start;
@@ -83,7 +83,7 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
     let cores: Vec<CoreId> = best.ids().collect();
     let chips: Vec<&[CoreId]> = cores.chunks(mesh.cores_per_chip as usize).collect();
     let work = search.work / ROUNDS / chips.len().max(1) as u64;
-    // A few proposals among many cores change nothing that is worth counting all nets for.
+    // A few proposals among many cores are not worth the cost of counting all nets.
     let worthwhile = chips.iter().any(|cores| proposals(nets, cores, work) * FEW >= cores.len() as u64);
     if !worthwhile {
         return best;
@@ -116,7 +116,7 @@ fn worth(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], (columns, times): (
     (times * tree as i64 + all as i64) * nets.nets[net as usize].weight as i64
 }
 
-/// Proposals that so much work allows for the cores of one chip.
+/// Number of proposals that `work` allows for the cores of one chip.
 fn proposals(nets: &Nets, cores: &[CoreId], work: u64) -> u64 {
     let touched: usize = cores
         .iter()
@@ -182,7 +182,7 @@ fn one_chip(
             moves.push((core, from, to));
             moves.extend(held[(number - start) as usize].map(|other| (other, to, from)));
         } else {
-            // Power comes in tiles, so that no further one is begun: all of this one move.
+            // Power is supplied by tile, so no further tile is begun: all cores of this one move.
             for site in tile(from) {
                 let there = Site { core: site.core, ..to };
                 moves.extend(holder(&held, site).filter(|_| mesh.number(there).is_some()).map(|c| (c, site, there)));
@@ -203,7 +203,7 @@ fn one_chip(
         let before = sum(&sites, &mut columns);
         moves.iter().for_each(|&(core, _, to)| sites[core] = to);
         let change = sum(&sites, &mut columns) - before;
-        // What a proposal changes on average, so far, is what is hot.
+        // The average change by a proposal so far sets the temperature.
         (changes, tried) = (changes + change.unsigned_abs() as f64, tried + 1.0);
         let temperature = HOTTEST * changes.max(1.0) / tried * COOLEST.powf(step as f64 / proposals as f64);
         let accepted = change <= 0 || rng::unit(seed, step, 6) < (-(change as f64) / temperature).exp();
@@ -226,8 +226,7 @@ fn one_chip(
     best
 }
 
-/// The tile of this chip nearest to the mean position of the cores that a core exchanges messages
-/// with.
+/// Tile of this chip nearest to the mean position of the cores that a core exchanges messages with.
 fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Option<(u32, u32)> {
     let (mut x, mut y, mut sum) = (0u64, 0u64, 0u64);
     let (left, top) = ((chip % mesh.chips_x) * mesh.width, (chip / mesh.chips_x) * mesh.height);
@@ -250,7 +249,7 @@ fn middle(nets: &Nets, mesh: &Mesh, sites: &[Site], core: u32, chip: u32) -> Opt
     (sum > 0).then(|| (((x + sum / 2) / sum) as u32, ((y + sum / 2) / sum) as u32))
 }
 
-/// Chips in the rectangle in which spikes cross the fewest links, by a sample of nets; as they are
+/// Chips in the rectangle in which spikes cross the fewest links, by a sample of nets; unchanged
 /// where none is better.
 fn in_rectangle(nets: &Nets, mesh: &Mesh, sites: IdVec<CoreId, Site>, objective: Objective) -> IdVec<CoreId, Site> {
     let used = sites.len().div_ceil(mesh.cores_per_chip as usize) as u32;
@@ -273,7 +272,7 @@ fn in_rectangle(nets: &Nets, mesh: &Mesh, sites: IdVec<CoreId, Site>, objective:
     best.filter(|(least, _)| *least < now).map_or(sites, |(_, best)| best)
 }
 
-/// Chips changed for each other, and for chips not in use, while that saves links.
+/// Chips exchanged for each other, and for chips not in use, while that saves links.
 fn exchanged(nets: &Nets, mesh: &Mesh, mut sites: IdVec<CoreId, Site>, search: Search<'_>) -> IdVec<CoreId, Site> {
     // Only messages between chips matter, so chips represent their cores; few enough to try every
     // pair.

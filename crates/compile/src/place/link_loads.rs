@@ -7,7 +7,7 @@ use nsim_ir::placement::Mesh;
 
 /// Loads of the links of one direction: lines of tiles, each with a link between neighbours.
 struct Lines {
-    /// One more than links of a line, so that a route can end at the last tile.
+    /// Number of tiles: one more than links of a line, so that a route can end at the last tile.
     length: usize,
     differences: Vec<i64>,
 }
@@ -34,8 +34,8 @@ impl Lines {
         })
     }
 
-    /// The greatest load, the greatest after every this many tiles, where a chip ends, and the sum
-    /// of loads; lines are of whole chips.
+    /// Greatest load, greatest load after every `of_chip` tiles, where a chip ends, and sum of
+    /// loads; lines are of whole chips.
     fn loads(&self, of_chip: u32) -> [u64; 3] {
         let (mut most, mut between, mut sum) = (0, 0, 0);
         self.each().enumerate().for_each(|(tile, load)| {
@@ -53,7 +53,7 @@ impl Lines {
 pub struct LinkLoads([Lines; 4]);
 
 impl LinkLoads {
-    /// No load on any link of a board.
+    /// Returns loads of 0 on all links of a board.
     pub fn new(mesh: &Mesh) -> Self {
         let (columns, rows) = (mesh.chips_x * mesh.width, mesh.chips_y * mesh.height);
         let (of_rows, of_columns) = (|| Lines::new(rows, columns), || Lines::new(columns, rows));

@@ -1,19 +1,19 @@
-//! Logical cores onto physical ones.
+//! Placement of logical cores on physical cores.
 //!
 //! Input: a network, its partition and a target. Output: a [`Placement`]. The partition has counted
-//! output axons for cores numbered chip by chip (core k on the k / 128th chip), and a message to
-//! another chip takes more of them; so which cores share a chip stays as it is, and what is chosen
-//! is each core's tile on its chip and each chip's place on the board.
+//! output axons for cores numbered chip by chip (core k on the k / 128th chip). A message to
+//! another chip takes more of them, so the cores of a chip stay together. Placement chooses each
+//! core's tile on its chip and each chip's place on the board.
 //!
-//! - *Sequential*: core k of the partition sits on core k of the board, counted chip by chip, row
-//!   of tiles by row, tile by tile, as the public tools hand cores out.
+//! - *Sequential*: core k of the partition is core k of the board, counted chip by chip, row of
+//!   tiles by row, tile by tile, as the public tools assign cores.
 //! - *Annealed*: starts from the better of that order and a Hilbert curve through the tiles from
-//!   the corner where inputs enter (Jin et al., ASPLOS 2023, start from one too), and then
-//!   exchanges cores ([`anneal`]): towards the middle of what they exchange messages with
-//!   (force-directed) or at random, accepted as in simulated annealing. The objective is the number
-//!   of links that spikes cross in a step, as multicast trees and as single messages; under
+//!   the corner where inputs enter (Jin et al., ASPLOS 2023, start from one too). Then cores are
+//!   exchanged ([`anneal`]): towards the mean position of the cores they exchange messages with
+//!   (force-directed) or at random, and accepted as in simulated annealing. The objective is the
+//!   number of links that spikes cross in a step, as multicast trees and as single messages; under
 //!   [`Objective::Latency`] the busiest link and the longest route count as well. Chips are
-//!   annealed in parallel, each against the others as they last were.
+//!   annealed in parallel, each against the last places of the others.
 //!
 //! An annealed placement is taken only if its spikes cross no more links than in the sequential
 //! one.
@@ -45,10 +45,10 @@ pub const ANNEALED: &str = "annealed";
 /// The name of a placement from a file in results.
 pub const SAVED: &str = "saved";
 
-/// Pairs of a source and a core that it reaches above which there are too many to anneal with.
+/// Number of pairs of a source and a core that it reaches above which cores are not annealed.
 const MOST_MESSAGES: u64 = 20_000_000;
 
-/// A place for each of this many cores, in order.
+/// Returns a place for each of `cores` cores, in order.
 ///
 /// # Errors
 /// A [`Reason`] when they are more than the target has.
@@ -59,7 +59,7 @@ pub fn sequential(cores: usize, target: &Target) -> Result<Placement, Reason> {
     Placement::new(mesh, sites.ok_or_else(too_many)?).map_err(|_| too_many())
 }
 
-/// A place for every core, near those it exchanges messages with; and the name of how it was found.
+/// Returns a place for every core, near cores it exchanges messages with, and the placement's name.
 ///
 /// # Errors
 /// As [`sequential`].
@@ -78,8 +78,8 @@ pub fn place(
     place_nets(&Nets::new(network, partition, search.rates), cores, target, search)
 }
 
-/// A place for the core of each box, near those it exchanges messages with; and the name of how it
-/// was found.
+/// Returns a place for the core of each box, near the cores it exchanges messages with; and the
+/// name of the placement.
 ///
 /// # Errors
 /// As [`sequential`].
@@ -94,7 +94,7 @@ pub fn place_boxes(
     place_nets(&Nets::from_flows(cores, flows), cores, target, search)
 }
 
-/// A place for each core, given the nets; and the name of how it was found.
+/// Returns a place for each core, given the nets; and the name of the placement.
 ///
 /// # Errors
 /// As [`sequential`].
@@ -117,7 +117,7 @@ fn place_nets(
             && after.objective(search.objective) < before.objective(search.objective)
             && (search.objective != Objective::Latency || after.longest <= before.longest)
     };
-    // Where single messages go less far and trees farther, trees count more.
+    // If single messages save links but trees take more, trees count more in the next attempt.
     let attempts = if cores <= mesh.cores_per_chip as usize { 2 } else { 1 };
     for attempt in 0..attempts {
         let search = Search { tree: search.tree << (2 * attempt), ..search };
@@ -131,7 +131,7 @@ fn place_nets(
     Ok((plain, SEQUENTIAL))
 }
 
-/// Cores along a Hilbert curve through the tiles of each chip, those with the most input first.
+/// Cores along a Hilbert curve through the tiles of each chip; by input where only inputs arrive.
 fn hilbert(plain: &Placement, nets: &Nets) -> IdVec<CoreId, Site> {
     let mesh = plain.mesh();
     let curve = curve(mesh.width, mesh.height);
@@ -153,7 +153,7 @@ fn hilbert(plain: &Placement, nets: &Nets) -> IdVec<CoreId, Site> {
     sites
 }
 
-/// Tiles of a rectangle along a Hilbert curve from the corner (0, 0), of the square that holds it.
+/// Tiles of a rectangle along the Hilbert curve of its enclosing square from the corner (0, 0).
 fn curve(width: u32, height: u32) -> Vec<(u32, u32)> {
     let side = width.max(height).max(1).next_power_of_two();
     let at = |index: u64| {

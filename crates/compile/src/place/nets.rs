@@ -1,10 +1,10 @@
 //! Messages between cores, and the links that they cross.
 //!
 //! Input: a network, its partition and rates. Output: *nets*: a core, or the corner where a chip's
-//! inputs enter, and the cores that its messages go to, with their rate. Sources of one core that
-//! reach the same cores are one net. Given places, a net costs links: those of the multicast tree,
-//! in which a spike is sent once and copied where routes part, and those of all routes together
-//! (unicast). Routes are those of [`nsim_ir::placement`]: east or west first.
+//! inputs enter, and the cores that its messages go to, with their rate. Sources of one core with
+//! equal destinations are one net. At given places, a net costs links: links of the multicast tree,
+//! in which a spike is sent once and copied where routes part, and links of all routes together
+//! (unicast). Routes follow [`nsim_ir::placement`]: east or west first.
 
 use std::collections::HashMap;
 
@@ -20,7 +20,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_partition::options::Objective;
 use nsim_partition::resources::fan_out::by_source;
 
-/// Nets that a thread takes at a time.
+/// Number of nets of one task.
 const PIECE: usize = 1 << 11;
 
 /// One net's source and rate.
@@ -28,7 +28,7 @@ const PIECE: usize = 1 << 11;
 pub struct Net {
     /// The core; none for inputs.
     pub source: Option<u32>,
-    /// Spikes in as many steps as rates count.
+    /// Spikes in the steps that rates count.
     pub weight: u64,
 }
 
@@ -39,25 +39,25 @@ pub struct Nets {
     pub nets: Vec<Net>,
     /// Cores that each net reaches, ascending; a net of inputs reaches cores of one chip.
     pub reached: Csr<u32>,
-    /// Nets that each core is in.
+    /// Nets of each core, as source or destination.
     pub of_core: Csr<u32>,
 }
 
-/// What places cost.
+/// Costs of places.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Costs {
     /// Links of multicast trees, times rates.
     pub multicast: u64,
     /// Links of single messages, times rates.
     pub unicast: u64,
-    /// The rates over the link that carries most single messages.
+    /// Rate over the link with the most single messages.
     pub busiest: u64,
     /// Links of the longest route.
     pub longest: u32,
 }
 
 impl Costs {
-    /// What is to be small, as one number.
+    /// The objective as one number, to be minimised.
     pub fn objective(&self, objective: Objective) -> u128 {
         let hops = 2 * u128::from(self.multicast) + u128::from(self.unicast);
         match objective {
@@ -67,7 +67,7 @@ impl Costs {
     }
 }
 
-/// Tiles by column while a net is measured.
+/// Rows of tiles by column while the links of a net are counted.
 #[derive(Debug)]
 pub struct Columns {
     of: Vec<(u32, u32, u32)>,
@@ -76,7 +76,7 @@ pub struct Columns {
 }
 
 impl Columns {
-    /// For a board.
+    /// Returns empty columns of a board.
     pub fn new(mesh: &Mesh) -> Self {
         Columns { of: vec![(0, 0, 0); (mesh.chips_x * mesh.width) as usize], stamp: 0, used: Vec::new() }
     }
@@ -115,13 +115,13 @@ impl Nets {
         Nets::from_flows(partition.cores(), flows.into_iter())
     }
 
-    /// The nets of this many cores, given as (core, none for inputs; rate; cores reached,
+    /// The nets of `all_cores` cores, from flows (core, none for inputs; rate; cores reached,
     /// ascending).
     pub fn from_flows(all_cores: usize, flows: impl Iterator<Item = (Option<u32>, u64, Vec<u32>)>) -> Self {
         let mut known: HashMap<(Option<u32>, Vec<u32>), usize> = HashMap::new();
         let (mut nets, mut reached): (Vec<Net>, Csr<u32>) = (Vec::new(), Csr::default());
         for (source, weight, cores) in flows {
-            // A message within its own core crosses no link and pulls nowhere.
+            // A message within its own core crosses no link, so it is ignored.
             if cores.is_empty() || (source.is_some() && cores.len() == 1 && cores.first() == source.as_ref()) {
                 continue;
             }
@@ -182,13 +182,13 @@ impl Nets {
         }
     }
 
-    /// What places cost; the busiest link and the longest route only where the objective looks at
+    /// Costs of places; the busiest link and the longest route only where the objective includes
     /// them.
     pub fn costs(&self, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
         self.costs_of_every(1, mesh, sites, objective)
     }
 
-    /// What places cost by every so-many-th net, for comparing places.
+    /// Costs of places by every `nth` net, for comparing places.
     pub fn costs_of_every(&self, nth: usize, mesh: &Mesh, sites: &IdVec<CoreId, Site>, objective: Objective) -> Costs {
         let (sites, of_links) = (sites.as_slice(), objective == Objective::Latency);
         let of_part = |part: std::ops::Range<usize>| {
@@ -217,7 +217,7 @@ impl Nets {
             }
             costs
         };
-        // The busiest link is that of all nets together.
+        // The busiest link depends on all nets together.
         if of_links || self.nets.len() / nth.max(1) < PIECE {
             return of_part(0..self.nets.len());
         }

@@ -1,13 +1,13 @@
-//! Cores assigned to the processes that run a program together.
+//! Assignment of cores to the processes that run a program together.
 //!
-//! Input: a network, its partition and placement, and how many ranks there are. Output: the rank of
-//! each core. Whole chips are assigned where their loads come out even, cores otherwise. Chips are
-//! first cut into runs along the board, row by row and back, because placement has put those near
-//! each other that exchange messages; then each goes to the rank with which its cores exchange
-//! most, as long as loads stay even. What is counted is *cut traffic*: sources, once for each unit
-//! that they reach.
+//! Input: a network, its partition and placement, and the number of ranks. Output: the rank of each
+//! core. Whole chips are assigned where their loads are even, cores otherwise. Chips are first cut
+//! into runs along the board, row by row and back, because placement has put cores that exchange
+//! messages near each other. Then each goes to the rank with which its cores exchange most, as long
+//! as loads stay even. The measure is *cut traffic*: sources, counted once for each unit that they
+//! reach.
 //!
-//! Every rank finds the same assignment: nothing here depends on threads or on the clock.
+//! Every rank computes this assignment alone: nothing here depends on threads or on the clock.
 
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -22,11 +22,11 @@ use nsim_partition::resources::fan_out::by_source;
 const COMPARTMENT: u64 = 16;
 /// Largest load of a rank, in hundredths of the mean, where whole chips are assigned.
 const UNEVEN_CHIPS: u64 = 110;
-/// The same limit while units move.
+/// Largest load of a rank, in hundredths of the mean, while units move.
 const UNEVEN: u64 = 105;
-/// Most units among which traffic is counted: as many squared are stored.
+/// Most units among which traffic is counted: the square of their number is stored.
 const MOST_UNITS: usize = 1_024;
-/// Most rounds of moves; each lessens the cut traffic.
+/// Most rounds of moves; each reduces the cut traffic.
 const ROUNDS: usize = 16;
 
 /// The rank of each core.
@@ -53,7 +53,7 @@ pub fn assign(network: &Quantised, partition: &Partition, placement: &Placement,
     unit_of.iter().map(|&unit| units.ranks_of[unit as usize]).collect()
 }
 
-/// Where a site comes along the board, row by row and back.
+/// Position of a site along the board, row by row and back.
 fn along(site: Site, chips_x: u32) -> (u32, i64, u32, i64, u32) {
     let back = |row: u32, column: u32| if row.is_multiple_of(2) { i64::from(column) } else { -i64::from(column) };
     let (row, column) = (site.chip / chips_x, site.chip % chips_x);
@@ -64,18 +64,18 @@ fn along(site: Site, chips_x: u32) -> (u32, i64, u32, i64, u32) {
 struct Units {
     cores: Vec<Vec<CoreId>>,
     loads: Vec<u64>,
-    /// The rank of each unit, and how many there are.
+    /// The rank of each unit; `ranks` is their number.
     ranks_of: Vec<u32>,
     ranks: u32,
 }
 
 impl Units {
-    /// Units in runs of about the same load.
+    /// Assigns units in runs of about equal load.
     fn new(cores: Vec<Vec<CoreId>>, of_core: &[u64], ranks: u32) -> Self {
         let loads: Vec<u64> = cores.iter().map(|cores| cores.iter().map(|core| of_core[core.index()]).sum()).collect();
         let all: u64 = loads.iter().sum::<u64>().max(1);
         let mut before = 0;
-        // The rank in whose run the middle of the unit lies.
+        // The rank whose run contains the middle of the unit.
         let rank = |load: &u64| {
             let middle = before + load / 2;
             before += load;
@@ -130,7 +130,7 @@ impl Units {
     }
 }
 
-/// For each pair of units, the compartments of the first that reach the second.
+/// Number of compartments of one unit that reach another, for each pair of units.
 fn traffic(network: &Quantised, partition: &Partition, unit_of: &IdVec<CoreId, u32>, units: usize) -> Vec<u32> {
     let sums: Vec<AtomicU32> = (0..units * units).map(|_| AtomicU32::new(0)).collect();
     let core_of = partition.seats().iter().map(|seat| seat.core).collect();

@@ -1,12 +1,12 @@
-//! Copies of a network on chips of their own.
+//! Copies of a network on separate chips.
 //!
-//! Input: a network, how one copy of it is mapped, and the number of copies. Output: all copies on
-//! their cores, each like the first. A copy takes a *slot*: the whole chips that it needs. Copy k
-//! goes to slot k modulo their number; where a copy needs one chip, further copies fill the chip's
-//! next cores. Nothing comes out where copies are to be packed, where the network is cut into
-//! boxes, or where they do not fit so: then copies are packed as tightly as they fit.
+//! Input: a network, a function that maps one copy of it, and the number of copies. Output: all
+//! copies on their cores, each like the first. A copy takes a *slot*: the whole chips that it
+//! needs. Copy k goes to slot k modulo their number; where a copy needs one chip, further copies
+//! fill the chip's next cores. There is no output where copies are to be packed, where the network
+//! is cut into boxes, or where they do not fit so: then copies are packed as tightly as they fit.
 //!
-//! Invariant: no two copies share a core, so that what one copy costs does not depend on the
+//! Invariant: no two copies share a core, so that the cost of one copy does not depend on the
 //! others.
 
 use crate::stages::{Front, Placed};
@@ -19,10 +19,10 @@ use nsim_partition::options::{CopyPlacement, Options};
 use nsim_partition::strategy::copies::Pattern;
 use nsim_partition::strategy::members::Members;
 
-/// All copies, given how `one` maps a single copy; `None` where they are to be packed.
+/// Returns all copies, where `one` maps a single copy; `None` where they are to be packed.
 ///
 /// # Errors
-/// Those of `one`, and of copies on their cores.
+/// Errors of `one`, and of copies on their cores.
 pub fn spread(
     front: &Front,
     target: &Target,
@@ -34,7 +34,7 @@ pub fn spread(
     if copies < 2 || placement == CopyPlacement::Packed || front.in_boxes(copies) {
         return Ok(None);
     }
-    // No chip has room for more cores than there are: which reason to give is for packing to say.
+    // There are more copies than cores, so none can be separate: packing gives the reason.
     if copies > target.cores() {
         return Ok(None);
     }
@@ -44,7 +44,7 @@ pub fn spread(
     front.clone().place_on(target, options, rates, (all, sites), name).map(Some)
 }
 
-/// Where the cores of each copy go, copy by copy; `None` where there is no room.
+/// Sites of the cores of each copy, copy by copy; `None` where there is no room.
 fn sites_of_copies(one: &Placement, mesh: Mesh, copies: u32) -> Option<IdVec<CoreId, Site>> {
     let chips = one.sites().iter().map(|site| site.chip).max()? + 1;
     let slots = mesh.chips_x * mesh.chips_y / chips;
@@ -58,8 +58,8 @@ fn sites_of_copies(one: &Placement, mesh: Mesh, copies: u32) -> Option<IdVec<Cor
         let of_copy = |copy: u32| numbers.iter().map(move |number| mesh.site(slot(copy) + number));
         return (0..copies).flat_map(of_copy).collect();
     }
-    // Several copies on a chip: one after the other in the chip's own order, each as far from the
-    // corner as it has to be.
+    // Several copies on a chip: consecutive in the chip's own order, each as near to the corner as
+    // it can be.
     let size = numbers.len() as u32;
     let mut sorted = numbers.clone();
     sorted.sort_unstable();

@@ -1,10 +1,10 @@
-//! How long a step's messages take: two models of the mesh.
+//! Time of a step's messages: two models of the mesh.
 //!
 //! Input: a program's routes ([`MessageRoutes`], computed once) and the activity of a step. Output:
 //! the time of cores and mesh together, (11) and (17) of `docs/energy.md`. `analytic` adds the
-//! longest route and the wait at the busiest link to the slowest core; it costs about as much as
-//! counting. `queued` follows every message through finite buffers ([`queue`]). Constants whose
-//! parts overlap ([`StepForm::Greatest`]) take the busiest link alone, (21), in either model.
+//! longest route and the wait at the busiest link to the slowest core; it is about as expensive as
+//! counting. `queued` simulates every message through finite buffers ([`queue`]). Constants with
+//! overlapping parts ([`StepForm::Greatest`]) use only the busiest link, (21), in both models.
 
 pub mod queue;
 pub mod routes;
@@ -31,7 +31,7 @@ impl Words {
     /// No words.
     pub const NONE: Words = Words { count: 0, steps: 1 };
 
-    /// A step's share of their time, when each takes this long.
+    /// A step's share of their time, where each word takes `each`.
     #[must_use]
     pub fn time(self, each: Picoseconds) -> Picoseconds {
         let whole = u128::from(each.0) * u128::from(self.count) / u128::from(self.steps.max(1));
@@ -54,7 +54,7 @@ pub enum Transport {
 
 named_variants!(Transport { Analytic = "analytic", Queued = "queued" });
 
-/// What the time of a step depends on besides its counts and constants.
+/// Conditions of the time of a step, besides its counts and constants.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Timing {
     /// The model of the mesh.
@@ -65,7 +65,7 @@ pub struct Timing {
     pub chip_hops: u64,
     /// Whether x86 cores take a turn in each step.
     pub turn: bool,
-    /// Streams of input spikes that one chip is fed in real injection; 0: spikes take no time.
+    /// Streams of input spikes that are injected into one chip; 0: spikes take no time.
     pub streams: u64,
     /// Copies whose spikes a step counts.
     pub copies: u64,
@@ -76,7 +76,7 @@ pub struct Timing {
 }
 
 impl Timing {
-    /// Time of injecting a stream: that of the chip with most copies, spike by spike.
+    /// Time of injecting a stream at the chip with most copies, spike by spike.
     fn injection(&self, spikes_in: u64, table: &CostTable) -> Picoseconds {
         let spikes = (u128::from(spikes_in) * u128::from(self.streams)).div_ceil(u128::from(self.copies.max(1)));
         let spikes = times(&[(table.injection_time, u64::try_from(spikes).unwrap_or(u64::MAX))]);
@@ -90,7 +90,7 @@ impl Timing {
         Picoseconds(table.barrier(self.tiles_used).0.saturating_add(between.0))
     }
 
-    /// The parts of a step's time without cores and messages, whose time is 0.
+    /// Returns the parts of a step's time for host and barrier; cores and messages have 0.
     pub fn host_and_barrier(&self, spikes_in: u64, table: &CostTable) -> StepTime {
         StepTime {
             injection: self.injection(spikes_in, table),
@@ -103,8 +103,8 @@ impl Timing {
 }
 
 impl MessageRoutes {
-    /// The times of a step under each preset, (11), (17) or (21); the memory is reused between
-    /// steps.
+    /// Returns the times of a step under each preset, (11), (17) or (21); the memory is reused
+    /// between steps.
     pub fn step_times(
         &self,
         step: &StepActivity,
@@ -123,7 +123,7 @@ impl MessageRoutes {
             }
         }
         let cores = |table: &CostTable| step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
-        // The time in which the busiest link passes its messages but for those that find it free.
+        // Time in which the busiest link passes its messages, except for `free` of them.
         let passing = |table: &CostTable, free: u32| {
             let link = |link: Picoseconds, load: u32| link.0.saturating_mul(load.saturating_sub(free).into());
             link(table.link_time, busiest[0]).max(link(table.link_chip_time, busiest[1]))
@@ -131,7 +131,7 @@ impl MessageRoutes {
         let mut time = |table: &CostTable| {
             let fixed = timing.host_and_barrier(spikes_in, table);
             let (slowest_core, transport) = match timing.transport {
-                // (21): the messages of the busiest link pass it while cores work.
+                // (21): messages pass the busiest link while cores work.
                 _ if overlaps(table) => {
                     let cores = cores(table);
                     (cores, Picoseconds(passing(table, 0).saturating_sub(cores.0)))
@@ -180,7 +180,7 @@ pub(crate) mod tests {
     use nsim_ir::groups::Kind;
     use nsim_ir::placement::Route;
 
-    /// A barrier of one tile and one copy.
+    /// Timing with a barrier of one tile, and one copy.
     pub(crate) fn timing(transport: Transport) -> Timing {
         let (reset, sent) = (Words::NONE, Words::NONE);
         Timing { transport, tiles_used: 1, chip_hops: 0, turn: true, streams: 1, copies: 1, reset, sent }
@@ -247,7 +247,7 @@ pub(crate) mod tests {
             };
             let lists: Vec<Vec<(u32, u32)>> = (0..90).map(list).collect();
             let spikes: Vec<&[(u32, u32)]> = lists.iter().map(Vec::as_slice).collect();
-            // Chips of 4 by 2 tiles; the ports of all but the first are not drawn.
+            // Chips of 4 by 2 tiles; only the first chip has a port.
             let mut routes = routes(&tiles, &[], &spikes);
             (routes.regions[0].chip_width, routes.regions[0].chip_height) = (4, 2);
             routes.regions[0].between = routes.regions[0].between_chips();
@@ -296,7 +296,7 @@ pub(crate) mod tests {
         // Four visits, the spike, the axon; two links east, one south; an axon, seven synapses.
         let (sent, way, handled) = (4 * 6_000 + 30_000 + 5_100, 2 * 4_100 + 6_500, 16_000 + 7 * 3_800);
         assert_eq!(queued(&routes, &step, &sana), sent + way + handled);
-        // Six more visits follow while it is under way.
+        // Six more visits follow while it is in flight.
         assert!(6 * 6_000 < way + handled);
     }
 
@@ -316,7 +316,7 @@ pub(crate) mod tests {
         let mut constants = preset("sanafe-calibrated");
         constants.link_time.value = 1_000.0.into();
         let slow = CostTable::new(&constants).unwrap();
-        // Twelve messages to twelve cores over the same link.
+        // Twelve messages to twelve cores over one link.
         let tiles: Vec<(u32, u32)> = (0..12).map(|_| (1, 0)).collect();
         let lists: Vec<[(u32, u32); 1]> = (0..12).map(|core| [(core, 0)]).collect();
         let lists: Vec<&[(u32, u32)]> = lists.iter().map(<[_; 1]>::as_slice).collect();
@@ -330,7 +330,7 @@ pub(crate) mod tests {
         overlapping.step = StepForm::Greatest;
         let time = routes.step_times(&step, &[slow, overlapping], timing(Transport::Analytic), memory);
         assert_eq!(time[0].transport, Picoseconds(4_100 + 11 * 1_000_000));
-        // Ten visits meanwhile; the link outlasts them.
+        // Ten visits in parallel; the link takes longer.
         assert_eq!((time[1].slowest_core, time[1].transport), (Picoseconds(60_000), Picoseconds(12_000_000 - 60_000)));
     }
 
@@ -367,11 +367,11 @@ pub(crate) mod tests {
             let (alone, added) = routes.followed(&step, &sana, Picoseconds(injection), &mut memory);
             alone.0 + added.0
         };
-        // The first arrives over one link, and the receiver handles one after the other.
+        // The first arrives over one link, and the receiver handles all sequentially.
         assert_eq!(time(0), 4_100 + 12 * each);
         // The receiver is slower than the injection: it began with the first of twelve spikes.
         assert_eq!(time(12 * 1_000), 1_000 + 4_100 + 12 * each - 12 * 1_000);
-        // It waits for each: the last one is left when the injection ends.
+        // It waits for each spike: only the last one is left when the injection ends.
         assert_eq!(time(12 * 1_000_000), 4_100 + each);
     }
 }

@@ -1,13 +1,13 @@
-//! Messages that wait for each other: every one of a step, through finite buffers.
+//! Simulates every message of a step through finite buffers, where messages wait for each other.
 //!
-//! Input: the messages of a step on one region of chips. Output: when its cores are done. A sender
-//! whose route is full is stalled; links and receivers take one message at a time.
+//! Input: the messages of a step on one region of chips. Output: the time at which its cores are
+//! done. A sender whose route is full is stalled; links and receivers take one message at a time.
 //!
-//! The queue is semi-analytic, as SANA-FE's `detailed` schedule (schedule.cpp, read as a
-//! description): a message does not move link by link; its time follows from the messages in flight
-//! along its route when it leaves. Unlike there, messages that can never meet do not wait for each
-//! other. Not modelled: arbitration in routers, virtual channels and flits; barrier messages, whose
-//! time is a constant.
+//! The queue is semi-analytic, like SANA-FE's `detailed` schedule (schedule.cpp, read as a
+//! description). A message does not move link by link; its time follows from the messages in flight
+//! along its route when it leaves. Unlike in SANA-FE, messages that can never meet do not wait for
+//! each other. Not modelled: arbitration in routers, virtual channels and flits; barrier messages,
+//! whose time is a constant.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -20,49 +20,49 @@ use nsim_ir::base::id::{ChannelId, CoreId, Id};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::groups::Kind;
 
-/// A message that its sender has ready.
+/// A message that is ready at its sender.
 #[derive(Debug, Clone, Copy)]
 struct Ready {
-    /// Time since the one before was sent.
+    /// Time since the sender's previous message was sent.
     after: u64,
     /// The receiving core.
     to: u32,
-    /// Time at the receiver.
+    /// Handling time at the receiver.
     handling: u64,
 }
 
-/// Occupancy is fixed-point in fractions of a message, so that subtracting undoes adding.
+/// One message of occupancy, in fixed point, so that subtraction exactly undoes addition.
 const MESSAGE: u64 = 1 << 32;
 
-/// What the queue needs of memory, to be used again. Every number is 0 between two steps, but for
-/// those that each step writes anew (`Queue::prepare`).
+/// Reusable memory of the queue. Every number is 0 between two steps, except for the numbers that
+/// each step rewrites (`Queue::prepare`).
 #[derive(Debug, Clone, Default)]
 pub struct QueueMemory {
-    /// Of each link between tiles, in parts of a [`MESSAGE`].
+    /// Occupancy of each link between tiles, in parts of a [`MESSAGE`].
     occupied: Vec<u64>,
-    /// Of each sender's link into its router, in the same parts.
+    /// Occupancy of each sender's link into its router, in these parts.
     leaving: Vec<u64>,
-    /// When each link can take the next message.
+    /// Time at which each link can take the next message.
     free: Vec<u64>,
-    /// When each core has handled its messages.
+    /// Time at which each core has handled its messages.
     done: Vec<u64>,
     /// Time of receipt, sender, receiver, handling.
     under_way: BinaryHeap<Reverse<(u64, u32, u32, u64)>>,
-    /// What each sender sends, and how long it is busy after that.
+    /// Messages of each sender, and its busy time after the last one.
     senders: Vec<(Vec<Ready>, u64)>,
     /// Handling times by receiver.
     received: Vec<u64>,
     /// Time of the visits of each core.
     visits: Vec<u64>,
-    /// Core, slot and slots of the compartments that fired, and their numbers.
+    /// Core, slot, and slots of the core, of each compartment that fired; and its number.
     fired: Vec<((CoreId, u32, u32), usize)>,
-    /// Time of the visits that have passed, by core.
+    /// Time of the visits so far, by core.
     passed: Vec<u64>,
     /// The next message of each sender.
     next: BinaryHeap<Reverse<(u64, usize, usize)>>,
 }
 
-/// This many zeros in place of what was there.
+/// Replaces the contents by `size` zeros.
 fn zeros(numbers: &mut Vec<u64>, size: usize) {
     numbers.clear();
     numbers.resize(size, 0);
@@ -74,7 +74,7 @@ pub(super) struct Queue<'w> {
     region: &'w Region,
     table: &'w CostTable,
     memory: &'w mut QueueMemory,
-    /// Sum of the handling times of the messages under way.
+    /// Sum of the handling times of the messages in flight.
     handling: u128,
 }
 
@@ -123,12 +123,12 @@ impl<'w> Queue<'w> {
         }) && spikes == most
     }
 
-    /// Writes into the memory what each sender sends, in order, and how long it is busy after its
-    /// last message; and the handling times of messages that are skipped, summed by receiver: with
-    /// `skip` those that [`Queue::inputs_meet_nobody`] finds to be over by then.
+    /// Writes the messages of each sender into the memory, in order, and its busy time after the
+    /// last one. With `skip`, input messages that are over when cores begin
+    /// ([`Queue::inputs_never_meet`]) are skipped; their handling is summed by receiver.
     ///
-    /// The k-th input spike of a chip enters the mesh when k / n of the injection have passed, with
-    /// n spikes at the chip with `most`, while others are injected; cores begin when all are.
+    /// The k-th input spike of a chip enters the mesh after k / n of the injection time. There are
+    /// n = `most` spikes at the chip with most of them. Cores begin when all spikes are injected.
     fn prepare(&mut self, step: &StepActivity, injection: u64, most: u64, skip: bool) {
         let (routes, region, table) = (self.routes, self.region, self.table);
         let ready = |after: u64, to: usize, message: &Message| Ready {
@@ -172,9 +172,9 @@ impl<'w> Queue<'w> {
                     let now = (u128::from(injection) * *number / u128::from(most)) as u64;
                     for message in routes.inputs.get(channel.index()) {
                         let to = first + message.core.index() - cores.start as usize;
-                        // Between messages a port keeps the time that has passed.
+                        // Between messages, a port's busy time stores the time so far.
                         let (messages, passed) = &mut senders[region.port(to)];
-                        // A copy's spike for another chip may follow later ones of that chip.
+                        // A copy's spike for another chip may come after later spikes of that chip.
                         let until = now.max(*passed);
                         messages.push(ready(until - std::mem::replace(passed, until), to, message));
                     }
@@ -183,7 +183,7 @@ impl<'w> Queue<'w> {
         }
         senders[region.cores..].iter_mut().for_each(|(_, passed)| *passed = 0);
         senders[..region.cores].iter_mut().for_each(|(_, after)| *after = injection);
-        // Visits in slot order, each for the mean time of its core's.
+        // Visits are in slot order, each with the mean time of a visit on its core.
         visits.clear();
         visits.extend(step.cores.iter().map(|core| {
             times(&[(table.compartment_time, core.visited), (table.compartment_active_time, core.active)]).0
@@ -201,7 +201,7 @@ impl<'w> Queue<'w> {
             {
                 let until = (u128::from(visits[core.index()]) * u128::from(slot + 1) / u128::from(slots.max(1))) as u64;
                 let sender = &mut senders[here(core)];
-                // A spike that sends nothing takes its time from the next.
+                // The time of a spike without messages delays the next message.
                 sender.1 += until - std::mem::replace(&mut passed[here(core)], until) + table.spike_time.0;
                 for message in routes.spikes.get(compartment) {
                     let after = std::mem::take(&mut sender.1) + table.axon_out_time.0;
@@ -215,7 +215,7 @@ impl<'w> Queue<'w> {
         }
     }
 
-    /// Takes what was received by now out of the mesh.
+    /// Removes the messages received by `now` from the mesh.
     fn advance(&mut self, now: u64) {
         while let Some(&Reverse((received, from, to, handling))) = self.memory.under_way.peek()
             && received <= now
@@ -231,18 +231,18 @@ impl<'w> Queue<'w> {
         }
     }
 
-    /// Sends a message at `now`; returns when its sender and its receiver were done with it.
+    /// Sends a message at `now`; returns the times at which sender and receiver are done.
     fn send(&mut self, now: u64, from: usize, message: Ready) -> (u64, u64) {
         let (region, table, to) = (self.region, self.table, message.to as usize);
         let QueueMemory { occupied, leaving, free, done, under_way, .. } = &mut *self.memory;
         let (route, path) = (region.route(from, to), region.path(from, to));
-        // The sender's link into its router, then those between tiles.
+        // The sender's link into its router, then the links between tiles.
         let links = path.iter().map(|links| links.len() as u64).sum::<u64>() + 1;
         let part = MESSAGE / (links + 1);
         let mut along = u128::from(leaving[from]);
         leaving[from] += part;
         for links in path.clone() {
-            // Halves are summed in 64 bits, as vectors.
+            // Halves are summed in 64 bits, so that the loop vectorises.
             let (mut high, mut low) = (0, 0);
             for here in &mut occupied[links] {
                 (high, low) = (high + (*here >> 32), low + (*here & u64::from(u32::MAX)));
@@ -251,11 +251,11 @@ impl<'w> Queue<'w> {
             along += (u128::from(high) << 32) + u128::from(low);
         }
         let mean = quotient(self.handling, (under_way.len() as u64).max(1));
-        // A way holds its links' buffers; what is beyond that has to be received first.
+        // A route holds its links' buffers of messages; messages beyond that are received first.
         let beyond = along.saturating_sub(u128::from(links) * u128::from(table.link_buffer) * u128::from(MESSAGE));
         let leaves = now.saturating_add((beyond * mean / u128::from(MESSAGE)) as u64);
         let congested = quotient(along * mean / u128::from(MESSAGE), links) as u64;
-        // One message after the other on each link; a sender's own link is as fast as the sender.
+        // Each link passes messages sequentially; a sender's own link is as fast as the sender.
         let mut at = leaves;
         for links in path {
             for (free, &between) in free[links.clone()].iter_mut().zip(&region.between[links]) {
@@ -272,8 +272,8 @@ impl<'w> Queue<'w> {
         (leaves, done[to])
     }
 
-    /// The busiest core's time and what the mesh adds, both from the end of the injection; every
-    /// message is followed unless `skip`.
+    /// Returns the busiest core's own time and the time that the mesh adds, both from the end of
+    /// the injection. Every message is simulated unless `skip`.
     pub(super) fn run(
         mut self,
         step: &StepActivity,
@@ -304,7 +304,7 @@ impl<'w> Queue<'w> {
         }
         while let Some(Reverse((mut now, sender, mut number))) = next.pop() {
             let (messages, after) = &senders[sender];
-            // A sender goes on while no other is earlier.
+            // A sender continues while no other sender is earlier.
             loop {
                 self.advance(now);
                 let (left, done) = self.send(now, sender, messages[number]);
@@ -323,7 +323,7 @@ impl<'w> Queue<'w> {
         }
         (self.memory.senders, self.memory.next) = (senders, next);
         self.clear();
-        // What was handled before the injection ended is no time of its own.
+        // Messages handled before the end of the injection add no time.
         let took = last.saturating_sub(injection.0);
         (Picoseconds(alone.min(took)), Picoseconds(took.saturating_sub(alone)))
     }
@@ -335,7 +335,7 @@ impl<'w> Queue<'w> {
     }
 }
 
-/// Division of what mostly fits into 64 bits, where it is several times faster.
+/// Divides; dividends mostly fit into 64 bits, where division is several times faster.
 fn quotient(dividend: u128, divisor: u64) -> u128 {
     u64::try_from(dividend).map_or_else(|_| dividend / u128::from(divisor), |small| (small / divisor).into())
 }

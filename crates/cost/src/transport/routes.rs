@@ -1,8 +1,8 @@
-//! Which links the messages of a program cross, and which of them meet.
+//! Links that the messages of a program cross, and the messages that meet.
 //!
-//! Input: a program, or one of identical groups of cores ([`CoreGroups`]). Output:
-//! [`MessageRoutes`]: for each source its messages, and the regions of chips on which messages
-//! meet. Counts are those of all groups.
+//! Input: a program, or the program of one group for each kind of identical groups of cores
+//! ([`CoreGroups`]). Output: [`MessageRoutes`]: for each source its messages, and the regions of
+//! chips on which messages meet. Counts cover all groups.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::ops::Range;
@@ -29,18 +29,18 @@ pub(super) struct Message {
     pub(super) events_sparse: u32,
 }
 
-/// Where a program's messages go, and those of the groups of cores that do what its do.
+/// Routes of a program's messages, and of the messages of identical groups of cores.
 ///
-/// Messages wait for each other on the chips that exchange them, a region; those of different
-/// regions never meet. Of identical regions one is followed.
+/// Messages wait for each other within a region, the chips that exchange them; messages of
+/// different regions never meet. Of identical regions one is simulated.
 #[derive(Debug, Clone)]
 pub struct MessageRoutes {
     pub(super) kinds: Vec<KindOfGroup>,
-    /// One of each kind.
+    /// One region of each kind.
     pub(super) regions: Vec<Region>,
-    /// By channel.
+    /// Messages by channel.
     pub(super) inputs: Csr<Message>,
-    /// By compartment.
+    /// Messages by compartment.
     pub(super) spikes: Csr<Message>,
     /// Core, slot, and number of compartments of that core, by compartment.
     pub(super) seats: Vec<(CoreId, u32, u32)>,
@@ -51,29 +51,30 @@ pub struct MessageRoutes {
     pub(super) input_times: OnceLock<Option<InputTimes>>,
 }
 
-/// What the only message of an input spike takes.
+/// Times of the only message of an input spike.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct InputTime {
     /// The receiving core.
     pub(super) to: u32,
-    /// At the receiver.
+    /// Handling time at the receiver.
     pub(super) handling: u64,
-    /// From the port, through the empty mesh, until it is handled.
+    /// Time from the port, through the empty mesh, until it is handled.
     pub(super) through: u64,
 }
 
-/// What the input spikes of each channel take under a preset.
+/// Times of the input spikes of each channel under a preset.
 #[derive(Debug, Clone)]
 pub(super) struct InputTimes {
     table: CostTable,
-    /// By channel; `None` where it sends nothing.
+    /// Times by channel; `None` where it sends nothing.
     pub(super) channels: Vec<Option<InputTime>>,
-    /// The longest of them through the mesh.
+    /// The longest time through the mesh.
     pub(super) longest: u64,
 }
 
 impl InputTimes {
-    /// Of one group of cores on one chip whose inputs send one message at most, else `None`.
+    /// Returns the times for one group of cores on one chip whose inputs send at most one message,
+    /// else `None`.
     fn new(routes: &MessageRoutes, table: &CostTable) -> Option<Self> {
         let ([_], [region]) = (routes.kinds.as_slice(), routes.regions.as_slice()) else { return None };
         if !region.is_simple() {
@@ -97,7 +98,7 @@ impl InputTimes {
 }
 
 impl Message {
-    /// The time that it takes at its receiver.
+    /// Its handling time at the receiver, ps.
     pub(super) fn handling(&self, table: &CostTable) -> u64 {
         let counts = [
             (table.axon_in_time, 1),
@@ -108,7 +109,7 @@ impl Message {
     }
 }
 
-/// A group of the program's cores and how many there are.
+/// A kind of groups of cores, and its number of groups.
 #[derive(Debug, Clone)]
 pub(super) struct KindOfGroup {
     pub(super) kind: Kind,
@@ -122,7 +123,7 @@ pub(super) struct Crossed {
     pub(super) longest: Route,
 }
 
-/// Chips that exchange messages with no others.
+/// Chips that exchange messages with no other chips.
 ///
 /// Senders are the cores, then the port of each chip for its inputs: the chip's corner.
 #[derive(Debug, Clone)]
@@ -137,7 +138,7 @@ pub(super) struct Region {
     pub(super) cores: usize,
     /// Kind of each group of cores and its first core here.
     pub(super) groups: Vec<(usize, usize)>,
-    /// Of each core the port through which its inputs enter, and their route from there.
+    /// For each core, the port through which its inputs enter, and their route from there.
     pub(super) entries: Vec<(usize, Route)>,
     /// Whether each link joins two chips.
     pub(super) between: Vec<bool>,
@@ -151,12 +152,12 @@ fn events(class: &CoreClass, axon: u16) -> (u32, u32) {
     (count as u32, (synapses.len() - count) as u32)
 }
 
-/// Sources whose messages a thread looks up at a time.
+/// Number of sources of a piece, whose messages one thread looks up.
 const PIECE: u32 = 1 << 12;
-/// Pieces of each thread that are joined at a time: this bounds their memory.
+/// Number of pieces of each thread that are joined in one call, which bounds their memory.
 const PIECES: usize = 4;
 
-/// The messages of each of these sources, numbered channels first.
+/// Returns the messages of each of these sources, which are numbered channels first.
 fn messages(program: &Program, sources: Range<u32>) -> Csr<Message> {
     let message = |AxonTarget { core, axon }| {
         let (events_dense, events_sparse) = events(program.class_of(core), axon);
@@ -179,17 +180,17 @@ fn messages(program: &Program, sources: Range<u32>) -> Csr<Message> {
     all
 }
 
-/// The common key of identical regions: chips from west to east and from north to south, and of
-/// each group its kind and the tile of each core.
+/// The key of identical regions: number of chips from west to east and from north to south, kind of
+/// each group, and tile of each of its cores.
 type RegionKey = (u32, u32, Vec<(usize, Vec<(u32, u32)>)>);
 
-/// Regions of groups on a board; of identical ones the first, with their number.
+/// Returns the regions of groups on a board: the first of identical ones, with their number.
 fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
     let mut joined = UnionFind::new((mesh.chips_x * mesh.chips_y) as usize);
     for (_, sites) in groups {
         let chips: BTreeSet<u32> = sites.iter().map(|site| site.chip).collect();
         chips.iter().zip(chips.iter().skip(1)).for_each(|(&one, &next)| _ = joined.union(one as usize, next as usize));
-        // Messages between chips cross those in between, along the row first.
+        // Messages between chips cross the chips in between, along the row first.
         let pairs = chips.iter().flat_map(|&from| chips.iter().map(move |&to| (from, to)));
         for (from, to) in pairs.filter(|_| groups.len() > 1) {
             let corner = from / mesh.chips_x * mesh.chips_x + to % mesh.chips_x;
@@ -264,7 +265,7 @@ impl MessageRoutes {
         MessageRoutes::new(program, &[kind], &[(0, &sites)])
     }
 
-    /// The routes of the messages of all groups, in the numbers of their common program.
+    /// The routes of the messages of all groups, with the numbers of their common program.
     pub fn of_groups(groups: &CoreGroups) -> Self {
         let of_group = groups.groups.iter().map(|group| (group.kind, group.sites.as_slice()));
         MessageRoutes::new(&groups.program, &groups.kinds, &of_group.collect::<Vec<_>>())
@@ -317,13 +318,13 @@ impl MessageRoutes {
         crossed
     }
 
-    /// What input spikes take under a preset, where that is known without following them.
+    /// Times of input spikes under a preset, where they are known without simulation.
     pub(super) fn input_times(&self, table: &CostTable) -> Option<&InputTimes> {
         let times = self.input_times.get_or_init(|| InputTimes::new(self, table)).as_ref();
         times.filter(|times| times.table == *table)
     }
 
-    /// Whether the program is all there is.
+    /// Whether the program represents no other groups of cores.
     fn is_whole(&self) -> bool {
         self.crossed.is_empty()
     }
@@ -403,20 +404,20 @@ impl Region {
         Route { east_west: fx.abs_diff(tx), north_south: fy.abs_diff(ty), chip }
     }
 
-    /// Tiles that a chip has along each direction, east, west, south and north, those of the board,
-    /// and lines of them.
+    /// For each direction (east, west, south, north): tiles of a chip along it, tiles of the region
+    /// along it, and number of lines of tiles.
     fn lines(&self) -> [(u32, u32, u32); 4] {
         let (rows, columns) = ((self.chip_width, self.columns, self.rows), (self.chip_height, self.rows, self.columns));
         [rows, rows, columns, columns]
     }
 
-    /// Links between tiles. They are numbered by direction, then by the line of tiles along it,
-    /// then in the order in which messages cross them.
+    /// Number of links between tiles. They are numbered by direction, then by the line of tiles
+    /// along it, then in the order in which messages cross them.
     pub(super) fn links(&self) -> usize {
         4 * (self.columns * self.rows) as usize
     }
 
-    /// Whether each link joins two chips; none leads to the first tile of a line.
+    /// Whether each link joins two chips; no link leads to the first tile of a line.
     pub(super) fn between_chips(&self) -> Vec<bool> {
         let of_direction = |(direction, (chip, tiles, lines)): (usize, (u32, u32, u32))| {
             let joins = move |at: u32| {
@@ -428,8 +429,7 @@ impl Region {
         self.lines().into_iter().enumerate().flat_map(of_direction).collect()
     }
 
-    /// The links on a message's route, along its row first, each part in the order in which it is
-    /// crossed.
+    /// The links on a message's route, along its row first, each part in the order of crossing.
     pub(super) fn path(&self, from: usize, to: usize) -> [Range<usize>; 2] {
         let ((fx, fy), (tx, ty)) = (self.tiles[from], self.tiles[to]);
         let part = |direction: u32, (at, to): (u32, u32), line: u32, tiles: u32| {
@@ -441,13 +441,13 @@ impl Region {
         [part(0, (fx, tx), fy, self.columns), part(2, (fy, ty), tx, self.rows)]
     }
 
-    /// Messages over the busiest link of a chip and over the busiest between chips.
+    /// Number of messages over the busiest link of a chip, and over the busiest between chips.
     pub(super) fn busiest_links(&self, routes: &MessageRoutes, step: &StepActivity) -> [u32; 2] {
         if step.channels.is_empty() && step.fired.is_empty() {
             return [0; 2];
         }
         // Difference arrays over rows (east, west) and columns (south, north): +1 where a message
-        // enters a line of tiles, -1 where it leaves: the cost does not grow with the route.
+        // enters a line of tiles, -1 where it leaves. So the cost does not grow with the route.
         let (columns, rows) = (self.columns as usize, self.rows as usize);
         let mut lines = [(); 4].map(|()| vec![0i32; columns * rows]);
         self.each_message(routes, step, |sender, to, _| {
@@ -474,7 +474,7 @@ impl Region {
         busiest
     }
 
-    /// Sender, receiver and message of every message of a step.
+    /// Calls `see` with sender, receiver and message of every message of a step.
     pub(super) fn each_message(
         &self,
         routes: &MessageRoutes,
@@ -497,7 +497,7 @@ impl Region {
         }
     }
 
-    /// The port that the first message of each input spike enters by, in the order of spikes.
+    /// Returns the port, from 0, of the first message of each input spike, in the order of spikes.
     pub(super) fn ports<'a>(
         &'a self,
         routes: &'a MessageRoutes,
@@ -512,7 +512,7 @@ impl Region {
         })
     }
 
-    /// Input spikes that enter by the port with most.
+    /// Number of input spikes at the port with most of them.
     pub(super) fn most_spikes(&self, routes: &MessageRoutes, step: &StepActivity) -> u64 {
         if routes.kinds.len() == 1 && self.is_simple() {
             return step.channels.len() as u64;

@@ -1,5 +1,5 @@
-//! Adaptive thresholds: each spike raises the threshold and a refractory state, and both decay.
-//! Leaky integrate-and-fire neurons that have them.
+//! Leaky integrate-and-fire neurons with adaptive thresholds: each spike raises the threshold and a
+//! refractory state, and both decay.
 //!
 //! Equation (32) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/atrlif/models.py`;
 //! lava-dl d825ac5, `slayer/neuron/dynamics/adaptive_threshold.py`.
@@ -10,8 +10,8 @@ use nsim_ir::neurons::Row;
 use super::lif::{bias, current, voltage};
 use super::neuron::{Arrived, Emission, Left, Neuron, columns, decay, mask};
 
-/// A leaky integrate-and-fire neuron: with `LAVA` in lava's integers, with current and voltage of
-/// 24 bits, else in lava-dl's, with words of 32.
+/// A leaky integrate-and-fire neuron. With `LAVA` it has lava's integers (current and voltage of 24
+/// bits), else lava-dl's (words of 32 bits).
 #[derive(Debug)]
 pub(super) struct AdaptiveLif<const LAVA: bool>;
 
@@ -20,26 +20,26 @@ columns!(
     State { u = 0, v = 1, theta = 2, r = 3 }
 );
 columns!(
-    /// Parameters in the units of the state; what a step keeps is in 4096ths.
+    /// Parameters in the units of the state; `keep_*` are kept fractions in 4096ths.
     Parameters { keep_u = 0, keep_v = 1, keep_theta = 2, keep_r = 3, threshold = 4, step = 5, bias = 6 }
 );
 
-/// How a threshold adapts.
+/// Parameters of an adaptive threshold.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Adaptation {
-    /// What a step keeps of the threshold above its rest, in 4096ths.
+    /// Fraction of the threshold above its rest kept by one step, in 4096ths.
     pub keep_theta: i32,
-    /// What a step keeps of the refractory state, in 4096ths.
+    /// Fraction of the refractory state kept by one step, in 4096ths.
     pub keep_r: i32,
     /// The resting threshold.
     pub threshold: i32,
-    /// What a spike adds to it.
+    /// Increment of the threshold by a spike.
     pub step: i32,
 }
 
 impl Adaptation {
-    /// The next threshold and refractory state, and all ones where there is a spike: where
-    /// `allowed` and `tested` reaches the sum of both.
+    /// Returns the next threshold and refractory state, and whether the neuron spikes: `allowed`
+    /// holds and `tested` reaches the sum of both after decay.
     #[inline(always)]
     pub fn adapt(&self, [theta, r]: [i32; 2], tested: i32, allowed: bool, left: &mut Left) -> ([i32; 2], bool) {
         let above = left.subtract(theta, self.threshold);

@@ -1,48 +1,48 @@
-//! Compartments that are updated together, and what an update of them does.
+//! Blocks of compartments that are updated together, and the effects of an update.
 
 use std::fmt::Debug;
 
 use super::neuron::CHUNK;
 
-/// Compartments that are updated together.
+/// Maximum number of compartments of a block.
 pub const MOST_LANES: usize = 64;
 /// Compartments of one kind, at most [`MOST_LANES`], in chunks; lanes after the last compartment
 /// are padding.
 #[derive(Debug)]
 pub struct Block<'a> {
-    /// Words of state: of each chunk, column after column.
+    /// Words of state, by chunk, then by column.
     pub columns: &'a mut [[i32; CHUNK]],
-    /// The sums of each port, by chunk.
+    /// Sums of arrivals of each port, by chunk.
     pub arrived: [&'a [[i32; CHUNK]]; 2],
-    /// What is sent, by chunk.
+    /// Values of the messages, by chunk; a lane without a message keeps its value.
     pub sent: &'a mut [[i32; CHUNK]],
-    /// The step.
+    /// Number of the step.
     pub step: u32,
-    /// The vectors of the processor.
+    /// Vector instructions of the processor.
     pub vectors: pulp::Arch,
 }
 
-/// What the update of a block did, a bit a lane.
+/// Effects of the update of a block; each field has one bit for each lane.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Effects {
-    /// It sent a message.
+    /// The compartment sent a message.
     pub emitted: u64,
-    /// It was not idle, or something arrived.
+    /// The compartment was not idle, or something arrived.
     pub active: u64,
-    /// A word left its bits and wrapped.
+    /// A word overflowed and wrapped.
     pub wrapped: u64,
-    /// A word left its bits and was clipped.
+    /// A word overflowed and was clipped.
     pub clipped: u64,
-    /// It is not idle afterwards.
+    /// The compartment is not idle after the update.
     pub busy: u64,
 }
 
-/// Bits of the lanes of a block, by chunk.
+/// Flags of the lanes of a block, by chunk.
 pub type Flags = [[u8; CHUNK]; MOST_LANES / CHUNK];
 
 impl Effects {
-    /// Those of the first lanes of a block, this many: of each lane a bit for every field, in their
-    /// order.
+    /// Effects of the first `lanes` lanes of a block. Each lane has one bit for every field, in
+    /// their order.
     #[inline(always)]
     pub(super) fn new(lanes: usize, flags: &Flags) -> Self {
         let mut of_bits = lanes_with::<5>(flags);
@@ -54,8 +54,8 @@ impl Effects {
     }
 }
 
-/// The lanes with each of the lowest N bits. Bits that no lane has, and what all lanes have, are
-/// common: they take no further work.
+/// Returns the lanes with each of the lowest N bits. Bits of no lane, or of all lanes, are common,
+/// so they skip the loop over lanes.
 #[inline(always)]
 pub fn lanes_with<const N: usize>(flags: &Flags) -> [u64; N] {
     /// The lowest bit of each byte.
@@ -85,17 +85,17 @@ pub fn lanes_with<const N: usize>(flags: &Flags) -> [u64; N] {
 
 /// The update of a block.
 pub trait Updater: Debug + Send + Sync {
-    /// One step of all compartments.
+    /// Updates all compartments by one step.
     fn update(&self, block: &mut Block<'_>) -> Effects;
-    /// Writes the first state of all compartments, as [`Block::columns`] has it.
+    /// Writes the first state of all compartments, in the layout of [`Block::columns`].
     fn clear(&self, columns: &mut [[i32; CHUNK]]);
     /// Whether some compartment is not idle in its first state.
     fn wakes(&self) -> bool;
-    /// Compartments.
+    /// Number of compartments.
     fn lanes(&self) -> usize;
-    /// Words of state of a compartment.
+    /// Number of words of state of a compartment.
     fn words(&self) -> usize;
-    /// Whether its messages carry what it computes.
+    /// Whether its messages carry a computed value.
     fn computes(&self) -> bool;
 }
 

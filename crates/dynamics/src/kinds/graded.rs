@@ -1,4 +1,4 @@
-//! Neurons that send what arrives, or a function of it, without a voltage.
+//! Neurons without a voltage: they send their arrivals, or a function of them.
 //!
 //! Equations (35) to (38) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/graded/models.py` and
 //! `proc/prodneuron/models.py`.
@@ -7,7 +7,7 @@ use nsim_ir::neurons::Row;
 
 use super::neuron::{Arrived, Emission, Left, Neuron, choice, columns, mask};
 
-/// Sends what arrives above a threshold; unless `RELU` its magnitude counts.
+/// Sends its arrivals above a threshold: by their value with `RELU`, else by their magnitude.
 #[derive(Debug)]
 pub(super) struct GradedVec<const RELU: bool>;
 
@@ -15,20 +15,20 @@ pub(super) struct GradedVec<const RELU: bool>;
 #[derive(Debug)]
 pub(super) struct ProdNeuron;
 
-/// Sends the product of the second sum and the first of the step before.
+/// Sends the product of the second sum and the first sum of the previous step.
 #[derive(Debug)]
 pub(super) struct NormVecDelay;
 
-/// Sends the square.
+/// Sends the square of its sum.
 #[derive(Debug)]
 pub(super) struct NormSquare;
 
-/// Sends the inverse of the square root, as a fraction of 12 bits.
+/// Sends the inverse of its sum's square root, as a fraction of 12 bits.
 #[derive(Debug)]
 pub(super) struct InvSqrt;
 
 columns!(
-    /// What a message exceeds.
+    /// Threshold that a message exceeds.
     Threshold { threshold = 0 }
 );
 columns!(
@@ -36,11 +36,11 @@ columns!(
     Product { threshold = 0, exp = 1 }
 );
 columns!(
-    /// The first sum of this step and of the one before.
+    /// First sum of this step and of the previous step.
     Delayed { v = 0, v2 = 1 }
 );
 
-/// A message, where its magnitude exceeds the threshold.
+/// Returns a message where the magnitude of the value exceeds the threshold.
 #[inline(always)]
 fn above(value: i32, threshold: i32) -> Emission {
     Emission::value(value & mask((value > threshold) | (value < -threshold)))
@@ -101,7 +101,7 @@ impl Neuron for NormSquare {
     }
 }
 
-/// First values of an inverse square root, by the leading zeros of a number of 24 bits:
+/// Initial values of an inverse square root, by the leading zeros of a number of 24 bits:
 /// `2 trunc(4096 / (2^((m - 12) / 2) 1.238982962))` for m = 23 to 0.
 const FIRST_VALUES: [i32; 24] = [
     146, 206, 292, 412, 584, 826, 1168, 1652, 2336, 3304, 4674, 6610, 9350, 13_222, 18_700, 26_446, 37_402, 52_894,

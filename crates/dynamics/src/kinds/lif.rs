@@ -1,5 +1,5 @@
-//! Leaky integrate-and-fire neurons with words of their own: two thresholds, a periodic reset, or
-//! spikes that carry the voltage.
+//! Leaky integrate-and-fire neurons that differ from Loihi 1's: two thresholds, a periodic reset,
+//! or spikes that carry the voltage.
 //!
 //! Equations (28) to (31) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/lif/models.py`;
 //! lava-dl d825ac5, `slayer/neuron/dynamics/leaky_integrator.py` and `slayer/neuron/cuba.py`.
@@ -26,7 +26,7 @@ columns!(
     State { u = 0, v = 1 }
 );
 columns!(
-    /// Parameters of a [`TernaryLif`] in the units of the state; what a step keeps is in 4096ths.
+    /// Parameters of a [`TernaryLif`] in units of the state; `keep_*` are fractions in 4096ths.
     Ternary { keep_u = 0, keep_v = 1, high = 2, low = 3, bias = 4 }
 );
 columns!(
@@ -117,7 +117,7 @@ impl Neuron for LifReset {
         Emission::spike(spikes)
     }
 
-    /// As without a reset, and a reset would change nothing either.
+    /// Whether an update changes nothing, both with and without a reset before it.
     #[inline(always)]
     fn idle(p: &Resetting, s: &State) -> bool {
         let after = |mut state: State| {

@@ -1,12 +1,12 @@
-//! The kinds of neurons whose state is columns of 32-bit words: one update of one compartment each,
-//! which `Chunked` applies to the compartments of a block.
+//! Neuron kinds whose state is columns of 32-bit words. Each kind defines the update of one
+//! compartment, which `Chunked` applies to the compartments of a block.
 //!
 //! Input: the sums of a step's arrivals, in units of 64 of the accumulator (a weight times a
-//! message), and the state. Output: the next state, and what each compartment sends. Sums and words
-//! that leave 32 bits wrap, as lava's processes compute them, and are reported.
+//! message), and the state. Output: the next state, and the message of each compartment. Sums and
+//! words beyond 32 bits wrap, as in lava's processes, and are reported.
 //!
-//! To add a kind: its row in [`nsim_ir::neurons`], a file here with its line in [`updater`], and
-//! its arithmetic again in `nsim_golden`.
+//! To add a kind: its row in [`nsim_ir::neurons`], a file here with its line in [`updater`], and a
+//! second version of its arithmetic in `nsim_golden`.
 
 mod adaptive;
 mod block;
@@ -25,19 +25,19 @@ use std::marker::PhantomData;
 use neuron::{Columns, Emission, Left, Neuron, choice};
 use nsim_ir::neurons::{NeuronKind, Row};
 
-/// The update of a block, compartment by compartment, in chunks that compilers turn into vectors.
+/// The update of a block, compartment by compartment, in chunks that compilers vectorise.
 #[derive(Debug)]
 struct Chunked<N> {
     lanes: usize,
-    /// Of each chunk, column after column.
+    /// Parameters, by chunk, then by column.
     parameters: Vec<[i32; CHUNK]>,
     kind: PhantomData<fn() -> N>,
 }
 
-/// An update, in the form in which `pulp` runs it with the processor's vectors.
+/// An update, in the form that `pulp` runs with the processor's vectors.
 struct Run<'r, 'b, N>(&'r Chunked<N>, &'r mut Block<'b>);
 
-/// The most columns that a kind has.
+/// Maximum number of columns of a kind.
 const MOST_COLUMNS: usize = 4;
 
 impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
@@ -52,7 +52,7 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
             let parameters = &parameters[chunk * of_parameters..(chunk + 1) * of_parameters];
             let columns = &mut block.columns[chunk * words..(chunk + 1) * words];
             let arrived = block.arrived.map(|sums| sums[chunk]);
-            // On the stack, so that nothing has an alias.
+            // On the stack, where nothing has an alias.
             let mut state = [[0; CHUNK]; MOST_COLUMNS];
             state[..words].copy_from_slice(columns);
             let (mut values, mut of_chunk) = (*sent, [0; CHUNK]);

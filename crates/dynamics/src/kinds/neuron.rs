@@ -1,40 +1,40 @@
-//! What a kind of neuron is: its state, its parameters and the update of one compartment, in a form
-//! without branches that becomes vectors.
+//! A neuron kind: its state, its parameters and the update of one compartment. Updates have no
+//! branches, so that compilers vectorise them.
 
 use std::fmt::Debug;
 
 use nsim_ir::neurons::Row;
 
-/// Compartments whose state lies side by side: a vector of words.
+/// Number of compartments whose words are adjacent in memory, as one vector.
 pub const CHUNK: usize = 16;
 
-/// What arrives at a compartment in a step, by port.
+/// Sums of arrivals of a compartment in a step, by port.
 pub type Arrived = [i32; 2];
 
-/// What an update sends.
+/// Message of an update.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Emission {
     /// All ones where there is a message, 0 where there is none.
     pub(super) sends: i32,
-    /// What it carries.
+    /// Value of the message.
     pub(super) value: i32,
 }
 
 impl Emission {
-    /// A message that carries nothing of its own, or none.
+    /// Returns a message without a value, or none.
     #[inline(always)]
     pub fn spike(spikes: bool) -> Emission {
         Emission { sends: mask(spikes), value: 0 }
     }
 
-    /// A message with an integer, none with 0.
+    /// Returns a message with an integer; 0 sends none.
     #[inline(always)]
     pub fn value(value: i32) -> Emission {
         Emission { sends: mask(value != 0), value }
     }
 }
 
-/// Whether words left their bits, in a form without branches: then a number is negative.
+/// Overflows of words, in a form without branches: a negative number marks an overflow.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Left {
     wrapped: i32,
@@ -50,7 +50,7 @@ impl Left {
         sum
     }
 
-    /// The difference, wrapped.
+    /// Returns the difference, wrapped.
     #[inline(always)]
     pub fn subtract(&mut self, a: i32, b: i32) -> i32 {
         let difference = a.wrapping_sub(b);
@@ -58,7 +58,7 @@ impl Left {
         difference
     }
 
-    /// The number as a word of 32 bits, wrapped.
+    /// Returns the number as a word of 32 bits, wrapped.
     #[inline(always)]
     pub fn word(&mut self, x: i64) -> i32 {
         let word = x as i32;
@@ -66,63 +66,63 @@ impl Left {
         word
     }
 
-    /// Notes that a word wrapped, where it did.
+    /// Records a wrapped word where `wrapped`.
     #[inline(always)]
     pub fn note_wrap(&mut self, wrapped: bool) {
         self.wrapped |= mask(wrapped);
     }
 
-    /// Notes that a word was clipped, where it was.
+    /// Records a clipped word where `clipped`.
     #[inline(always)]
     pub fn note_clip(&mut self, clipped: bool) {
         self.clipped |= mask(clipped);
     }
 
-    /// Whether any wrapped.
+    /// Whether any word wrapped.
     #[inline(always)]
     pub fn any_wrapped(self) -> bool {
         self.wrapped < 0
     }
 
-    /// Whether any was clipped.
+    /// Whether any word was clipped.
     #[inline(always)]
     pub fn any_clipped(self) -> bool {
         self.clipped < 0
     }
 
-    /// Whether any left its bits.
+    /// Whether any word overflowed.
     #[inline(always)]
     pub fn any(self) -> bool {
         self.wrapped | self.clipped < 0
     }
 }
 
-/// Equation (3): what a decay leaves of a word, rounded toward zero; `keep` is in 4096ths.
+/// Equation (3): a word after decay, rounded toward zero; `keep` is in 4096ths.
 #[inline(always)]
 pub(super) fn decay(x: i32, keep: i32) -> i64 {
     let kept = ((u64::from(x.unsigned_abs()) * u64::from(keep as u32)) >> 12) as i64;
     if x < 0 { -kept } else { kept }
 }
 
-/// All ones where something holds, 0 where not.
+/// Returns all ones where the condition holds, else 0.
 #[inline(always)]
 pub(super) fn mask(holds: bool) -> i32 {
     -i32::from(holds)
 }
 
-/// A choice without a branch.
+/// Returns `then` where the mask is all ones, `otherwise` where it is 0, without a branch.
 #[inline(always)]
 pub(super) fn choice(mask: i32, then: i32, otherwise: i32) -> i32 {
     then & mask | otherwise & !mask
 }
 
-/// Numbers of a compartment, which lie in columns: a struct of words.
+/// Words of a compartment, as a struct that is stored in columns.
 pub trait Columns: Copy + Default + PartialEq {
     /// Number of words.
     const COUNT: usize;
-    /// Those of a lane, from as many columns.
+    /// Loads the words of a lane from `COUNT` columns.
     fn load(columns: &[[i32; CHUNK]], lane: usize) -> Self;
-    /// Writes them back.
+    /// Stores the words of a lane.
     fn store(self, columns: &mut [[i32; CHUNK]], lane: usize);
 }
 
@@ -136,7 +136,7 @@ impl Columns for () {
     fn store(self, _: &mut [[i32; CHUNK]], _: usize) {}
 }
 
-/// Defines a struct of words and how they lie in columns.
+/// Defines a struct of words and their order in columns.
 macro_rules! columns {
     ($(#[$doc:meta])* $name:ident { $($word:ident = $place:literal),+ }) => {
         $(#[$doc])*
@@ -162,12 +162,12 @@ pub(super) use columns;
 
 /// A kind of neuron.
 pub trait Neuron: Debug + Send + Sync + 'static {
-    /// What it carries from step to step, in the order of its table's columns.
+    /// State between steps, in the order of its table's columns.
     type State: Columns;
     /// Its parameters in the form that updates use.
     type Parameters: Columns;
 
-    /// Whether its messages carry what it computes, rather than what its population says.
+    /// Whether its messages carry a computed value, rather than its population's payload.
     const VALUES: bool = true;
 
     /// Whether [`Neuron::restart`] does anything.
@@ -182,8 +182,8 @@ pub trait Neuron: Debug + Send + Sync + 'static {
         Self::State::default()
     }
 
-    /// What happens before the update of a step, in some steps only: nothing, unless a kind resets
-    /// itself.
+    /// Resets the state before the update of some steps. Only kinds with a reset of their own have
+    /// one.
     #[inline(always)]
     fn restart(_: &Self::Parameters, _: &mut Self::State, _step: u32) {}
 

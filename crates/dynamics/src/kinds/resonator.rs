@@ -1,8 +1,8 @@
-//! Resonate-and-fire neurons: a state in the complex plane that decays and turns.
+//! Resonate-and-fire neurons: a state in the complex plane that decays and rotates.
 //!
 //! Equations (25) to (27), (33) and (34) of `docs/loihi2.md`. Source: lava-nc b6822fb,
-//! `proc/rf/models.py`, `proc/rf_iz/models.py` and `proc/resfire/models.py`; lava-dl d825ac5
-//! computes the same, and those with adaptive thresholds (`slayer/neuron/dynamics/resonator.py`,
+//! `proc/rf/models.py`, `proc/rf_iz/models.py` and `proc/resfire/models.py`. lava-dl d825ac5
+//! computes identical results, and has adaptive thresholds (`slayer/neuron/dynamics/resonator.py`,
 //! `adaptive_phase_th.py`, `adaptive_resonator.py`).
 
 use nsim_ir::base::fixed::UV_BITS;
@@ -11,7 +11,7 @@ use nsim_ir::neurons::Row;
 use super::adaptive::Adaptation;
 use super::neuron::{Arrived, Emission, Left, Neuron, choice, columns, mask};
 
-/// A resonator; with `IZ` it spikes above a threshold of the imaginary part.
+/// A resonator; with `IZ` it spikes where the imaginary part reaches the threshold.
 #[derive(Debug)]
 pub(super) struct Resonator<const IZ: bool>;
 
@@ -72,7 +72,7 @@ columns!(
     AdaptiveParameters { sin = 0, cos = 1, keep_theta = 2, keep_r = 3, threshold = 4, step = 5, state_exp = 6 }
 );
 
-/// A product of a word and a factor in 4096ths, of at most 1, rounded toward zero.
+/// Returns a word times a factor in 4096ths, of at most 1, rounded toward zero.
 #[inline(always)]
 fn share(factor: i32, x: i32) -> i64 {
     let size = ((u64::from(x.unsigned_abs()) * u64::from(factor.unsigned_abs())) >> 12) as i64;

@@ -1,9 +1,9 @@
-//! Neurons that send changes: a sum of arrivals, its activation, and the change of it once it
-//! reaches a threshold.
+//! Neurons that send changes. They sum arrivals, apply an activation, and send its change once the
+//! change reaches a threshold.
 //!
-//! Equations (20) to (24) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/sdn/models.py`.
-//! The form of lava's releases loses the low bits of what it sends; `corrected` is the later one,
-//! which keeps them.
+//! Equations (20) to (24) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/sdn/models.py`. The
+//! form in lava's releases loses the low bits of its messages; the later form, `corrected`, keeps
+//! them.
 
 use nsim_ir::neurons::Row;
 
@@ -13,20 +13,20 @@ use super::neuron::{Arrived, Emission, Left, Neuron, choice, columns, mask};
 #[derive(Debug)]
 pub(super) struct SigmaDelta;
 
-/// A change of what arrives.
+/// Sends the changes of its arrivals.
 #[derive(Debug)]
 pub(super) struct Delta;
 
-/// The sum of what arrived.
+/// Sends the sum of all arrivals so far.
 #[derive(Debug)]
 pub(super) struct Sigma;
 
 columns!(
-    /// A sum, and the state of its changes.
+    /// A sum, and the state of its change encoder.
     Summed { sigma = 0, act = 1, residue = 2, error = 3 }
 );
 columns!(
-    /// The state of changes.
+    /// State of a change encoder.
     Changes { act = 0, residue = 1, error = 2 }
 );
 columns!(
@@ -34,8 +34,8 @@ columns!(
     Sum { sigma = 0 }
 );
 columns!(
-    /// Parameters of a [`SigmaDelta`], in the units of the state. `least` is what the activation is
-    /// not below; `cum_error` and `corrected` are all ones or 0.
+    /// Parameters of a [`SigmaDelta`], in the units of the state. `least` is the lower bound of the
+    /// activation; `cum_error` and `corrected` are all ones or 0.
     Parameters { bias = 0, least = 1, threshold = 2, state_exp = 3, cum_error = 4, corrected = 5 }
 );
 columns!(
@@ -43,10 +43,10 @@ columns!(
     Encoding { shift = 0, threshold = 1, state_exp = 2, cum_error = 3 }
 );
 
-/// How a change is sent.
+/// Parameters of a change encoder.
 #[derive(Debug, Clone, Copy)]
 struct Sending {
-    /// It fits 31 bits: an exponent is at most 7 and the mantissa has 17 bits.
+    /// It fits 31 bits, since an exponent is at most 7 and the mantissa has 17 bits.
     threshold: i32,
     state_exp: i32,
     cum_error: i32,
@@ -76,7 +76,7 @@ impl Sending {
         Emission::value(message)
     }
 
-    /// Whether it would change, send and report nothing for the same `x` without arrivals.
+    /// Whether it would change, send and report nothing for an equal `x` without arrivals.
     #[inline(always)]
     fn is_idle(&self, changes: &Changes, x: i32) -> bool {
         let mut left = Left::default();

@@ -1,5 +1,5 @@
-//! The mirror of baseline files (`mapping/baselines`): what other hardware was measured to need for
-//! a network.
+//! Types of baseline files (`mapping/baselines`): measured power and time of other hardware for a
+//! network.
 
 use serde::Deserialize;
 
@@ -27,7 +27,7 @@ pub struct MeasuredOn {
     pub layers: Vec<DenseLayer>,
     /// Timesteps of a sample.
     pub steps: u32,
-    /// Length of a timestep.
+    /// Length of a timestep, ms.
     pub timestep_ms: f64,
 }
 
@@ -35,15 +35,15 @@ pub struct MeasuredOn {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BaselineRow {
-    /// What was done.
+    /// The mode of the run.
     pub mode: Mode,
-    /// Power at idle.
+    /// Power at idle, mW.
     pub static_mw: Spanned<f64>,
-    /// Power on top.
+    /// Dynamic power, above idle, mW.
     pub dynamic_mw: Spanned<f64>,
-    /// Their sum, as printed.
+    /// Their sum as printed, mW.
     pub total_mw: Spanned<f64>,
-    /// Time of a timestep.
+    /// Time of a timestep, us.
     pub latency_us: Spanned<f64>,
     /// Energy of a timestep as the source prints it.
     pub printed_energy_uj: Spanned<f64>,
@@ -55,21 +55,21 @@ pub struct BaselineRow {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RooflineFigure {
-    /// The number; the field's name says its unit.
+    /// The number, in the unit of the field's name.
     pub value: Spanned<f64>,
-    /// Where it is printed, what it was fitted to, or why it is assumed.
+    /// Place where it is printed, data of its fit, or reason for its assumption.
     pub source: String,
-    /// How far it can be trusted.
+    /// Its status: published, calibrated or assumed.
     pub status: Status,
 }
 
-/// What bounds dense hardware: for workloads that it was not measured on.
+/// Bounds of dense hardware, for workloads on which it was not measured.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Roofline {
-    /// Greatest rate of f32 operations, in 10^9 a second.
+    /// Peak rate of f32 operations, in 10^9 a second.
     pub peak_gflops: RooflineFigure,
-    /// Greatest rate of memory, in 10^9 bytes a second.
+    /// Peak memory bandwidth, in 10^9 bytes a second.
     pub bandwidth_gb_s: RooflineFigure,
     /// Least time of a layer in a window, us: launches and the framework around them.
     pub layer_overhead_us: RooflineFigure,
@@ -82,7 +82,7 @@ pub struct Roofline {
 }
 
 impl Roofline {
-    /// Name and figure of each.
+    /// Name and value of each figure.
     pub fn list(&self) -> [(&'static str, &RooflineFigure); 6] {
         [
             ("peak_gflops", &self.peak_gflops),
@@ -101,18 +101,18 @@ impl Roofline {
 pub struct BaselineFile {
     /// Its name on the command line.
     pub name: String,
-    /// The hardware as tables call it.
+    /// Name of the hardware in tables.
     pub hardware: String,
     /// Paper and table.
     pub source: String,
-    /// How far it can be trusted.
+    /// Its status: published, calibrated or assumed.
     pub status: Status,
-    /// How it was measured.
+    /// Method of measurement.
     pub notes: String,
-    /// The only workload it holds for.
+    /// The only workload for which it holds.
     pub measured_on: MeasuredOn,
     /// Its rows.
     pub rows: Vec<BaselineRow>,
-    /// What bounds it elsewhere.
+    /// Its bounds for other workloads.
     pub roofline: Option<Roofline>,
 }

@@ -1,7 +1,7 @@
-//! Tables of measurements (`mapping/measurements`): what a published workload needed on the chip.
+//! Tables of measurements (`mapping/measurements`): figures of published workloads on the chip.
 //!
-//! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] in which every unit
-//! and figure that it names exists and every cell is a positive number.
+//! Input: a path or the name of a shipped table. Output: a [`MeasurementsFile`] with known units
+//! and figures, and a positive number in every cell.
 
 use serde::Deserialize;
 
@@ -18,7 +18,7 @@ pub struct MeasuredCell {
     pub unit: Spanned<String>,
     /// A figure of a report's row, such as `static_mw`.
     pub figure: Spanned<String>,
-    /// As it is printed; its last digit says how far it is rounded.
+    /// The printed text; its last digit gives the rounding.
     pub printed: Spanned<String>,
 }
 
@@ -40,15 +40,15 @@ pub struct MeasurementsFile {
     pub name: String,
     /// Paper and table.
     pub source: String,
-    /// How it was measured, and what is not known of that.
+    /// Method of measurement, and its unknown details.
     pub notes: String,
-    /// The model whose activity represents the workload's.
+    /// The model whose activity represents the workload.
     pub model: String,
     /// The target.
     pub target: String,
-    /// Copies, whose share each figure is.
+    /// Number of copies; each figure is the share of one.
     pub copies: u32,
-    /// How samples were passed.
+    /// The mode of the run.
     pub mode: Mode,
     /// Timesteps of a sample.
     pub steps_per_sample: u32,
@@ -71,7 +71,7 @@ pub fn load_measurements(argument: &str) -> Result<MeasurementsFile> {
     measurements(&source)
 }
 
-/// A table from its text.
+/// Parses and checks a table.
 ///
 /// # Errors
 /// `measurements.syntax`, `measurements.name`, `measurements.cell`.

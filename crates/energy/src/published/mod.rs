@@ -1,5 +1,5 @@
-//! Files that hold what others published: figures of other hardware, tables of measurements, the
-//! jobs measured, workloads rebuilt.
+//! Files of published data: figures of other hardware, tables of measurements, measured jobs,
+//! rebuilt workloads.
 
 pub mod baseline;
 pub mod measurement;

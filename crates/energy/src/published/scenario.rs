@@ -26,31 +26,31 @@ pub struct ScenarioFile {
     pub copies: Spanned<u32>,
     /// Numbers of cores.
     pub deployment: Spanned<DeployedCores>,
-    /// Whether each input channel had a compartment of its own that carries its spikes on.
+    /// Whether each input channel had its own compartment, which forwards its spikes.
     #[serde(default)]
     pub input_relays: bool,
-    /// Compartments of a core at most, where the job put fewer on one than fit.
+    /// Maximum number of compartments of a core, where the job placed fewer than fit.
     #[serde(default)]
     pub compartments_per_core: Option<u32>,
     /// Shipped tables of measurements of this job.
     #[serde(default)]
     pub measured: Vec<Spanned<String>>,
-    /// The publication, as a sentence names it.
+    /// Name of the publication, as used in sentences.
     pub work: String,
-    /// Where the numbers are printed.
+    /// Source of the numbers.
     pub source: String,
-    /// What is inferred.
+    /// Inferred details.
     pub notes: String,
 }
 
 impl ScenarioFile {
-    /// Whether this is the target that it ran on, as its name says and unchanged.
+    /// Whether this is the target of the job, by its name and unchanged.
     pub fn is_on(&self, target: &Target) -> bool {
         self.target == target.name() && !target.is_changed()
     }
 }
 
-/// The scenario that ships for a model; a path names no shipped model.
+/// Returns the shipped scenario of a model, if any; a path names no shipped model.
 ///
 /// # Errors
 /// As [`scenario`].
@@ -62,11 +62,11 @@ pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
     Ok(scenarios?.into_iter().find(|scenario| scenario.model == model))
 }
 
-/// A scenario from its text.
+/// Parses and checks a scenario.
 ///
 /// # Errors
-/// A diagnostic where the file is malformed, a number of cores is 0 or exceeds what contains it, or
-/// a table of measurements does not ship.
+/// A diagnostic where the file is malformed, a number is 0, there are more chips than cores, or a
+/// table of measurements does not ship.
 pub fn scenario(source: &SourceText) -> Result<ScenarioFile> {
     let file: ScenarioFile = parse(source, "scenario.syntax")?;
     if file.copies.value == 0 {

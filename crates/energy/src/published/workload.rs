@@ -1,13 +1,13 @@
-//! Published workloads (`mapping/workloads`): a network that somebody measured on the chip, as
-//! closely as its source lets it be rebuilt, and the figures that were printed.
+//! Published workloads (`mapping/workloads`): networks measured on the chip, rebuilt as closely as
+//! their sources allow, and their printed figures.
 //!
 //! Input: the name of a shipped workload. Output: a [`WorkloadFile`] whose shapes and rates are
-//! possible and whose projections join populations that it has. Errors: `workload.syntax`,
+//! possible and whose projections join populations of the file. Errors: `workload.syntax`,
 //! `workload.population`, `workload.rate`, `workload.layout`, `workload.figure`.
 //!
-//! A rate that no source prints is given as a range and marked assumed: the range enters the
-//! interval of every figure that follows from it. Weights are not part of a workload: they decide
-//! which compartments fire, and the rates give their number.
+//! A rate that no source prints is a range and marked assumed; the range enters the interval of
+//! every figure that follows from it. A workload has no weights: they only decide which
+//! compartments fire, and the rates give the number that fires.
 
 use serde::{Deserialize, Serialize};
 
@@ -18,7 +18,7 @@ use nsim_ir::base::names::named_variants;
 use nsim_ir::hardware::constants::{FigureClass, Status};
 use nsim_ir::spanned::{Spanned, parse};
 
-/// What a figure is.
+/// Physical kind of a figure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all(serialize = "lowercase"))]
 pub enum FigureKind {
@@ -40,7 +40,7 @@ named_variants! {
         CoreDynamicPower = "core dynamic power",
         /// Static power of the x86 cores that run, mW.
         X86StaticPower = "x86 static power",
-        /// Power of these x86 cores on top, mW.
+        /// Dynamic power of these x86 cores, mW.
         X86DynamicPower = "x86 dynamic power",
         /// Dynamic power of neuron and x86 cores, mW.
         DynamicPower = "dynamic power",
@@ -52,15 +52,15 @@ named_variants! {
         RailsTotal = "rails, running",
         /// Power of the running board without the events of neuron cores, mW.
         RailsEmpty = "rails, no events",
-        /// Power of the running board less that of the loaded one, mW.
+        /// Power of the running board less the power of the loaded board, mW.
         AboveLoaded = "rails above idle",
-        /// Power of the running board less that before a program, mW.
+        /// Power of the running board less its power before a program is loaded, mW.
         AboveBoot = "rails above boot",
         /// Time of a step, us.
         StepTime = "step time",
-        /// Time of a step without what x86 cores do, us.
+        /// Time of a step without the work of x86 cores, us.
         SpikingTime = "spiking time",
-        /// Time of a step in which x86 cores take their turn and reset state, us.
+        /// Part of a step's time in which x86 cores take their turn and reset state, us.
         ManagementTime = "management time",
         /// Dynamic energy of neuron and x86 cores in an inference, uJ.
         InferenceDynamicEnergy = "energy of an inference",
@@ -68,7 +68,7 @@ named_variants! {
 }
 
 impl Quantity {
-    /// What it is.
+    /// Its physical kind.
     pub fn kind(self) -> FigureKind {
         match self {
             Quantity::StepTime | Quantity::SpikingTime | Quantity::ManagementTime => FigureKind::Time,
@@ -86,7 +86,7 @@ impl Quantity {
         }
     }
 
-    /// Which sum it is of.
+    /// The accounting to which it belongs.
     pub fn accounting(self) -> Accounting {
         use Quantity::{AboveBoot, AboveLoaded, RailsEmpty, RailsIdle, RailsStatic, RailsTotal};
         match self {
@@ -95,7 +95,7 @@ impl Quantity {
         }
     }
 
-    /// The class of its error; `None` of sums and differences, which no class bounds.
+    /// The class of its error; `None` for sums and differences, which no class bounds.
     pub fn class(self) -> Option<FigureClass> {
         Some(match self {
             Quantity::CoreStaticPower | Quantity::X86StaticPower => FigureClass::Static,
@@ -112,15 +112,15 @@ impl Quantity {
     }
 }
 
-/// A number that a source prints, or a range for one that none prints.
+/// A printed number, or a range for a number that no source prints.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Between {
-    /// What is taken.
+    /// The value used.
     pub value: f64,
-    /// The least that it may have been; equal to the value where it is published.
+    /// Lower bound; equal to the value where it is published.
     pub low: f64,
-    /// The greatest.
+    /// Upper bound.
     pub high: f64,
 }
 
@@ -133,7 +133,7 @@ pub enum WorkloadPopulation {
         name: String,
         /// Channels, height, width; or one number.
         shape: Vec<u32>,
-        /// How often a channel spikes: spikes a channel and step, the mean over channels and steps.
+        /// Spikes a channel and step, the mean over channels and steps.
         rate: Between,
     },
     /// Compartments.
@@ -145,13 +145,13 @@ pub enum WorkloadPopulation {
         /// Spikes a compartment and step, the mean over compartments and steps.
         rate: Between,
     },
-    /// A compartment for each input unit, which spikes a step later: it hands inputs on.
+    /// A compartment for each input unit, which forwards its spikes a step later.
     Relay {
         /// Its name.
         name: String,
         /// The input population.
         of: String,
-        /// Its shape, as that of the input.
+        /// Its shape, equal to the shape of the input.
         shape: Vec<u32>,
     },
 }
@@ -177,29 +177,29 @@ pub enum WorkloadProjection {
         /// Stride.
         stride: u32,
     },
-    /// Synapses of each source, spread evenly over `reach` targets around its own place.
+    /// Synapses of each source, spread evenly over `reach` targets around its own position.
     Local {
         /// Source.
         from: String,
         /// Target.
         to: String,
-        /// Synapses of a source.
+        /// Number of synapses of a source.
         fan_out: u32,
-        /// Units that they are spread over.
+        /// Number of targets over which they are spread.
         reach: u32,
     },
-    /// This many synapses of each source to random targets.
+    /// `fan_out` synapses of each source to random targets.
     Random {
         /// Source.
         from: String,
         /// Target.
         to: String,
-        /// Synapses of a source.
+        /// Number of synapses of a source.
         fan_out: u32,
     },
 }
 
-/// What was in use, for all copies together.
+/// Hardware in use, for all copies together.
 #[derive(Debug, Clone, Copy, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorkloadDeployment {
@@ -213,19 +213,19 @@ pub struct WorkloadDeployment {
     pub board_chips: u64,
     /// x86 cores that run.
     pub x86_cores: u64,
-    /// Of these those that inject or reset; all where it is not given.
+    /// Number of these that inject or reset; all if absent.
     #[serde(default)]
     pub x86_working: Option<u64>,
 }
 
-/// What the host does.
+/// Work of the host.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct WorkloadHost {
-    /// Where input spikes come from.
+    /// Source of the input spikes.
     #[serde(default)]
     pub host: Host,
-    /// Words of 32 bits that the x86 core that takes longest sets to zero for each inference.
+    /// Words of 32 bits that the slowest x86 core sets to zero for each inference.
     #[serde(default)]
     pub reset_words: u64,
     /// Words besides spikes that the host sends to a chip for each inference.
@@ -233,11 +233,11 @@ pub struct WorkloadHost {
     pub sent_words: u64,
 }
 
-/// Layers that a source put on cores of their own.
+/// Layers that a source placed on separate cores.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LayerCores {
-    /// The layers, one after the other on these cores.
+    /// The layers, placed sequentially on these cores.
     pub layers: Vec<Spanned<String>>,
     /// Cores of one copy, filled evenly.
     pub cores: u32,
@@ -247,7 +247,7 @@ pub struct LayerCores {
     pub stripes: bool,
 }
 
-/// What a printed figure is divided to.
+/// The unit to which a printed figure refers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize)]
 pub enum Per {
     /// The whole job or board.
@@ -265,16 +265,16 @@ pub enum Per {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PublishedFigure {
-    /// What it is.
+    /// The quantity.
     pub quantity: Quantity,
     /// Its value in the quantity's unit.
     pub published: Spanned<f64>,
-    /// What it is of.
+    /// The unit to which it refers.
     #[serde(default)]
     pub per: Per,
-    /// Where it is printed, or how it follows from figures that are.
+    /// Place where it is printed, or its derivation from printed figures.
     pub source: String,
-    /// Why a prediction misses it by far, where that was found out.
+    /// Cause of a large error of prediction, where it is known.
     #[serde(default)]
     pub cause: Option<String>,
 }
@@ -285,17 +285,17 @@ pub struct PublishedFigure {
 pub struct WorkloadFile {
     /// Its name.
     pub name: String,
-    /// The work that it is of, whose figures are judged together.
+    /// The published work, whose figures are judged together.
     pub work: String,
-    /// Its authors: it is predicted without their findings.
+    /// Its authors, whose findings its prediction omits.
     pub group: String,
     /// Paper and section, or repository and file.
     pub source: String,
-    /// Whether the figures were read where they were first printed; others do not count.
+    /// Whether the figures were read in their first publication; other figures do not count.
     pub first_hand: bool,
-    /// Whether the firing rates are published or follow the rule for those that are not.
+    /// Whether the firing rates are published, or follow the rule for unpublished rates.
     pub activity: Status,
-    /// What had to be assumed.
+    /// The assumptions.
     pub assumed: Vec<String>,
     /// The target.
     pub target: Spanned<String>,
@@ -308,20 +308,20 @@ pub struct WorkloadFile {
     pub active_share: Between,
     /// Cores of each layer, as the source printed or placed them.
     pub layout: Vec<LayerCores>,
-    /// What was in use.
+    /// Hardware in use.
     pub deployment: WorkloadDeployment,
-    /// What the host does.
+    /// Work of the host.
     pub host: WorkloadHost,
     /// Steps of an inference.
     pub steps: u32,
-    /// Time of a step where the source says that it was held to one, us.
+    /// Fixed time of a step, us, where the source states one.
     #[serde(default)]
     pub paced_us: Option<f64>,
     /// The figures.
     pub figures: Vec<PublishedFigure>,
 }
 
-/// The share of what is so in every step.
+/// A share of 1: every step.
 fn always() -> Between {
     Between { value: 1.0, low: 1.0, high: 1.0 }
 }
@@ -350,14 +350,14 @@ impl WorkloadProjection {
     }
 }
 
-/// The most units of a population.
+/// Maximum number of units of a population.
 const MOST_UNITS: u64 = 1 << 22;
 
 fn is_ordered(range: Between) -> bool {
     0.0 <= range.low && range.low <= range.value && range.value <= range.high
 }
 
-/// Every workload that ships, in the order in which tables show them.
+/// Returns every shipped workload, in the order of tables.
 ///
 /// # Errors
 /// As [`workload`].
@@ -365,7 +365,7 @@ pub fn shipped() -> Result<Vec<WorkloadFile>> {
     shipped::WORKLOADS.iter().map(|file| workload(&file.source())).collect()
 }
 
-/// A workload from its text.
+/// Parses and checks a workload.
 ///
 /// # Errors
 /// A diagnostic where the file is malformed or contradicts itself.

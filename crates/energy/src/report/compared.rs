@@ -1,6 +1,6 @@
 //! Ratios to other hardware, and the cost of a sample and of a decision.
 //!
-//! Everything here is physical, power times time, for any convention of the table.
+//! Energy here is physical, power times time, for every convention of the table.
 
 use std::fmt::Write;
 
@@ -14,13 +14,13 @@ use nsim_files::table::{table, three, wrapped};
 pub struct Ratio {
     /// The other hardware.
     pub hardware: String,
-    /// Of total power.
+    /// Ratio of total power.
     pub total_mw: f64,
-    /// Of the time of a timestep.
+    /// Ratio of the time of a timestep.
     pub latency_us: f64,
-    /// Of energy.
+    /// Ratio of energy.
     pub energy_uj: f64,
-    /// Of the energy-delay product.
+    /// Ratio of the energy-delay product.
     pub edp_pjs: f64,
 }
 
@@ -29,9 +29,9 @@ pub struct Ratio {
 pub struct PerSample {
     /// The hardware.
     pub hardware: String,
-    /// From its first timestep to its last.
+    /// Time from its first timestep to its last, us.
     pub time_us: f64,
-    /// All power included.
+    /// Energy with all power included, uJ.
     pub energy_uj: f64,
 }
 
@@ -40,19 +40,19 @@ pub struct PerSample {
 pub struct PerDecision {
     /// The chip.
     pub hardware: String,
-    /// What decides it.
+    /// The rule that decides it.
     pub rule: String,
-    /// Mean time of a sample until then.
+    /// Mean time of a sample until its decision, us.
     pub time_us: f64,
-    /// Mean energy of one copy until then, all power included.
+    /// Mean energy of one copy until the decision, all power included, uJ.
     pub energy_uj: f64,
     /// Share of the samples that were decided before their end.
     pub early: f64,
-    /// Share of the samples whose class at that time is their label; `None` without labels.
+    /// Share of samples whose class at the decision is their label; `None` unless all have one.
     pub accuracy: Option<f64>,
-    /// The least step of the sample, from 0, by which half of those decided early were.
+    /// Median step of the early decisions, from 0.
     pub median_step: Option<u32>,
-    /// Length of a timestep of the sample.
+    /// Length of a timestep of the sample, ms.
     #[serde(skip)]
     pub timestep_ms: f64,
 }
@@ -62,11 +62,11 @@ fn energy(row: &EnergyRow) -> Option<f64> {
     Some(row.total_mw? * row.latency_us? / 1e3)
 }
 
-/// The ratios of other rows to the chip's total; none to a row whose power is assumed.
+/// Returns the ratios of other rows to the chip's total; none to a row whose power is assumed.
 pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
     let of = |other: &EnergyRow| {
         let over = |this: Option<f64>, that: Option<f64>| Some(that? / this.filter(|this| *this > 0.0)?);
-        // A ratio to an assumption would be one.
+        // A ratio to an assumed power would be an assumption.
         if other.power_source == FigureSource::Assumed {
             return None;
         }
@@ -83,7 +83,7 @@ pub fn ratios(chip: &EnergyRow, others: &[(EnergyRow, String)]) -> Vec<Ratio> {
     others.iter().filter_map(|(other, _)| of(other)).collect()
 }
 
-/// The cost of a sample of this many timesteps on each row's hardware.
+/// Returns the cost of a sample of `steps` timesteps on each row's hardware.
 pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> Vec<PerSample> {
     let of = |row: &EnergyRow| {
         Some(PerSample {
@@ -95,7 +95,7 @@ pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> 
     rows.filter(|row| row.unit == "total").filter_map(of).collect()
 }
 
-/// Compared with other hardware.
+/// Comparison with other hardware.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Comparison {
     /// Other hardware over the chip.
@@ -107,13 +107,13 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Shares of samples that are right when decided, and at their end; the time and energy of a
-    /// decision.
+    /// Text with the shares of samples that are right when decided and at their end, and with the
+    /// time and energy of a decision.
     pub(super) fn decisions(&self, whole: Option<f64>) -> String {
         let Some(decision) = &self.per_decision else { return String::new() };
         let right = decision.accuracy.zip(whole);
         let right = right.map(|(then, end)| format!("Right when decided: {then:.3} ({end:.3} at the end)"));
-        // A step is at its end decided.
+        // A decision falls at the end of its step.
         let after = |step: u32| {
             let ms = (f64::from(step) + 1.0) * decision.timestep_ms;
             format!(
@@ -127,7 +127,7 @@ impl Comparison {
         said.join("; ") + "."
     }
 
-    /// In words and tables.
+    /// Text with tables.
     pub(super) fn text(&self, accuracy: Option<f64>) -> String {
         let mut out = String::new();
         if !self.ratios.is_empty() {

@@ -1,4 +1,4 @@
-//! The results of `nsim energy`: the table with its breakdown, and what it compares with.
+//! The results of `nsim energy`: the table with its breakdown, and comparisons.
 
 pub mod compared;
 pub mod table;

@@ -1,7 +1,7 @@
 //! The energy table as text, JSON (`nsim.energy/1`), CSV, and tables for papers.
 //!
 //! JSON and CSV hold full precision. The text has the layout of the VT-SNN paper's tables: three
-//! digits for what nsim says, all printed digits for what others published.
+//! digits for nsim's figures, all printed digits for published figures.
 
 use std::fmt::Write;
 
@@ -22,47 +22,47 @@ use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 
-/// Cores that the text lists.
+/// Maximum number of cores that the text lists.
 const SLOWEST_SHOWN: usize = 6;
 /// Widths of the columns of the table: name, powers, latency, energy, energy-delay product.
 const WIDTHS: [usize; 7] = [16, 7, 8, 8, 11, 10, 9];
 
-/// What ending samples when they are decided would save of the run: equation (16).
+/// Savings of a run if samples ended at their decisions: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Saved {
-    /// What decides a sample.
+    /// The rule that decides a sample.
     pub rule: Rule,
     /// Samples that were decided before their end.
     pub decided: u64,
-    /// Timesteps that were not needed, of all samples.
+    /// Timesteps after the decisions, of all samples.
     pub steps_saved: u64,
-    /// Time that they took.
+    /// Time of these timesteps, us.
     pub time_saved_us: f64,
-    /// Energy that they cost, all power of the `total` row included: the chip is off afterwards.
+    /// Energy of these timesteps, uJ, with all power of the `total` row: the chip is then off.
     pub energy_saved_uj: f64,
-    /// That as a part of the energy of the whole run; `None` when that is zero.
+    /// Share of this in the energy of the whole run; `None` when the whole is zero.
     pub energy_saved_share: Option<f64>,
-    /// The share where the chip stays on and idles: of what it draws in any case nothing is saved.
+    /// The share if the chip stays on and idles, which saves none of its constant power.
     pub idle_saved_share: Option<f64>,
-    /// Share of the samples whose class is right when decided; `None` without labels.
+    /// Share of the samples whose class is right when decided; `None` unless all have labels.
     pub accuracy: Option<f64>,
-    /// The least step by which half of those decided early were.
+    /// Median step of the early decisions, from 0.
     pub median_step: Option<u32>,
-    /// Mean energy of one copy until a sample is decided.
+    /// Mean energy of one copy until a sample is decided, uJ.
     pub energy_uj: f64,
 }
 
-/// A unit of the published job, as it comes out here and as its source prints it.
+/// A unit of the published job, as computed here and as printed by its source.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Part {
-    /// By the constants of the report.
+    /// The row by the constants of the report.
     pub here: EnergyRow,
-    /// Of the same unit.
+    /// The printed row of this unit.
     pub printed: EnergyRow,
 }
 
 impl Part {
-    /// Static, dynamic and total power here over those printed; `None` for what is not printed.
+    /// Ratios of static, dynamic and total power here to the printed ones; `None` if not printed.
     fn ratios(&self) -> [Option<f64>; 3] {
         let powers = |row: &EnergyRow| [row.static_mw, row.dynamic_mw, row.total_mw];
         let (here, printed) = (powers(&self.here), powers(&self.printed));
@@ -85,9 +85,9 @@ pub struct ConstantEntry {
     pub value: f64,
     /// Its unit.
     pub unit: Unit,
-    /// Where it comes from.
+    /// Its source.
     pub source: String,
-    /// How far it can be trusted.
+    /// Its status: published, calibrated, assumed or not given.
     pub status: Status,
 }
 
@@ -107,7 +107,7 @@ pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
         .collect()
 }
 
-/// The object of `nsim.energy/1` for what did not run.
+/// The object of `nsim.energy/1` for a network that did not run.
 pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
     json!({
         "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
@@ -132,15 +132,15 @@ pub struct EnergyReport {
     pub preset: String,
     /// The seed of the input, if one was used.
     pub seed: Option<u64>,
-    /// What the network was shown.
+    /// Origin of the input samples.
     pub input: Vec<String>,
     /// Samples of the run.
     pub samples: u64,
     /// Timesteps of all samples.
     pub timesteps: u64,
-    /// Share of the samples with a label that were classified as it says.
+    /// Share of the samples whose class is their label; `None` unless all have labels.
     pub accuracy: Option<f64>,
-    /// Samples with a label.
+    /// Number of samples with a label.
     pub labelled: u64,
     /// Rows of the simulated chip, breakdown, spread.
     pub estimate: Estimate,
@@ -148,32 +148,32 @@ pub struct EnergyReport {
     pub baselines: Vec<(EnergyRow, String)>,
     /// The level of the intervals; `None` where they bound modelled constants.
     pub level: Option<f64>,
-    /// Which power counts.
+    /// The accounting of power.
     pub accounting: Accounting,
     /// The model of the mesh.
     pub transport: Transport,
-    /// Compared with other hardware.
+    /// Comparison with other hardware.
     pub comparison: Comparison,
-    /// What ending samples when they are decided would save.
+    /// Savings if samples ended at their decisions.
     pub early_exit: Option<Saved>,
     /// The constants of the preset.
     pub constants: Vec<ConstantEntry>,
-    /// By population, input and core, and what to warn of.
+    /// Counts by population, input and core, and warnings.
     pub detail: Detail,
-    /// What `nsim map` expects of a mean step, given the firing rates of the run.
+    /// Cost of a mean step that `nsim map` expects at the firing rates of the run.
     pub expected: Option<Score>,
     /// The published job of the model, if there is one.
     pub job: Option<ScenarioFile>,
-    /// What that and other published hardware printed as energy and energy-delay product.
+    /// Energy and energy-delay product as printed for that job and other published hardware.
     pub printed: Vec<[f64; 2]>,
     /// Units of the published job, here and as printed.
     pub parts: Vec<Part>,
-    /// Copies whose counts the run has.
+    /// Number of copies counted in the run.
     pub copies_counted: u32,
-    /// What is not known and why, for people; also on stderr when the output is for programs.
+    /// Unknown facts and reasons, for readers; also on stderr when the output is for programs.
     pub notes: Vec<String>,
-    /// Of the constants: whose they are, what is absent or set in vain, which figures have no
-    /// interval.
+    /// Remarks on the constants: their hardware, absent ones, ones without effect, figures without
+    /// an interval.
     pub of_constants: Vec<String>,
 }
 
@@ -228,7 +228,7 @@ struct Job {
     share_mw: Option<f64>,
 }
 
-/// What a row of the table is called.
+/// Name of a row in the table.
 fn row_name(row: &EnergyRow, chip: &str) -> String {
     if row.hardware != chip {
         return match (row.source, row.hardware.split_once(", ")) {
@@ -247,7 +247,7 @@ fn row_name(row: &EnergyRow, chip: &str) -> String {
     }
 }
 
-/// Whether a publication printed it of the chip.
+/// Whether a publication printed the row for the chip.
 fn is_printed(row: &EnergyRow) -> bool {
     row.source == FigureSource::Published && row.hardware.ends_with(", printed")
 }
@@ -257,7 +257,7 @@ fn unknown() -> String {
     "unknown".to_string()
 }
 
-/// Three digits; of less than a thousandth as a power of ten.
+/// Three digits, with a power of ten below a thousandth.
 fn readable(x: f64) -> String {
     if x > 0.0 && x < 1e-3 { format!("{x:.2e}") } else { three(x) }
 }
@@ -377,9 +377,9 @@ impl EnergyReport {
         csv(self.rows(), columns)
     }
 
-    /// The units of the energy and of its product with the delay, and what a number in uJ and in
-    /// pJ s is multiplied by: for the energy that in which the chip's total is read easily, for the
-    /// product always the same.
+    /// Units of the energy and of the energy-delay product, with their factors from uJ and pJ s.
+    /// The unit of energy makes the chip's total easy to read; the convention fixes the unit of the
+    /// product.
     fn units(&self) -> [(&'static str, f64); 2] {
         if self.convention() == Convention::Published {
             return [("(mW/steps)", 1.0), ("(pJ s)", 1.0)];
@@ -391,7 +391,7 @@ impl EnergyReport {
     /// The cells of a row: static, dynamic and total power, latency, energy, energy-delay product.
     fn cells(&self, row: &EnergyRow) -> [String; 6] {
         let printed = row.source == FigureSource::Published;
-        // What was computed from a publication's figures, not printed by it.
+        // Computed from a publication's figures, not printed by it.
         let computed = printed && self.convention() == Convention::Physical;
         let assumed = row.power_source != row.source && row.power_source == FigureSource::Assumed;
         let cell = |figure: Option<f64>, exact: bool| match figure {
@@ -459,7 +459,7 @@ impl EnergyReport {
                 && (every_interval || !is_part)
                 && let Some(mut interval) = self.interval(row)
             {
-                // Time and energy are of the whole.
+                // Time and energy belong to the whole, not to a part.
                 interval[3..].iter_mut().filter(|_| is_part).for_each(String::clear);
                 let name = if self.level.is_some() { "  80 % interval" } else { "  model's bounds" };
                 lines.push((name.to_string(), interval, String::new()));
@@ -468,7 +468,7 @@ impl EnergyReport {
         lines
     }
 
-    /// The headings of the six columns, and of the groups that they are in.
+    /// Headings of the six columns.
     fn headings(&self) -> [String; 6] {
         let [(energy, _), (edp, _)] = self.units();
         ["static", "dynamic", "total", "(us/step)", energy, edp].map(str::to_string)
@@ -483,7 +483,7 @@ impl EnergyReport {
         let (model, target) = (&self.model, &self.target);
         let mut out = wrapped(&format!("{model} on {target}: {copies} on {chips} ({cores}, {x86}), {mode}"));
         let shown = self.input.first().map_or("", String::as_str);
-        // The number of samples and the seed say nothing of the scene; its other fields do.
+        // The number of samples and the seed do not describe the scene; its other fields do.
         let (scene, fields) = shown.split_once('?').unwrap_or((shown, ""));
         let says =
             |field: &&str| !field.is_empty() && !["samples=", "seed="].iter().any(|name| field.starts_with(name));
@@ -505,7 +505,7 @@ impl EnergyReport {
         out
     }
 
-    /// The table with its heading and what is said below it.
+    /// The table with its heading and remarks.
     fn table(&self, every_interval: bool) -> String {
         let mut out = self.head();
         let groups = ["", "power", "(mW)", "latency", "energy", "EDP"].map(str::to_string);
@@ -516,16 +516,16 @@ impl EnergyReport {
             let longest = lines.iter().map(|(_, cells, _)| cells[column].chars().count()).max();
             longest.unwrap_or_default().max(self.headings()[column].len()) + 1
         };
-        // The last one of an interval has the room of the source.
+        // The last column of an interval may extend into the column of the source.
         (0..5).for_each(|column| widths[column + 1] = WIDTHS[column + 1].max(needs(column)));
-        // What is more than the columns of a terminal is taken where there is room.
+        // Width beyond a terminal's is taken from columns with room.
         let mut over = widths.iter().sum::<usize>().saturating_sub(WIDTHS.iter().sum());
         for column in (0..5).rev() {
             let room = widths[column + 1].saturating_sub(needs(column)).min(over);
             widths[column + 1] -= room;
             over -= room;
         }
-        // A name that is then too long takes it from the first column.
+        // A name that is then too long takes width from the first column.
         widths[0] -= over.min(2);
         out += &line(&widths, "", &groups, "");
         out += &line(&widths, "", &self.headings(), "");
@@ -538,7 +538,7 @@ impl EnergyReport {
         out
     }
 
-    /// What is said below the table: at most seven remarks.
+    /// Remarks below the table, at most seven.
     fn remarks(&self) -> Vec<String> {
         let Deployment { cores_used, copies, board_chips, chips_used, .. } = &self.deployment;
         if self.accounting == Accounting::Rails {
@@ -592,8 +592,8 @@ impl EnergyReport {
         said
     }
 
-    /// How the units of the published job compare, and what its figures here rest on that its
-    /// source does not say.
+    /// Remark on the ratios of units of the published job, and on the assumptions of its figures
+    /// here that its source does not state.
     fn inferred(&self, job: &ScenarioFile) -> String {
         let part = |part: &Part| {
             let [fixed, dynamic, _] = part.ratios().map(|ratio| ratio.map_or_else(unknown, |x| format!("{x:.2}")));
@@ -609,7 +609,7 @@ impl EnergyReport {
         )
     }
 
-    /// What takes most of a step.
+    /// Remark on the largest part of a step's time.
     fn dominant(&self) -> Option<String> {
         let times = self.estimate.time_us?;
         let all: f64 = times.iter().map(|(_, us)| us).sum();
@@ -627,7 +627,7 @@ impl EnergyReport {
         Some(format!("{free} {} us, {share} % of it for {what}.", three(all)))
     }
 
-    /// What injecting takes: the input spikes of a step at the constants' time of one.
+    /// Text on injection: the input spikes of a step, and the constants' time of one.
     fn injecting(&self, injection_us: f64) -> String {
         let of_one = self.constants.iter().find(|entry| entry.name == "injection_time").map(|entry| entry.value);
         match of_one {
@@ -636,7 +636,7 @@ impl EnergyReport {
         }
     }
 
-    /// The answer: the table of the paper in eighty columns, and four lines on how to read it.
+    /// The short report: the table of the paper in eighty columns, with its remarks and early exit.
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
         if let Some(saved) = self.early_exit {
@@ -658,7 +658,7 @@ impl EnergyReport {
         out
     }
 
-    /// The table as comma-separated values for a paper: the same lines with all cells.
+    /// The table as comma-separated values for a paper: its lines with all cells.
     pub fn paper_csv(&self) -> String {
         let physical = self.convention() == Convention::Physical;
         let energy = if physical { "Energy (\u{b5}J)" } else { "Energy (mW / steps)" };
@@ -670,7 +670,7 @@ impl EnergyReport {
             true => format!("{source}; * from its power x time"),
             false => source,
         };
-        // Without indents a line names the row that it belongs to.
+        // Without indentation, a line names the row to which it belongs.
         let mut above = String::new();
         let row = |(name, cells, source): (String, [String; 6], String)| {
             let name = match name.strip_prefix("  ") {
@@ -685,7 +685,7 @@ impl EnergyReport {
         csv_text(header.map(String::from).to_vec(), self.lines(false).into_iter().map(row))
     }
 
-    /// The whole report for people: what a reader asks first comes first.
+    /// The whole report for readers, most important parts first.
     pub fn text(&self) -> String {
         let mut out = self.table(true);
         out.push('\n');

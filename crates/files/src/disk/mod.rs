@@ -1,8 +1,8 @@
-//! Files and folders as reading and writing see them.
+//! Access to files and folders.
 //!
-//! Input: paths and open files. Output: what the file system says. What may fail fails as an error:
-//! nothing that cannot be looked at counts as absent, and a file that ends before its length is an
-//! error and not a shorter file.
+//! Input: paths and open files. Output: metadata, lists of paths, bytes. A path that cannot be
+//! examined is an error, not an absent file. A file that ends before its length is an error, not a
+//! shorter file.
 
 use std::fs::{File, Metadata};
 use std::io::{Error, ErrorKind, Read, Result};
@@ -13,7 +13,7 @@ pub(super) fn sync_folder(folder: &Path) -> Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
-/// The folder that a file lies in.
+/// The folder of a file.
 pub(super) fn folder_of(path: &Path) -> PathBuf {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
@@ -21,12 +21,12 @@ pub(super) fn folder_of(path: &Path) -> PathBuf {
     }
 }
 
-/// What stands at a path itself, if anything.
+/// Metadata of the entry at a path; links are not followed.
 pub(super) fn named(path: &Path) -> Result<Option<Metadata>> {
     present(path.symlink_metadata())
 }
 
-/// Whether there is something at a path.
+/// Whether a file or folder exists at a path.
 ///
 /// # Errors
 /// When it cannot be determined.
@@ -34,7 +34,7 @@ pub fn exists(path: &Path) -> Result<bool> {
     Ok(present(path.metadata())?.is_some())
 }
 
-/// None for what is not there. A name within a file is as absent as one within an absent folder.
+/// `None` for an absent path. A name within a file is as absent as one within an absent folder.
 fn present(found: Result<Metadata>) -> Result<Option<Metadata>> {
     match found {
         Ok(metadata) => Ok(Some(metadata)),
@@ -55,7 +55,7 @@ pub fn list(folder: &Path) -> Result<Vec<PathBuf>> {
 #[derive(Debug)]
 pub struct Input {
     file: File,
-    /// Bytes before its end; none of a pipe.
+    /// Unread bytes of a regular file; 0 for a pipe.
     left: u64,
 }
 
@@ -70,7 +70,7 @@ impl Input {
 }
 
 impl Read for Input {
-    /// Goes on after a signal: `BufRead::fill_buf` does not.
+    /// Retries after a signal, since `BufRead::fill_buf` does not.
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize> {
         if buffer.is_empty() {
             return Ok(0);

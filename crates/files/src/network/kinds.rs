@@ -1,4 +1,4 @@
-//! The kinds of neurons that a text states, known while its populations are read.
+//! The neuron kinds that a model file declares, available while its populations are parsed.
 
 use std::cell::RefCell;
 
@@ -9,7 +9,7 @@ thread_local! {
     static KINDS: RefCell<Vec<MicrocodeKind>> = const { RefCell::new(Vec::new()) };
 }
 
-/// Reads populations that may be of these kinds besides those that have a name of their own.
+/// Runs `read`; its populations may be of these kinds or of the built-in ones.
 pub(super) fn with_kinds<T>(kinds: &[MicrocodeKind], read: impl FnOnce() -> T) -> T {
     let before = KINDS.replace(kinds.to_vec());
     let found = read();

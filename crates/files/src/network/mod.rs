@@ -1,10 +1,9 @@
 //! A model file (`models/*.ron`; `docs/formats.md` describes each field).
 //!
-//! [`NetworkFile`] is what a model file holds, whether it was read or built by a reader of foreign
-//! files: a plain value, of which serde makes the text. [`Network`] is a file with its text, for
-//! messages, and with every array that it refers to. Values do not know their places;
-//! [`nsim_ir::locate`] finds them where a message needs one. Whether the values make sense is for
-//! [`crate::lower`].
+//! [`NetworkFile`] is the content of a model file, parsed or built by a reader of foreign files;
+//! serde makes its text. [`Network`] is a file with its text, for messages, and with every array
+//! that it refers to. Values do not store their places; [`nsim_ir::locate`] finds the place that a
+//! message needs. [`crate::lower`] checks that the values are consistent.
 
 mod kinds;
 mod read;
@@ -27,7 +26,7 @@ use nsim_ir::spanned::{parse, parse_part};
 pub use nsim_ir::tensor::ArrayRef;
 use nsim_ir::tensor::{Numbers, Tensor};
 
-/// Numbers that do not stand in the model file.
+/// Numbers that are not in the model file.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename(deserialize = "source of numbers"))]
 pub enum Source {
@@ -50,7 +49,7 @@ pub enum Source {
 }
 
 impl Source {
-    /// The array of a file.
+    /// The reference to its array in a file; `None` for seeded numbers.
     pub fn array(&self) -> Option<ArrayRef> {
         match self {
             Source::Npy(file) => Some(ArrayRef::Npy(file.clone())),
@@ -70,10 +69,10 @@ pub enum Weights {
 }
 
 impl Weights {
-    /// The numbers of a model whose arrays are in place, as those of [`Network::resolved`] are.
+    /// The numbers of a model whose arrays are in place, as [`Network::resolved`] makes them.
     ///
     /// # Panics
-    /// When they are elsewhere, a mistake of the caller.
+    /// When they are elsewhere, an error of the caller.
     pub fn tensor(&self) -> &Tensor {
         match self {
             Weights::InPlace(tensor) => tensor,
@@ -82,10 +81,10 @@ impl Weights {
     }
 }
 
-/// Weights in place: integers when all are.
+/// Weights in place: integers when all numbers are 32-bit integers.
 ///
 /// # Panics
-/// When the numbers do not fill the shape, a mistake of the caller.
+/// When the numbers do not fill the shape, an error of the caller.
 pub fn tensor(shape: Vec<usize>, numbers: Vec<f64>) -> Weights {
     let whole = numbers.iter().all(|&x| f64::from(x as i32).to_bits() == x.to_bits());
     let numbers = match whole {
@@ -98,16 +97,16 @@ pub fn tensor(shape: Vec<usize>, numbers: Vec<f64>) -> Weights {
 /// A parameter of a population.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Parameter {
-    /// The same value for all compartments.
+    /// One value for all compartments.
     Same(f64),
-    /// One each.
+    /// One for each compartment.
     Each(Vec<f64>),
-    /// One each, elsewhere.
+    /// One for each compartment, elsewhere.
     From(Source),
 }
 
 impl Parameter {
-    /// One for all when all are equal.
+    /// One value for all compartments when all are equal.
     pub fn from_values(values: Vec<f64>) -> Parameter {
         match values.first() {
             Some(&first) if values.iter().all(|value| value.to_bits() == first.to_bits()) => Parameter::Same(first),
@@ -118,7 +117,7 @@ impl Parameter {
     /// The value of one compartment, of a model whose arrays are in place.
     ///
     /// # Panics
-    /// When there is one for each and `index` is not one of them.
+    /// When `index` is out of range, or the values are elsewhere.
     pub fn get(&self, index: usize) -> f64 {
         match self {
             Parameter::Same(value) => *value,
@@ -127,7 +126,7 @@ impl Parameter {
         }
     }
 
-    /// The values that are in place: one for all, or one each.
+    /// The values that are in place: one for all compartments, or one for each.
     pub fn values(&self) -> &[f64] {
         match self {
             Parameter::Same(value) => std::slice::from_ref(value),
@@ -136,7 +135,7 @@ impl Parameter {
         }
     }
 
-    /// Changes every value that is in place.
+    /// The parameter with `f` applied to every value that is in place.
     pub fn map(&self, f: impl Fn(f64) -> f64) -> Parameter {
         match self {
             Parameter::Same(value) => Parameter::Same(f(*value)),
@@ -158,25 +157,25 @@ pub struct PopulationDesc {
     /// Parameters of compartments that the file gives, in the order of
     /// [`NeuronKind::parameter_names`].
     pub loihi: Option<Vec<(&'static str, Parameter)>>,
-    /// Parameters of spike response neurons with alpha kernels, as SLAYER trains them; without
-    /// either, it is an input.
+    /// Parameters of spike response neurons with alpha kernels, as SLAYER trains them. With neither
+    /// `loihi` nor `srm`, it is an input.
     pub srm: Option<[(&'static str, f64); 4]>,
     /// The step before which it is held at zero.
     pub start_step: u32,
     /// The integer that each of its spikes carries; none for binary spikes.
     pub payload: Option<i64>,
-    /// The bits of the integers that its messages carry; none for spikes, and where its kind sends
+    /// Bits of the integers that its messages carry; none for spikes, and for kinds that send
     /// integers of 32 bits.
     pub message_bits: Option<i64>,
 }
 
 impl PopulationDesc {
-    /// Channels that a stimulus drives.
+    /// An input population, whose channels a stimulus drives.
     pub fn input(name: &str, shape: Vec<u64>) -> Self {
         PopulationDesc { name: name.to_string(), shape, ..PopulationDesc::default() }
     }
 
-    /// Compartments with these parameters.
+    /// A population of compartments with these parameters.
     pub fn loihi(name: &str, shape: Vec<u64>, parameters: Vec<(&'static str, Parameter)>) -> Self {
         PopulationDesc { loihi: Some(parameters), ..PopulationDesc::input(name, shape) }
     }
@@ -190,7 +189,7 @@ impl PopulationDesc {
         }
     }
 
-    /// Channels or compartments.
+    /// Number of its channels or compartments.
     pub fn units(&self) -> u64 {
         self.shape.iter().fold(1, |product: u64, &axis| product.saturating_mul(axis))
     }
@@ -201,7 +200,7 @@ impl PopulationDesc {
     }
 }
 
-/// How a projection reaches its targets. Pairs are (y, x).
+/// Connectivity of a projection. Pairs are (y, x).
 #[derive(Debug, Clone, PartialEq)]
 pub enum ProjectionKind {
     /// Every source reaches every target: `[target][source]`.
@@ -227,7 +226,7 @@ pub enum ProjectionKind {
         groups: u64,
     },
     /// Sum pooling from one population `[C, H, W]` to one `[C, H', W']`: each position of a window
-    /// reaches its channel's compartment with the same weight.
+    /// reaches its channel's compartment with one weight.
     SumPool2d {
         /// Window.
         kernel: (u64, u64),
@@ -261,9 +260,9 @@ pub struct ProjectionDesc {
     pub from: Vec<String>,
     /// Target population.
     pub to: String,
-    /// How it reaches its targets.
+    /// Its connectivity.
     pub kind: ProjectionKind,
-    /// Weight exponent; none leaves it to nsim, which takes 0 with an integer threshold.
+    /// Weight exponent; nsim chooses an absent one, 0 with an integer threshold.
     pub weight_exp: Option<i64>,
     /// Sign mode.
     pub sign: SignMode,
@@ -271,14 +270,14 @@ pub struct ProjectionDesc {
     pub weight_bits: i64,
     /// Delay field.
     pub delay: u32,
-    /// What a real weight of 1 counts in units of the weight mantissa.
+    /// A real weight of 1 in units of the weight mantissa.
     pub weight_scale: Option<f64>,
     /// The sum of its target that it adds to.
     pub port: Port,
 }
 
 impl ProjectionDesc {
-    /// A projection with the default format of synapses.
+    /// A projection with the default synapse format.
     pub fn new(from: &str, to: &str, kind: ProjectionKind) -> Self {
         ProjectionDesc {
             from: vec![from.to_string()],
@@ -313,9 +312,9 @@ impl ProjectionDesc {
     }
 }
 
-/// Silent places after an axis of `source` places that a window with this reach, stride and
-/// padding before the axis needs to give `target` outputs: as many as before where that gives them,
-/// else the fewest that do.
+/// Silent places after an axis of `source` places with which a window makes `target` outputs. The
+/// window has this reach, this stride and `before` silent places before the axis. The result is
+/// `before` where that number suffices and adds no output, else the fewest places.
 pub fn padding_after(source: u64, target: u64, reach: u64, stride: u64, before: u64) -> u64 {
     let last = target.saturating_sub(1).saturating_mul(stride).saturating_add(reach);
     let fewest = last.saturating_sub(source.saturating_add(before));
@@ -326,10 +325,10 @@ fn is_default<T: Default + PartialEq>(value: &T) -> bool {
     *value == T::default()
 }
 
-/// The target of models that name none.
+/// The hardware target of models that name none.
 pub const USUAL_TARGET: &str = "nahuku-32";
 
-/// What a model file holds.
+/// Content of a model file.
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename = "Network")]
 pub struct NetworkFile {
@@ -337,19 +336,19 @@ pub struct NetworkFile {
     pub name: String,
     /// Length of a timestep in ms.
     pub timestep_ms: f64,
-    /// Kinds of neurons that it states.
+    /// Neuron kinds that it declares.
     #[serde(default, skip_serializing_if = "is_default")]
     pub kinds: Vec<MicrocodeKind>,
     /// Populations in order.
     pub populations: Vec<PopulationDesc>,
     /// Projections in order.
     pub projections: Vec<ProjectionDesc>,
-    /// The population that decides.
+    /// The output population.
     pub output: String,
-    /// What of it decides.
+    /// The score by which it decides.
     #[serde(default, skip_serializing_if = "is_default")]
     pub decision: ReadOut,
-    /// Steps that a sample has after its last input step.
+    /// Steps of a sample after its last input step.
     #[serde(default, skip_serializing_if = "is_default")]
     pub drain: u32,
     /// Names of the classes, one for each output compartment.
@@ -358,13 +357,13 @@ pub struct NetworkFile {
     /// Periodic reset.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub reset: Option<ResetDesc>,
-    /// When a compartment spikes.
+    /// The threshold test of a compartment.
     #[serde(default, skip_serializing_if = "is_default")]
     pub threshold: ThresholdTest,
-    /// Which arithmetic.
+    /// The arithmetic.
     #[serde(default, skip_serializing_if = "is_default")]
     pub semantics: Semantics,
-    /// How weights are rounded.
+    /// Rounding of weights.
     #[serde(default, skip_serializing_if = "is_default")]
     pub weight_rounding: WeightRounding,
     /// The stimulus to use when none is given.
@@ -384,7 +383,7 @@ impl NetworkFile {
         NetworkFile { name: name.to_string(), timestep_ms, ..NetworkFile::default() }
     }
 
-    /// The target that was named, or else its own, or else the usual one.
+    /// `named`, else the file's own target, else [`USUAL_TARGET`].
     pub fn target_or_usual<'n>(&'n self, named: Option<&'n str>) -> &'n str {
         named.or(self.target.as_deref()).unwrap_or(USUAL_TARGET)
     }
@@ -392,7 +391,7 @@ impl NetworkFile {
     /// Parses the text of a model file.
     ///
     /// # Errors
-    /// `model.syntax` at the place of what is malformed, `model.kind` in a kind that it states.
+    /// `model.syntax` at the malformed value, `model.kind` in a kind that the file declares.
     pub fn parse(source: &SourceText) -> Result<Self> {
         let whole = Span { start: 0, end: source.text().len() };
         let kinds: Vec<MicrocodeKind> = match locate(source.text(), whole, "kinds") {
@@ -414,7 +413,7 @@ impl NetworkFile {
         self.populations.iter().find(|population| population.name == name)
     }
 
-    /// Every array that the file refers to, and the path at which it does.
+    /// Every array that the file refers to, and the path of the reference.
     pub fn arrays(&self) -> Vec<(ArrayRef, String)> {
         let mut arrays = Vec::new();
         for (index, population) in self.populations.iter().enumerate() {
@@ -446,12 +445,13 @@ pub struct Network {
     conventions: Conventions,
 }
 
-/// How the file of another tool was read; nothing of a model file.
+/// Conventions by which the file of another tool was read; empty for a model file.
 #[derive(Debug, Clone, Default)]
 pub struct Conventions {
-    /// By which conventions, and what was changed.
+    /// The conventions, and the changes that the reader made.
     pub notes: Vec<String>,
-    /// What its reader assumed and the file may contradict, as a state dict has no `forward()`.
+    /// Assumptions of the reader that the network may contradict, as a state dict has no
+    /// `forward()`.
     pub assumed: Option<String>,
 }
 
@@ -470,20 +470,20 @@ impl Network {
         Ok(Network { file, source, arrays: arrays.into(), conventions: Conventions::default() })
     }
 
-    /// Another file with the same arrays; `None` when it refers to others.
+    /// Another file with these arrays; `None` when it refers to others.
     pub fn with_file(&self, file: NetworkFile, source: SourceText) -> Option<Self> {
         let known = file.arrays().iter().all(|(array, _)| self.arrays.contains_key(array));
         let Network { arrays, conventions, .. } = self.clone();
         known.then_some(Network { file, source, arrays, conventions })
     }
 
-    /// The same network, read by these conventions.
+    /// This network, with the conventions by which it was read.
     #[must_use]
     pub fn read_by(self, conventions: Conventions) -> Self {
         Network { conventions, ..self }
     }
 
-    /// How it was read where another tool wrote it.
+    /// The conventions by which another tool's file was read.
     pub fn conventions(&self) -> &Conventions {
         &self.conventions
     }
@@ -512,7 +512,7 @@ impl Network {
     }
 }
 
-/// The place of a path in the text of a model, or that of the nearest value around it.
+/// The place of a path in the text of a model, or of the nearest value around it.
 pub fn place(source: &SourceText, path: &str) -> Span {
     let whole = Span { start: 0, end: source.text().len() };
     let ends = path.rmatch_indices('.').map(|(at, _)| at);

@@ -49,7 +49,7 @@ fn fields_of(kind: NeuronKind) -> Vec<&'static str> {
     ["name", "shape", "start_step", message].into_iter().chain(kind.parameter_names()).collect()
 }
 
-/// The names of populations, each with those of its fields.
+/// The names of population kinds, each with the names of its fields.
 static FIELDS: LazyLock<Vec<(&'static str, Vec<&'static str>)>> = LazyLock::new(|| {
     let neurons = NeuronKind::ALL.map(|kind| (kind.name(), fields_of(kind)));
     let srm = ("Srm", ["name", "shape"].into_iter().chain(SRM).collect());
@@ -57,10 +57,10 @@ static FIELDS: LazyLock<Vec<(&'static str, Vec<&'static str>)>> = LazyLock::new(
 });
 static POPULATIONS: LazyLock<Vec<&'static str>> = LazyLock::new(|| FIELDS.iter().map(|(name, _)| *name).collect());
 
-/// The fields of populations of stated kinds, each for as long as its kind.
+/// Fields of the declared kinds' populations; leaked, since a kind lasts as long as the process.
 static STATED: Mutex<Vec<(MicrocodeKind, &'static [&'static str])>> = Mutex::new(Vec::new());
 
-/// A stated kind by its name, and the fields of its populations.
+/// A declared kind by its name, and the fields of its populations.
 fn stated(name: &str) -> Option<(MicrocodeKind, &'static [&'static str])> {
     let kind = stated_here().into_iter().find(|kind| kind.name() == name)?;
     let mut known = STATED.lock().unwrap_or_else(PoisonError::into_inner);
@@ -71,7 +71,7 @@ fn stated(name: &str) -> Option<(MicrocodeKind, &'static [&'static str])> {
     }))
 }
 
-/// What to say of a population of no kind.
+/// The error for a population of an unknown kind.
 fn unknown<E: Error>(name: &str) -> E {
     let stated: Vec<&str> = stated_here().iter().map(|kind| kind.name()).collect();
     if stated.is_empty() {
@@ -135,7 +135,7 @@ impl<'de> Deserialize<'de> for PopulationDesc {
 /// The fields of a population of this name.
 struct Fields {
     name: &'static str,
-    /// The kind of its neurons, if it has neurons of a kind.
+    /// The kind of its neurons; none for `Input` and `Srm`.
     kind: Option<NeuronKind>,
     fields: &'static [&'static str],
 }
@@ -199,8 +199,8 @@ fn synapses<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(u64, u64,
     })
 }
 
-/// A kind of projection as it is written: the fields that every kind has, and its own. (RON has no
-/// `serde(flatten)` for structs.)
+/// A projection kind in a file: the fields of all kinds, and its own. (RON has no `serde(flatten)`
+/// for structs.)
 macro_rules! written {
     ($name:ident { $($(#[$attribute:meta])* $field:ident: $type:ty),* } => $kind:expr) => {
         #[derive(Deserialize)]

@@ -11,7 +11,7 @@ fn seeded(what: &str) -> Diagnostic {
 }
 
 impl Network {
-    /// The model with every array in place.
+    /// The model with every array in place; synapse arrays become a `Sparse` projection per delay.
     ///
     /// # Errors
     /// `export.unsupported` for seeded arrays.

@@ -15,10 +15,10 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::tensor::{ArrayRef, Numbers, Tensor};
 
-/// The longest list of numbers that is written into the text; longer ones go to another file.
+/// The longest list of numbers in the text; longer lists are written to another file.
 const IN_PLACE: usize = 16;
 
-/// A number, whole ones without a point; it reads back as the same bits.
+/// A number, written without a point when whole; its bits are preserved when read back.
 struct Number(f64);
 
 impl Serialize for Number {
@@ -51,7 +51,7 @@ impl Serialize for Weights {
     }
 }
 
-/// Writes a field that has a value other than the usual one.
+/// Writes a field when it has a value.
 fn given<F: SerializeStructVariant>(
     fields: &mut F,
     name: &'static str,
@@ -123,10 +123,10 @@ impl Serialize for ProjectionDesc {
 }
 
 impl NetworkFile {
-    /// The model with its long lists as tensors of `file`, and these.
+    /// The model with references to tensors of `file` for its long lists, and these tensors.
     pub fn split(mut self, file: &str) -> (NetworkFile, BTreeMap<String, Tensor>) {
         let mut tensors = BTreeMap::new();
-        // Under a key that no other has.
+        // Each tensor has a unique key.
         let mut stored = |key: String, weights: &mut Weights| {
             let Weights::InPlace(tensor) = weights else { return };
             let numbered = (2..).map(|count| format!("{key}.{count}"));
@@ -157,7 +157,7 @@ impl NetworkFile {
         (self, tensors)
     }
 
-    /// The text of the model, and its long lists as tensors of `file`.
+    /// The text of the model, and its long lists, as tensors of `file`.
     ///
     /// # Errors
     /// `write.ron`, which does not happen for models.
@@ -166,7 +166,7 @@ impl NetworkFile {
         Ok((pretty(&model, 2)?, tensors))
     }
 
-    /// The network that the written files would give; `path` is what messages call the model.
+    /// The network that reading the written files would give; messages name the model `path`.
     ///
     /// # Errors
     /// `write.ron`.
@@ -174,10 +174,10 @@ impl NetworkFile {
         self.build_changed(path, Ok)
     }
 
-    /// The network of the text that `change` makes of the model's.
+    /// The network after `change` has edited the model's text.
     ///
     /// # Errors
-    /// As [`Self::build`], those of `change`, and `model.*` for what it makes.
+    /// As [`Self::build`]; the errors of `change`, and `model.*` for the text that it returns.
     pub fn build_changed(&self, path: &Path, change: impl FnOnce(SourceText) -> Result<SourceText>) -> Result<Network> {
         let name = "arrays";
         let (model, tensors) = self.clone().split(name);
@@ -212,7 +212,7 @@ impl NetworkFile {
     /// alone.
     ///
     /// # Errors
-    /// `write.*`; `write.arrays` when stdout would have to take more than text.
+    /// `write.*`; `write.arrays` for arrays to stdout.
     pub fn write(&self, path: &Path, force: bool) -> Result<Vec<String>> {
         self.write_under("", path, force)
     }
@@ -248,7 +248,7 @@ impl NetworkFile {
     }
 }
 
-/// Endings of files that are no model of nsim's.
+/// Endings of files of other formats.
 const OTHERS: [&str; 16] = [
     "pt",
     "pth",
@@ -268,8 +268,8 @@ const OTHERS: [&str; 16] = [
     "yaml",
 ];
 
-/// Tensors as the bytes of a safetensors file, each in the least type that holds its numbers
-/// exactly.
+/// Tensors as the bytes of a safetensors file, each in the smallest type that represents its
+/// numbers exactly.
 fn serialise(tensors: &BTreeMap<String, Tensor>) -> Result<Vec<u8>, safetensors::SafeTensorError> {
     let mut stored: Vec<(&String, Dtype, Vec<u8>)> = Vec::new();
     for (key, tensor) in tensors {

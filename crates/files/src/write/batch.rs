@@ -1,7 +1,7 @@
-//! Files that belong together: none is named before all are complete.
+//! Files that belong together: no file gets its name before all are complete.
 //!
-//! Input: paths and what to write to them. Afterwards all of them are there; each is old or
-//! complete at every moment. The last one is named last, as it names the others.
+//! Input: paths and their contents. Output: all of the files; each is old or complete at every
+//! moment. The last one is renamed last, since it names the others.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -23,12 +23,11 @@ pub(super) fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
 }
 
-/// Bytes that are collected before the system is asked to write: an array of a few MB takes some
-/// twenty calls.
+/// Size of write buffers in bytes: an array of a few MB takes some twenty system calls.
 pub(crate) const BUFFER_BYTES: usize = 1 << 18;
 
-/// Opens a file for writing that keeps what it holds, and makes it when it is absent. A pipe is
-/// refused: opening it waits for a reader.
+/// Opens a file for writing without truncating it; an absent file is created. A pipe is refused,
+/// since opening it would wait for a reader.
 pub(super) fn open_or_make(path: &Path) -> Result<File> {
     match path.metadata() {
         Ok(found) if !found.is_file() && !found.is_dir() => {
@@ -41,7 +40,7 @@ pub(super) fn open_or_make(path: &Path) -> Result<File> {
     }
 }
 
-/// Checks that a file may be written there, before a long run that would otherwise fail at its end.
+/// Checks that a file may be written, before a long run that would otherwise fail at its end.
 ///
 /// # Errors
 /// `write.exists`, `write.folder`, `write.failed`; `write.not-regular` for a device, a pipe, a
@@ -77,7 +76,7 @@ pub fn check_all_free(paths: impl IntoIterator<Item: AsRef<Path>>, force: bool) 
     paths.into_iter().try_for_each(|path| check_free(path.as_ref(), force))
 }
 
-/// Files that belong together: none is named before all are complete.
+/// Files that belong together: no file gets its name before all are complete.
 #[derive(Debug)]
 pub struct Batch {
     force: bool,
@@ -85,13 +84,12 @@ pub struct Batch {
 }
 
 impl Batch {
-    /// No files yet. Existing ones are replaced if `force` says so.
+    /// An empty batch; existing files are replaced only with `force`.
     pub fn new(force: bool) -> Batch {
         Batch { force, parts: Vec::new() }
     }
 
-    /// Writes a file of the batch under a temporary name, through `fill`; returns what that
-    /// returns.
+    /// Writes a file of the batch under a temporary name, through `fill`, and returns its result.
     ///
     /// # Errors
     /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
@@ -102,7 +100,7 @@ impl Batch {
     ) -> Result<T> {
         check_free(path, self.force)?;
         let fail = |error: std::io::Error| failed(path, &error);
-        // The file that a symbolic link leads to is replaced, not the link.
+        // The target of a symbolic link is replaced, not the link.
         let real = match path.symlink_metadata() {
             Ok(named) if named.is_symlink() => path.canonicalize().map_err(fail)?,
             _ => path.to_path_buf(),
@@ -116,7 +114,7 @@ impl Batch {
         Ok(filled)
     }
 
-    /// Gives the files their names, the last one last, and brings the names to the disk.
+    /// Renames the files in order and syncs their folders.
     ///
     /// # Errors
     /// `write.exists`, `write.failed`.
@@ -126,12 +124,12 @@ impl Batch {
         folders.iter().try_for_each(|folder| disk::sync_folder(folder).map_err(|error| failed(folder, &error)))
     }
 
-    /// Gives the files their names.
+    /// Renames the temporary files, in order.
     pub(super) fn name_all(self) -> Result<()> {
         let Batch { force, parts } = self;
         parts.into_iter().try_for_each(|(path, file)| {
             file.persist(&path, force).map_err(|error| match error.kind() {
-                // Somebody else made it in the meantime.
+                // Another process has created it in the meantime.
                 ErrorKind::AlreadyExists => exists(&path),
                 _ => failed(&path, &error),
             })

@@ -1,8 +1,7 @@
-//! Checksums of what nsim writes and reads again: results, states of trainings, runs of a study.
+//! Checksums of files that nsim reads again: results, training checkpoints, runs of a study.
 //!
-//! Input: a JSON object. Output: the object with the field [`FIELD`], the SHA-256 of the others;
-//! whether an object has the checksum of its fields. Layout and line ends do not count, so that
-//! other tools may write the object again.
+//! Input: a JSON object. Output: the object with the field [`FIELD`], the SHA-256 of the other
+//! fields, or whether the field is right. White space is ignored, so other tools may reformat it.
 
 use serde_json::Value;
 
@@ -11,8 +10,8 @@ use nsim_ir::base::names::printable;
 
 /// The field of the checksum.
 pub const FIELD: &str = "checksum";
-/// Times of the run, which differ between equal results; two results are equal when all other
-/// fields are.
+/// Fields with times of the run, which the checksum ignores, since they differ between equal
+/// results.
 const TIMES: [&str; 3] = ["wall_s", "us_per_timestep", "seconds"];
 
 /// The checksum of an object's other fields.
@@ -21,7 +20,7 @@ pub fn checksum_of(object: &Value) -> String {
     if let Some(fields) = object.as_object_mut() {
         fields.retain(|name, _| name != FIELD && !TIMES.contains(&name.as_str()));
     }
-    // As it is printed.
+    // The checksum covers the printed form.
     sha256(printable(&object.to_string()).as_bytes())
 }
 
@@ -34,7 +33,7 @@ pub fn with(mut object: Value) -> Value {
 /// Results that `nsim report` and `nsim plot` read again.
 const READ: [&str; 5] = ["nsim.agree/1", "nsim.bench/1", "nsim.energy/1", "nsim.map/1", "nsim.run/1"];
 
-/// A result as it is printed and as Python has it: with its checksum, if it may be read again.
+/// A result for printing and for Python; it has a checksum if nsim may read it again.
 pub fn printed(result: Value) -> Value {
     let is_read = READ.iter().any(|schema| result["schema"] == *schema);
     if is_read { with(result) } else { result }

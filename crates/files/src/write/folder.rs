@@ -1,8 +1,8 @@
 //! A folder of files with a manifest that names them, replaced as a whole.
 //!
-//! Input: a folder and the name of its manifest. While files are written, a locked file [`MARKER`]
-//! lies in the folder and no manifest does: a process that finds the marker without a lock knows
-//! that a writer was killed, and may replace what it left. The manifest is written last.
+//! Input: a folder and the name of its manifest. While files are written, the folder has a locked
+//! file [`MARKER`] and no manifest. A marker without a lock means that a writer was killed; another
+//! process may replace its files. The manifest is written last.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -20,7 +20,7 @@ const MARKER: &str = ".nsim-unfinished";
 /// Folders that this process is writing.
 static WRITING: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
-/// Folders that this process has begun and not finished.
+/// Folders that this process has begun to write and not finished.
 pub(super) fn unfinished() -> Vec<PathBuf> {
     WRITING.lock().map(|writing| writing.iter().cloned().collect()).unwrap_or_default()
 }
@@ -30,27 +30,27 @@ pub(super) fn unfinished() -> Vec<PathBuf> {
 pub struct Folder {
     path: PathBuf,
     manifest: PathBuf,
-    /// Holds the lock.
+    /// The marker file, whose lock lasts while it is open.
     _marker: File,
     /// Whether files of the folder may be replaced.
     replace: bool,
 }
 
-/// Whether a writer of this folder was killed, or is at work. While the manifest is there nothing
-/// else is touched: a marker next to it was made just before, or is about to be removed.
+/// Whether a writer of this folder was killed or is still writing. A marker next to a manifest does
+/// not count: it is about to be removed, or the manifest is.
 ///
 /// # Errors
-/// When that cannot be determined.
+/// When the state of the files cannot be determined.
 pub fn is_unfinished(folder: &Path, manifest: &str) -> std::io::Result<bool> {
     Ok(disk::exists(&folder.join(MARKER))? && !disk::exists(&folder.join(manifest))?)
 }
 
 impl Folder {
-    /// Begins to write; an existing manifest is removed, if `force` allows it.
+    /// Begins to write: creates the marker and removes an existing manifest, if `force` permits it.
     ///
     /// # Errors
     /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`; `write.busy` when
-    /// another process writes there.
+    /// another process is writing to the folder.
     pub fn begin(path: &Path, manifest: &str, force: bool) -> Result<Folder> {
         let fail = |error: std::io::Error| failed(path, &error);
         let (name, manifest) = (manifest, path.join(manifest));

@@ -1,13 +1,11 @@
-//! A file to which lines are added as they are made, for work that goes on where it was ended.
+//! An append-only file of lines, from which interrupted work is resumed.
 //!
-//! Input: a path, a head that says whose lines they are, lines without line ends. Output: the lines
-//! that were added before. A line counts once all of it is in the file: each has a checksum, and
-//! what follows the last whole one is cut off when the file is opened again. One process at a time
-//! holds a journal, by a lock.
+//! Input: a path, a head that identifies the work, lines without line ends. Output: the lines that
+//! were added before. Each line has a checksum; an incomplete line at the end is truncated when the
+//! file is opened again. A lock admits one process at a time.
 //!
-//! Errors: `journal.other` for a file with another head, `journal.held` when another process works,
-//! `io.not-regular` for a pipe,
-//! `write.failed`.
+//! Errors: `journal.other` for a file with another head, `journal.held` when another process has
+//! the lock, `io.not-regular` for a pipe, `write.failed`.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom, Write};
@@ -24,7 +22,7 @@ pub struct Journal {
     file: File,
 }
 
-/// FNV-1a: it finds lines that are cut, and is no defence.
+/// FNV-1a, which finds truncated lines but not deliberate changes.
 fn checksum(line: &str) -> u64 {
     line.bytes().fold(0xcbf2_9ce4_8422_2325, |sum, byte| (sum ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
@@ -33,7 +31,7 @@ fn written(line: &str) -> String {
     format!("{:016x} {line}\n", checksum(line))
 }
 
-/// The whole lines that a text begins with, and the bytes that they take.
+/// The complete lines at the start of a text, and their size in bytes.
 fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
     let (mut lines, mut end) = (Vec::new(), 0);
     for piece in text.split_inclusive(|byte| *byte == b'\n') {
@@ -48,8 +46,8 @@ fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
 }
 
 impl Journal {
-    /// Opens a journal, which is made when it is absent, ends within its head or has no line after
-    /// it; returns the lines after its head.
+    /// Opens a journal and returns the lines after its head. A journal that is absent, truncated
+    /// within its head or without lines after it is begun anew.
     ///
     /// # Errors
     /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
@@ -63,7 +61,7 @@ impl Journal {
         let mut journal = Journal { path: path.to_path_buf(), file };
         let mut text = Vec::new();
         disk::Input::open(path).and_then(|(mut input, _)| input.read_to_end(&mut text)).map_err(fail)?;
-        // What the system had not yet written when it went down may read as zeros.
+        // After a crash of the system, unwritten bytes may read as zeros.
         let told = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
         text.truncate(told);
         let (mut lines, mut end) = whole_lines(&text);
@@ -74,7 +72,7 @@ impl Journal {
             if lines.len() > 1 {
                 return Err(journal.other("the journal of other work"));
             }
-            // Other work that came to nothing keeps no one from this.
+            // A journal of other work without lines may be replaced.
             (lines, end) = (Vec::new(), 0);
         }
         journal.file.set_len(end as u64).and_then(|()| journal.file.seek(SeekFrom::End(0))).map_err(fail)?;
@@ -94,12 +92,12 @@ impl Journal {
     /// Adds a line.
     ///
     /// # Errors
-    /// `write.failed`; then lines may no longer be added.
+    /// `write.failed`, after which no line may be added.
     pub fn add(&mut self, line: &str) -> Result<()> {
         self.file.write_all(written(line).as_bytes()).map_err(|error| failed(&self.path, &error))
     }
 
-    /// Removes the file: the work is done.
+    /// Removes the file when the work is done.
     ///
     /// # Errors
     /// `write.failed`.
@@ -133,7 +131,7 @@ mod tests {
             assert_eq!(std::fs::read(&path).unwrap(), whole);
         }
         assert_eq!(Journal::open(&path, "work 2").unwrap_err().code, "journal.other");
-        // A journal without lines is no work that could be lost.
+        // A journal without lines may be replaced.
         let other = folder.path().join("empty.journal");
         drop(Journal::open(&other, "work 1").unwrap());
         Journal::open(&other, "work 2").unwrap().0.add("one").unwrap();

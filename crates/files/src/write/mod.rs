@@ -1,10 +1,9 @@
 //! Writing: files that are absent, old or complete at every moment.
 //!
-//! Input: what to write and where, `-` for stdout. A file is written under a temporary name in
-//! its folder, brought to the disk, renamed, and its folder brought to the disk. Several files that
-//! belong together ([`Batch`]) are all complete before the first is named. A folder with a manifest
-//! is a [`Folder`]. Only regular files are replaced, and only on request; a symbolic link stays,
-//! and what it points to is replaced.
+//! Input: a path, `-` for stdout, and the content. A file is written under a temporary name in its
+//! folder, synced, renamed, and its folder synced. Several files that belong together ([`Batch`])
+//! are all complete before the first is renamed. A folder with a manifest is a [`Folder`]. Only
+//! regular files are replaced, and only on request; of a symbolic link, the target is replaced.
 
 mod batch;
 pub mod checksum;
@@ -24,28 +23,27 @@ use super::text::is_standard_stream;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::names::printable;
 
-/// Whether something has been, or is being, printed to stdout.
 static PRINTING: AtomicBool = AtomicBool::new(false);
 
-/// Whether something has been, or is being, printed to stdout: nothing may be added to a result.
+/// Whether stdout has received output, after which nothing may be added to a result.
 pub fn has_printed() -> bool {
     PRINTING.load(Ordering::SeqCst)
 }
 
-/// Whether this process prints nothing, because another of the same job does.
+/// Whether stdout is suppressed, because another process of the job prints.
 static SILENT: AtomicBool = AtomicBool::new(false);
 
-/// Lets this process print nothing, or again what it has to say.
+/// Suppresses stdout of this process, or restores it.
 pub fn be_silent(silent: bool) {
     SILENT.store(silent, Ordering::SeqCst);
 }
 
-/// Whether this process prints nothing.
+/// Whether stdout of this process is suppressed.
 pub fn is_silent() -> bool {
     SILENT.load(Ordering::SeqCst)
 }
 
-/// Writes a file through `fill`, in a folder that is made when it is absent. `-` is stdout.
+/// Writes a file through `fill`; an absent folder is created. `-` is stdout.
 ///
 /// # Errors
 /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
@@ -64,8 +62,8 @@ pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::
     batch.commit()
 }
 
-/// Removes the temporary files of this process, which is about to end, and lets it begin no more.
-/// Returns the folders that stay unfinished.
+/// Removes the temporary files of this process before it ends, and prevents new ones. Returns the
+/// folders that remain unfinished.
 pub fn abandon() -> Vec<PathBuf> {
     temporary::abandon();
     folder::unfinished()
@@ -79,8 +77,8 @@ pub fn text(path: &Path, force: bool, text: &str) -> Result<()> {
     file(path, force, |out| out.write_all(text.as_bytes()))
 }
 
-/// Prints a `printable` text to stdout. A reader that has gone away (`nsim .. | head`) is not an
-/// error.
+/// Prints a text to stdout, with unprintable characters replaced. A closed pipe (`nsim .. | head`)
+/// is not an error.
 ///
 /// # Errors
 /// `write.failed`.

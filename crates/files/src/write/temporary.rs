@@ -1,7 +1,6 @@
-//! Temporary files, which a signal removes.
+//! Temporary files, which are removed on a signal.
 //!
-//! Input: a folder. Output: a file in it under a name `.nsim-*.tmp`. A killed process leaves it
-//! there.
+//! Input: a folder. Output: a file `.nsim-*.tmp` in it. After SIGKILL it remains.
 
 use std::collections::BTreeSet;
 use std::io::Result;
@@ -20,7 +19,7 @@ pub(super) struct Temporary {
     _held: Held,
 }
 
-/// A path while a signal has to remove it.
+/// A path that a signal has to remove.
 #[derive(Debug)]
 struct Held(PathBuf);
 
@@ -33,7 +32,7 @@ impl Drop for Held {
 }
 
 impl Temporary {
-    /// A new file in a folder, which is made when it is absent.
+    /// Creates a file in a folder, which is created when absent.
     pub(super) fn new(folder: &Path) -> Result<Temporary> {
         std::fs::create_dir_all(folder)?;
         let mut builder = tempfile::Builder::new();
@@ -52,14 +51,14 @@ impl Temporary {
         Ok(Temporary { file, _held })
     }
 
-    /// Gives the file its name.
+    /// Renames the file to `path`.
     pub(super) fn persist(self, path: &Path, replace: bool) -> Result<()> {
         let named = if replace { self.file.persist(path) } else { self.file.persist_noclobber(path) };
         named.map(drop).map_err(|error| error.error)
     }
 }
 
-/// Removes the temporary files of this process and lets it make no more: it is about to end.
+/// Removes the temporary files of this process and blocks new ones by keeping the lock.
 pub(super) fn abandon() {
     if let Ok(held) = HELD.lock() {
         held.iter().for_each(|path| drop(std::fs::remove_file(path)));

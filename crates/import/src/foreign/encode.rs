@@ -1,10 +1,10 @@
 //! Weights of any range as integers of a synapse format.
 //!
-//! Input: weights in units of the mantissa, as other tools write them. Output: the same weights
-//! divided by a power of two, with the exponent and sign mode that hold them exactly where there is
-//! one. lava-dl's own encoder (`netx/utils.py`, `optimize_weight_bits`) shifts a matrix with 255
-//! and -256 by a negative number of bits and leaves zeros (issue 170 of lava-dl); here what fits no
-//! format is rounded to even steps and clipped, and counted.
+//! Input: weights in units of the mantissa, as other tools write them. Output: the weights divided
+//! by a power of two, with an exponent and sign mode that represent them exactly, if any do.
+//! Otherwise weights are rounded to even steps, clipped and counted. lava-dl's own encoder
+//! (`netx/utils.py`, `optimize_weight_bits`) shifts a matrix with 255 and -256 by a negative number
+//! of bits and leaves zeros (issue 170 of lava-dl).
 
 use nsim_ir::base::fixed::{SignMode, WeightBits};
 
@@ -17,17 +17,17 @@ pub struct Encoded {
     pub exponent: i64,
     /// Sign mode.
     pub sign: SignMode,
-    /// Number of weights that are not what they were.
+    /// Number of weights that rounding or clipping changed.
     pub changed: usize,
 }
 
 impl Encoded {
-    /// The exponent that a projection gives; none for 0.
+    /// The projection's weight exponent; `None` for 0.
     pub fn exponent(&self) -> Option<i64> {
         (self.exponent != 0).then_some(self.exponent)
     }
 
-    /// The weights at the exponent that the file gave.
+    /// The weights in units of the exponent `given`.
     pub fn in_units(&self, given: i64) -> Vec<f64> {
         let power = ((self.exponent - given) as f64).exp2();
         self.weights.iter().map(|weight| weight * power).collect()
@@ -37,7 +37,7 @@ impl Encoded {
 /// The greatest weight exponent (`docs/semantics.md`).
 const GREATEST: i64 = 7;
 
-/// Finds a format of 8 bits for weights at an exponent that the file gives.
+/// Encodes weights at the exponent `given` in a format of 8 bits.
 pub fn encode(weights: Vec<f64>, given: i64) -> Encoded {
     let bits = WeightBits::MAX;
     let fits = |x: f64, sign: SignMode| {
@@ -53,7 +53,7 @@ pub fn encode(weights: Vec<f64>, given: i64) -> Encoded {
             }
         }
     }
-    // The least exponent that clips nothing but what rounding takes over the edge: 255 and 256.
+    // The least exponent that clips only mantissas from 255 to 256, up to a step above the range.
     let (low, high) = SignMode::Mixed.range(bits);
     let within = |x: f64| x >= f64::from(low) - 1.0 && x <= f64::from(high) + 2.0;
     let shift = (0..=(GREATEST - given).max(0))
@@ -80,12 +80,12 @@ mod tests {
     #[test]
     fn weights_take_the_format_that_holds_most_of_them() {
         for (given, weights, exponent, sign, changed) in [
-            // lava-dl makes zeros of this one.
+            // lava-dl makes zeros of this.
             (vec![255.0, -256.0, 0.0, 128.0], vec![254.0, -256.0, 0.0, 128.0], 0, SignMode::Mixed, 1),
-            // Weights of one sign keep their odd steps.
+            // Odd weights of one sign fit.
             (vec![255.0, 1.0], vec![255.0, 1.0], 0, SignMode::Excitatory, 0),
             (vec![-255.0, -1.0], vec![-255.0, -1.0], 0, SignMode::Inhibitory, 0),
-            // Large ones take an exponent.
+            // Large weights need an exponent.
             (vec![508.0, -512.0, 4.0], vec![254.0, -256.0, 2.0], 1, SignMode::Mixed, 0),
             (vec![0.0; 3], vec![0.0; 3], 0, SignMode::Mixed, 0),
         ] {

@@ -1,12 +1,12 @@
-//! HDF5 files as a tree in memory: the one place that uses an HDF5 crate.
+//! HDF5 files as a tree in memory: the only module that uses an HDF5 crate.
 //!
 //! Input: the bytes of a file, or a tree. Output: a [`Group`] with all groups and data sets below
-//! it, or the bytes of a file. Numbers keep the bytes of their own type, in little-endian order.
+//! it, or the bytes of a file. Numbers are stored in the bytes of their own type, little-endian.
 //!
 //! A file is not trusted: objects, depth, texts and decoded bytes are counted and bounded
-//! (`Budget`), links that name a path are refused (`hdf5_links`), and what the crate refuses
-//! becomes a diagnostic. Attributes are read for NIR's data files only. Compound types, references
-//! and numbers of unusual layouts become [`Item::Other`].
+//! (`Budget`). Links that name a path are refused (`hdf5_links`), and errors of the crate become
+//! diagnostics. Only NIR's data files use attributes. Compound types, references and numbers of
+//! unusual layouts become [`Item::Other`].
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,19 +21,19 @@ use nsim_files::element::Element;
 use nsim_files::text::{is_standard_stream, read_bytes};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// What every HDF5 file begins with (HDF5 file format specification 3.0, II.A).
+/// The first bytes of every HDF5 file (HDF5 file format specification 3.0, II.A).
 pub const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
-/// Groups and data sets of a file.
+/// The most groups and data sets of a file.
 const MOST_OBJECTS: usize = 1 << 16;
-/// Groups within groups.
+/// The deepest nesting of groups.
 const DEEPEST: usize = 16;
-/// Axes of an array.
+/// The most axes of an array.
 const MOST_AXES: usize = 8;
-/// Strings of a data set.
+/// The most strings of a data set.
 const MOST_STRINGS: u64 = 1 << 16;
 
-/// Copies FILE to NEW: its arrays as they read, wherever links lead, in the layout that h5py writes
-/// unless it is asked for another.
+/// Command that copies FILE to NEW: links become copies of their targets, and arrays get h5py's
+/// default layout.
 const REWRITTEN: &str = "python3 -c \"import h5py; copy = lambda old, new: [copy(old[k], new.create_group(k)) if \
                          hasattr(old[k], 'keys') else new.create_dataset(k, data=old[k][()]) for k in old]; \
                          copy(h5py.File('FILE'), h5py.File('NEW', 'w'))\"";
@@ -51,10 +51,10 @@ const BINARY16: FloatingPointLayout = FloatingPointLayout {
 const BFLOAT16: FloatingPointLayout =
     FloatingPointLayout { exponent_location: 7, exponent_size: 8, mantissa_size: 7, exponent_bias: 127, ..BINARY16 };
 
-/// A group's members by name.
+/// A group of an HDF5 file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Group {
-    /// Its members.
+    /// Its members by name.
     pub items: BTreeMap<String, Item>,
     /// Its attributes that are a number or a text.
     pub attributes: BTreeMap<String, Attribute>,
@@ -78,7 +78,7 @@ pub enum Item {
     Numbers(Numbers),
     /// Texts, in C order.
     Texts(Vec<usize>, Vec<String>),
-    /// Something of a type that is not read.
+    /// A member of a type that is not read: the name of the type.
     Other(String),
 }
 
@@ -101,7 +101,7 @@ impl Numbers {
         self.bytes.len() / self.element.bytes()
     }
 
-    /// Whether there is none.
+    /// Whether there are no elements.
     pub fn is_empty(&self) -> bool {
         self.bytes.is_empty()
     }
@@ -119,7 +119,8 @@ impl Numbers {
     /// Reals of 64 bits.
     ///
     /// # Panics
-    /// When the numbers do not fill the shape, a mistake of the caller, as for the other makers.
+    /// When the numbers do not fill the shape, an error of the caller, as for the other
+    /// constructors.
     pub fn f64(shape: &[usize], reals: &[f64]) -> Numbers {
         Numbers::from_bytes(shape, Element::F(8), reals.iter().flat_map(|x| x.to_le_bytes()).collect())
     }
@@ -165,7 +166,7 @@ impl From<&str> for Item {
 }
 
 impl Group {
-    /// The group with one more member.
+    /// The group with `item` added.
     #[must_use]
     pub fn with(mut self, name: &str, item: impl Into<Item>) -> Self {
         self.insert(name, item);
@@ -201,13 +202,13 @@ impl Group {
         }
     }
 
-    /// The only number of a member: a scalar or an array of one.
+    /// The number of a member that is a scalar or an array of one element.
     pub fn number(&self, path: &str) -> Option<f64> {
         let numbers = self.numbers(path)?;
         (numbers.len() == 1).then(|| numbers.reals().next())?
     }
 
-    /// The path and type of a member of a type that is not read.
+    /// The path and type of the first member of a type that is not read.
     pub fn unread(&self) -> Option<(String, &str)> {
         self.items.iter().find_map(|(name, item)| match item {
             Item::Other(what) => Some((name.clone(), what.as_str())),
@@ -216,7 +217,7 @@ impl Group {
         })
     }
 
-    /// The only text of a member.
+    /// The text of a member that is a single text.
     pub fn text(&self, path: &str) -> Option<&str> {
         match self.get(path)? {
             Item::Texts(_, texts) if texts.len() == 1 => Some(&texts[0]),
@@ -225,14 +226,14 @@ impl Group {
     }
 }
 
-/// What may still be decoded.
+/// The remaining budget of a file that is being read.
 struct Reading<'a> {
     path: &'a Path,
     budget: Budget,
 }
 
 impl Reading<'_> {
-    /// Takes something from the budget.
+    /// Subtracts a claim from the budget.
     fn take(&mut self, claim: impl FnOnce(&mut Budget) -> Result<(), Exceeded>) -> Result<()> {
         claim(&mut self.budget)
             .map_err(|exceeded| Diagnostic::new("hdf5.too-large", exceeded.to_string()).in_file(self.path))
@@ -249,8 +250,8 @@ impl Reading<'_> {
     }
 }
 
-/// The bytes of a file of another tool. One that is too large is named all the same, where it is a
-/// recording of events.
+/// The bytes of a file of another tool. A recording of events is reported as such even when it is
+/// too large.
 ///
 /// # Errors
 /// As [`read_bytes`]; `hdf5.events`.
@@ -280,8 +281,8 @@ pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     group(&file.root(), &mut budget, 0)
 }
 
-/// Refuses recordings of events by the names of their groups, before anything is decoded: they are
-/// large, and are packed by filters of their own.
+/// Refuses recordings of events by the names of their groups, before decoding: they are large and
+/// compressed by special filters.
 fn refuse_events(root: &hdf5_pure::Group) -> Result<()> {
     let has = |group: &str, members: &[&str]| {
         let found = root.iter_groups().ok().and_then(|mut groups| groups.find(|(name, _)| name == group));
@@ -318,8 +319,8 @@ fn group(group: &hdf5_pure::Group, budget: &mut Reading<'_>, depth: usize) -> Re
     Ok(Group { items, attributes: attributes.collect() })
 }
 
-/// The type of an element and whether its bytes are in big-endian order; none for what is not read
-/// as a number.
+/// The type of an element and whether it is big-endian; `None` for types that are not read as
+/// numbers.
 fn element(datatype: &Datatype) -> Option<(Element, bool)> {
     let (element, order) = match datatype {
         Datatype::FixedPoint { size: size @ (1 | 2 | 4 | 8), byte_order, layout } => {
@@ -358,12 +359,12 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<It
     let product = |axes: &[u64]| axes.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
     let length = product(&axes);
     let datatype = dataset.datatype().map_err(|error| wrong(budget, &error))?;
-    // A chunk is decoded whole, however little of it the shape keeps.
+    // A chunk is decoded whole, even where the shape uses little of it.
     let chunk = dataset.chunk_shape().map_err(|error| wrong(budget, &error))?;
     let decoded = length.max(chunk.map_or(Some(0), |chunk| product(&chunk)));
     let width = dataset.element_size().map_err(|error| wrong(budget, &error))?;
     let size = decoded.filter(|_| length.is_some()).and_then(|decoded| decoded.checked_mul(width)).unwrap_or(u64::MAX);
-    // Every axis is within memory, or the array is empty.
+    // `decoded` bounds the axes, unless the array is empty.
     let shape: Vec<usize> = axes.iter().map(|&axis| usize::try_from(axis).unwrap_or(usize::MAX)).collect();
     if let Some((element, is_big)) = element(&datatype) {
         budget.take(|budget| budget.numbers(size / width.max(1), width))?;
@@ -391,7 +392,7 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<It
     }
     budget.take(|budget| budget.bytes(size))?;
     if variable {
-        // Many references may name one long text: the sum of their lengths counts.
+        // Many references may name one long text, so the sum of their lengths counts.
         let payload = dataset.vlen_string_payload_size().map_err(|error| wrong(budget, &error))?;
         budget.take(|budget| budget.bytes(payload))?;
     }
@@ -406,11 +407,10 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<It
     Ok(Item::Texts(shape, texts))
 }
 
-/// The bytes of a file with this tree. Attributes are written for groups and not for data sets, as
-/// they are read.
+/// The bytes of a file with this tree. Attributes are written for groups only, as they are read.
 ///
 /// # Errors
-/// `hdf5.write` for what the format cannot hold.
+/// `hdf5.write` for a tree that the format cannot represent.
 pub fn write(root: &Group) -> Result<Vec<u8>> {
     let mut file = FileBuilder::new();
     for (name, item) in &root.items {
@@ -429,7 +429,7 @@ pub fn write(root: &Group) -> Result<Vec<u8>> {
 }
 
 impl Attribute {
-    /// An attribute that is one number or one text.
+    /// The attribute, if it is one number or one text.
     fn from_value(value: &AttrValue) -> Option<Attribute> {
         let number =
             value.as_f64().or_else(|| value.as_i64().map(|x| x as f64)).or_else(|| value.as_u64().map(|x| x as f64));
@@ -477,7 +477,7 @@ fn fill(builder: &mut DatasetBuilder, item: &Item) {
             let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
             builder.with_vlen_strings(&texts).with_shape(&shape(axes));
         }
-        // Neither is ever a data set of a tree that was made to be written.
+        // Callers pass groups elsewhere, and trees that are written have no `Other`.
         Item::Group(_) | Item::Other(_) => {}
     }
 }

@@ -1,19 +1,19 @@
-//! Links of an HDF5 file that name something by its path, found in the file's bytes.
+//! Links by path in an HDF5 file, found in the file's bytes.
 //!
 //! Input: the bytes of a file. Output: the first soft or external link. The crate that reads files
-//! passes over such links in groups of the newer kind, and fails at those of the older kind, so
-//! that a member would be missing without a word; they are refused instead.
+//! skips such links in groups of the newer kind, and fails at links of the older kind. A member
+//! would be missing silently, so files with such links are refused.
 //!
-//! Newer groups keep links as messages (HDF5 file format specification 3.0, IV.A.2.g) in object
-//! headers, or in a fractal heap; the bytes around a message say which, so that weights are not
-//! taken for links. Older groups keep them in symbol table nodes (III.B).
+//! Newer groups store links as messages (HDF5 file format specification 3.0, IV.A.2.g) in object
+//! headers, or in a fractal heap. The bytes around a message distinguish it from weights. Older
+//! groups store links in symbol table nodes (III.B).
 
-/// The furthest that a link in a fractal heap stands after the heap's signature.
+/// The greatest distance in bytes of a link from the signature of its fractal heap.
 const HEAP: usize = 1 << 16;
 /// Bytes of an entry of a symbol table, for files with addresses of 64 bits.
 const ENTRY: usize = 40;
 
-/// The first link that names a path: what it is, for messages.
+/// Description of the first link by path, for messages.
 pub(super) fn find(bytes: &[u8]) -> Option<String> {
     let mut heap = None;
     (0..bytes.len().saturating_sub(8)).find_map(|at| {
@@ -28,24 +28,24 @@ pub(super) fn find(bytes: &[u8]) -> Option<String> {
     })
 }
 
-/// A number of two bytes.
+/// The little-endian number in two bytes at `at`.
 fn short(bytes: &[u8], at: usize) -> Option<usize> {
     Some(usize::from(u16::from_le_bytes([*bytes.get(at)?, *bytes.get(at + 1)?])))
 }
 
-/// Names of links and their targets are texts.
+/// The bytes as a name of a link or target: non-empty UTF-8 without control characters.
 fn text(bytes: &[u8]) -> Option<&str> {
     let text = std::str::from_utf8(bytes).ok()?;
     (!text.is_empty() && !text.contains(char::is_control)).then_some(text)
 }
 
-/// The length of the link message that begins here, and the link.
+/// The length of the link message at the start of `bytes`, and a description of the link.
 fn message(bytes: &[u8]) -> Option<(usize, String)> {
     let (&[1, flags, kind], true) = (bytes.first_chunk::<3>()?, bytes.len() > 8) else { return None };
     if flags & 0xe8 != 8 || !matches!(kind, 1 | 64) {
         return None;
     }
-    // The order of creation, the character set, the length of the name.
+    // Optional fields precede the name's length: order of creation, character set.
     let size = 1 << (flags & 3);
     let at = 3 + if flags & 4 == 0 { 0 } else { 8 } + usize::from(flags >> 4 & 1);
     let length = bytes
@@ -69,7 +69,7 @@ fn message(bytes: &[u8]) -> Option<(usize, String)> {
     Some((at + 2 + length, link))
 }
 
-/// Whether the bytes before a message are its header, of one of the two versions.
+/// Whether the bytes before a message are its header, in one of the two versions.
 fn in_header(bytes: &[u8], at: usize, length: usize) -> bool {
     const LINK: u8 = 6;
     let newer = |before: usize| {
@@ -83,7 +83,7 @@ fn in_header(bytes: &[u8], at: usize, length: usize) -> bool {
     newer(4) || newer(6) || older
 }
 
-/// Whether a symbol table node has a soft link among its entries.
+/// Whether a symbol table node has an entry that is a soft link.
 fn in_node(bytes: &[u8]) -> bool {
     let entries = short(bytes, 6).unwrap_or(0);
     bytes[4] == 1 && (0..entries).any(|entry| bytes.get(8 + entry * ENTRY + 16) == Some(&2))

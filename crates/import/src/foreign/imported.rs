@@ -1,4 +1,4 @@
-//! What every reader of a foreign format shares: its options, its result and limits of a core.
+//! Shared by all readers of foreign formats: options, result and limits of a core.
 
 use std::fmt;
 use std::path::PathBuf;
@@ -9,29 +9,29 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
 use nsim_ir::base::names::named_variants;
 
-/// The greatest threshold mantissa: what a compartment gets that should not spike.
+/// The greatest threshold mantissa, for compartments that should not spike.
 pub(super) const NEVER: f64 = ThresholdMantissa::MAX.get() as f64;
 /// The greatest delay field.
 pub(super) const LONGEST_DELAY: f64 = Delay::MAX.get() as f64;
 
-/// What a file does not say, and its user may.
+/// Options for facts that a file does not contain.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// Milliseconds that a timestep represents.
+    /// Length of a timestep in ms.
     pub dt_ms: Option<f64>,
     /// A file with the neuron's parameters (SLAYER's YAML).
     pub neuron: Option<PathBuf>,
-    /// What a neuron does to its voltage when it spikes (NIR).
+    /// Reset of the voltage by a spike (NIR).
     pub reset: Option<ResetMode>,
-    /// What a step leaves of a state with a time constant (NIR), if not as Euler's rule has it.
+    /// Decay rule of states with a time constant (NIR), Euler's by default.
     pub decay: Option<DecayRule>,
-    /// When a compartment spikes, if not strictly above its threshold.
+    /// Threshold test of compartments, strict by default.
     pub threshold: Option<ThresholdTest>,
-    /// What of the output decides, if not what suits its neurons.
+    /// The score by which the output decides; by default the one that suits its neurons.
     pub decision: Option<ReadOut>,
     /// An image to drive the input layer's bias.
     pub image: Option<PathBuf>,
-    /// The step at which layer 0 starts, layer k starting k steps later.
+    /// The step at which layer 0 starts; layer k starts k steps later.
     pub first_step: Option<u32>,
     /// Timesteps between two resets of every layer.
     pub reset_interval: Option<u32>,
@@ -39,19 +39,19 @@ pub struct Options {
     pub reset_offset: u32,
     /// Channels, height, width of the input of a network that begins with a convolution.
     pub input_shape: Option<Vec<u64>>,
-    /// Bits of the fraction of a message of sigma-delta neurons (netx), 6 if not given.
+    /// Fractional bits of the messages of sigma-delta neurons (netx), 6 by default.
     pub spike_exp: Option<u8>,
-    /// Bits of the fraction of their state below that (netx), 6 if not given.
+    /// Additional fractional bits of their state (netx), 6 by default.
     pub state_exp: Option<u8>,
 }
 
-/// The problem of an option that is lacking, or that a file contradicts.
+/// The diagnostic for an option that is missing, or that the file contradicts.
 pub(super) fn wrong_option(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.option", message)
 }
 
 impl Options {
-    /// Refuses the options that a kind of file has no use for: all that are given but these.
+    /// Refuses given options other than `used`, which a kind of file does not use.
     pub(super) fn refuse_unused(&self, file: &str, used: &[&str]) -> Result<()> {
         let given = [
             ("--neuron", self.neuron.is_some()),
@@ -71,7 +71,7 @@ impl Options {
     }
 }
 
-/// What a step of dt leaves of a state with the time constant tau.
+/// Fraction of a state with time constant tau kept by a step of dt.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum DecayRule {
     /// 1 - dt / tau (snnTorch, Norse).
@@ -82,10 +82,10 @@ pub enum DecayRule {
 
 nsim_ir::named_variants!(DecayRule { Euler = "euler", Exponential = "exponential" });
 
-/// What a neuron does to its voltage when it spikes.
+/// Reset of a neuron's voltage by a spike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ResetMode {
-    /// It returns to zero, as on the chip.
+    /// The voltage returns to zero, as on the chip.
     Zero,
     /// The threshold is subtracted.
     Subtract,
@@ -99,42 +99,40 @@ named_variants!(ResetMode { Zero = "zero", Subtract = "subtract", SubtractLater 
 /// A model that was read from a foreign file.
 #[derive(Debug, Clone)]
 pub struct Imported {
-    /// What the file is, in words.
+    /// Name of the file's format.
     pub kind: &'static str,
     /// The model.
     pub model: NetworkFile,
-    /// By which conventions it was read, and what was changed.
+    /// The conventions by which it was read, and the changes.
     pub notes: Vec<String>,
-    /// Of these notes, what a user sees unasked: what the file may contradict, or what is lost.
+    /// The note that is always shown: an assumption that may be wrong, or a loss.
     pub assumed: Option<String>,
-    /// What a spike does to v, as the file or an option says; `None` where the format leaves no
-    /// choice.
+    /// Reset of v by a spike, from the file or an option; `None` where the format leaves no choice.
     pub reset: Option<ResetMode>,
-    /// What became of the weights of each layer, for files whose weights are rounded.
+    /// Rounding of the weights of each layer, for files whose weights are rounded.
     pub layers: Vec<LayerWeights>,
 }
 
-/// What became of the weights of a layer.
+/// Rounding of the weights of a layer.
 #[derive(Debug, Clone, PartialEq)]
 pub struct LayerWeights {
-    /// The layer.
+    /// Name of the layer.
     pub name: String,
     /// `[target, source]`.
     pub shape: Vec<usize>,
-    /// What a weight of 1 of the file counts in the model.
+    /// The file's weight of 1 in units of the model.
     pub scale: f64,
-    /// Share of the weights other than 0 that became 0.
+    /// Share of the non-zero weights that became 0, 0..=1.
     pub zeroed: f64,
-    /// The greatest difference between a weight of the file and that of the model, in the file's
-    /// units.
+    /// The greatest difference between a weight of the file and of the model, in the file's units.
     pub greatest_error: f64,
-    /// Sum of the squares of these differences, as a share of that of the weights.
+    /// Sum of the squares of these differences, relative to the sum of the squared weights.
     lost: f64,
 }
 
 impl LayerWeights {
-    /// Compares the weights of a file with those of the model, which are `scale` times as large but
-    /// for rounding.
+    /// Compares the weights `given` in a file with the weights `made`, which are `scale` times as
+    /// large up to rounding.
     pub(super) fn new(name: &str, shape: &[usize], scale: f64, given: &[f64], made: &[f64]) -> LayerWeights {
         let (mut used, mut zeroed, mut greatest_error, mut squares, mut errors) = (0usize, 0usize, 0.0f64, 0.0, 0.0);
         for (given, made) in given.iter().zip(made) {
@@ -150,8 +148,8 @@ impl LayerWeights {
         LayerWeights { name: name.to_string(), shape: shape.to_vec(), scale, zeroed, greatest_error, lost }
     }
 
-    /// Whether rounding leaves too little of the layer: most weights became 0, and not just small
-    /// ones next to large ones.
+    /// Whether rounding destroys the layer: most weights became 0, not only small weights next to
+    /// large ones.
     pub(super) fn is_lost(&self) -> bool {
         self.zeroed > 0.5 && self.lost > 0.1
     }
@@ -171,7 +169,7 @@ impl fmt::Display for LayerWeights {
     }
 }
 
-/// Compartments that sum and never spike.
+/// Parameters of compartments that sum and never spike.
 pub(super) fn integrator(du: f64, dv: f64) -> Vec<(&'static str, Parameter)> {
     vec![("du", Parameter::Same(du)), ("dv", Parameter::Same(dv)), ("vth_mant", Parameter::Same(NEVER))]
 }
@@ -182,11 +180,11 @@ pub(super) fn every_step() -> Vec<(&'static str, Parameter)> {
     parameters.map(|(key, value)| (key, Parameter::Same(value))).to_vec()
 }
 
-/// A number of single precision as the shortest decimal that it represents, where it has more than
-/// 16 significant bits: 0.8, not 0.800000012.
+/// A number of single precision as its shortest decimal, where it has more than 16 significant
+/// bits: 0.8, not 0.800000012.
 ///
 /// Sums in single precision round that excess away; sums in double precision do not. So a voltage
-/// of 1 in the tool stays at its threshold of 1 here.
+/// that equals its threshold in the tool equals it here.
 pub(super) fn decimal(single: f64) -> f64 {
     let narrow = single as f32;
     let short = narrow.to_bits().trailing_zeros() >= 8;
@@ -194,8 +192,8 @@ pub(super) fn decimal(single: f64) -> f64 {
 }
 
 impl Imported {
-    /// The import with populations of snnTorch 1.0.0 whose reset to zero takes away the input of
-    /// the next step too, as that of Leaky alone does not (`_base_zero`).
+    /// The import with a refractory period of 2 in the populations `names`. The reset to zero of
+    /// snnTorch 1.0.0 also removes the input of the next step, except in Leaky (`_base_zero`).
     #[must_use]
     pub(super) fn held(mut self, names: &[String]) -> Self {
         if names.is_empty() {
@@ -216,9 +214,9 @@ impl Imported {
         self
     }
 
-    /// The import, decided as an option says; else by potentials where the output never spikes: by
-    /// their sum where they forget everything in a step, by the last where they forget nothing,
-    /// else by the greatest.
+    /// The import with the decision of the option. Without one, an output that never spikes decides
+    /// by potential. The score is the sum of v where u and v decay fully in a step, the last v
+    /// where u or v never decays, else the greatest v.
     #[must_use]
     pub(super) fn read_out(mut self, option: Option<ReadOut>) -> Self {
         let output = self.model.population(&self.model.output).and_then(|output| output.loihi.clone());
@@ -254,12 +252,12 @@ impl Imported {
     }
 }
 
-/// Names for messages.
+/// A list of names for messages.
 pub(super) fn listed(names: &[&str]) -> String {
     if names.is_empty() { "no members".to_string() } else { names.join(", ") }
 }
 
-/// A name that a population may have.
+/// A valid population name: other characters become `_`.
 pub(super) fn population_name(name: &str) -> String {
     name.chars().map(|c| if c.is_alphanumeric() || c == '_' || c == '-' { c } else { '_' }).collect()
 }

@@ -1,10 +1,10 @@
-//! Models that other tools wrote, imported as nsim's own.
+//! Import of models that other tools wrote.
 //!
 //! Input: a file and [`Options`]. Output: an [`Imported`] model with notes on the conventions by
-//! which it was read and on what was changed. The kind of a file is recognised by its content,
-//! never by its name alone. Errors name what is known but cannot be read (a Git-LFS pointer,
-//! SANA-FE's text netlist, a pickled module, an HDF5 file that is no network). Nothing in a file is
-//! executed. `docs/import.md` has the conventions and limits of each format.
+//! which it was read and on changes. The kind of a file is recognised by its content, never by its
+//! name alone. Errors name known kinds that cannot be read (a Git-LFS pointer, SANA-FE's text
+//! netlist, a pickled module, an HDF5 file without a network). Nothing in a file is executed.
+//! `docs/import.md` has the conventions and limits of each format.
 
 mod encode;
 pub mod hdf5;
@@ -29,8 +29,8 @@ use nsim_files::changes;
 use nsim_files::network::{Conventions, Network};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// Whether a model argument is a file of another tool. What cannot be opened is for the reader of
-/// models to say.
+/// Whether a model argument is a file of another tool; false for a file that cannot be opened,
+/// which the reader of models reports.
 pub fn is_foreign(path: &Path) -> bool {
     let own = [FileKind::Folder, FileKind::Stream, FileKind::Ron];
     FileKind::detect(path).map_or_else(|problem| problem.code == "io.lfs-pointer", |kind| !own.contains(&kind))
@@ -39,7 +39,7 @@ pub fn is_foreign(path: &Path) -> bool {
 /// Reads a foreign model.
 ///
 /// # Errors
-/// `import.*` for what the file holds, `hdf5.*` and `io.*` for the file itself.
+/// `import.*` for the content of the file, `hdf5.*` and `io.*` for the file itself.
 pub fn read(path: &Path, options: &Options) -> Result<Imported> {
     from_bytes(path, hdf5::bytes_of(path)?, options)
 }
@@ -58,11 +58,11 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
     imported.map_err(|problem| problem.or_in_file(path))
 }
 
-/// Reads a graph of NIR nodes that are in memory. Where neurons return to zero, those of the nodes
-/// `held` stay there in the next step too.
+/// Reads a graph of NIR nodes in memory. The neurons of the nodes `held` get a refractory period of
+/// 2, so v stays 0 in the step after a spike.
 ///
 /// # Errors
-/// `import.*` for what the nodes say.
+/// `import.*` for the content of the nodes.
 pub fn from_nodes(
     name: &str,
     nodes: hdf5::Group,
@@ -101,7 +101,7 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
 /// The name of a network, from its file.
 fn network_name(path: &Path) -> String {
     let stem = path.file_stem().map_or_else(|| "network".into(), |stem| stem.to_string_lossy().into_owned());
-    // network.net says nothing; its folder does.
+    // The folder's name says more than `network.net`.
     let folder = path.parent().and_then(Path::file_name).map(|folder| folder.to_string_lossy().into_owned());
     match folder {
         Some(folder) if stem == "network" && !folder.is_empty() => folder,
@@ -109,12 +109,12 @@ fn network_name(path: &Path) -> String {
     }
 }
 
-/// The problem of a file that is not imported, with its kind as far as it is recognised.
+/// The diagnostic for a file that is not imported, with its kind if recognised.
 fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
     let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
     let begin = String::from_utf8_lossy(&bytes[..bytes.len().min(4096)]);
     let lines: Vec<&str> = begin.lines().map(str::trim).filter(|line| !line.is_empty()).take(20).collect();
-    // SANA-FE's netlist: groups, neurons, edges and mappings, a letter at the beginning of each
+    // SANA-FE's netlist: groups, neurons, edges and mappings, with a letter at the start of each
     // line.
     let netlist = |line: &&str| {
         matches!(line.split_once(' '), Some(("g" | "n" | "e" | "&" | "@" | "#", _))) || line.starts_with('#')

@@ -1,22 +1,22 @@
 //! A restricted reader of pickles: data only.
 //!
-//! Input: the bytes of a pickle of protocol 0 to 5. Output: its values in an [`Arena`], where they
-//! refer to each other by index. Nothing is called or imported: a name such as
-//! `torch._utils._rebuild_tensor_v2` stays a name, a call of one of a few known names becomes a
-//! value, a call of any other is an error with that name (opcodes: CPython `Lib/pickletools.py`).
-//! Values, the stack and the memo are counted and bounded.
+//! Input: the bytes of a pickle of protocol 0 to 5. Output: its values in an [`Arena`], with
+//! references by index. Nothing is called or imported: a name such as
+//! `torch._utils._rebuild_tensor_v2` stays a name. A call of a known name becomes a value, a call
+//! of any other is an error with that name (opcodes: CPython `Lib/pickletools.py`). The numbers of
+//! values, of stack entries and of memo entries are limited.
 //!
-//! It is written by hand because `serde-pickle` 1.2 reads neither persistent ids, by which a
-//! checkpoint refers to its storages, nor calls of functions other than a few built-in ones.
+//! `serde-pickle` 1.2 reads neither persistent ids, by which a checkpoint refers to its storages,
+//! nor calls of functions other than a few built-in ones.
 
 use std::collections::HashMap;
 
-/// Values, places of the stack and entries of lists that one pickle may have.
+/// The most values, stack entries and entries of lists of a pickle.
 const MOST_VALUES: usize = 1 << 20;
 /// What is wrong with a line that should hold a number.
 const NO_NUMBER: &str = "a number that is none";
 
-/// A value's place in the arena.
+/// Index of a value in the arena.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ValueId(u32);
 
@@ -35,31 +35,31 @@ pub enum Value {
     Tuple(Vec<ValueId>),
     /// A list or a set.
     List(Vec<ValueId>),
-    /// A dictionary in its order.
+    /// A dictionary, in insertion order.
     Dict(Vec<(ValueId, ValueId)>),
     /// The name of a class or function: module and name.
     Name(String, String),
-    /// What a persistent id refers to.
+    /// The value of a persistent id.
     Persistent(ValueId),
     /// A call of a known name: the name's last part and its arguments.
     Call(String, Vec<ValueId>),
 }
 
-/// Why a pickle is not read.
+/// A reason for which a pickle is refused.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PickleError {
-    /// It makes an object of a class, or calls a function, that is not data.
+    /// It creates an object of a class or calls an unknown function.
     #[error("it pickles {0}")]
     Class(String),
     /// It ends early or contradicts itself.
     #[error("{0} at byte {1}")]
     Malformed(&'static str, usize),
-    /// It has more values than are read.
+    /// It exceeds the number of values.
     #[error("it has more than {MOST_VALUES} values")]
     TooLarge,
 }
 
-/// What a pickle built.
+/// The values of a pickle.
 #[derive(Debug, Clone)]
 pub struct Arena {
     values: Vec<Value>,
@@ -71,7 +71,7 @@ impl Arena {
     }
 }
 
-/// Whether a name is one whose calls are data.
+/// Whether calls of a name become values.
 fn known(module: &str, name: &str) -> bool {
     matches!(
         (module, name),
@@ -88,7 +88,7 @@ struct Machine<'a> {
     at: usize,
     values: Vec<Value>,
     stack: Vec<ValueId>,
-    /// Stack heights.
+    /// Stack heights at the open marks.
     marks: Vec<usize>,
     memo: HashMap<u32, ValueId>,
     entries: usize,
@@ -96,7 +96,8 @@ struct Machine<'a> {
 
 type Result<T> = std::result::Result<T, PickleError>;
 
-/// Reads the pickle that begins here: its value, and the number of its bytes.
+/// Reads the pickle at the start of `bytes`: its values, the id of the result, and its length in
+/// bytes.
 pub fn load(bytes: &[u8]) -> Result<(Arena, ValueId, usize)> {
     let mut machine = Machine { bytes, ..Machine::default() };
     while !machine.step()? {}
@@ -125,7 +126,7 @@ impl<'a> Machine<'a> {
         Ok(array)
     }
 
-    /// A size of this many bytes.
+    /// A size that is stored in `width` bytes.
     fn size(&mut self, width: usize) -> Result<usize> {
         let mut size = [0; 8];
         size[..width].copy_from_slice(self.take(width)?);
@@ -169,7 +170,7 @@ impl<'a> Machine<'a> {
         self.stack.last().copied().map_or_else(|| self.wrong("a value is missing"), Ok)
     }
 
-    /// What stands above the last mark.
+    /// Removes the last mark and the values above it, and returns these.
     fn marked(&mut self) -> Result<Vec<ValueId>> {
         match self.marks.pop() {
             Some(height) if height <= self.stack.len() => Ok(self.stack.split_off(height)),
@@ -233,7 +234,7 @@ impl<'a> Machine<'a> {
         let (name, arguments) = (name.clone(), arguments.clone());
         self.grow(arguments.len())?;
         match name.as_str() {
-            // Pairs as an argument are how protocol 0 and 1 of old Pythons wrote it.
+            // Old Pythons pass the pairs as an argument in protocols 0 and 1.
             "OrderedDict" => {
                 let mut pairs = Vec::new();
                 if let Some(Value::List(list)) = arguments.first().map(|&id| &self.values[id.0 as usize]) {
@@ -255,7 +256,7 @@ impl<'a> Machine<'a> {
         }
     }
 
-    /// One opcode; whether it was the last.
+    /// Executes an opcode; returns whether it was the last.
     fn step(&mut self) -> Result<bool> {
         let [opcode] = self.fixed()?;
         match self.literal(opcode)? {
@@ -266,7 +267,7 @@ impl<'a> Machine<'a> {
         Ok(false)
     }
 
-    /// The value of an opcode that makes one of the bytes after it.
+    /// The value of an opcode that pushes one; `None` for others.
     fn literal(&mut self, opcode: u8) -> Result<Option<Value>> {
         Ok(Some(match opcode {
             b'N' => Value::None,
@@ -315,7 +316,7 @@ impl<'a> Machine<'a> {
         }))
     }
 
-    /// An opcode that works on the stack, the marks or the memo.
+    /// Executes an opcode that changes the stack, the marks or the memo.
     fn operate(&mut self, opcode: u8) -> Result<()> {
         match opcode {
             0x80 => match self.size(1)? {
@@ -328,7 +329,7 @@ impl<'a> Machine<'a> {
                 self.marks.push(self.stack.len());
                 Ok(())
             }
-            // POP takes a mark when one is on top.
+            // POP removes a mark if it is on top.
             b'0' if self.marks.last() == Some(&self.stack.len()) => {
                 self.marks.pop();
                 Ok(())
@@ -384,8 +385,7 @@ impl<'a> Machine<'a> {
                 }
             }
             b'R' => self.reduce(),
-            // Attributes of an ordered dictionary: PyTorch keeps `_metadata` there, which is not
-            // needed.
+            // Attributes of an ordered dictionary, such as PyTorch's `_metadata`, are ignored.
             b'b' => {
                 self.pop()?;
                 match self.values[self.top()?.0 as usize] {
@@ -403,7 +403,7 @@ impl<'a> Machine<'a> {
                 let id = self.pop()?;
                 self.push(Value::Persistent(id))
             }
-            // Objects of classes: what a pickled module is made of.
+            // Objects of classes, which pickled modules consist of.
             0x81 | 0x92 | b'i' | b'o' => {
                 let class = self.values.iter().rev().find_map(|value| match value {
                     Value::Name(module, name) => Some(format!("{module}.{name}")),

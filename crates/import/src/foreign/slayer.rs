@@ -1,11 +1,11 @@
-//! Weights that SLAYER or lava-dl trained for Loihi neurons, and the YAML that describes neurons.
+//! Weights that SLAYER or lava-dl trained for Loihi neurons, and the YAML description of neurons.
 //!
-//! Input: matrices by name, from a state dict (`state_dict`) or from `.npy` files as VT_SNN writes
-//! them, and a YAML network config. Output: a model of dense layers, in the order of the file, or
-//! the three layers of a network with a tactile and a visual encoder. Weights become `round(w / 2)
-//! * 2`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There is one step between
-//! layers, as on the chip and as `delayShift` does in training. The kernels `srmKernel` and
-//! `refKernel` that checkpoints carry are of the training only.
+//! Input: matrices by name, from a state dict (`state_dict`) or from the `.npy` files of VT_SNN,
+//! and a YAML network config. Output: a model of dense layers, in the order of the file, or the
+//! three layers of a network with a tactile and a visual encoder. A weight becomes `2 round(w /
+//! 2)`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There is one step between
+//! layers, as on the chip and as `delayShift` does in training. Only training uses the kernels
+//! `srmKernel` and `refKernel` of checkpoints.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ const MOST_YAML: u64 = 1 << 20;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Neuron {
     pub kind: NeuronKind,
-    /// Milliseconds that a timestep represents, if the file says so.
+    /// Length of a timestep in ms, if the file has it.
     pub dt_ms: Option<f64>,
 }
 
@@ -37,25 +37,25 @@ pub enum NeuronKind {
     /// `LOIHI` of SLAYER, `CUBA` of lava-dl.
     Loihi {
         vth_mant: f64,
-        /// Effective decay of the voltage; none where the weights' file has it.
+        /// Effective decay of the voltage in 4096ths; none where the weights' file has it.
         dv: Option<f64>,
-        /// Effective decay of the current; none where the weights' file has it.
+        /// Effective decay of the current in 4096ths; none where the weights' file has it.
         du: Option<f64>,
         refractory: f64,
         weight_exp: f64,
-        /// What a weight of 1 counts in units of the mantissa.
+        /// A weight of 1 in units of the mantissa.
         scale: f64,
     },
     /// `SRMALPHA`.
     SrmAlpha { theta: f64, tau_sr_ms: f64, tau_ref_ms: f64, scale_ref: f64 },
     /// `Leaky` and `Synaptic` of snnTorch.
     Leaky {
-        /// Share of the current that stays in a step; none for a current without memory.
+        /// Share of the current that a step keeps; none for a current without memory.
         alpha: Option<f64>,
-        /// Share of the voltage that stays in a step.
+        /// Share of the voltage that a step keeps.
         beta: f64,
         threshold: f64,
-        /// Whether a spike subtracts the threshold, in the step after it.
+        /// Whether the threshold is subtracted in the step after a spike.
         subtracts: bool,
     },
     /// `LIF` of Norse.
@@ -71,7 +71,7 @@ pub enum NeuronKind {
 
 /// Units of the mantissa in a real weight of 1 of lava-dl (`w_scale` of its neurons, d825ac5).
 pub(super) const LAVA_SCALE: f64 = 64.0;
-/// What only a training uses: shapes of the gradient, and how lava-dl keeps its parameters.
+/// Fields of training: shapes of the surrogate gradient, lava-dl's handling of parameters.
 const OF_TRAINING: &str =
     "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state norm dropout";
 
@@ -178,7 +178,7 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
             let (v_leak, v_th) = (taken("v_leak")?.unwrap_or(0.0), taken("v_th")?.unwrap_or(1.0));
             match taken("v_reset")?.unwrap_or(0.0) {
                 0.0 => NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak, v_th },
-                // Counted from where it rests, it rests and resets at 0.
+                // Relative to v_leak, the neuron rests at 0 and resets to 0.
                 v_reset if v_reset == v_leak => {
                     NeuronKind::Lif { tau_syn_inv, tau_mem_inv, v_leak: 0.0, v_th: v_th - v_leak }
                 }
@@ -201,7 +201,7 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
 /// The types of neurons that a config may have.
 const KINDS: &str = "types are LOIHI and SRMALPHA (SLAYER), CUBA (lava-dl), Leaky and Synaptic (snnTorch), LIF (Norse)";
 
-/// The byte of a line and column, both from 1.
+/// The byte offset of a line and column, which count from 1.
 fn offset(text: &str, line: usize, column: usize) -> usize {
     let start: usize = text.split_inclusive('\n').take(line.saturating_sub(1)).map(str::len).sum();
     let rest = &text[start.min(text.len())..];
@@ -218,15 +218,15 @@ pub(super) struct Matrix {
     pub(super) weights: Vec<f64>,
     /// `[target][source]` from the layer to itself.
     pub(super) recurrent: Option<Vec<f64>>,
-    /// Decays of current and voltage that the file has, in 4096ths.
+    /// Decays of current and voltage from the file, in 4096ths.
     pub(super) decays: Option<(Vec<f64>, Vec<f64>)>,
 }
 
-/// The names that VT_SNN gives to the files of one network, in order.
+/// VT_SNN's names of the files of one network, in order.
 const SETS: [&[&str]; 2] = [&["tact", "vis", "combi"], &["fc1", "fc2", "fc3", "fc4", "fc5"]];
 
-/// Reads one file of a set `NNN-tact.npy`, `NNN-vis.npy`, `NNN-combi.npy` or `NNN-fc1.npy`,
-/// `NNN-fc2.npy`, .., and the others in its folder.
+/// Reads the set of a file: `NNN-tact.npy`, `NNN-vis.npy`, `NNN-combi.npy` or `NNN-fc1.npy`,
+/// `NNN-fc2.npy`, .. in its folder.
 pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
     let stem = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
     let (prefix, part) = stem.rsplit_once('-').map_or((None, stem.as_str()), |(prefix, part)| (Some(prefix), part));
@@ -263,7 +263,7 @@ fn slayer(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.slayer", message)
 }
 
-/// The neuron that the user describes, and the note on it.
+/// The neuron of `--neuron`, and the note about it.
 pub(super) fn neuron_of(options: &Options) -> Result<(Neuron, Vec<String>)> {
     let Some(path) = &options.neuron else {
         return Err(wrong_option("the file holds weights and says nothing of the neurons").help(format!(
@@ -298,7 +298,7 @@ pub(super) fn neuron_of(options: &Options) -> Result<(Neuron, Vec<String>)> {
     Ok((neuron, vec![note]))
 }
 
-/// A network of integers, or of spike response neurons, from matrices.
+/// Builds an integer network, or one of spike response neurons, from matrices.
 pub(super) fn build(
     kind: &'static str,
     name: &str,
@@ -426,7 +426,7 @@ pub(super) fn build(
     Ok(Imported { kind, model, notes, layers, assumed: None, reset: None }.read_out(options.decision))
 }
 
-/// The shape of an input of `units` channels: `--input-shape`, or a line.
+/// The shape of an input of `units` channels: `--input-shape`, or `[units]`.
 pub(super) fn input_shape(options: &Options, units: usize) -> Result<Vec<u64>> {
     let Some(given) = &options.input_shape else { return Ok(vec![units as u64]) };
     let product = given.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));

@@ -1,17 +1,16 @@
-//! State dicts of PyTorch: layers and neurons of lava-dl, SLAYER, snnTorch and Norse by the names
-//! of their tensors.
+//! State dicts of PyTorch: layers and neurons of lava-dl, SLAYER, snnTorch and Norse, identified by
+//! the names of their tensors.
 //!
 //! Input: the tensors of a checkpoint, in the order of the file, and a description of the neurons
-//! where the file has none. Output: a model. What each name means is a table, [`ROLES`]; a tensor
-//! without a row there is refused by its name, since nothing says that the network does not depend
-//! on it. Weights that are stored as length and direction (weight norm, in both of torch's namings)
-//! are multiplied out. Networks of integers (lava-dl, SLAYER) are built from matrices
-//! ([`super::slayer`]). Networks of real numbers (snnTorch, Norse) become a NIR graph first, with
-//! the equations of their exporters, and are read by [`super::nir`]: decays, biases and resets then
-//! have one reader.
+//! where the file has none. Output: a model. The table [`ROLES`] has the meaning of each name; an
+//! unknown tensor is refused by its name, since the network may depend on it. Weights that are
+//! stored as length and direction (weight norm, in both of torch's namings) are multiplied out.
+//! Integer networks (lava-dl, SLAYER) are built from matrices ([`super::slayer`]). Real-valued
+//! networks (snnTorch, Norse) first become a NIR graph, with the equations of their exporters,
+//! which [`super::nir`] reads. So decays, biases and resets have a single reader.
 //!
-//! Errors: `import.state-dict` for what is in the file, `import.option` for what the file and its
-//! user say of the neurons.
+//! Errors: `import.state-dict` for the content of the file, `import.option` for missing or
+//! contradictory descriptions of the neurons.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +21,7 @@ use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// What a tensor is to its module.
+/// The role of a tensor in its module.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Role {
     /// `[target][source..]`.
@@ -36,9 +35,9 @@ enum Role {
     /// lava-dl, in 4096ths.
     CurrentDecay,
     VoltageDecay,
-    /// snnTorch: share of the current that stays.
+    /// snnTorch: share of the current that a step keeps.
     Alpha,
-    /// snnTorch: share of the voltage that stays.
+    /// snnTorch: share of the voltage that a step keeps.
     Beta,
     Threshold,
     /// snnTorch: 0 subtracts, 1 clears, 2 does nothing.
@@ -46,7 +45,7 @@ enum Role {
     GradedSpikes,
 }
 
-/// The names of tensors by their ends; the first that fits counts, and what stands before it is the
+/// Roles by the end of a tensor's name; the first match is used, and the rest of the name is the
 /// module.
 const ROLES: [(&str, Role); 17] = [
     ("recurrent_synapse.weight", Role::Recurrent),
@@ -68,16 +67,15 @@ const ROLES: [(&str, Role); 17] = [
     ("graded_spikes_factor", Role::GradedSpikes),
 ];
 
-/// Names that say nothing of a network that is not being trained: kernels of a training, states
-/// left from the last sample.
+/// Names without effect on inference: kernels of training, states left from the last sample.
 const WITHOUT_MEANING: [&str; 8] =
     ["srmKernel", "refKernel", "mem", "syn", "spk", "current_state", "voltage_state", "num_batches_tracked"];
 /// Parts of a checkpoint that belong to the training.
 const OF_TRAINING: [&str; 4] = ["optimizer", "optimizer_state_dict", "optim", "scheduler"];
 
-/// What reads a network of snnTorch whole.
+/// Help: the command that reads a whole network of snnTorch.
 const FROM_TORCH: &str = "save a network of snnTorch with nsim.from_torch(net, sample).save(\"net.ron\") in Python";
-/// Tensors of other neurons of snnTorch 1.0.0 than those that are read.
+/// Tensors of snnTorch 1.0.0 neurons that are not read, and the neurons.
 const OF_OTHER_NEURONS: [(&str, &str); 4] =
     [("time_step", "Lapicque"), ("R", "Lapicque"), ("C", "Lapicque"), ("tau", "StateLeaky or LinearLeaky")];
 
@@ -86,11 +84,11 @@ struct Array {
     key: String,
     shape: Vec<usize>,
     numbers: Vec<f64>,
-    /// Whether the numbers are of single precision.
+    /// Whether the numbers have single precision.
     single: bool,
 }
 
-/// What belongs together by its name.
+/// Tensors with one prefix of their names.
 #[derive(Default)]
 struct Module {
     name: String,
@@ -111,7 +109,7 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.state-dict", message)
 }
 
-/// The note on the order in which layers were taken, and on what a state dict lacks.
+/// The note about the assumed order of layers, and about facts that a state dict lacks.
 fn in_order(layers: &str, lacking: &str) -> String {
     format!(
         "layers in the order of definition: {layers}; a state dict lacks the sums and functions of forward(){lacking}"
@@ -142,9 +140,9 @@ pub fn read(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
     }
 }
 
-/// Every tensor, weights that are stored as length and direction multiplied out.
+/// All tensors; weights that are stored as length and direction are multiplied out.
 fn arrays(checkpoint: &mut torch::Checkpoint) -> Result<Vec<Array>> {
-    // (length, direction) of `torch.nn.utils.weight_norm`, and of its successor.
+    // (length, direction) of `torch.nn.utils.weight_norm`, and of its replacement.
     const NORMED: [(&str, &str); 2] =
         [("_g", "_v"), ("parametrizations.weight.original0", "parametrizations.weight.original1")];
     let entries: Vec<(String, Vec<usize>)> =
@@ -182,7 +180,7 @@ fn arrays(checkpoint: &mut torch::Checkpoint) -> Result<Vec<Array>> {
     Ok(arrays)
 }
 
-/// `g v / |v|`, the norm over all axes but those that the lengths have.
+/// `g v / |v|`, where the norm is over all axes that the lengths lack.
 fn multiplied(directions: &[f64], shape: &[usize], lengths: &[f64], axes: &[usize]) -> Option<Vec<f64>> {
     let fits = axes.is_empty() || (axes.len() == shape.len() && axes.iter().zip(shape).all(|(g, v)| *g == 1 || g == v));
     if !fits || lengths.is_empty() {
@@ -209,8 +207,7 @@ fn multiplied(directions: &[f64], shape: &[usize], lengths: &[f64], axes: &[usiz
     Some(directions.iter().enumerate().map(scaled).collect())
 }
 
-/// Tensors grouped by their modules, in the order of the file, and the names of those without a
-/// meaning.
+/// Tensors grouped by module, in the order of the file, and the names of ignored tensors.
 fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
     let mut modules: Vec<Module> = Vec::new();
     let mut ignored = Vec::new();
@@ -219,7 +216,7 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
     for array in arrays {
         let last = array.key.rsplit('.').next().unwrap_or_default();
         let of_training = array.key.split('.').any(|part| OF_TRAINING.contains(&part));
-        // A delay of nothing is what layers without delays may store.
+        // Layers without delays may store delays of 0.
         let undelayed = last == "delay" && array.numbers.iter().all(|&delay| delay < 1.0);
         if of_training || undelayed || WITHOUT_MEANING.contains(&last) {
             ignored.push(array.key);
@@ -288,8 +285,8 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
             ));
         };
         let sources = array.numbers.len() / targets;
-        // A kernel is a dense layer where it covers all of its input: the layer after it then
-        // receives one unit a kernel.
+        // A kernel that covers all of its input is a dense layer; each kernel is then one unit of
+        // the next layer's input.
         let kernel = axes.get(1..).unwrap_or_default();
         let before = (place > 0).then(|| layers[place - 1].1[0]);
         let covers = match (before, layers.get(place + 1)) {
@@ -349,7 +346,7 @@ fn listed(axes: &[usize]) -> String {
     axes.iter().map(usize::to_string).collect::<Vec<_>>().join(",")
 }
 
-/// A network of lava-dl or SLAYER.
+/// Builds a network of lava-dl or SLAYER.
 fn integers(
     name: &str,
     modules: &[Module],
@@ -394,22 +391,22 @@ fn integers(
     Ok(Imported { assumed: Some(assumed), ..slayer::build(kind, name, matrices, &neuron, notes, options)? })
 }
 
-/// Parameters of a layer's neurons in steps, one for all or one each.
+/// Discrete parameters of a layer's neurons, one for all or one for each.
 #[derive(Default)]
 struct RealNeuron {
     name: String,
-    /// Share of the current that a step takes away; none for a current without memory.
+    /// Share of the current that decays in a step; none for a current without memory.
     synapse: Option<Vec<f64>>,
-    /// Share of the voltage that a step takes away.
+    /// Share of the voltage that decays in a step.
     membrane: Vec<f64>,
-    /// What the current of a step counts in the voltage; none for 1.
+    /// Factor of a step's current in the voltage; none for 1.
     gain: Option<Vec<f64>>,
     leak: f64,
     threshold: Vec<f64>,
 }
 
-/// A network of snnTorch or Norse, as a graph of NIR; `neuron` describes the neurons where the file
-/// does not.
+/// Builds a network of snnTorch or Norse from a NIR graph; `neuron` describes the neurons where the
+/// file does not.
 fn real(
     kind: &'static str,
     name: &str,
@@ -455,9 +452,9 @@ fn real(
         last = graph.follow(&last, "flatten", node("Flatten"));
     }
     let mut lines = Vec::new();
-    // What follows what, for the note on it.
+    // Names of the layers in order, for the note.
     let mut chain = Vec::new();
-    // Layers of snnTorch that stay at zero for a step.
+    // Layers of snnTorch that stay at zero in the step after a spike.
     let mut held = Vec::new();
     for (place, (index, matrix)) in layers.iter().enumerate() {
         let layer = &modules[*index];
@@ -497,8 +494,7 @@ fn real(
         last = graph.follow(&last, &format!("{}.weight", layer.name), weights);
         let population = graph.node(&described.name.clone(), neuron_node(&described, matrix.targets, dt)?);
         graph.edge(&last, &population);
-        // A recurrent layer's weights stand with its neurons in snnTorch, with its weights in
-        // Norse.
+        // Recurrent weights are in the module of the neurons in snnTorch, of the weights in Norse.
         let owner = if neuron.is_none() { neurons[place] } else { layer };
         let mut own = Vec::new();
         if let Some(array) = owner.arrays.get(&Role::Recurrent) {
@@ -550,7 +546,7 @@ fn real(
     Ok(Imported { kind, model, notes, layers: lines, assumed: Some(assumed), reset })
 }
 
-/// The reset of the file, unless an option says another one.
+/// The reset of the file or of an option, which must not contradict each other.
 fn chosen_reset(of_file: Option<(bool, String)>, options: &Options) -> Result<Option<ResetMode>> {
     match (of_file, options.reset) {
         (None, given) => Ok(given),
@@ -568,7 +564,7 @@ fn chosen_reset(of_file: Option<(bool, String)>, options: &Options) -> Result<Op
     }
 }
 
-/// Refuses tensors that no layer takes up.
+/// Refuses tensors that no layer uses.
 fn check_used(modules: &[Module], layers: &[(usize, Matrix)], neurons: &[&Module]) -> Result<()> {
     for (index, module) in modules.iter().enumerate() {
         let is_layer = layers.iter().any(|(layer, _)| *layer == index);
@@ -591,7 +587,7 @@ fn check_used(modules: &[Module], layers: &[(usize, Matrix)], neurons: &[&Module
     Ok(())
 }
 
-/// One number for all or one for each unit.
+/// Expands one number for all units, or one for each, to one for each.
 fn each(name: &str, numbers: &[f64], units: usize) -> Result<Vec<f64>> {
     match numbers.len() {
         1 => Ok(vec![numbers[0]; units]),
@@ -600,7 +596,8 @@ fn each(name: &str, numbers: &[f64], units: usize) -> Result<Vec<f64>> {
     }
 }
 
-/// A layer of snnTorch, and whether it subtracts its threshold where the file says so.
+/// The neurons of a module of snnTorch, and whether a spike subtracts the threshold, if the file
+/// has it.
 fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
     let get = |role: Role| module.numbers(role).filter(|numbers| !numbers.is_empty());
     let lost = |what: &str| wrong(format!("'{}' has no '{what}'", module.name));
@@ -636,7 +633,7 @@ fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
     Ok((RealNeuron { name, synapse, membrane, threshold, ..RealNeuron::default() }, subtracts))
 }
 
-/// The node of a layer's neurons: NIR's equations with the shares that a step takes away.
+/// The node of a layer's neurons: NIR's equations with the shares that decay in a step.
 fn neuron_node(neuron: &RealNeuron, units: usize, dt: f64) -> Result<Group> {
     let spread = |numbers: &[f64]| each(&neuron.name, numbers, units);
     let array = |numbers: &[f64]| Numbers::f64(&[units], numbers);
@@ -645,7 +642,7 @@ fn neuron_node(neuron: &RealNeuron, units: usize, dt: f64) -> Result<Group> {
     };
     let seconds = |steps: &[f64]| array(&steps.iter().map(|steps| steps * dt).collect::<Vec<_>>());
     let membrane = steps(&spread(&neuron.membrane)?);
-    // NIR counts a current with dt / tau r.
+    // In NIR the factor of a current is dt / tau r.
     let r: Vec<f64> = match &neuron.gain {
         None => membrane.clone(),
         Some(gain) => spread(gain)?.iter().zip(&membrane).map(|(gain, steps)| gain * steps).collect(),
@@ -666,7 +663,7 @@ fn neuron_node(neuron: &RealNeuron, units: usize, dt: f64) -> Result<Group> {
     }
 }
 
-/// Weights with their bias, if there is one.
+/// The node of weights and their bias, if any.
 fn weights_node(weights: &[f64], (targets, sources): (usize, usize), module: &Module, bias: Role) -> Result<Group> {
     let weights = Numbers::f64(&[targets, sources], weights);
     let Some(array) = module.arrays.get(&bias) else { return Ok(node("Linear").with("weight", weights)) };
@@ -674,7 +671,7 @@ fn weights_node(weights: &[f64], (targets, sources): (usize, usize), module: &Mo
     Ok(node("Affine").with("weight", weights).with("bias", bias))
 }
 
-/// A graph that is being built.
+/// A NIR graph under construction.
 #[derive(Default)]
 struct Graph {
     nodes: Group,
@@ -682,7 +679,7 @@ struct Graph {
 }
 
 impl Graph {
-    /// Adds a node; returns its name, which no other has.
+    /// Adds a node; returns its unique name.
     fn node(&mut self, wanted: &str, node: Group) -> String {
         let mut name = wanted.to_string();
         while self.nodes.items.contains_key(&name) {
@@ -696,7 +693,7 @@ impl Graph {
         self.edges.push((from.to_string(), to.to_string()));
     }
 
-    /// Adds a node after another.
+    /// Adds a node and an edge to it; returns its name.
     fn follow(&mut self, after: &str, name: &str, node: Group) -> String {
         let name = self.node(name, node);
         self.edge(after, &name);

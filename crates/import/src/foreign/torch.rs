@@ -1,9 +1,9 @@
 //! Tensors of a PyTorch checkpoint, in both of its containers.
 //!
 //! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or, from older versions,
-//! five pickles, then raw numbers. Output: the names of its tensors, and a tensor at a time. The
-//! pickles are read by `super::pickle`, which executes nothing: a checkpoint that pickles a whole
-//! module is refused with the class that it names.
+//! five pickles, then raw numbers. Output: the names of its tensors, and single tensors.
+//! `super::pickle` reads the pickles and executes nothing: a checkpoint that pickles a whole module
+//! is refused with the name of its class.
 
 use std::collections::BTreeMap;
 use std::io::{Cursor, Read};
@@ -15,16 +15,16 @@ use nsim_files::budget::Budget;
 use nsim_files::element::Element;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// What a zip archive begins with.
+/// The first bytes of a zip archive.
 pub const ZIP: &[u8] = b"PK\x03\x04";
-/// Dictionaries within dictionaries that are searched for tensors.
+/// The deepest nesting of dictionaries that are searched for tensors.
 const DEEPEST: usize = 4;
-/// Tensors of a checkpoint.
+/// The most tensors of a checkpoint.
 const MOST_TENSORS: usize = 1 << 14;
-/// Files of an archive.
+/// The most files of an archive.
 const MOST_FILES: usize = 1 << 16;
 
-/// The numbers of a storage class.
+/// The element type of a storage class.
 fn element(class: &str) -> Option<Element> {
     Some(match class {
         "DoubleStorage" => Element::F(8),
@@ -40,7 +40,7 @@ fn element(class: &str) -> Option<Element> {
     })
 }
 
-/// A tensor as the pickle describes it.
+/// A strided view of a storage, as the pickle describes a tensor.
 #[derive(Debug, Clone)]
 struct View {
     storage: String,
@@ -50,14 +50,14 @@ struct View {
     strides: Vec<usize>,
 }
 
-/// Where the storages are.
+/// The storages of a checkpoint.
 enum Container {
     Zip(Box<ZipArchive<Cursor<Vec<u8>>>>, String, u64),
-    /// Key to the range of its bytes.
+    /// Bytes of the file, and the range of each storage by key.
     Legacy(Vec<u8>, BTreeMap<String, std::ops::Range<usize>>),
 }
 
-/// A checkpoint whose tensors can be taken one by one.
+/// A checkpoint whose tensors are read individually.
 pub struct Checkpoint {
     container: Container,
     views: Vec<(String, View)>,
@@ -81,11 +81,11 @@ fn refused(error: &PickleError) -> Diagnostic {
 /// Opens a checkpoint.
 ///
 /// # Errors
-/// `import.pickle` for a pickled module, `import.torch` for what is malformed.
+/// `import.pickle` for a pickled module, `import.torch` for a malformed checkpoint.
 pub fn open(bytes: Vec<u8>) -> Result<Checkpoint> {
     let mut budget = Budget::for_file(bytes.len() as u64, MOST_TENSORS, DEEPEST);
     let checkpoint = if bytes.starts_with(ZIP) { open_zip(bytes) } else { open_legacy(bytes) }?;
-    // Many tensors may be views of one storage: the sum of what they make of it counts.
+    // Many tensors may be views of one storage, so the sum of their sizes counts.
     for (_, view) in &checkpoint.views {
         let count = view.shape.iter().fold(1u64, |product, &axis| product.saturating_mul(axis as u64));
         let taken = budget.item(0).and_then(|()| budget.numbers(count, view.element.bytes() as u64));
@@ -117,7 +117,7 @@ fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint> {
     Ok(Checkpoint { container: Container::Zip(Box::new(archive), root, most), views })
 }
 
-/// A file of an archive. PyTorch stores without compression, so nothing is larger than the archive.
+/// A file of an archive. PyTorch stores without compression, so no file is larger than the archive.
 fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) -> Result<Vec<u8>> {
     let mut file = archive.by_name(name).map_err(|error| wrong(format!("'{name}' of the archive: {error}")))?;
     let mut bytes = Vec::new();
@@ -180,7 +180,7 @@ fn entry<'a>(arena: &'a Arena, dict: ValueId, key: &str) -> Option<&'a Value> {
     Some(arena.get(found.1))
 }
 
-/// Every tensor of a dictionary, of those within it too.
+/// All tensors of a dictionary and of nested ones, by dotted name.
 fn views(arena: &Arena, top: ValueId) -> Result<Vec<(String, View)>> {
     let mut views = Vec::new();
     collect(arena, top, "", 0, &mut views)?;
@@ -204,7 +204,7 @@ fn collect(arena: &Arena, id: ValueId, name: &str, depth: usize, views: &mut Vec
             }
         }
         Value::Call(function, arguments) if function == "_rebuild_parameter" => {
-            // A parameter is its first argument; a parameter of a parameter does not exist.
+            // The first argument is the tensor; the depth excludes a parameter of a parameter.
             if let Some(&tensor) = arguments.first().filter(|_| depth <= DEEPEST) {
                 collect(arena, tensor, name, DEEPEST + 1, views)?;
             }
@@ -222,7 +222,7 @@ fn collect(arena: &Arena, id: ValueId, name: &str, depth: usize, views: &mut Vec
     Ok(())
 }
 
-/// `_rebuild_tensor_v2(storage, offset, size, stride, ..)`.
+/// Parses the arguments of `_rebuild_tensor_v2(storage, offset, size, stride, ..)`.
 fn view(arena: &Arena, arguments: &[ValueId], name: &str) -> Result<View> {
     let bad = |what: &str| wrong(format!("tensor '{name}': {what}"));
     let &[storage, offset, shape, strides, ..] = arguments else { return Err(bad("it lacks arguments")) };
@@ -272,7 +272,7 @@ impl Checkpoint {
     /// The numbers of a tensor in C order.
     ///
     /// # Errors
-    /// `import.torch` when there is no such tensor, or its storage does not hold it.
+    /// `import.torch` when there is no such tensor, or its storage is too small.
     pub fn tensor(&mut self, name: &str) -> Result<Vec<f64>> {
         let Some((_, view)) = self.views.iter().find(|(key, _)| key == name) else {
             return Err(wrong(format!("there is no tensor '{name}'")));

@@ -1,16 +1,16 @@
-//! Windows that slide over a volume, synapse by synapse.
+//! Sliding windows over a volume as lists of synapses.
 //!
-//! Input: the geometry of a convolution or a pool, as checked numbers. Output: pairs of source and
-//! target with their place in the kernel, in the order of the targets. An output `o` receives the
-//! input `o * stride + k * dilation - padding` over the kernel's place `k` (torch, `Conv2d`; what
-//! lies outside of the volume is silent). A transposed convolution is the same window with source
-//! and target exchanged. Also lists the synapses of any projection, and splits them by delay.
+//! Input: the checked geometry of a convolution or a pool. Output: pairs of source and target with
+//! their place in the kernel, in the order of the targets. An output `o` receives the input `o *
+//! stride + k * dilation - padding` over the kernel's place `k` (torch, `Conv2d`); places outside
+//! the volume are silent. A transposed convolution is the window with source and target exchanged.
+//! The module also lists the synapses of any projection, and splits them by delay.
 
 use std::collections::BTreeMap;
 
 use nsim_files::network::{ProjectionDesc, ProjectionKind, padding_after};
 
-/// The most synapses that are listed one by one, for a whole model.
+/// The most synapses in lists of a whole model.
 pub const MOST_LISTED: usize = 1 << 20;
 
 /// Stride, padding before and dilation of a window, each as (vertical, horizontal).
@@ -32,17 +32,16 @@ pub struct Sliding {
     pub padding: (usize, usize),
     /// Distance of the window's places.
     pub dilation: (usize, usize),
-    /// Groups of channels that are connected among themselves only; divides the channels of both
+    /// Number of groups of channels without connections between them; divides the channels of both
     /// volumes.
     pub groups: usize,
 }
 
-/// (source unit, target unit, weight) each.
+/// A list of (source unit, target unit, weight).
 pub type Synapses = Vec<(u64, u64, f64)>;
 
 impl Sliding {
-    /// A window of this size with stride, padding and dilation between two volumes; none where a
-    /// shape has other than three axes.
+    /// A window between two volumes; `None` for a shape without exactly three axes.
     pub fn new(
         (source, target): (&[u64], &[u64]),
         size: (u64, u64),
@@ -62,7 +61,7 @@ impl Sliding {
         })
     }
 
-    /// Source channels of an output.
+    /// Number of source channels of an output.
     pub fn per_group(&self) -> usize {
         self.source[0] / self.groups
     }
@@ -80,8 +79,8 @@ impl Sliding {
         )
     }
 
-    /// Every synapse as (source unit, target unit, index into a kernel
-    /// `[out][in / groups][kh][kw]`); nothing where there may be more than [`MOST_LISTED`].
+    /// Every synapse as (source unit, target unit, index into a kernel `[out][in /
+    /// groups][kh][kw]`); `None` where there may be more than [`MOST_LISTED`].
     pub fn synapses(self) -> Option<impl Iterator<Item = (u64, u64, usize)>> {
         let (window, per_in) = (self, self.per_group());
         let per_out = (self.target[0] / self.groups).max(1);
@@ -105,7 +104,7 @@ impl Sliding {
     }
 }
 
-/// The synapses of a projection from one shape to another; none where they may be more than
+/// The synapses of a projection between two shapes; `None` where they may be more than
 /// [`MOST_LISTED`], or are not in place.
 pub fn listed(kind: ProjectionKind, source: &[u64], target: &[u64]) -> Option<Synapses> {
     match kind {
@@ -130,7 +129,7 @@ pub fn listed(kind: ProjectionKind, source: &[u64], target: &[u64]) -> Option<Sy
     }
 }
 
-/// Synapses as projections like this one, one for each delay in steps that `delay_of` gives for a
+/// Splits synapses into a copy of `like` for each delay, in steps, that `delay_of` gives for a
 /// source and a target.
 pub fn by_delay(
     like: &ProjectionDesc,
@@ -148,7 +147,7 @@ pub fn by_delay(
     })
 }
 
-/// The places of a block, the last axis fastest.
+/// The indices of a block; the last axis varies fastest.
 pub fn each3([a, b, c]: [usize; 3]) -> impl Iterator<Item = (usize, usize, usize)> {
     (0..a).flat_map(move |a| (0..b).flat_map(move |b| (0..c).map(move |c| (a, b, c))))
 }
@@ -157,8 +156,8 @@ pub fn each3([a, b, c]: [usize; 3]) -> impl Iterator<Item = (usize, usize, usize
 mod tests {
     use super::*;
 
-    /// A window of 2 x 2 over 2 channels of 3 x 3 with a border of 1, in 2 groups, against sums
-    /// written out.
+    /// Compares a window of 2 x 2 over 2 channels of 3 x 3, with padding 1 and 2 groups, with
+    /// explicit lists.
     #[test]
     fn each_output_receives_its_window() {
         let step = [(2, 2), (1, 1), (1, 1)];
@@ -173,7 +172,7 @@ mod tests {
         assert_eq!(sliding.synapses().unwrap().count(), 2 * 9);
     }
 
-    /// What is too large to list is not begun.
+    /// A list that would be too large is not begun.
     #[test]
     fn too_many_are_not_listed() {
         let (shape, step) = ([1, 1 << 20, 1 << 20], [(1, 1), (0, 0), (1, 1)]);

@@ -1,9 +1,9 @@
 //! Spikes from NumPy arrays.
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]`, in which a whole number other
-//! than zero is a spike, and the channels that are expected. Output: the spikes of each sample. A
+//! than zero is a spike, and the expected number of channels. Output: the spikes of each sample. A
 //! polarity option merges or drops the one axis of length 2 before time. Errors: `input.shape`,
-//! `input.too-long`, `input.too-many`, `input.value`, and those of the array's numbers.
+//! `input.too-long`, `input.too-many`, `input.value`, and errors of the array's numbers.
 
 use super::options::{ArrayOptions, Polarity};
 use super::population::{PopulationSpikes, too_many};
@@ -15,16 +15,16 @@ fn product(axes: &[usize]) -> Option<u64> {
     axes.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis as u64))
 }
 
-/// Maps an index along the channel axes to the channel that a polarity option leaves.
+/// Maps an index along the channel axes to a channel, under a polarity option.
 #[derive(Clone, Copy)]
 struct Merging {
     polarity: Polarity,
-    /// Channels after the axis of polarities.
+    /// Number of channels per index of the polarity axis.
     inner: usize,
 }
 
 impl Merging {
-    /// The channel, or none for a polarity that is dropped. Index 1 of the axis is a rise.
+    /// The channel; `None` for a dropped polarity. Index 1 of the axis is a rise.
     fn channel(self, flat: usize) -> Option<usize> {
         let on = (flat / self.inner) % 2 == 1;
         let kept = match self.polarity {
@@ -36,7 +36,7 @@ impl Merging {
         kept.then(|| flat / (2 * self.inner) * self.inner + flat % self.inner)
     }
 
-    /// The merging for channel axes that hold `units` channels afterwards; none when they do not.
+    /// The merging of channel axes that results in `units` channels; `None` for another number.
     fn for_axes(polarity: Polarity, axes: &[usize], units: u64) -> Result<Option<Merging>, String> {
         let channels = product(axes);
         if polarity == Polarity::Both {
@@ -77,8 +77,7 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
             if let Some(each) = leading.split_first().and_then(|(_, channels)| product(channels)) {
                 message.push_str(&format!(", read as {} samples {each} in each", leading[0]));
             }
-            // [T, channels..] or [samples, T, channels..]: the same numbers with time before the
-            // channels.
+            // [T, channels..] or [samples, T, channels..]: time precedes the channels.
             let channels = |from: usize| product(shape.get(from..).unwrap_or_default()) == Some(units);
             let time_first = polarity == Polarity::Both && (channels(1) || shape.len() > 2 && channels(2));
             let help = match polarity {

@@ -1,7 +1,7 @@
 //! Event lists in text: `timestep,channel` in each row.
 //!
 //! Input: a `.csv`. Output: its samples. A header may name the columns (`timestep`, `channel`,
-//! `sample`, in any order); `# steps: N` and `# label: C` in comments say what rows cannot.
+//! `sample`, in any order); comments `# steps: N` and `# label: C` give length and class.
 
 use std::path::Path;
 
@@ -10,7 +10,7 @@ use nsim_files::budget::{Budget, MOST_EVENT_TEXT, MOST_EVENTS, MOST_STEPS};
 use nsim_files::text::{decode, read_bytes};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 
-/// The column of each field.
+/// The column index of each field.
 #[derive(Debug, Clone, Copy)]
 struct Columns {
     step: usize,
@@ -47,7 +47,7 @@ fn fields(row: &str) -> impl Iterator<Item = &str> {
     })
 }
 
-/// The lines of a text with the places at which they begin.
+/// The lines of a text, each with the byte at which it begins.
 pub(super) fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let mut end = 0;
     text.split_inclusive('\n').map(move |line| {
@@ -118,7 +118,7 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         let sample = columns.sample.map_or(Ok(0), |column| number(column, "sample"))? as usize;
         last = last.max(Some(step));
         if sample >= samples.len() {
-            // Every sample gets a place with all timesteps.
+            // Samples that rows skip are silent and count in full.
             let steps = u64::from(comments.steps.or(last.map(|last| last + 1)).unwrap_or(1));
             if let Err(exceeded) = Budget::for_file(size, MOST_EVENTS, 1).samples(sample as u64 + 1, steps) {
                 let message = format!("sample {sample} makes the recording too long: {exceeded}");
@@ -148,7 +148,7 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
     Ok(samples.into_iter().map(spikes).collect())
 }
 
-/// What comments say about the recording.
+/// Facts about the recording in comments.
 struct Comments {
     steps: Option<u32>,
     label: Option<u32>,
@@ -178,7 +178,7 @@ impl Comments {
     }
 }
 
-/// A problem with the line at a byte.
+/// The diagnostic for the line that begins at the byte `start`.
 fn problem(source: &SourceText, start: usize, code: &'static str, message: String) -> Diagnostic {
     let line = source.text().get(start..).unwrap_or_default().lines().next().unwrap_or_default();
     Diagnostic::new(code, message).at(source, Span { start, end: start + line.len() })

@@ -7,10 +7,10 @@ use crate::kind::FileKind;
 use nsim_files::{disk, write};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The manifest of a folder of recordings.
+/// File name of the manifest of a folder of recordings.
 pub const MANIFEST: &str = "dataset.ron";
 
-/// Sample and label of a name `sample_<i>_label_<c>.npy`, with any extension.
+/// Sample number and label of a name `sample_<i>_label_<c>.npy`, with any extension.
 fn sample_name(name: &str) -> Option<(u64, u32)> {
     let (stem, _) = name.rsplit_once('.')?;
     let (index, label) = stem.strip_prefix("sample_")?.split_once("_label_")?;
@@ -26,11 +26,11 @@ fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
 }
 
 /// Sample number, label and path of each recording of a folder, sorted by number. When no name has
-/// a number and a label, every recording of events is a sample without a label, sorted by name
-/// (numbers in names by value).
+/// a number and a label, every recording of events is a sample without a label. They are then
+/// sorted by name, with numbers in names by value.
 ///
 /// # Errors
-/// `input.folder` when there is none, or two have the same number; `io.*`.
+/// `input.folder` for no recording, or two of one number; `input.unfinished`; `io.*`.
 pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     let unreadable =
         |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);

@@ -1,9 +1,9 @@
 //! Labels of samples, in a file next to their spikes.
 //!
-//! Input: an array of one axis, a class from 0 on for each sample. Output: samples with labels.
+//! Input: an array with one axis, a class from 0 on for each sample. Output: samples with labels.
 //!
-//! Errors: `input.labels` for another shape or number, for as many labels as there are no samples,
-//! and for a label that differs from one that the source itself gives.
+//! Errors: `input.labels` for another shape, a number that is not a class, a number of labels other
+//! than the number of samples, and a label that contradicts the source.
 
 use std::path::Path;
 
@@ -41,7 +41,7 @@ pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
     labels.collect()
 }
 
-/// Gives samples their labels.
+/// Sets the labels of samples.
 ///
 /// # Errors
 /// `input.labels`.

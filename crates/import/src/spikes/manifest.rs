@@ -1,10 +1,9 @@
 //! Data-set manifests and the recordings that they name.
 //!
-//! Input: a `.ron` with a [`DataSet`]. Output: a [`Manifest`] whose labels, folds and files agree
-//! with each other, and from it the spikes of one population, sample by sample or all together, and
-//! the samples that each fold trains and tests on. Lists of samples in text files have the form of
-//! clear-nus/VT_SNN's `train_80_20_k.txt` and `test_80_20_k.txt`: rows of a sample's number, from
-//! 0, and its label.
+//! Input: a `.ron` with a [`DataSet`]. Output: a [`Manifest`] with consistent labels, folds and
+//! files. It reads the spikes of a population, for one sample or all, and lists the training and
+//! test samples of each fold. Lists of samples in text files have the form of clear-nus/VT_SNN's
+//! `train_80_20_k.txt` and `test_80_20_k.txt`: rows of a sample's number, from 0, and its label.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -22,28 +21,28 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::spanned::{Spanned, parse};
 use nsim_ir::stimulus::pairs;
 
-/// A manifest that agrees with itself.
+/// A consistent manifest.
 #[derive(Debug, Clone)]
 pub struct Manifest {
     set: DataSet,
     source: SourceText,
-    /// By the names of the recordings.
+    /// Options by the names of the recordings.
     options: BTreeMap<String, EventOptions>,
 }
 
-/// The samples that a fold of a cross-validation trains and tests on.
+/// Training and test samples of a fold of a cross-validation.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Split {
     /// Samples to train on.
     pub train: Vec<u32>,
-    /// Samples to test on; none of them is trained on.
+    /// Samples to test on, disjoint from `train`.
     pub test: Vec<u32>,
 }
 
-/// Numbers of samples, and the labels that the lists give them.
+/// Samples of each fold, and labels by sample from the lists.
 type Listed = (Vec<Split>, BTreeMap<u32, u32>);
 
-/// Reads a manifest; the recordings stay where they are.
+/// Reads a manifest, but not its recordings.
 ///
 /// # Errors
 /// `dataset.syntax`; `dataset.samples`, `dataset.files`, `dataset.label`, `dataset.onset`,
@@ -52,7 +51,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest> {
     from_source(read_text(path)?)
 }
 
-/// A manifest from its text; recordings are looked for in the folder of `source`.
+/// A manifest from its text; its recordings are in the folder of `source`.
 ///
 /// # Errors
 /// As [`read_manifest`].
@@ -121,7 +120,7 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
                     continue;
                 }
                 Some(_) => format!("fold {index} names sample {sample} twice"),
-                // The number of samples is not known before the recordings are read.
+                // The number of samples is unknown before the recordings are read.
                 None if set.samples.is_empty() => continue,
                 None => format!("fold {index} names sample {sample} of {}", set.samples.len()),
             };
@@ -132,7 +131,7 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
 }
 
 impl Manifest {
-    /// What the manifest says.
+    /// The content of the manifest.
     pub fn set(&self) -> &DataSet {
         &self.set
     }
@@ -142,10 +141,10 @@ impl Manifest {
         &self.source
     }
 
-    /// What `files` calls the recordings for a population of the model.
+    /// The name in `files` of the recordings for a population of the model.
     ///
     /// # Errors
-    /// `dataset.population` with the ones that it has.
+    /// `dataset.population` with the populations of the data set.
     pub fn recording_of(&self, population: &str) -> Result<&str> {
         let mut populations = self.set.populations.iter();
         let Some((name, _)) = populations.find(|(_, for_population)| *for_population == population) else {
@@ -158,7 +157,7 @@ impl Manifest {
         Ok(name)
     }
 
-    /// The samples of each fold, and what the lists say of labels.
+    /// The samples of each fold, and the labels in the lists.
     fn listed(&self, samples: usize) -> Result<Listed> {
         let mut labels = BTreeMap::new();
         if self.set.splits.is_empty() {
@@ -191,7 +190,7 @@ impl Manifest {
         self.set.folds.len().max(self.set.splits.len())
     }
 
-    /// Which of this many samples each fold trains and tests on.
+    /// The training and test samples of each fold, of `samples` samples.
     ///
     /// # Errors
     /// `dataset.split` for a row of a list, `dataset.label` where two lists disagree; `io.*`.
@@ -199,7 +198,7 @@ impl Manifest {
         Ok(self.listed(samples)?.0)
     }
 
-    /// What a reader of recordings makes of a file for a population.
+    /// The result of `read` on a file for a population.
     fn recorded<T>(
         &self,
         (name, file): (&str, &Spanned<String>),
@@ -212,7 +211,7 @@ impl Manifest {
             .map_err(|problem| self.point_at(file.span, &file.value, problem))
     }
 
-    /// The spikes of one sample for a population, when samples have files of their own.
+    /// The spikes of one sample for a population, when samples have separate files.
     ///
     /// # Errors
     /// `dataset.population`, `dataset.samples` for a sample that does not exist, `dataset.steps`;
@@ -230,10 +229,10 @@ impl Manifest {
         Ok(spikes)
     }
 
-    /// Checks that a sample has as many timesteps as the manifest says.
+    /// Checks the number of timesteps of a sample, or sets it for a `.csv`.
     fn check_steps(&self, spikes: &mut PopulationSpikes, file: &Spanned<String>) -> Result<()> {
         match self.set.steps {
-            // Rows of a .csv cannot say that silence follows them; the manifest can.
+            // The rows of a .csv do not contain silence at the end; the manifest has the length.
             Some(steps) if spikes.units.is_none() && spikes.steps < steps => spikes.steps = steps,
             Some(steps) if spikes.steps != steps => {
                 let message = format!("{} has {} timesteps, the data set {steps}", file.value, spikes.steps);
@@ -247,15 +246,15 @@ impl Manifest {
     /// The spikes of every sample for a population.
     ///
     /// # Errors
-    /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list of
-    /// samples that are not there.
+    /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list with
+    /// absent samples.
     pub fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
         let mut all = if self.set.recordings.is_empty() {
             let read: Vec<_> = (0..self.set.samples.len())
                 .into_par_iter()
                 .map(|sample| self.read_sample(population, expected, sample))
                 .collect();
-            // The first problem in order of the samples, whichever thread met one first.
+            // Independent of threads, the first problem in the order of samples is reported.
             read.into_iter().collect::<Result<Vec<_>, _>>()?
         } else {
             let name = self.recording_of(population)?;
@@ -289,7 +288,7 @@ impl Manifest {
         Ok(all)
     }
 
-    /// The spikes of every sample, when the data set has one population only.
+    /// The spikes of every sample, when the data set has only one population.
     ///
     /// # Errors
     /// As [`Manifest::read`]; `dataset.population` when there are several.
@@ -309,8 +308,7 @@ impl Manifest {
     }
 }
 
-/// The samples of a list, rows `sample label`; `other` are those of the list that is not to share
-/// any with it.
+/// The samples of a list of rows `sample label`, which must not contain samples of `other`.
 fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
     let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
     for (start, line) in lines(source.text()) {
@@ -325,7 +323,7 @@ fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<
                 .help("a row is the number of a sample, from 0, and its label")
                 .at(source, span))
         };
-        // Tables that NumPy wrote have whole numbers as 1.000e+00.
+        // NumPy writes whole numbers in tables as 1.000e+00.
         let whole = |text: &str| {
             let value: f64 = text.parse().ok()?;
             (value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value)).then_some(value as u32)
@@ -421,7 +419,7 @@ mod tests {
         assert_eq!(load(none).unwrap_err().code, "dataset.samples");
     }
 
-    /// The output of the authors' pipeline: one array for each sense, and lists of samples.
+    /// The form of VT_SNN's pipeline: one array for each sense, and lists of samples.
     #[test]
     fn arrays_of_all_samples_are_read_with_lists_of_samples() {
         let folder = tempfile::tempdir().unwrap();
@@ -429,7 +427,7 @@ mod tests {
         let array = |name: &str, shape: &[u64], numbers: &[u8]| {
             npy::write(std::fs::File::create(at(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
         };
-        // Four samples of 3 taxels x 2 polarities x 1 step and of 2 polarities x 1 x 3 pixels x 1
+        // Four samples of 3 taxels x 2 polarities x 1 step, and of 2 polarities x 1 x 3 pixels x 1
         // step.
         let bits = |row: u32| (0..6).map(move |bit| (row >> bit & 1) as u8);
         array("tact.npy", &[4, 3, 2, 1], &[1, 2, 4, 63].into_iter().flat_map(bits).collect::<Vec<_>>());

@@ -1,9 +1,9 @@
 //! Spikes from files: arrays, lists, recordings of events, data sets.
 //!
 //! Input: a path. Output: [`PopulationSpikes`] of each sample, for one input population.
-//! [`crate::kind`] decides which format a file has; `source` is the way in. Each reader stands
-//! below it: [`manifest`] reads data sets with the readers of `recordings`, which are `array`,
-//! `npz`, [`csv`], `folder` and [`events`].
+//! [`crate::kind`] detects the format of a file; `source` is the entry point. It calls the readers:
+//! [`manifest`] reads data sets with the readers of `recordings`, which are `array`, `npz`,
+//! [`csv`], `folder` and [`events`].
 
 mod array;
 pub mod csv;

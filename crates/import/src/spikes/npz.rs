@@ -1,11 +1,11 @@
 //! Spikes from archives of NumPy arrays, `.npz`.
 //!
-//! Input: what `numpy.savez` or `savez_compressed` wrote. Output: the spikes of each sample, with
-//! labels where the archive has them. The spikes are the array that is named as the population,
-//! else `spikes`, `x`, `data`, `arr_0`, else the only one; labels are the array `labels`, `y` or
-//! `targets`. Other arrays are left alone.
+//! Input: an archive of `numpy.savez` or `savez_compressed`. Output: the spikes of each sample,
+//! with labels where the archive has them. The spikes are the array with the name of the
+//! population, else `spikes`, `x`, `data`, `arr_0`, else the only one. Labels are the array
+//! `labels`, `y` or `targets`. Other arrays are ignored.
 //!
-//! Errors: `input.npz`; `input.labels`; those of arrays.
+//! Errors: `input.npz`; `input.labels`; errors of arrays.
 
 use std::io::{Cursor, Read};
 use std::path::Path;
@@ -20,9 +20,9 @@ use super::population::PopulationSpikes;
 use nsim_files::npy;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// Bytes of an array of an archive: compressed, few bytes claim many.
+/// The most bytes of an unpacked array, since few compressed bytes may claim many.
 const MOST_UNPACKED: u64 = 256 << 20;
-/// Arrays of an archive.
+/// The most files of an archive.
 const MOST_ARRAYS: usize = 4096;
 const SPIKES: [&str; 4] = ["spikes", "x", "data", "arr_0"];
 const LABELS: [&str; 3] = ["labels", "y", "targets"];
@@ -68,7 +68,7 @@ pub fn from_bytes(
         npy::Array::from_bytes(path, bytes)
     };
     let spikes = array_of(spikes)?;
-    // x together with a time is a list of events, of which x alone would be read.
+    // Arrays of x and time are a list of events, of which x alone would be read.
     if is_header(&arrays.join(",")) && spikes.shape().len() == 1 {
         return Err(wrong(format!("the archive holds events ({}), not spikes", arrays.join(", ")))
             .help("write them as rows of text with the header t_us,x,y,p (t_s, t_ms or t_ns in other units)"));
@@ -118,7 +118,7 @@ mod tests {
         assert_eq!(code(&[("a", spikes.0, spikes.1), ("b", spikes.0, spikes.1)]), "input.npz");
         assert_eq!(code(&[("x", spikes.0, spikes.1), ("y", &[3], &[1, 0, 1])]), "input.labels");
         assert_eq!(code(&[]), "input.npz");
-        // Events are no spikes of the channels x.
+        // An array x of events is not an array of spikes.
         let events: [(&str, &[u64], &[u8]); 3] = [("x", &[2], &[0, 1]), ("y", &[2], &[1, 0]), ("t", &[2], &[1, 9])];
         let error =
             from_bytes(Path::new("a.npz"), archive(&events, stored), "touch", 1, ArrayOptions::default()).unwrap_err();

@@ -1,4 +1,4 @@
-//! How a recording becomes spikes: the options that stand after the `?` of a source.
+//! Options of reading recordings as spikes, given after the `?` of a source.
 
 use std::path::Path;
 
@@ -6,10 +6,10 @@ use nsim_files::budget::MOST_STEPS;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::names::named_variants;
 
-/// What becomes of the polarities.
+/// Treatment of the polarities.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Polarity {
-    /// Channels of their own: falling, then rising.
+    /// Separate channels: falling, then rising.
     #[default]
     Both,
     /// One channel for both.
@@ -22,7 +22,7 @@ pub enum Polarity {
 
 named_variants!(Polarity { Both = "both", Merge = "merge", On = "on", Off = "off" });
 
-/// Which moment is step 0.
+/// The time of step 0.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Origin {
     /// The first event of the file.
@@ -47,13 +47,13 @@ pub enum TimeUnit {
 named_variants!(TimeUnit { Seconds = "s", Milliseconds = "ms", Microseconds = "us", Nanoseconds = "ns" });
 
 impl TimeUnit {
-    /// The unit of a name: `s`, `ms`, `us` or `ns`.
+    /// The unit with a name: `s`, `ms`, `us` or `ns`.
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|unit| unit.name() == name)
     }
 
-    /// A time of this unit in whole microseconds, downward; what its rounding took off a whole one
-    /// is given back.
+    /// A time of this unit in whole microseconds, rounded down, with a tolerance for rounding
+    /// errors.
     pub fn microseconds(self, time: f64) -> i64 {
         let us = time
             * match self {
@@ -66,30 +66,30 @@ impl TimeUnit {
     }
 }
 
-/// How a recording becomes spikes.
+/// Options of reading recordings as spikes.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct EventOptions {
     /// Columns and rows of the sensor.
     pub size: Option<(u32, u32)>,
-    /// Left, top, width and height of the part that is used.
+    /// Left, top, width and height of the used part.
     pub crop: Option<(u32, u32, u32, u32)>,
-    /// Columns and rows that are summed into one.
+    /// Columns and rows that are pooled into one.
     pub pool: Option<(u32, u32)>,
-    /// Microseconds of a timestep.
+    /// Length of a timestep in microseconds.
     pub bin_us: Option<f64>,
-    /// Whether times go to the nearest step, ties to even, as SLAYER bins; downward otherwise.
+    /// Whether times are rounded to the nearest step, ties to even, as in SLAYER, or else down.
     pub nearest: bool,
     /// Timesteps of the sample.
     pub steps: Option<u32>,
-    /// The moment that is step 0.
+    /// The time of step 0.
     pub start: Option<Origin>,
-    /// What becomes of the polarities.
+    /// Treatment of the polarities.
     pub polarity: Polarity,
-    /// The events that a bin needs to be a spike; of an array, the least number that is one.
+    /// The least number of events of a bin that is a spike, or the least number in an array.
     pub least: Option<f64>,
-    /// The unit of times of which the file does not say it.
+    /// The unit of times in a file that does not state it.
     pub unit: Option<TimeUnit>,
-    /// The stream that is read of several.
+    /// The stream to read, in files with several.
     pub stream: Option<u32>,
 }
 
@@ -97,14 +97,14 @@ pub struct EventOptions {
 const OPTIONS: &str = "options are size=W,H crop=X,Y,W,H pool=N bin_ms=T round=down|even steps=N start=first \
                        start_ms=T polarity=both|merge|on|off least=N unit=s|ms|us|ns stream=N, joined by &";
 
-/// The options that arrays take.
+/// Options for arrays.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct ArrayOptions {
-    /// What becomes of the polarities.
+    /// Treatment of the polarities.
     pub polarity: Polarity,
     /// The least number that is a spike.
     pub least: Option<f64>,
-    /// Whether the numbers are what messages carry.
+    /// Whether the numbers are the values of messages.
     pub values: bool,
 }
 
@@ -112,10 +112,10 @@ pub struct ArrayOptions {
 pub const WHOLE: &str = "a spike is a whole number";
 
 impl ArrayOptions {
-    /// A number as what a message carries.
+    /// A number as the value of a message.
     ///
     /// # Errors
-    /// `input.value` for one that 32 bits do not hold.
+    /// `input.value` for a number that is not an integer of 32 bits, or for merged polarities.
     pub(super) fn value(self, number: f64, path: &Path) -> Result<i32> {
         let value = number as i32;
         if f64::from(value) != number || self.polarity == Polarity::Merge {
@@ -128,7 +128,7 @@ impl ArrayOptions {
     /// Whether a number is a spike.
     ///
     /// # Errors
-    /// `input.value` for a fraction, where nothing says from which number on there is a spike.
+    /// `input.value` for a fraction, without a least number.
     pub(super) fn is_spike(self, number: f64, path: &Path) -> Result<bool> {
         match self.least {
             Some(least) => Ok(number >= least),
@@ -141,14 +141,14 @@ impl ArrayOptions {
 }
 
 impl EventOptions {
-    /// The options of an array, where no others are given.
+    /// The options of an array; `None` if others are given.
     pub fn of_array(&self) -> Option<ArrayOptions> {
         let &EventOptions { polarity, least, .. } = self;
         let of_array = ArrayOptions { polarity, least, values: false };
         (*self == EventOptions { polarity, least, ..EventOptions::default() }).then_some(of_array)
     }
 
-    /// Options as `key=value` pairs of an argument.
+    /// Parses the `key=value` pairs of an argument.
     ///
     /// # Errors
     /// `input.option` with the keys that exist.

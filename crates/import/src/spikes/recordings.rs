@@ -1,4 +1,4 @@
-//! Reads a file or a folder of recordings; manifests stand above, in [`super::source`].
+//! Reads a file or a folder of recordings; [`super::source`] reads manifests.
 
 use std::path::Path;
 
@@ -17,13 +17,13 @@ use nsim_files::npy;
 use nsim_files::text::read_bytes;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// What the recordings of a source are read for.
+/// The population and the options for which a source is read.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Request<'a> {
     /// The name of the population.
     pub(super) population: &'a str,
     pub(super) expected: &'a Expected,
-    /// What stands after the `?` of the source.
+    /// The options after the `?` of the source.
     pub(super) options: &'a EventOptions,
 }
 
@@ -56,7 +56,7 @@ pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSp
     }
 }
 
-/// Reads what came through a pipe.
+/// Reads bytes from stdin or a pipe.
 fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let Request { expected, options, .. } = request;
     match FileKind::from_bytes(&bytes, path) {
@@ -78,7 +78,7 @@ fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<
     }
 }
 
-/// The problem of a file that holds no spikes.
+/// The diagnostic for a file without spikes.
 fn unknown(kind: FileKind) -> Diagnostic {
     Diagnostic::new("input.kind", format!("this is {kind}, which is not read as spikes")).help(format!(
         "read are .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), {RECORDINGS}, \
@@ -86,7 +86,7 @@ fn unknown(kind: FileKind) -> Diagnostic {
     ))
 }
 
-/// Refuses options for a source that takes none.
+/// Refuses options for a source that has none.
 pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()> {
     if *options == EventOptions::default() {
         return Ok(());
@@ -95,7 +95,7 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
     Err(Diagnostic::new("input.kind", message).help(format!("options are for {RECORDINGS}")).in_file(path))
 }
 
-/// The options that an array takes.
+/// The options of an array.
 fn array_options(path: &Path, Request { options, expected, .. }: Request<'_>) -> Result<ArrayOptions> {
     let message = "an array has timesteps already: polarity and least are the options that it takes";
     let of_array = options.of_array().map(|options| ArrayOptions { values: expected.values, ..options });
@@ -113,8 +113,8 @@ fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpik
     nir_data::read(&tree, path, population, expected, options).map_err(|problem| problem.or_in_file(path))
 }
 
-/// Reads a folder of `sample_<i>_label_<c>.npy` or of recordings of events; other files are left
-/// alone.
+/// Reads a folder of `sample_<i>_label_<c>.npy` or of recordings of events; other files are
+/// ignored.
 fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let read: Vec<_> = list_folder(folder)?
         .into_par_iter()
@@ -124,7 +124,7 @@ fn read_folder(folder: &Path, request: Request<'_>) -> Result<Vec<PopulationSpik
             Ok(recording)
         })
         .collect();
-    // The first problem in order of the samples, whichever thread met one first.
+    // Independent of threads, the first problem in the order of samples is reported.
     read.into_iter().collect()
 }
 

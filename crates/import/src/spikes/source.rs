@@ -1,9 +1,8 @@
-//! Recordings for one input population from any kind of source: the way in for everything outside
-//! this room.
+//! Recordings for one input population from any kind of source: the entry point of this module.
 //!
-//! Input: a path and what the population expects. Output: the spikes of each sample with the label
-//! that the source gives. Which population a source is for, and whether all have as many samples,
-//! is for those who put a stimulus together.
+//! Input: a path and the requirements of the population. Output: the spikes of each sample, with
+//! the label of the source. The caller assigns sources to populations and compares their numbers of
+//! samples.
 
 use std::path::Path;
 
@@ -17,18 +16,18 @@ use nsim_ir::base::diagnostic::Result;
 /// Reads a source for a population of `units` channels.
 ///
 /// # Errors
-/// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for what is wrong with a
-/// known one.
+/// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for problems of a known
+/// one.
 pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &EventOptions::default())
 }
 
-/// Reads a source for a population, with the options that stand after its `?`. Options other than
-/// `polarity` and `least` are for recordings of events; an array takes `polarity` along the one
-/// axis of length 2 before time.
+/// Reads a source for a population, with the options after its `?`. Options other than `polarity`
+/// and `least` are for recordings of events. In an array, `polarity` applies to the one axis of
+/// length 2 before time.
 ///
 /// # Errors
-/// As [`read_source`]; `input.option` for an option that the source does not take.
+/// As [`read_source`]; `input.option` for an option that the source does not support.
 pub fn read_spikes(
     path: &Path,
     population: &str,
@@ -99,13 +98,13 @@ mod tests {
         read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &options)
     }
 
-    /// [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN writes them, against loops
+    /// Compares [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN writes them, with loops
     /// over all axes.
     #[test]
     fn the_polarities_of_an_array_merge_wherever_their_axis_is() {
         let folder = tempfile::tempdir().unwrap();
         let (n, outer, inner, steps) = (3u32, 5u32, 4u32, 6u32);
-        // Either of the two, by the sizes before and after the polarity.
+        // Each layout, with the sizes before and after the polarity.
         for (shape, before, behind) in
             [(vec![n, outer, 2, steps], outer, 1), (vec![n, 2, outer, inner, steps], 1, outer * inner)]
         {
@@ -167,7 +166,7 @@ mod tests {
         assert!(error.message.contains("row 2") && error.file().unwrap().ends_with("sample_4_label_1.tact"), "{error}");
     }
 
-    /// One that names itself would be read without end.
+    /// A data set that names itself would be read without end.
     #[test]
     fn a_data_set_is_no_recording_of_a_data_set() {
         let folder = tempfile::tempdir().unwrap();

@@ -1,7 +1,7 @@
 //! Compressed sparse rows: a list of items for each row, in one allocation.
 //!
-//! Input: rows of items, one after the other, or (row, item) pairs in any order. Output: slices by
-//! row. Invariants: the offsets begin at 0, do not fall, and end at the number of items, which is
+//! Input: rows of items in order, or (row, item) pairs in any order. Output: slices by row.
+//! Invariants: the offsets begin at 0, never decrease, and end at the number of items, which is
 //! below 2^32. Errors: [`NotClosed`] for offsets that break an invariant.
 
 use serde::ser::{Serialize, Serializer};
@@ -19,7 +19,7 @@ pub struct Csr<T> {
     items: Vec<T>,
 }
 
-/// Written as a list of rows.
+/// Serialised as a list of rows.
 impl<T: Serialize> Serialize for Csr<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_seq(self.iter())
@@ -46,7 +46,7 @@ impl<T> Default for Csr<T> {
 }
 
 impl<T> Csr<T> {
-    /// Rows from their offsets, one more than rows, and their items.
+    /// Rows from their offsets, one more than there are rows, and their items.
     ///
     /// # Errors
     /// [`NotClosed`] if an invariant does not hold.
@@ -55,15 +55,15 @@ impl<T> Csr<T> {
         if ends && first.is_sorted() { Ok(Csr { first, items }) } else { Err(NotClosed) }
     }
 
-    /// No row yet, with room for this many rows and items.
+    /// No rows yet, with capacity for these numbers of rows and items.
     pub fn with_capacity(rows: usize, items: usize) -> Self {
         let mut first = Vec::with_capacity(rows + 1);
         first.push(0);
         Csr { first, items: Vec::with_capacity(items) }
     }
 
-    /// This many rows from (row, item) pairs in any order; the items of a row keep theirs. `visit`
-    /// passes every pair to the function that it is given, the same ones in each of two calls.
+    /// Builds rows from (row, item) pairs in any order, which each row keeps. `visit` is called
+    /// twice, and passes the same pairs to its argument both times.
     ///
     /// # Panics
     /// As [`Csr::push`], and when a row does not exist.
@@ -133,7 +133,7 @@ impl<T> Csr<T> {
         &mut self.items[self.first[row] as usize..self.first[row + 1] as usize]
     }
 
-    /// Where each row begins among all items, and where the last ends.
+    /// The offset of each row among all items, then the end of the last row.
     pub fn firsts(&self) -> &[u32] {
         &self.first
     }

@@ -1,15 +1,15 @@
 //! The layer of each node of a network: the number of nodes that its input has passed.
 //!
-//! Input: what leads to each node, nodes numbered in the order in which spikes reach them. Output:
-//! depths, 0 for inputs and for what they alone reach, else one more than the deepest node before
-//! it; and the ways that close a loop, which count for no depth.
+//! Input: the sources of each node, with nodes numbered in the order in which spikes reach them.
+//! Output: depths, and the edges that close a loop, which depths ignore. A depth is 0 for inputs
+//! and for nodes with inputs only as sources, else one more than the deepest source.
 
 use std::collections::BTreeSet;
 
 use petgraph::algo::tarjan_scc;
 use petgraph::graph::{DiGraph, NodeIndex};
 
-/// Depths, and the ways `(from, to)` that close a loop.
+/// Depths, and the edges `(from, to)` that close a loop.
 pub fn depths(sources: &[Vec<usize>], is_input: impl Fn(usize) -> bool) -> (Vec<u32>, BTreeSet<(usize, usize)>) {
     let ways = sources.iter().enumerate().flat_map(|(to, from)| from.iter().map(move |&from| (from, to)));
     let mut graph = DiGraph::<(), ()>::new();

@@ -1,7 +1,7 @@
-//! Diagnostics: messages about input that cannot be used.
+//! Diagnostics: messages about invalid input.
 //!
-//! Input: what is wrong, where, and what would help. Output: one value that the command line prints
-//! as text with the lines of the file around the place, or as JSON. Stages return these inside
+//! Input: a problem, its place, and advice. Output: one value, which the command line prints as
+//! JSON, or as text with the lines of the file around the place. Stages return diagnostics inside
 //! their own error types.
 
 use std::fmt;
@@ -67,7 +67,7 @@ pub struct Position {
     pub column: usize,
 }
 
-/// Where in which file.
+/// The place of a problem.
 #[derive(Debug, Clone)]
 pub enum Place {
     /// A file as a whole (it cannot be opened, it is binary).
@@ -76,7 +76,7 @@ pub enum Place {
     Text(SourceText, Span),
 }
 
-/// What reading an input returns: a value, or what is wrong with the input.
+/// Result of reading an input: a value, or the problem of the input.
 pub type Result<T, E = Diagnostic> = std::result::Result<T, E>;
 
 /// One problem with an input.
@@ -84,18 +84,18 @@ pub type Result<T, E = Diagnostic> = std::result::Result<T, E>;
 pub struct Diagnostic {
     /// A stable name for scripts: `stage.problem`, for example `model.weight-range`.
     pub code: &'static str,
-    /// What is wrong, with the entity, the value and the limit.
+    /// The problem, with the entity, the value and the limit.
     pub message: String,
-    /// What to change.
+    /// Advice for the user.
     pub help: Option<Box<str>>,
-    /// Where, when a file is to blame.
+    /// Its place, when the problem is in a file.
     pub place: Option<Place>,
     /// Further problems of the same input.
     others: Option<Box<Others>>,
 }
 
-/// Problems that have nothing to do with the one they come with. Boxed: results carry diagnostics
-/// everywhere.
+/// Problems that are independent of the one that carries them. Boxed, because results carry
+/// diagnostics everywhere.
 #[derive(Debug, Clone)]
 struct Others(Vec<Diagnostic>);
 
@@ -141,7 +141,7 @@ const USUAL: [(&str, &str); 34] = [
 /// The most problems of an input that are reported together.
 const MOST_TOGETHER: usize = 10;
 
-/// Every value; or every problem, the first with the others after it.
+/// Collects all values; or all problems, the first one with the others attached.
 ///
 /// # Errors
 /// The problems of these results, if there are any.
@@ -177,46 +177,46 @@ impl Diagnostic {
         Diagnostic { code, message: message.into(), help: None, place: None, others: None }
     }
 
-    /// Further problems of the same input, which have nothing to do with this one.
+    /// Further problems of the same input, independent of this one.
     pub fn others(&self) -> &[Diagnostic] {
         self.others.as_ref().map_or(&[], |others| &others.0)
     }
 
-    /// What to change: what the problem says itself, or else what is usual for its code.
+    /// Advice for the user: its own, or the default for its code.
     pub fn advice(&self) -> Option<&str> {
         let is_of = |code: &str| self.code.starts_with(code) || code.starts_with('.') && self.code.ends_with(code);
         let usual = || USUAL.iter().find(|(code, _)| is_of(code)).map(|(_, advice)| *advice);
         self.help.as_deref().or_else(usual)
     }
 
-    /// With advice.
+    /// Adds advice.
     #[must_use]
     pub fn help(mut self, help: impl Into<Box<str>>) -> Self {
         self.help = Some(help.into());
         self
     }
 
-    /// At a place in a text.
+    /// Sets the place to a range of a text.
     #[must_use]
     pub fn at(mut self, source: &SourceText, span: Span) -> Self {
         self.place = Some(Place::Text(source.clone(), span));
         self
     }
 
-    /// In a file.
+    /// Sets the place to a file.
     #[must_use]
     pub fn in_file(mut self, path: impl Into<PathBuf>) -> Self {
         self.place = Some(Place::File(path.into()));
         self
     }
 
-    /// In a file, unless it has a place already.
+    /// Sets the place to a file, unless it has a place already.
     #[must_use]
     pub fn or_in_file(self, path: &Path) -> Self {
         if self.place.is_some() { self } else { self.in_file(path) }
     }
 
-    /// The file, if one is to blame.
+    /// The file of the problem, if any.
     pub fn file(&self) -> Option<&Path> {
         match self.place.as_ref()? {
             Place::File(path) => Some(path),

@@ -1,7 +1,7 @@
 //! Integers with the widths of the hardware's fields.
 //!
-//! Input: any integer. Output: a value that is known to fit its field, or [`OutOfRange`] with the
-//! value and the limits. What the hardware computes with them is in `nsim_dynamics`.
+//! Input: any integer. Output: a value that fits its field, or [`OutOfRange`] with the value and
+//! the limits. The arithmetic on these values is in `nsim_dynamics`.
 
 use std::fmt;
 
@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("{what} {value} is outside {low}..={high}")]
 pub struct OutOfRange {
-    /// What the field holds, in the field's words ("decay", "threshold mantissa").
+    /// The field's quantity, for messages ("decay", "threshold mantissa").
     pub what: &'static str,
     /// The value that was given.
     pub value: i64,
@@ -21,10 +21,10 @@ pub struct OutOfRange {
     pub high: i64,
 }
 
-/// What a field holds, and the range of its values.
+/// A field: its quantity, and the range of its values.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Field {
-    /// What it holds, for messages.
+    /// The quantity, for messages.
     pub what: &'static str,
     /// The least value.
     pub low: i64,
@@ -33,7 +33,7 @@ pub struct Field {
 }
 
 impl Field {
-    /// The value, if it fits.
+    /// Returns the value, if it fits.
     ///
     /// # Errors
     /// [`OutOfRange`] outside the range.
@@ -55,10 +55,10 @@ macro_rules! ranged {
             pub const MIN: $name = $name($low);
             /// The greatest value.
             pub const MAX: $name = $name($high);
-            /// What the field holds, and its range.
+            /// The field's quantity and range.
             pub const FIELD: Field = Field { what: $what, low: $low, high: $high };
 
-            /// The value, if it fits.
+            /// Returns the value, if it fits.
             ///
             /// # Errors
             /// [`OutOfRange`] outside the field's range.
@@ -100,13 +100,13 @@ macro_rules! ranged {
 }
 
 ranged!(
-    /// Effective decay: the share that is lost in a step, in 4096ths; 4096 loses everything. The
-    /// chip's register for `u` holds one less, the one for `v` the value itself (slayerPytorch and
-    /// lava agree once that is taken into account).
+    /// Effective decay: the fraction lost in a step, in 4096ths; 4096 loses everything. The chip's
+    /// register for `u` has one less, the one for `v` the value itself. slayerPytorch and lava
+    /// agree once that is taken into account.
     Decay(u16) in 0..=4096, "decay"
 );
 ranged!(
-    /// Threshold mantissa; the threshold is 64 times as much (nengo-loihi `block.py`: 17 bits).
+    /// Threshold mantissa; the threshold is 64 times this (nengo-loihi `block.py`: 17 bits).
     ThresholdMantissa(u32) in 0..=131_071, "threshold mantissa"
 );
 ranged!(
@@ -118,11 +118,11 @@ ranged!(
     BiasExponent(u8) in 0..=7, "bias exponent"
 );
 ranged!(
-    /// Weight exponent of a synapse format: a weight counts `w * 2^(6 + exponent)`.
+    /// Weight exponent of a synapse format: a weight `w` adds `w * 2^(6 + exponent)`.
     WeightExponent(i8) in -8..=7, "weight exponent"
 );
 ranged!(
-    /// Synaptic delay field: a spike of step t enters the update of step t + 1 + delay.
+    /// Synaptic delay field d: a spike of step t arrives in step t + 1 + d, an input's in t + d.
     Delay(u8) in 0..=62, "delay"
 );
 ranged!(
@@ -145,8 +145,8 @@ ranged!(
 );
 
 ranged!(
-    /// The integer that a graded spike carries, 24 bits signed; what it adds is the scaled weight
-    /// times this.
+    /// Payload of a graded spike, 24 bits signed; the spike adds the scaled weight times the
+    /// payload.
     Payload(i32) in -8_388_608..=8_388_607, "payload"
 );
 
@@ -179,17 +179,17 @@ pub enum SignMode {
 }
 
 impl WeightExponent {
-    /// Weights count as they are.
+    /// The exponent 0, which leaves weights unchanged.
     pub const ZERO: WeightExponent = WeightExponent(0);
 
-    /// What a weight has to be a multiple of, so that it loses no bits: 1 unless this is negative.
+    /// Divisor of the weights that lose no bits: 1 unless this exponent is negative.
     pub const fn lost(self) -> i16 {
         if self.0 < 0 { 1 << -self.0 } else { 1 }
     }
 }
 
 impl ThresholdMantissa {
-    /// The least that is above zero.
+    /// The least mantissa above zero.
     pub const ONE: ThresholdMantissa = ThresholdMantissa(1);
 }
 
@@ -199,7 +199,7 @@ impl BiasMantissa {
 }
 
 impl Refractory {
-    /// Free again in the next step.
+    /// A spike may follow in the next step.
     pub const ONE: Refractory = Refractory(1);
 }
 

@@ -14,9 +14,9 @@ pub fn permutation(n: usize, seed: u64, stream: u64) -> Vec<usize> {
     order
 }
 
-/// For each of `k` folds the samples that it tests on, ascending. Samples are assigned to folds
-/// cyclically, class by class in a seeded order, so that folds differ by at most one sample in each
-/// class and in all.
+/// The test samples of each of `k` folds, ascending. Samples are assigned to folds cyclically,
+/// class by class in a seeded order. So folds differ by at most one sample in each class and in
+/// all.
 pub fn stratified_folds(labels: &[u32], k: usize, seed: u64) -> Vec<Vec<usize>> {
     let mut folds = vec![Vec::new(); k];
     let mut classes: Vec<u32> = labels.to_vec();

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 /// An index into one index space.
 pub trait Id: Copy + Eq + Ord + std::hash::Hash + fmt::Debug {
-    /// The id with this index. Ids count to `u32::MAX - 1`; sizes are checked where networks are
+    /// The id with this index, at most `u32::MAX - 1`; sizes are checked where networks are
     /// lowered.
     fn new(index: usize) -> Self;
     /// Its index.
@@ -66,7 +66,7 @@ define_id!(
     ChannelId, "in"
 );
 define_id!(
-    /// A core of a partition, before it has a place on the mesh.
+    /// A logical core, numbered over the partition.
     CoreId, "core"
 );
 define_id!(
@@ -99,7 +99,7 @@ impl<I: Id, T> IdVec<I, T> {
         self.items.len()
     }
 
-    /// Whether there is none.
+    /// Whether there is no item.
     pub fn is_empty(&self) -> bool {
         self.items.is_empty()
     }
@@ -109,7 +109,7 @@ impl<I: Id, T> IdVec<I, T> {
         self.items.iter()
     }
 
-    /// The items in order, to be changed.
+    /// The items in order, mutable.
     pub fn iter_mut(&mut self) -> std::slice::IterMut<'_, T> {
         self.items.iter_mut()
     }
@@ -129,12 +129,12 @@ impl<I: Id, T> IdVec<I, T> {
         self.items.get(id.index())
     }
 
-    /// The plain slice.
+    /// The items as a slice.
     pub fn as_slice(&self) -> &[T] {
         &self.items
     }
 
-    /// The plain slice, to be changed.
+    /// The items as a mutable slice.
     pub fn as_mut_slice(&mut self) -> &mut [T] {
         &mut self.items
     }

@@ -1,6 +1,6 @@
 //! The lowest layer: ids, range-checked integers, units, random numbers, diagnostics.
 //!
-//! Nothing here knows of networks or cores. Every other module may use it; it uses none of them.
+//! Every other module may use it; it uses none of them.
 
 pub mod csr;
 pub mod depths;

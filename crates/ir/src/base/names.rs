@@ -1,10 +1,9 @@
 //! Names in files, arguments and results.
 //!
-//! Input: an enum with its variants, each with its name unless that is the variant's own; after a
-//! semicolon a variant that holds its name, which is in no list. Output: the list of the variants
-//! and the name of each; the enum too, where names stand in its declaration. Written once, since a
-//! name given in two lists can differ. Input: a text of any origin. Output: the text as it may be
-//! shown.
+//! `named_variants!` takes the variants of an enum, with their names where these differ from the
+//! variants. A variant after a semicolon has a name of its own, and is in no list. The output is
+//! the list of variants, their names, and the enum if the declaration is given. So each name is
+//! written once. [`printable`] takes a text of any origin, and returns it as it may be displayed.
 
 use std::borrow::Cow;
 
@@ -23,7 +22,7 @@ macro_rules! named_variants {
     };
     ($enum:ident { $($variant:ident = $name:expr),+ $(,)? $(; $other:pat => $given:expr)? }) => {
         impl $enum {
-            /// Every variant, in the order in which they are shown.
+            /// Every listed variant, in the order of display.
             pub const ALL: [$enum; [$($name),+].len()] = [$($enum::$variant),+];
 
             /// The name in files, arguments and results.
@@ -39,17 +38,17 @@ macro_rules! named_variants {
 pub use named_variants;
 
 /// Whether a character controls a terminal, changes the order of the text around it, ends a line,
-/// or is none of XML's.
+/// or is not allowed in XML.
 pub fn is_unprintable(c: char) -> bool {
     c.is_control()
         || matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}' | '\u{feff}' | '\u{fffe}' | '\u{ffff}')
 }
 
-/// A text as it is printed: U+FFFD in place of every unprintable character but line ends and tabs.
+/// The text with U+FFFD in place of every unprintable character but line ends and tabs.
 ///
-/// Names, labels, file names and quoted content come from files that others made. Everything that
-/// shows them to a person goes through here, so that no name moves a cursor, colours a terminal or
-/// makes a picture that no reader takes.
+/// Names, labels, file names and quoted content come from files of other people. All output of them
+/// passes through here, so that no name moves a cursor, colours a terminal or makes an unreadable
+/// picture.
 pub fn printable(text: &str) -> Cow<'_, str> {
     let is_replaced = |c: char| is_unprintable(c) && !matches!(c, '\n' | '\t');
     match text.contains(is_replaced) {
@@ -58,7 +57,7 @@ pub fn printable(text: &str) -> Cow<'_, str> {
     }
 }
 
-/// A text as XML and HTML hold it, [`printable`].
+/// The text for XML and HTML: [`printable`] and escaped.
 pub fn markup(text: &str) -> String {
     printable(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
@@ -66,8 +65,8 @@ pub fn markup(text: &str) -> String {
 /// The least similarity of Jaro and Winkler at which one name may be meant by the other.
 const ALIKE: f64 = 0.84;
 
-/// The question whether the name most like a word was meant, with a space after it; nothing where
-/// none is like it.
+/// The question whether the name most similar to a word was meant, with a space after it; empty
+/// where no name is similar.
 pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) -> String {
     let likeness = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);
     let best = names.into_iter().map(likeness).max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(a.1)));
@@ -81,7 +80,7 @@ pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) ->
 pub fn fits_pattern(pattern: &str, name: &str) -> bool {
     let (pattern, name): (Vec<char>, Vec<char>) = (pattern.chars().collect(), name.chars().collect());
     let (mut at, mut from) = (0, 0);
-    // The last star, and the end of what it matches so far.
+    // The last star, and the end of its match so far.
     let mut star: Option<(usize, usize)> = None;
     while from < name.len() {
         match pattern.get(at) {

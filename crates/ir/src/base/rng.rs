@@ -1,5 +1,4 @@
-//! Random numbers as a function of (seed, entity, step): no sequence that threads would have to
-//! share.
+//! Random numbers as a function of (seed, entity, step), so that threads share no sequence.
 //!
 //! The mixer is the finaliser of SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom
 //! number generators", OOPSLA 2014), applied once for each argument. It is for stimuli and test
@@ -14,7 +13,7 @@ const fn mix(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
-/// A digest of words so far and one more.
+/// The digest `so_far`, extended by one word.
 #[inline]
 pub const fn digest(so_far: u64, word: u64) -> u64 {
     mix((so_far ^ word).wrapping_add(GOLDEN))
@@ -62,7 +61,7 @@ mod tests {
                 counts[below(10, 7, entity, step) as usize] += 1;
             }
         }
-        // 100,000 draws over ten bins: sd 95, so 500 is more than five standard deviations.
+        // 100,000 samples in ten bins: sd 95, so 500 is more than five standard deviations.
         assert!(counts.iter().all(|&c| (9_500..10_500).contains(&c)), "{counts:?}");
     }
 }

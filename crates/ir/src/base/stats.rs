@@ -1,21 +1,21 @@
 //! Means, deviations and intervals of measured figures.
 //!
-//! Input: figures, or counts of successes. Output: numbers. Omitted on purpose: tests of
-//! hypotheses.
+//! Input: figures, or counts of successes. Output: numbers. Hypothesis tests are omitted on
+//! purpose.
 
 /// Half the width of the central 95 % of a normal distribution, in standard deviations.
 const CENTRAL_95: f64 = 1.959_964;
 
-/// Mean and standard deviation (of the values themselves, not of their mean); zeros without values.
+/// Mean and standard deviation (of the values, not of their mean; divisor n); zeros without values.
 pub fn mean_sd(values: &[f64]) -> (f64, f64) {
     let n = values.len().max(1) as f64;
     let mean = values.iter().sum::<f64>() / n;
     (mean, (values.iter().map(|x| (x - mean) * (x - mean)).sum::<f64>() / n).sqrt())
 }
 
-/// The interval that holds the true share in 95 of 100 cases, after `share` of `trials` succeeded
-/// (Wilson, "Probable inference, the law of succession, and statistical inference", J. Am. Stat.
-/// Assoc. 1927); all of 0 to 1 without trials.
+/// The 95 % Wilson interval of a proportion, after `share` of `trials` succeeded (Wilson, "Probable
+/// inference, the law of succession, and statistical inference", J. Am. Stat. Assoc. 1927); 0 to 1
+/// without trials.
 pub fn wilson(share: f64, trials: usize) -> (f64, f64) {
     if trials == 0 {
         return (0.0, 1.0);

@@ -1,9 +1,8 @@
-//! Energy, time and power as integers small enough for every constant and wide enough for every
-//! sum.
+//! Energy, time and power as integers. Units are small enough for every constant, and types wide
+//! enough for every sum.
 //!
 //! One femtojoule is a thousandth of the least published event energy; one picosecond a hundredth
-//! of the least published time. Sums are exact, so that the order of adding can never change a
-//! total.
+//! of the least published time. Sums are exact, so totals do not depend on the order of addition.
 
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Mul};
@@ -57,32 +56,32 @@ quantity!(
 );
 
 impl Femtojoules {
-    /// In microjoules.
+    /// The energy in microjoules.
     pub fn microjoules(self) -> f64 {
         self.0 as f64 / 1e9
     }
 }
 
 impl Picoseconds {
-    /// Of a time in milliseconds, to the nearest picosecond.
+    /// Converts a time in milliseconds, rounded to the nearest picosecond.
     pub fn from_milliseconds(milliseconds: f64) -> Self {
         Picoseconds((milliseconds * 1e9).round() as u64)
     }
 
-    /// In microseconds.
+    /// The time in microseconds.
     pub fn microseconds(self) -> f64 {
         self.0 as f64 / 1e6
     }
 }
 
 impl Nanowatts {
-    /// In milliwatts.
+    /// The power in milliwatts.
     pub fn milliwatts(self) -> f64 {
         self.0 as f64 / 1e6
     }
 
-    /// The energy that this power spends in a time, rounded down to a femtojoule (1 nW for 1 ps is
-    /// 10^-6 fJ).
+    /// The energy of this power over a time, rounded down to a femtojoule (1 nW for 1 ps is 10^-6
+    /// fJ).
     #[must_use]
     pub fn during(self, time: Picoseconds) -> Femtojoules {
         Femtojoules(u128::from(self.0) * u128::from(time.0) / 1_000_000)

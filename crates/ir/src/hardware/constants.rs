@@ -1,8 +1,8 @@
-//! Constants of energy, time and power: presets of them (`mapping/constants`), each figure with its
-//! unit, source and status, so that a report can say where it comes from.
+//! Constants of energy, time and power, in presets (`mapping/constants`). Each figure has a unit, a
+//! source and a status, so that a report can name its origin.
 //!
-//! [`Constants::check`] holds units, signs and sources. What a constant is multiplied with is for
-//! `cost` to say.
+//! [`Constants::check`] checks units, ranges and sources. `nsim_cost` defines the counts that a
+//! constant is multiplied by.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,7 +12,7 @@ use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::base::names::named_variants;
 use crate::spanned::Spanned;
 
-/// How far a constant can be trusted, the most trusted first.
+/// Confidence in a constant, the most trusted first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Status {
@@ -25,7 +25,7 @@ pub enum Status {
     /// Not known; chosen, with the reason in the source.
     #[serde(alias = "Assumed")]
     Assumed,
-    /// Absent from the preset, and counted as 0. No file writes it.
+    /// Absent from the preset, and counted as 0. Files cannot give it.
     #[serde(skip_deserializing, rename = "not given")]
     NotGiven,
 }
@@ -34,7 +34,7 @@ named_variants!(Status {
     Published = "published", Calibrated = "calibrated", Assumed = "assumed"; Status::NotGiven => "not given"
 });
 
-/// The unit of a constant as it is written.
+/// The unit of a constant.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[allow(non_camel_case_types, missing_docs)]
 pub enum Unit {
@@ -69,7 +69,7 @@ const TYPED: [(&str, Unit, f64); 11] = [
 ];
 
 impl Unit {
-    /// What follows a number of this unit.
+    /// The suffix of a number in this unit.
     pub fn suffix(self) -> &'static str {
         match self {
             Unit::pJ => "pJ",
@@ -80,11 +80,11 @@ impl Unit {
         }
     }
 
-    /// A typed value such as `0.4us` in this unit. Constants of time come in ns and in us, so that
-    /// a time without its unit is refused.
+    /// Converts a value such as `0.4us` to this unit. Some constants of time are in ns and others
+    /// in us, so a time without its unit is refused.
     ///
     /// # Errors
-    /// A sentence for what is no number, or is in a unit of something else.
+    /// A sentence for a text that is no number, or is in a unit of another quantity.
     pub fn parsed(self, typed: &str) -> Result<f64, String> {
         let typed = typed.trim();
         let end = typed.len() - typed.chars().rev().take_while(char::is_ascii_alphabetic).count();
@@ -109,30 +109,30 @@ impl Unit {
     }
 }
 
-/// What one group of authors found of a constant.
+/// The value of a constant by one group of authors.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Finding {
-    /// The authors, as workloads name them: a prediction of their work is made without it.
+    /// The authors, as workloads name them: predictions of their work exclude this value.
     pub group: String,
-    /// The constant by them, in its unit.
+    /// The value, in the constant's unit.
     pub value: f64,
-    /// Where it is printed, or how it follows from what is.
+    /// Place of publication, or derivation from published figures.
     pub source: String,
 }
 
 named_variants! {
-    /// Figures whose predictions are wrong together, so that one factor bounds them.
+    /// Figures whose prediction errors are correlated, so that one factor bounds them.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Deserialize, Serialize)]
     #[serde(rename_all(serialize = "snake_case"))]
     pub enum FigureClass {
         /// Static power of neuron cores or of x86 cores.
         Static = "static",
-        /// Power of x86 cores on top.
+        /// Dynamic power of x86 cores.
         X86Dynamic = "x86_dynamic",
         /// Energy of the neuron cores' events in a step.
         CoreEnergy = "core_energy",
-        /// Power of the neuron cores' events, as fast as possible.
+        /// Dynamic power of the neuron cores' events, as fast as possible.
         CoreDynamic = "core_dynamic",
         /// Power of a whole board.
         Rails = "rails",
@@ -141,23 +141,23 @@ named_variants! {
     }
 }
 
-/// How far predictions of a class were off, each work predicted without its authors' findings.
+/// Prediction error of a class, with each work predicted without its authors' findings.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct ClassError {
-    /// Which figures.
+    /// The class of figures.
     pub class: FigureClass,
-    /// Works that print such figures; 0 where the factor bounds the constants themselves, between
-    /// what their sources leave open.
+    /// Number of works that print such figures. It is 0 where the factor bounds the constants
+    /// themselves, within the range that their sources leave open.
     pub works: u32,
-    /// A new work's figures are within this factor with a chance of 80 %, if works were counted.
+    /// Bound on the error factor of a new work, with a chance of 80 %, if works were counted.
     pub within_80: f64,
-    /// The factor with a chance of 90 %; absent where works are too few.
+    /// The bound with a chance of 90 %; absent where works are too few.
     #[serde(default)]
     pub within_90: Option<f64>,
 }
 
-/// How the parts of a core's work and the mesh make the time of a step.
+/// Rule by which the parts of a core's work and the mesh make the time of a step.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub enum StepForm {
     /// Parts follow each other: the sum, (9), (11) and (17) of `docs/energy.md`.
@@ -177,10 +177,9 @@ pub struct Constant {
     pub unit: Unit,
     /// Paper and table, or repository and file.
     pub source: String,
-    /// How far it can be trusted.
+    /// Confidence in it.
     pub status: Status,
-    /// What each group of authors found, where the value is the median of that: of two in the
-    /// middle the geometric mean.
+    /// The values by each group of authors, if `value` is their median (as of [`median`]).
     #[serde(default)]
     pub findings: Vec<Finding>,
 }
@@ -191,7 +190,7 @@ impl Constant {
         Constant { value: 0.0.into(), unit, source, status: Status::NotGiven, findings: Vec::new() }
     }
 
-    /// The median of the findings of other groups than this one; `None` when there are none.
+    /// The median of the findings of all groups but this one; `None` when there are none.
     pub fn without(&self, group: &str) -> Option<f64> {
         let others = self.findings.iter().filter(|finding| finding.group != group);
         median(others.map(|finding| finding.value).collect())
@@ -218,7 +217,7 @@ impl Constant {
     }
 }
 
-/// The median; of two in the middle their geometric mean. `None` of nothing.
+/// The median, or the geometric mean of two middle values; `None` without values.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let middle = values.len() / 2;
@@ -228,7 +227,7 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     }
 }
 
-/// Time of a barrier for up to this many tiles in use; between entries it is interpolated linearly.
+/// Time of a barrier over `tiles` tiles in use; between entries it is interpolated linearly.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BarrierTime {
@@ -238,8 +237,7 @@ pub struct BarrierTime {
     pub time: Constant,
 }
 
-/// A figure that a source gives in addition to the others and that no count of a run multiplies:
-/// stored for the record.
+/// A figure of a source that no count of a run multiplies, stored for the record.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct UnusedConstant {
@@ -247,93 +245,93 @@ pub struct UnusedConstant {
     pub name: String,
     /// The figure.
     pub constant: Constant,
-    /// Why nothing is charged for it.
+    /// Reason why nothing is charged for it.
     pub why: String,
 }
 
-/// Calls a macro with every single-valued constant and its unit: what holds a value for each is
-/// made from this list alone. Those that a source need not give are 0 without it,
+/// Calls a macro with every single-valued constant and its unit; tables with a value for each are
+/// made from this list alone. A constant with a default may be absent: it is then 0 and
 /// [`Status::NotGiven`].
 #[macro_export]
 macro_rules! for_each_constant {
     ($make:ident) => {
         $make! {
-            /// A synaptic event of a dense list.
+            /// Energy of a synaptic event of a dense list, pJ.
             synapse_dense_energy: pJ,
-            /// A synaptic event of a sparse list.
+            /// Energy of a synaptic event of a sparse list, pJ.
             synapse_sparse_energy: pJ,
-            /// A dendritic accumulator read in a step.
+            /// Energy of a dendritic accumulator read in a step, pJ.
             dendrite_energy: pJ = "Constant::no_energy",
-            /// A compartment visited in a step.
+            /// Energy of a compartment visited in a step, pJ.
             compartment_energy: pJ,
-            /// On top, when it is not idle.
+            /// Additional energy of a compartment that is not idle, pJ.
             compartment_active_energy: pJ,
-            /// On top, when it spikes.
+            /// Additional energy of a compartment that spikes, pJ.
             spike_energy: pJ = "Constant::no_energy",
-            /// A message sent.
+            /// Energy of a message sent, pJ.
             axon_out_energy: pJ = "Constant::no_energy",
-            /// A message received.
+            /// Energy of a message received, pJ.
             axon_in_energy: pJ = "Constant::no_energy",
-            /// A message that stays within its tile.
+            /// Energy of a message that stays within its tile, pJ.
             local_hop_energy: pJ = "Constant::no_energy",
-            /// A link crossed east or west.
+            /// Energy of a link crossed east or west, pJ.
             hop_ew_energy: pJ,
-            /// A link crossed north or south.
+            /// Energy of a link crossed north or south, pJ.
             hop_ns_energy: pJ,
-            /// On top, for a link between chips.
+            /// Additional energy of a link between chips, pJ.
             hop_chip_energy: pJ = "Constant::no_energy",
-            /// A synaptic event of a dense list.
+            /// Time of a synaptic event of a dense list, ns.
             synapse_dense_time: ns,
-            /// A synaptic event of a sparse list.
+            /// Time of a synaptic event of a sparse list, ns.
             synapse_sparse_time: ns,
-            /// A compartment visited in a step.
+            /// Time of a compartment visited in a step, ns.
             compartment_time: ns,
-            /// On top, when it is not idle.
+            /// Additional time of a compartment that is not idle, ns.
             compartment_active_time: ns,
-            /// On top, when it spikes.
+            /// Additional time of a compartment that spikes, ns.
             spike_time: ns = "Constant::no_time",
-            /// A message sent.
+            /// Time of a message sent, ns.
             axon_out_time: ns = "Constant::no_time",
-            /// A message received.
+            /// Time of a message received, ns.
             axon_in_time: ns = "Constant::no_time",
-            /// A message that stays within its tile.
+            /// Time of a message that stays within its tile, ns.
             local_hop_time: ns = "Constant::no_time",
-            /// A link crossed east or west.
+            /// Time of a link crossed east or west, ns.
             hop_ew_time: ns,
-            /// A link crossed north or south.
+            /// Time of a link crossed north or south, ns.
             hop_ns_time: ns,
-            /// On top, for a link between chips.
+            /// Additional time of a link between chips, ns.
             hop_chip_time: ns = "Constant::no_time",
-            /// A message on a link, which passes them one after the other.
+            /// Time of a message on a link, which passes messages sequentially, ns.
             link_time: ns,
-            /// A message on a link between chips.
+            /// Time of a message on a link between chips, ns.
             link_chip_time: ns,
-            /// Messages that wait at a link, before its sender is held up.
+            /// Messages that wait at a link before it blocks their sender.
             link_buffer: messages,
-            /// A spike that an x86 core hands to its chip, or another word that the host sends.
+            /// Time of a spike from an x86 core to its chip, or of another word from the host, us.
             injection_time: us = "Constant::no_host_time",
-            /// The turn of the x86 cores' process in a step, whether there are spikes or not.
+            /// Time of the x86 cores' process in a step, with or without spikes, us.
             turn_time: us = "Constant::no_host_time",
-            /// A hop between chips, there and back, in a barrier.
+            /// Time of a hop between chips, there and back, in a barrier, us.
             chip_hop_time: us = "Constant::no_host_time",
-            /// A word of 32 bits that an x86 core sets when state is reset.
+            /// Time of a 32-bit word that an x86 core sets when state is reset, ns.
             reset_word_time: ns = "Constant::no_time",
-            /// Static power of a neuron core in use, as a profiler attributes it.
+            /// Static power of a neuron core in use, as a profiler attributes it, mW.
             core_static_power: mW,
-            /// That over the static power of an x86 core; 0: x86 cores have none.
+            /// Static power of a neuron core over the power of an x86 core; 0: x86 cores have none.
             x86_static_ratio: ratio = "Constant::no_ratio",
-            /// Power of a chip's x86 clock, as soon as one of its x86 cores runs.
+            /// Power of a chip's x86 clock, as soon as one of its x86 cores runs, mW.
             x86_clock_power: mW = "Constant::no_power",
-            /// Power of an x86 core while it works.
+            /// Power of an x86 core while it works, mW.
             x86_active_power: mW = "Constant::no_power",
-            /// Share of a step in which an x86 core works that injects spikes.
+            /// Fraction of a step in which an x86 core works that injects spikes.
             x86_injecting_share: ratio = "Constant::no_ratio",
-            /// Leakage of a powered chip, besides that of its cores: of chips in use as a profiler
-            /// counts, of all on the board on the rails.
+            /// Leakage of a powered chip without its cores, mW. A profiler counts chips in use; the
+            /// rails count all chips on the board.
             chip_static_power: mW = "Constant::no_power",
-            /// Power of a chip on the board before a program is loaded, as the rails show it.
+            /// Power of a chip on the board before a program is loaded, from the rails, mW.
             chip_boot_power: mW = "Constant::no_power",
-            /// Power of an x86 core once a program is loaded, as the rails show it.
+            /// Power of an x86 core once a program is loaded, from the rails, mW.
             x86_on_power: mW = "Constant::no_power",
         }
     };
@@ -349,56 +347,56 @@ macro_rules! constants {
         pub struct Constants {
             /// The preset's name.
             pub name: String,
-            /// Where sources disagree, and what this preset follows.
+            /// Differences between the sources, and the choice of this preset.
             pub notes: String,
-            /// The hardware that was measured, as chips name theirs: errors hold for no other.
+            /// The measured hardware, as chips name theirs: errors hold for no other.
             #[serde(default)]
             pub hardware: String,
-            /// How far predictions with these constants were off.
+            /// Errors of predictions with these constants, by class.
             #[serde(default)]
             pub errors: Vec<ClassError>,
-            /// How the time of a step follows from its parts.
+            /// Rule for the time of a step.
             #[serde(default)]
             pub step: StepForm,
             /// Barrier times by tiles in use, ascending.
             pub barrier: Vec<BarrierTime>,
-            /// Figures of the same sources that enter no sum.
+            /// Figures of these sources that enter no sum.
             #[serde(default)]
             pub unused: Vec<UnusedConstant>,
-            /// By the name of a constant that this preset does not state, the preset that does, or
-            /// `--set`.
+            /// By the name of a constant that this preset does not state: the preset that states
+            /// it, or `--set`.
             #[serde(skip)]
             pub stated_in: BTreeMap<&'static str, String>,
-            /// The constants that are of other hardware than the preset, which its base states.
+            /// Names of constants from a base that is a preset of other hardware.
             #[serde(skip)]
             pub borrowed: BTreeSet<&'static str>,
             $($(#[$doc])* $(#[serde(default = $default)])? pub $field: Constant,)*
         }
-        /// A preset that says only what differs from another.
+        /// A preset that states only differences from a base preset.
         #[derive(Debug, Clone, Deserialize)]
         #[serde(deny_unknown_fields, rename = "Constants")]
         pub struct ConstantsChanges {
-            /// The other preset: a shipped one, or a file next to this one.
+            /// The base preset: a shipped one, or a file next to this one.
             pub base: Spanned<String>,
-            /// The preset's name; that of its file unless given.
+            /// The preset's name; the name of its file unless given.
             pub name: Option<String>,
-            /// What it is.
+            /// A description.
             #[serde(default)]
             pub notes: String,
-            /// The hardware that it is of, where that is not the other preset's.
+            /// Its hardware, where it differs from the base's.
             pub hardware: Option<String>,
-            /// How far predictions may be off, in place of the other preset's.
+            /// Errors of predictions, in place of the base's.
             pub errors: Option<Vec<ClassError>>,
-            /// How the time of a step follows from its parts, where not as in the other preset.
+            /// Rule for the time of a step, where it differs from the base's.
             pub step: Option<StepForm>,
-            /// Barrier times in place of the other preset's.
+            /// Barrier times, in place of the base's.
             pub barrier: Option<Vec<BarrierTime>>,
             $($(#[$doc])* pub $field: Option<Constant>,)*
         }
 
         impl ConstantsChanges {
-            /// The other preset with the changes. Errors of figures that follow from a changed
-            /// constant are gone, and those of other hardware.
+            /// The base with the changes. It loses the errors of figures that follow from a changed
+            /// constant, and all errors if the hardware differs.
             #[must_use]
             pub fn applied(self, base: &Constants, name: String) -> Constants {
                 let mut made = Constants { name, notes: self.notes, ..base.clone() };
@@ -439,7 +437,7 @@ macro_rules! constants {
         }
 
         impl Constants {
-            /// Drops the errors of these classes: they were of other constants.
+            /// Drops the errors of these classes, when the constants behind them change.
             pub fn forget_errors(&mut self, classes: &[FigureClass]) {
                 self.errors.retain(|error| !classes.contains(&error.class));
             }
@@ -447,7 +445,7 @@ macro_rules! constants {
             /// The names of all single-valued constants, in a fixed order.
             pub const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
-            /// One constant, by its name, to be changed.
+            /// A single-valued constant by its name, mutable.
             pub fn get_mut(&mut self, name: &str) -> Option<&mut Constant> {
                 match name {
                     $(stringify!($field) => Some(&mut self.$field),)*
@@ -460,11 +458,11 @@ macro_rules! constants {
                 vec![$((stringify!($field), &self.$field),)*]
             }
 
-            /// Checks units and signs.
+            /// Checks units, ranges, sources, and the order of barrier times.
             ///
             /// # Errors
-            /// A diagnostic at the first constant that is negative, not finite, above 10^9, or in
-            /// another unit.
+            /// A diagnostic at the first constant that is outside 0..=10^9, in another unit or
+            /// without a source. Also for barrier times that are missing or not ascending.
             pub fn check(&self, source: &SourceText) -> Result<()> {
                 $(check_constant(source, stringify!($field), &self.$field, Unit::$unit)?;)*
                 if self.barrier.is_empty() {
@@ -490,7 +488,7 @@ macro_rules! constants {
 
 for_each_constant!(constants);
 
-/// The classes of figures that follow from a constant.
+/// The classes of figures that depend on a constant.
 pub fn classes_of(constant: &str) -> &'static [FigureClass] {
     use FigureClass::{CoreDynamic, CoreEnergy, Rails, Static, Time, X86Dynamic};
     match constant {
@@ -499,7 +497,7 @@ pub fn classes_of(constant: &str) -> &'static [FigureClass] {
         "x86_clock_power" | "x86_active_power" | "x86_injecting_share" => &[X86Dynamic, Rails],
         "chip_boot_power" | "x86_on_power" => &[Rails],
         name if name.ends_with("_energy") => &[CoreEnergy, CoreDynamic, Rails],
-        // A power is an energy over a time.
+        // A power is an energy over a time, so it depends on both.
         _ => &[Time, CoreDynamic],
     }
 }

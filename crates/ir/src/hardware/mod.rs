@@ -1,8 +1,7 @@
-//! The mirror of target files: boards (`mapping/targets`) and the chip they are made of
-//! (`mapping/chips`).
+//! The contents of target files: boards (`mapping/targets`) and their chips (`mapping/chips`).
 //!
-//! A [`Target`] is a board with its chip and presets of constants ([`Constants`]) resolved and
-//! every number checked; `nsim_files::target` makes it.
+//! A [`Target`] is a board with its chip and presets of constants ([`Constants`]) resolved and all
+//! numbers checked; `nsim_files::target` makes it.
 
 pub mod constants;
 
@@ -16,35 +15,35 @@ use super::resource::{LimitChanges, Limits, Resource};
 use super::spanned::Spanned;
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 
-/// What every Loihi 1 can be programmed as.
+/// The neuron kinds of every Loihi 1.
 fn neurons_of_loihi() -> Vec<Family> {
     vec![NeuronKind::Loihi.family(), NeuronKind::If.family()]
 }
 
-/// What a core and its chip can hold.
+/// Sizes and limits of a chip and its cores.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Chip")]
 pub struct Chip {
     /// The chip's name.
     pub name: String,
-    /// What tables of energy call it; its name where it does not say.
+    /// Its name in energy tables; its own name unless given.
     #[serde(default)]
     pub hardware: Option<String>,
     /// Sources of the limits, and where they disagree.
     pub notes: String,
-    /// Tiles from west to east.
+    /// Number of tiles from west to east.
     pub width: u32,
-    /// Tiles from north to south.
+    /// Number of tiles from north to south.
     pub height: u32,
-    /// Cores of a tile.
+    /// Number of cores of a tile.
     pub cores_per_tile: u32,
-    /// Cores of the chip that may be used, at most `width * height * cores_per_tile`.
+    /// Number of usable cores of the chip, at most `width * height * cores_per_tile`.
     pub cores: u32,
-    /// Embedded x86 cores.
+    /// Number of embedded x86 cores.
     pub x86_cores: u32,
-    /// x86 cores that a chip in use keeps busy.
+    /// Number of busy x86 cores of a chip in use.
     pub x86_cores_in_use: u32,
-    /// The neurons that a compartment can be.
+    /// The neuron kinds of its compartments.
     #[serde(default = "neurons_of_loihi")]
     pub neuron_kinds: Vec<Family>,
     /// The widest integer that a message carries, in bits; 0 where messages carry none.
@@ -52,38 +51,38 @@ pub struct Chip {
     pub message_bits: u32,
     /// The limits of a core.
     pub limits: Limits,
-    /// Where each limit comes from.
+    /// Sources of the limits.
     #[serde(default)]
     pub limit_sources: Vec<LimitSource>,
-    /// What other sources say.
+    /// Limits by other sources, for the record.
     #[serde(default)]
     pub alternatives: Vec<AlternativeLimit>,
-    /// By the name of a limit that this chip's file does not state, the chip whose file does.
+    /// By the name of a limit that this chip's file does not state: the chip whose file states it.
     #[serde(skip)]
     pub stated_in: BTreeMap<&'static str, String>,
-    /// The hardware from which this chip differs in limits of a core alone: what an event costs
-    /// there it costs here.
+    /// Hardware from which this chip differs only in limits of a core, so that events cost the
+    /// same.
     #[serde(skip)]
     pub measured_as: Option<String>,
 }
 
-/// Where a limit comes from.
+/// The source of a limit.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LimitSource {
-    /// Its name in [`Limits`].
+    /// Name of the limit in [`Limits`].
     pub limit: Spanned<String>,
     /// Paper and table, or repository and file.
     pub source: String,
-    /// How far it can be trusted.
+    /// Confidence in it.
     pub status: Status,
 }
 
-/// A limit as another source has it.
+/// A limit by another source.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AlternativeLimit {
-    /// Its name in [`Limits`].
+    /// Name of the limit in [`Limits`].
     pub limit: Spanned<String>,
     /// The other value.
     pub value: u32,
@@ -92,12 +91,12 @@ pub struct AlternativeLimit {
 }
 
 impl Chip {
-    /// What tables of energy call it.
+    /// Its name in energy tables.
     pub fn hardware(&self) -> &str {
         self.hardware.as_deref().unwrap_or(&self.name)
     }
 
-    /// Places of cores on its tiles.
+    /// Number of places for cores on its tiles.
     pub fn places(&self) -> u32 {
         self.width.saturating_mul(self.height).saturating_mul(self.cores_per_tile)
     }
@@ -127,12 +126,12 @@ impl Chip {
         Ok(())
     }
 
-    /// Checks what the types of the fields do not.
+    /// Checks sizes, limits and their sources, beyond the types of the fields.
     ///
     /// # Errors
-    /// A diagnostic when a size or limit is out of range, when more x86 cores are in use than the
-    /// chip has, when an output axon takes no slot, or when a source is given for a limit that does
-    /// not exist.
+    /// A diagnostic when a size or limit is out of range, or more x86 cores are in use than the
+    /// chip has. Also when an output axon takes no slot, or fewer off its chip than on it, or a
+    /// source names no limit.
     pub fn check(&self, source: &SourceText) -> Result<()> {
         self.check_sizes().map_err(|problem| problem.in_file(source.path()))?;
         let wrong = |message: String| Diagnostic::new("target.chip", format!("chip {}: {message}", self.name));
@@ -170,61 +169,61 @@ impl Chip {
 pub struct TargetFile {
     /// The target's name.
     pub name: String,
-    /// What it is, with the source.
+    /// A description, with the source.
     pub notes: String,
     /// Name of the chip.
     pub chip: Spanned<String>,
-    /// Chips from west to east.
+    /// Number of chips from west to east.
     pub chips_x: Spanned<u32>,
-    /// Chips from north to south.
+    /// Number of chips from north to south.
     pub chips_y: Spanned<u32>,
     /// Presets of constants; the first is the default.
     pub constants: Vec<Spanned<String>>,
 }
 
-/// A target file that says only what differs from another target.
+/// A target file that states only differences from a base target.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Target")]
 pub struct TargetChanges {
-    /// The other target: a shipped one, or a file next to this one.
+    /// The base target: a shipped one, or a file next to this one.
     pub base: Spanned<String>,
-    /// The target's name; that of its file unless given.
+    /// The target's name; the name of its file unless given.
     pub name: Option<String>,
-    /// What it is.
+    /// A description.
     pub notes: Option<String>,
-    /// Chips from west to east.
+    /// Number of chips from west to east.
     pub chips_x: Option<Spanned<u32>>,
-    /// Chips from north to south.
+    /// Number of chips from north to south.
     pub chips_y: Option<Spanned<u32>>,
-    /// Tiles of a chip from west to east.
+    /// Number of tiles of a chip from west to east.
     pub width: Option<u32>,
-    /// Tiles of a chip from north to south.
+    /// Number of tiles of a chip from north to south.
     pub height: Option<u32>,
-    /// Cores of a tile; as many as `cores_per_chip` needs where it alone is given.
+    /// Number of cores of a tile; increased to fit `cores_per_chip` where it alone is given.
     pub cores_per_tile: Option<u32>,
-    /// Cores of a chip; what its tiles hold when their number or size is given.
+    /// Number of cores of a chip; all places of its tiles when their number or size is given.
     pub cores_per_chip: Option<u32>,
-    /// Embedded x86 cores.
+    /// Number of embedded x86 cores.
     pub x86_cores: Option<u32>,
-    /// x86 cores that a chip in use keeps busy.
+    /// Number of busy x86 cores of a chip in use.
     pub x86_cores_in_use: Option<u32>,
-    /// The neurons that a compartment can be.
+    /// The neuron kinds of its compartments.
     pub neuron_kinds: Option<Vec<Family>>,
     /// The widest integer that a message carries, in bits; 0 where messages carry none.
     pub message_bits: Option<u32>,
     /// Limits of a core.
     #[serde(default)]
     pub limits: LimitChanges,
-    /// Where limits come from, in place of what the other target says of them.
+    /// Sources of limits, in place of the base's.
     #[serde(default)]
     pub limit_sources: Vec<LimitSource>,
-    /// Presets of constants in place of the other target's.
+    /// Presets of constants, in place of the base's.
     pub constants: Option<Vec<Spanned<String>>>,
 }
 
 impl TargetChanges {
-    /// A chip with the changes, which goes by this name where there are any. Sources of limits that
-    /// are changed no longer say where they come from.
+    /// A chip with the changes, named `name` if there are any. It loses the sources of changed
+    /// limits.
     pub fn chip(&self, mut chip: Chip, name: &str) -> Chip {
         let sizes = [self.width, self.height, self.cores_per_tile, self.cores_per_chip];
         let x86 = [self.x86_cores, self.x86_cores_in_use];
@@ -267,7 +266,7 @@ impl TargetChanges {
 /// cores each.
 pub const MOST_CORES: u64 = 16_384 * 128;
 
-/// A board with everything it refers to.
+/// A board with its chip and its presets of constants.
 #[derive(Debug, Clone)]
 pub struct Target {
     name: String,
@@ -279,13 +278,13 @@ pub struct Target {
 }
 
 impl Target {
-    /// The same target, known to have another board or chip than the one of its name.
+    /// Returns this target, marked as changed from the target of its name.
     #[must_use]
     pub fn changed(self) -> Self {
         Target { is_changed: true, ..self }
     }
 
-    /// Whether it has another board or chip than the one of its name.
+    /// Whether its board or chip differs from the target of its name.
     pub fn is_changed(&self) -> bool {
         self.is_changed
     }
@@ -293,7 +292,7 @@ impl Target {
     /// Changes every preset of constants.
     ///
     /// # Errors
-    /// What `change` says of a preset, and of one that it spoils `constants.*`.
+    /// The errors of `change`, and of [`Constants::check`] for a changed preset.
     pub fn change_constants(&mut self, change: impl Fn(&mut Constants) -> Result<()>) -> Result<()> {
         for constants in &mut self.constants {
             change(constants)?;
@@ -314,7 +313,7 @@ impl Target {
             }
         }
         chip.check_sizes()?;
-        // So that a number of cores always fits its type, for any sides.
+        // The number of cores then fits its type, for any sides of the board.
         let cores = u64::from(file.chips_x.value) * u64::from(file.chips_y.value) * u64::from(chip.cores);
         if cores > MOST_CORES {
             return Err(
@@ -336,21 +335,21 @@ impl Target {
         })
     }
 
-    /// The same board with other limits of a core, for tests and for asking what if.
+    /// Returns this board with other limits of a core, for tests and for what-if questions.
     #[must_use]
     pub fn with_limits(mut self, limits: Limits) -> Self {
         self.chip.limits = limits;
         self
     }
 
-    /// The same board with another chip, for tests and for asking what if.
+    /// Returns this board with another chip, for tests and for what-if questions.
     #[must_use]
     pub fn with_chip(mut self, chip: Chip) -> Self {
         self.chip = chip;
         self
     }
 
-    /// The same board with one more preset of constants, in front.
+    /// Returns this board with one more preset of constants, in front of the others.
     #[must_use]
     pub fn with_preset(mut self, constants: Constants) -> Self {
         self.constants.retain(|preset| preset.name != constants.name);
@@ -373,13 +372,13 @@ impl Target {
         &self.chip.limits
     }
 
-    /// How far predictions by a preset were off on such hardware; nothing where the preset was
-    /// measured on other.
+    /// Errors of predictions by a preset on this hardware; empty where the preset was measured on
+    /// other hardware.
     pub fn errors<'c>(&self, preset: &'c Constants) -> &'c [ClassError] {
         if self.is_measured_by(preset) { &preset.errors } else { &[] }
     }
 
-    /// Whether a preset is of this chip, or of one that differs in limits of a core alone.
+    /// Whether a preset was measured on this chip, or on one that differs only in limits of a core.
     pub fn is_measured_by(&self, preset: &Constants) -> bool {
         let own = [Some(self.chip.hardware()), self.chip.measured_as.as_deref()];
         own.contains(&Some(preset.hardware.as_str()))
@@ -395,12 +394,12 @@ impl Target {
         self.chips_x * self.chips_y
     }
 
-    /// Chips from west to east.
+    /// Number of chips from west to east.
     pub fn chips_x(&self) -> u32 {
         self.chips_x
     }
 
-    /// Chips from north to south.
+    /// Number of chips from north to south.
     pub fn chips_y(&self) -> u32 {
         self.chips_y
     }

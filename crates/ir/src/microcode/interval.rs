@@ -1,15 +1,15 @@
-//! The values that an expression can have.
+//! Intervals of the values of expressions.
 //!
-//! Input: an operation and the intervals of what it takes. Output: the interval of its result, in
-//! 64 bits; or why there is none. Every value of the result lies in it; not every value in it
-//! occurs, since each operand is taken by itself.
+//! Input: an operation and the intervals of its operands. Output: the interval of its result in 64
+//! bits, or an error. It contains every value of the result, and maybe more values, because
+//! operands are treated as independent.
 
 use super::tree::{Interval, Operation, bits};
 
-/// The greatest amount of a shift.
+/// The greatest amount of a shift, in bits.
 const MOST_SHIFT: i64 = 62;
 
-/// The interval of a result.
+/// The interval of an operation's result.
 ///
 /// # Errors
 /// What the result would need, and what to do.

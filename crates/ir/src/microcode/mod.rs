@@ -1,18 +1,18 @@
-//! The rule of a neuron that a model file states: expressions of integers over words of state.
+//! Update rules of neurons from model files: expressions of integers over words of state.
 //!
-//! Input: a [`Declaration`], as `docs/formats.md` describes it. Output: [`Microcode`], a checked
-//! tree; or a [`Problem`] with its place. The parts of a tree are in `tree`,
-//! the grammar in `text`, the intervals of results in `interval`.
+//! Input: a [`Declaration`], as `docs/loihi2.md` describes it. Output: [`Microcode`], a checked
+//! expression tree, or a [`Problem`] with its place. Module `tree` has the parts of a tree, `text`
+//! the grammar, `interval` the intervals of results.
 //!
 //! Invariants of a checked tree:
 //!
 //! - every name is known, a temporary is written before it is read;
 //! - every result fits 64 bits, for any words, parameters and arrivals;
-//! - an amount of a shift is within 0..=62, a message fits 32 bits.
+//! - every amount of a shift is within 0..=62, and a message fits 32 bits.
 //!
-//! The second follows from intervals alone: those of the words and parameters are declared, and
+//! The second follows from interval arithmetic: intervals of words and parameters are declared, and
 //! each operation maps intervals to an interval. So engines compute in 64 bits without checks.
-//! What a tree computes is defined in `nsim_dynamics` and again in `nsim_golden`.
+//! `nsim_dynamics` defines the evaluation of a tree, and `nsim_golden` defines it again.
 
 mod interval;
 mod text;
@@ -30,8 +30,8 @@ pub const MOST_WORDS: usize = 8;
 /// The most assignments of an update, or of a reset.
 const MOST_ASSIGNMENTS: usize = 128;
 
-/// What a word does with a value that needs more bits. Both are reported, as rule (14) of
-/// `docs/semantics.md` says.
+/// Treatment of a value that does not fit its word. Both are reported by rule (14) of
+/// `docs/semantics.md`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 pub enum Overflow {
     /// It keeps the low bits, in two's complement.
@@ -48,12 +48,12 @@ pub struct Word {
     pub name: String,
     /// Bits, the sign included: 2 to 32.
     pub bits: u32,
-    /// What happens to a value that needs more.
+    /// Treatment of a value that needs more bits.
     pub overflow: Overflow,
 }
 
 impl Word {
-    /// The values that it holds.
+    /// The interval of its values.
     pub fn interval(&self) -> Interval {
         match self.overflow {
             Overflow::Wrap => Interval::of_bits(self.bits),
@@ -62,7 +62,7 @@ impl Word {
     }
 }
 
-/// A number that a population gives to its neurons.
+/// A parameter that populations set for their neurons.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Parameter {
@@ -75,35 +75,35 @@ pub struct Parameter {
     pub default: Option<i32>,
 }
 
-/// A kind of neuron as a model file states it.
+/// A kind of neuron as a model file declares it.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename = "Kind")]
 pub struct Declaration {
-    /// Its name, which populations give.
+    /// Its name, by which populations refer to it.
     pub name: String,
-    /// What it carries from step to step.
+    /// Words of state, which last between steps; up to [`MOST_WORDS`].
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub state: Vec<Word>,
-    /// What populations give.
+    /// Parameters that populations set.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parameters: Vec<Parameter>,
-    /// Temporaries with a width. Any other name that is assigned is one without.
+    /// Temporaries with a width. Any other assigned name is a temporary without a width.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub temporaries: Vec<Word>,
     /// Assignments of an update, in order.
     pub update: Vec<String>,
-    /// The test after the update: whether it sends. Without one it sends a message other than 0.
+    /// Condition after the update for sending. Without one, a message other than 0 is sent.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub spikes: Option<String>,
-    /// The integer that it sends; none for spikes.
+    /// The integer to send; `None` for spikes.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub message: Option<String>,
-    /// Assignments after it sent, in order.
+    /// Assignments after sending, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reset: Vec<String>,
 }
 
-/// A checked rule of a neuron.
+/// The checked rule of a neuron kind.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Microcode {
     declaration: Declaration,
@@ -116,10 +116,10 @@ pub struct Microcode {
 }
 
 impl Microcode {
-    /// Checks a declaration; `parameters` is the most parameters that a neuron can have.
+    /// Checks a declaration; `parameters` is the greatest number of parameters of a neuron.
     ///
     /// # Errors
-    /// A [`Problem`] at the first name, width or expression that does not hold.
+    /// A [`Problem`] at the first invalid name, width or expression.
     pub fn new(declaration: Declaration, parameters: usize) -> Result<Microcode, Problem> {
         if !is_name(&declaration.name) {
             let message = format!("'{}' cannot be the name of a kind: use letters, digits and '_'", declaration.name);
@@ -175,7 +175,7 @@ impl Microcode {
         Ok(Microcode { declaration, temporaries, ports, update, sends, message, reset })
     }
 
-    /// The declaration that it was made of.
+    /// Its declaration.
     pub fn declaration(&self) -> &Declaration {
         &self.declaration
     }
@@ -185,7 +185,7 @@ impl Microcode {
         self.declaration.name.as_str()
     }
 
-    /// Number of temporaries; the first ones are those with a width.
+    /// Number of temporaries; temporaries with a width come first.
     pub fn temporaries(&self) -> usize {
         self.temporaries
     }
@@ -195,7 +195,7 @@ impl Microcode {
         self.ports
     }
 
-    /// The word that is written, unless it is a temporary without a width.
+    /// The word of a state or of a temporary with a width; `None` for other variables.
     pub fn width(&self, target: Variable) -> Option<&Word> {
         match target {
             Variable::State(place) => self.declaration.state.get(place),
@@ -209,23 +209,22 @@ impl Microcode {
         &self.update
     }
 
-    /// Sent is what is not 0 after the update: the test, or the message where there is no test.
+    /// The condition for sending, true unless 0: the test, or the message where there is no test.
     pub fn sends(&self) -> &Expression {
         &self.sends
     }
 
-    /// The integer that is sent; none for spikes.
+    /// The integer to send; `None` for spikes.
     pub fn message(&self) -> Option<&Expression> {
         self.message.as_ref()
     }
 
-    /// Assignments after something was sent.
+    /// Assignments after sending.
     pub fn reset(&self) -> &[Assignment] {
         &self.reset
     }
 
-    /// Instructions of the program: operations, the assignments of numbers and names, and the
-    /// sending.
+    /// Number of instructions: operations, assignments of a number or a name, and one for sending.
     pub fn instructions(&self) -> u32 {
         let assigned = self.update.iter().chain(&self.reset).map(|assignment| assignment.value.operations().max(1));
         let message = self.declaration.spikes.as_ref().and(self.message.as_ref());

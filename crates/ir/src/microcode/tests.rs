@@ -1,8 +1,8 @@
-//! The grammar, the intervals, and a problem for each thing that can be wrong.
+//! Tests of the grammar, of the intervals, and of every error.
 
 use super::*;
 
-/// A kind with these lines; `|` separates those of the update.
+/// A kind with these assignments; `|` separates the assignments of the update.
 fn kind(update: &str, spikes: Option<&str>, message: Option<&str>, reset: &[&str]) -> Result<Microcode, Problem> {
     let word = |name: &str, bits, overflow| Word { name: name.to_string(), bits, overflow };
     let parameter = |name: &str, range| Parameter { name: name.to_string(), range, default: None };
@@ -19,7 +19,7 @@ fn kind(update: &str, spikes: Option<&str>, message: Option<&str>, reset: &[&str
     Microcode::new(declaration, 8)
 }
 
-/// The test of a kind, as a text with a bracket around each operation.
+/// The test of a kind as a text, with the operation before each bracket of operands.
 fn bracketed(text: &str) -> String {
     fn shown(expression: &Expression) -> String {
         match &expression.node {
@@ -61,14 +61,14 @@ fn operators_bind_as_in_python() {
 fn a_kind_knows_its_ports_temporaries_and_instructions() {
     let own = kind("t = v + in | x = t * 2 | u = x", Some("v > 3"), Some("u"), &["v = 0", "x = 1"]).unwrap();
     assert_eq!((own.ports(), own.temporaries()), (1, 2));
-    // Two operations, two copies, a comparison, two copies, and the sending.
+    // Two operations, a copy, a comparison, two copies, and the sending.
     assert_eq!(own.instructions(), 1 + 1 + 1 + 1 + 2 + 1);
     assert_eq!(kind("v = in + in2", Some("1"), None, &[]).unwrap().ports(), 2);
     let quiet = kind("", None, Some("v"), &[]).unwrap();
     assert_eq!(Some(quiet.sends()), quiet.message());
 }
 
-/// Intervals by trial of every value, for small ones.
+/// Small intervals are tested by every pair of values.
 #[test]
 fn intervals_hold_every_result_and_touch_both_ends() {
     use Operation::*;
@@ -184,7 +184,7 @@ fn declared_names_widths_and_ranges_are_checked() {
     }
 }
 
-/// Texts of tokens in any order are read or refused; none overflows a stack or a number.
+/// Texts of tokens in any order are parsed or refused, and overflow no stack and no number.
 #[test]
 fn random_texts_are_read_or_refused() {
     let words =

@@ -1,8 +1,7 @@
-//! The text of expressions and assignments, read by recursive descent.
+//! Recursive-descent parser of expressions and assignments.
 //!
 //! Input: a text and the names that it may use. Output: a tree whose results fit 64 bits, or a
-//! [`Problem`] at a byte of the text. Depth and length are bounded, so that no text overflows a
-//! stack.
+//! [`Problem`] at a byte of the text. Depth and length are bounded, so no text overflows the stack.
 //!
 //! ```text
 //! assignment := name '=' expression
@@ -20,7 +19,7 @@ const LONGEST: usize = 2000;
 /// The deepest nesting of brackets and signs.
 const DEEPEST: u32 = 40;
 
-/// Operators, by how weakly they bind; with `true` the operands change places.
+/// Operators with their precedence, 0 binding least; `true` swaps the operands.
 const BINARY: [(&str, u8, Operation, bool); 13] = [
     ("or", 0, Operation::Or, false),
     ("and", 1, Operation::And, false),
@@ -40,7 +39,7 @@ const NOT: u8 = 2;
 const COMPARISON: u8 = 3;
 const LAST: u8 = 6;
 
-/// Functions and their numbers of operands. The second of `clip` and `wrap` is a number.
+/// Functions and their numbers of operands. The last operand of `clip` and `wrap` is a number.
 const FUNCTIONS: [(&str, usize, Operation); 7] = [
     ("tz", 2, Operation::TowardZero),
     ("min", 2, Operation::Minimum),
@@ -71,11 +70,11 @@ const TAKEN: [&str; 13] = [
 /// The names that a text may use.
 #[derive(Debug)]
 pub(super) struct Scope {
-    /// Each with its values; none before a temporary is assigned.
+    /// Each name with its variable and interval; `None` before a temporary is assigned.
     names: Vec<(String, Variable, Option<Interval>)>,
-    /// The values of words of state, and of temporaries with a width.
+    /// Intervals of the words of state, and of temporaries with a width.
     pub(super) widths: [Vec<Interval>; 2],
-    /// Number of sums of arrivals that were read, at least 1.
+    /// Number of sums of arrivals read so far, at least 1.
     pub(super) ports: u8,
 }
 
@@ -87,7 +86,7 @@ impl Scope {
         Scope { names, widths: Default::default(), ports: 1 }
     }
 
-    /// Adds a name of the declaration at `path`.
+    /// Adds a name that is declared at `path`.
     pub(super) fn declare(
         &mut self,
         name: &str,
@@ -115,11 +114,11 @@ impl Scope {
     }
 }
 
-/// A text that is read from a place on.
+/// A text, and the byte from which it is read.
 pub(super) struct Parser<'t> {
     path: String,
     text: &'t str,
-    /// Where the next token begins.
+    /// Byte where the next token begins.
     at: usize,
     depth: u32,
     scope: &'t mut Scope,
@@ -134,7 +133,7 @@ impl<'t> Parser<'t> {
         Err(Problem { path: self.path.clone(), at, message: message.into() })
     }
 
-    /// The next token, empty at the end; a number or name, or one or two other characters.
+    /// The next token: a number, a name, or one or two other characters; empty at the end.
     fn peek(&mut self) -> &'t str {
         let rest = self.text[self.at..].trim_start();
         self.at = self.text.len() - rest.len();
@@ -147,7 +146,7 @@ impl<'t> Parser<'t> {
         &rest[..length]
     }
 
-    /// Goes on if this comes next.
+    /// Skips a token if it is next; returns whether it was.
     fn take(&mut self, token: &str) -> bool {
         let comes = self.peek() == token;
         self.at += if comes { token.len() } else { 0 };
@@ -170,7 +169,7 @@ impl<'t> Parser<'t> {
         self.wrong(self.at, format!("expected {} and found {found}{help}", shown(token)))
     }
 
-    /// An assignment, whose target takes the values of the expression.
+    /// Parses an assignment, which sets the target's interval to the expression's or to its width.
     pub(super) fn assignment(&mut self) -> Result<Assignment, Problem> {
         let name = self.peek();
         let at = self.at;
@@ -206,7 +205,7 @@ impl<'t> Parser<'t> {
         Ok(Assignment { target: *target, value })
     }
 
-    /// An expression to the end of the text.
+    /// Parses an expression that ends with the text.
     pub(super) fn whole(&mut self) -> Result<Expression, Problem> {
         if self.text.len() > LONGEST {
             let message = format!("{} bytes are more than {LONGEST}: split it by a temporary", self.text.len());
@@ -217,7 +216,7 @@ impl<'t> Parser<'t> {
         Ok(found)
     }
 
-    /// Operands and operators of this level and those that bind more.
+    /// Parses operands and operators of this level and of higher precedence.
     fn binary(&mut self, level: u8) -> Result<Expression, Problem> {
         if level > LAST {
             return self.operand();
@@ -300,7 +299,7 @@ impl<'t> Parser<'t> {
         }
     }
 
-    /// What follows the name of a function.
+    /// Parses the operands of a function, after its name.
     fn call(&mut self, name: &str, count: usize, operation: Operation, at: usize) -> Result<Expression, Problem> {
         self.expect("(")?;
         let mut of = Vec::new();

@@ -1,27 +1,27 @@
-//! The parts of a tree, and what can be wrong with a text of one.
+//! Nodes of an expression tree, and errors of a declaration.
 
-/// All integers from the least to the greatest.
+/// All integers from `low` to `high`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Interval {
-    /// The least.
+    /// The least integer.
     pub low: i64,
-    /// The greatest.
+    /// The greatest integer.
     pub high: i64,
 }
 
 impl Interval {
-    /// The values of this many bits in two's complement, 1 to 64.
+    /// The two's complement numbers of this many bits, 1 to 64.
     pub fn of_bits(bits: u32) -> Interval {
         Interval { low: i64::MIN >> (64 - bits), high: i64::MAX >> (64 - bits) }
     }
 
-    /// The same values without the least.
+    /// The two's complement numbers of this many bits, without the least.
     pub fn symmetric(bits: u32) -> Interval {
         let high = Interval::of_bits(bits).high;
         Interval { low: -high, high }
     }
 
-    /// One value.
+    /// The interval of a single value.
     pub fn one(value: i64) -> Interval {
         Interval { low: value, high: value }
     }
@@ -31,27 +31,27 @@ impl Interval {
         self.low <= other.low && other.high <= self.high
     }
 
-    /// Bits that each value fits, the sign included.
+    /// Bits that every value fits in, the sign included.
     pub fn bits(self) -> u32 {
         bits(self.low.into(), self.high.into())
     }
 }
 
-/// Bits that both fit in two's complement.
+/// Bits that both values fit in, in two's complement.
 pub(super) fn bits(low: i128, high: i128) -> u32 {
     let of = |x: i128| 129 - (if x < 0 { !x } else { x }).leading_zeros();
     of(low).max(of(high))
 }
 
-/// What is wrong with a declaration, and where.
+/// An error in a declaration, and its place.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{message}")]
 pub struct Problem {
     /// The path of a value in the declaration, such as `update.[2]`.
     pub path: String,
-    /// The byte of that text.
+    /// Byte offset in the text of this value.
     pub at: usize,
-    /// What is wrong there, and what to do.
+    /// The error, and its remedy.
     pub message: String,
 }
 
@@ -64,17 +64,17 @@ impl Problem {
 /// A variable that a name refers to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Variable {
-    /// The sum of arrivals at a port: 0 or 1.
+    /// The sum of arrivals at a port, 0 or 1.
     Arrived(usize),
-    /// A parameter, by its place.
+    /// A parameter, by its index.
     Parameter(usize),
-    /// A word of state, by its place.
+    /// A word of state, by its index.
     State(usize),
-    /// A temporary, by its place.
+    /// A temporary, by its index.
     Temporary(usize),
 }
 
-/// An operation on integers. Comparisons and logical operations give 1 or 0; what is not 0 is true.
+/// An operation on integers. Comparisons and logical operations give 1 or 0; only 0 is false.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Operation {
     /// `a + b`.
@@ -97,15 +97,15 @@ pub enum Operation {
     Equal,
     /// `a != b`.
     NotEqual,
-    /// The lesser one.
+    /// The lesser operand.
     Minimum,
-    /// The greater one.
+    /// The greater operand.
     Maximum,
-    /// Both are true.
+    /// Whether both operands are true.
     And,
-    /// One is true.
+    /// Whether an operand is true.
     Or,
-    /// `a` is not true.
+    /// Whether `a` is not true.
     Not,
     /// The magnitude.
     Absolute,
@@ -117,28 +117,28 @@ pub enum Operation {
     Wrap(u32),
 }
 
-/// A tree, or a part of one.
+/// An expression tree, or a part of one.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Expression {
-    /// What it is.
+    /// Its root.
     pub node: Node,
-    /// The values that it can have.
+    /// Interval of its values.
     pub interval: Interval,
 }
 
-/// What an expression is.
+/// The root of an expression.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Node {
     /// A number.
     Constant(i64),
     /// The value of a variable.
     Read(Variable),
-    /// An operation on as many expressions as it takes.
+    /// An operation and its operands.
     Apply(Operation, Vec<Expression>),
 }
 
 impl Expression {
-    /// Operations of the tree.
+    /// Number of operations in the tree.
     pub fn operations(&self) -> u32 {
         match &self.node {
             Node::Apply(_, of) => 1 + of.iter().map(Expression::operations).sum::<u32>(),
@@ -150,7 +150,7 @@ impl Expression {
 /// An assignment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Assignment {
-    /// What is written: a word of state or a temporary.
+    /// The assigned variable: a word of state or a temporary.
     pub target: Variable,
     /// Its new value, before it is narrowed to the target's width.
     pub value: Expression,
@@ -159,7 +159,7 @@ pub struct Assignment {
 /// The most temporaries, declared or not.
 pub(super) const MOST_TEMPORARIES: usize = 64;
 
-/// Whether a text is a letter or `_`, then letters, digits and `_`.
+/// Whether a text is a letter or `_`, then letters, digits and `_`, at most 64 in all.
 pub(super) fn is_name(text: &str) -> bool {
     let part = |c: char| c.is_ascii_alphanumeric() || c == '_';
     text.len() <= 64 && text.starts_with(|c: char| part(c) && !c.is_ascii_digit()) && text.chars().all(part)

@@ -1,8 +1,8 @@
-//! How a population's spikes reach another: which synapses a source has, and their integer weights.
+//! Connectivity of projections: the synapses of each source, with integer weights.
 //!
-//! Kernels and random synapses stay described. They are enumerated in `nsim_dynamics::synapses` for
-//! the compiler and the checker; the golden interpreter has its own enumeration. Populations and
-//! delay are left to [`Projection`](super::Projection).
+//! Kernels and random synapses are stored by their parameters. `nsim_dynamics::synapses` enumerates
+//! them for the compiler and the checker; the golden interpreter has its own enumeration.
+//! [`Projection`](super::Projection) has the populations and the delay.
 
 use std::sync::Arc;
 
@@ -12,7 +12,7 @@ use crate::base::fixed::{SignMode, WeightBits, WeightExponent};
 use crate::graph::{Shape, Window};
 use crate::neurons::Port;
 
-/// The format that the synapses of a projection are stored in.
+/// The format in which the synapses of a projection are stored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct SynapseFormat {
@@ -22,10 +22,11 @@ pub struct SynapseFormat {
     pub sign: SignMode,
     /// Bits of a weight.
     pub bits: WeightBits,
-    /// The sum of its target that it adds to, below the ports of the target's kind.
+    /// The port of its target that it adds to, below the ports of the target's kind.
     #[serde(default)]
     pub port: Port,
-    /// The sum of its own that it adds to first; none for what is added to the port as it is.
+    /// The separate sum that it adds to first; `None` where arrivals are added to the port
+    /// directly.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub apart: Option<Apart>,
     /// Whether a run may change weights, each by itself, between steps.
@@ -34,7 +35,7 @@ pub struct SynapseFormat {
 }
 
 impl SynapseFormat {
-    /// The next weight toward 0 that it has.
+    /// The nearest weight of the format toward 0.
     pub fn toward_zero(self, weight: i16) -> i16 {
         let (low, high) = self.sign.range(self.bits);
         let weight = weight.clamp(low, high);
@@ -42,9 +43,9 @@ impl SynapseFormat {
     }
 }
 
-/// A sum that is narrowed before it is added to its port: of what arrives at a compartment in a
-/// step over synapses of one number, port and delay. It is shifted by a negative exponent, and
-/// wrapped if it says so: (39) and (40) of `docs/loihi2.md`.
+/// A separate sum, which is narrowed before it is added to its port. It sums the arrivals of a
+/// compartment in a step over synapses of one number, port and delay. A negative exponent shifts
+/// it, and `wraps` wraps it: (39) and (40) of `docs/loihi2.md`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Apart {
@@ -59,20 +60,20 @@ impl Apart {
     pub const MOST: usize = 64;
 }
 
-/// How the sources of a projection reach its targets, with integer weights.
+/// Synapses of a projection, with integer weights.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub enum Connectivity {
-    /// All to all; row-major `[source][target]`, so that a spike walks one row.
+    /// All to all; row-major `[source][target]`, so that a spike reads one row.
     Dense {
         /// Number of targets.
         targets: u32,
         /// The weights.
         weights: Arc<[i16]>,
     },
-    /// Listed synapses: those of source s are `first[s]..first[s + 1]`.
+    /// Listed synapses: source s has `first[s]..first[s + 1]`.
     Sparse {
-        /// One more than sources.
+        /// Offsets of the sources, one more than sources.
         first: Arc<[u64]>,
         /// Target of each synapse; ascending within a source.
         targets: Arc<[u32]>,
@@ -86,7 +87,7 @@ pub enum Connectivity {
         /// The kernel.
         kernel: Arc<[i16]>,
     },
-    /// The same weight from each position of a window, channel by channel.
+    /// One weight from each position of a window, channel by channel.
     SumPool2d {
         /// Geometry.
         window: Window,
@@ -115,7 +116,7 @@ pub enum Connectivity {
 }
 
 impl Connectivity {
-    /// Whether every weight is a multiple of this.
+    /// Whether every weight is a multiple of `unit`.
     pub fn all_multiples_of(&self, unit: i16) -> bool {
         let all = |weights: &[i16]| weights.iter().all(|weight| weight % unit == 0);
         match self {
@@ -135,10 +136,10 @@ impl Connectivity {
         }
     }
 
-    /// Number of synapses of this many sources together.
+    /// Number of synapses of `sources` sources together.
     pub fn count(&self, sources: u64) -> u64 {
         match self {
-            // What is the same for every source, or listed, need not be counted one by one.
+            // No synapse is enumerated.
             Connectivity::Dense { targets: each, .. } | Connectivity::Random { fan_out: each, .. } => {
                 u64::from(*each) * sources
             }
@@ -150,11 +151,10 @@ impl Connectivity {
         }
     }
 
-    /// Checks that these are synapses from a population of one shape to one of another, with
-    /// weights of a format.
+    /// Checks that the synapses fit the shapes of source and target, and the weights their format.
     ///
     /// # Errors
-    /// What does not hold, as a sentence.
+    /// A sentence that names the violated condition.
     pub(super) fn check(&self, format: SynapseFormat, source: Shape, target: Shape) -> Result<(), &'static str> {
         if format.bits.get() == 7 {
             return Err("weights of 7 bits cannot be stored");

@@ -1,10 +1,9 @@
-//! The network in integers that fit their hardware fields: what the chip would be given, before any
-//! core.
+//! The network in integers that fit their hardware fields, before it is mapped to cores.
 //!
-//! Made by `nsim_quantise::quantise`. True of every [`Quantised`]: each weight is a multiple of
-//! its format's least step within the format's range, each parameter fits its field, compartments
-//! and channels are numbered without gaps in the order of the populations. Synapses stay described
-//! (a kernel, a seed) and are enumerated source by source.
+//! `nsim_quantise::quantise` makes a [`Quantised`]. Invariants: each weight is a multiple of its
+//! format's least step within the format's range, each parameter fits its field. Compartments and
+//! channels are numbered without gaps in the order of the populations. Synapses may be stored as a
+//! kernel or a seed, and are enumerated source by source.
 
 pub mod connectivity;
 
@@ -24,11 +23,11 @@ use crate::neurons::{Emits, NeuronKind, Role, Row, Stack, Storage};
 use crate::pruned;
 use crate::spikes::Message;
 
-/// One compartment: its kind, and what its registers are set to.
+/// Parameters of one compartment: its kind, and the contents of its registers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Neuron {
-    /// Which rule its updates follow.
+    /// The kind, which sets the rule of its updates.
     pub kind: NeuronKind,
     /// Effective decay of the current.
     pub du: Decay,
@@ -46,10 +45,10 @@ pub struct Neuron {
     pub vmin: VminExponent,
     /// Exponent of the upper clip.
     pub vmax: VmaxExponent,
-    /// Bits by which lava shifts what arrives in a step; 0 but under its semantics and for kinds
-    /// that have none of these registers.
+    /// Bits by which lava shifts the arrivals of a step; 0 under other semantics, and for kinds
+    /// without these registers.
     pub shift: u8,
-    /// How it uses the stack of its neuron; [`Quantised::new`] sets it from [`Parts::children`].
+    /// Its use of the stack of its neuron; [`Quantised::new`] sets it from [`Parts::children`].
     #[serde(skip_serializing_if = "Stack::is_unused")]
     pub stack: Stack,
     /// The parameters of a kind that has none of these registers.
@@ -57,8 +56,8 @@ pub struct Neuron {
 }
 
 impl Neuron {
-    /// The least that a compartment can be, for others to start from: a Loihi compartment without
-    /// memory and bias, with the greatest threshold and the widest clips.
+    /// The default parameters: a Loihi compartment without memory and bias, with the greatest
+    /// threshold and the widest clips.
     pub const PLAIN: Neuron = Neuron {
         kind: NeuronKind::Loihi,
         du: Decay::MAX,
@@ -74,7 +73,7 @@ impl Neuron {
         row: Row::EMPTY,
     };
 
-    /// The parameter of its kind that is called so in model files, 0 where the kind has none.
+    /// The parameter of this name in model files, 0 where the kind has none.
     pub fn parameter(&self, name: &str) -> i64 {
         if !self.kind.table().registers {
             let place = self.kind.parameters().iter().position(|parameter| parameter.name == name);
@@ -104,7 +103,7 @@ impl Neuron {
     }
 }
 
-/// A field that a text form omits is that of [`Neuron::PLAIN`].
+/// A text takes the fields that it omits from [`Neuron::PLAIN`].
 impl Default for Neuron {
     fn default() -> Self {
         Neuron::PLAIN
@@ -114,11 +113,11 @@ impl Default for Neuron {
 /// The parameters of a population's compartments.
 pub type Neurons = PerCompartment<Neuron>;
 
-/// What a population is made of.
+/// The units of a population.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub enum Units {
-    /// Input channels from this one on.
+    /// Input channels from this channel on.
     Input(ChannelId),
     /// Compartments from `first` on.
     Compartments {
@@ -139,9 +138,9 @@ pub struct Population {
     pub name: String,
     /// Its shape.
     pub shape: Shape,
-    /// What it is made of.
+    /// Its units.
     pub units: Units,
-    /// What its messages carry.
+    /// The content of its messages.
     #[serde(default)]
     pub message: Message,
 }
@@ -183,26 +182,27 @@ impl Population {
         self.neurons().into_iter().flat_map(move |neurons| units.clone().map(move |index| neurons.get(index)))
     }
 
-    /// How its compartments use the stack of their neurons.
+    /// The use of the stack by its compartments.
     pub fn stack(&self) -> Stack {
         self.neurons().and_then(|neurons| neurons.values().first()).map_or(Stack::UNUSED, |neuron| neuron.stack)
     }
 
-    /// Whether any compartment is so.
+    /// Whether `is_so` is true of any compartment.
     pub fn any_neuron(&self, is_so: impl Fn(&Neuron) -> bool) -> bool {
         self.neurons().is_some_and(|neurons| neurons.any(is_so))
     }
 }
 
-/// A population whose compartments are children of another's: index i of both is one neuron.
+/// A population of child compartments: compartment i and compartment i of the parent are one
+/// neuron.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Child {
     /// The population of the children.
     pub population: PopulationId,
-    /// The population of their parents, which follows theirs in the network.
+    /// The population of their parents, which comes later in the network.
     pub parent: PopulationId,
-    /// What the parents do with what the children push.
+    /// The parents' use of the voltages that the children push.
     pub role: Role,
 }
 
@@ -215,11 +215,11 @@ pub const MOST_COMPARTMENTS: usize = 4;
 pub struct Projection {
     /// `source -> target`.
     pub name: String,
-    /// Where spikes come from.
+    /// Source population.
     pub source: PopulationId,
-    /// Where they go.
+    /// Target population.
     pub target: PopulationId,
-    /// How its synapses are stored.
+    /// Storage format of its synapses.
     pub format: SynapseFormat,
     /// Delay field of every synapse.
     pub delay: Delay,
@@ -227,25 +227,25 @@ pub struct Projection {
     pub connectivity: Connectivity,
 }
 
-/// Something that quantisation changed or lost, for the user to know.
+/// A change or loss by quantisation, reported to the user.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Note {
     /// The population or projection.
     pub entity: String,
-    /// What was done to it.
+    /// The change.
     pub message: String,
-    /// When it is of rounded weights, how they were rounded.
+    /// The rounding, if weights were rounded.
     pub rounded: Option<Rounded>,
 }
 
-/// What rounding did to the weights of a projection.
+/// Rounding of the weights of a projection.
 #[derive(Debug, Clone, Copy, PartialEq, Deserialize, Serialize)]
 pub struct Rounded {
     /// Whether the weights were real numbers, not mantissas.
     pub real: bool,
-    /// Weights that were changed.
+    /// Number of changed weights.
     pub changed: u64,
-    /// All weights.
+    /// Number of all weights.
     pub weights: u64,
     /// The greatest change, as a share of the greatest weight.
     pub worst_share: f64,
@@ -256,24 +256,24 @@ pub struct Rounded {
 pub struct Reset {
     /// Timesteps between two resets, at least 1.
     pub interval: u32,
-    /// The first, counted from each population's start step.
+    /// Timesteps from each population's start step to the first reset.
     pub offset: u32,
 }
 
-/// The compartments that decide a sample, and what of them does.
+/// The compartments that decide a sample, and the score by which they do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Output {
     /// The first compartment.
     pub first: CompartmentId,
     /// Number of compartments.
     pub count: u32,
-    /// What of them decides.
+    /// The score that decides.
     pub decision: ReadOut,
     /// The step before which they are held at zero, and do not decide.
     pub start_step: u32,
 }
 
-/// What the parts of a [`Quantised`] network are made from.
+/// Parts of a [`Quantised`] network.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields)]
 pub struct Parts {
@@ -285,24 +285,24 @@ pub struct Parts {
     pub populations: IdVec<PopulationId, Population>,
     /// Projections in the order of the file.
     pub projections: IdVec<ProjectionId, Projection>,
-    /// What makes compartments of several populations one neuron, by parent.
+    /// Populations whose compartments are children in the neurons of another, by parent.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub children: Vec<Child>,
-    /// The population that decides.
+    /// The output population.
     pub output: PopulationId,
-    /// What of it decides.
+    /// The score that decides.
     pub decision: ReadOut,
-    /// Steps that a sample has after its last input step.
+    /// Steps of a sample after its last input step.
     pub drain: u32,
-    /// Names of classes, or none.
+    /// Names of classes; may be empty.
     pub classes: Vec<String>,
-    /// Which arithmetic.
+    /// The arithmetic.
     pub semantics: Semantics,
-    /// When a compartment spikes.
+    /// The threshold test.
     pub threshold: ThresholdTest,
     /// Periodic reset.
     pub reset: Option<Reset>,
-    /// What quantisation changed.
+    /// Changes by quantisation.
     pub notes: Vec<Note>,
     /// Whether sources may be grouped into population axons where a compartment has more of them
     /// than a core has input axons.
@@ -350,7 +350,7 @@ pub struct Quantised {
     pruned: Option<Arc<Pruned>>,
 }
 
-/// A [`Quantised`] as a text has it.
+/// Serialised form of a [`Quantised`].
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields, rename = "Quantised")]
 struct Text {
@@ -367,26 +367,25 @@ impl TryFrom<Text> for Quantised {
     }
 }
 
-/// The original of a pruned network, and the pruned parts.
+/// The pruned parts of a network, and its sizes before pruning.
 ///
-/// A pruned network is a network like any other, smaller and renumbered, so every stage after it
-/// takes it as it is. With this record people still see the populations, shapes and numbers of
-/// their model file. Input populations always keep their channels; a population of compartments
-/// that lost some keeps its name and place, even when nothing is left of it.
+/// A pruned network is an ordinary network, smaller and renumbered, so every later stage takes it
+/// unchanged. By this record users still see the populations, shapes and numbers of their model
+/// file. Input populations always keep their channels. A population that lost compartments keeps
+/// its name and place, even when it is empty.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Pruned {
     /// The network before; of several copies, one.
     pub original: Quantised,
     /// For each population that lost compartments, the indices of those that remain, ascending.
     pub kept: IdVec<PopulationId, Option<Vec<u32>>>,
-    /// Populations that were to stay whole because they are probed.
+    /// Populations that stayed whole because they are probed.
     pub probed: Vec<PopulationId>,
-    /// Where the stimulus that it was pruned for came from; `None` when it was pruned for every
-    /// stimulus.
+    /// Origin of the stimulus that it was pruned for; `None` when it was pruned for every stimulus.
     pub stimulus: Option<Vec<String>>,
     /// Channels that the stimulus never fires, ascending.
     pub dead: Vec<ChannelId>,
-    /// The pruned parts, a row for each kind that was looked for.
+    /// The pruned parts, a row for each kind that was searched for.
     pub rows: Vec<pruned::Row>,
 }
 
@@ -397,7 +396,7 @@ impl Pruned {
     }
 }
 
-/// Where spikes come from: an input channel or a compartment.
+/// A source of spikes: an input channel or a compartment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum SpikeSource {
     /// An input channel.
@@ -406,7 +405,7 @@ pub enum SpikeSource {
     Compartment(CompartmentId),
 }
 
-/// A part that contradicts another.
+/// Error of parts that contradict each other.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct Inconsistent(pub String);
@@ -416,8 +415,8 @@ impl Quantised {
     ///
     /// # Errors
     /// [`Inconsistent`] when units are not numbered in order, an array has another size than its
-    /// populations, a weight is not in its format, an endpoint does not exist, a target is an
-    /// input, a projection cannot be plastic or a population cannot be the child of another.
+    /// populations, or a weight has another format. Also when an endpoint does not exist, a target
+    /// is an input, a projection cannot be plastic or a population cannot be the child of another.
     pub fn new(mut parts: Parts) -> Result<Self, Inconsistent> {
         let (mut channels, mut compartments) = (0u32, 0u32);
         for population in &parts.populations {
@@ -469,11 +468,10 @@ impl Quantised {
         Ok(Quantised { parts, channels, compartments, outgoing, incoming, firsts, pruned: None })
     }
 
-    /// The network with the record of what was pruned: from itself, or from one of its equal
-    /// copies.
+    /// Adds the record of the pruning of this network, or of one of its equal copies.
     ///
     /// # Errors
-    /// [`Inconsistent`] when the compartments that remain by the record are not those here.
+    /// [`Inconsistent`] when the record's compartments are not the compartments of this network.
     pub fn with_record(mut self, pruned: Option<Arc<Pruned>>) -> Result<Self, Inconsistent> {
         if let Some(pruned) = &pruned {
             let before = pruned.original.populations();
@@ -491,15 +489,16 @@ impl Quantised {
         Ok(self)
     }
 
-    /// The same network as the result of a search over integers, whose rounding was chosen.
+    /// Returns this network, marked as the result of a search over integers, which chose its
+    /// rounding.
     #[must_use]
     pub fn with_chosen_rounding(mut self) -> Self {
         self.parts.notes.iter_mut().for_each(|note| note.rounded = None);
         self
     }
 
-    /// The populations whose compartments make up the neurons of a population without parents:
-    /// children first, itself last.
+    /// The populations of the neurons of `root`, a population without parents: children first,
+    /// `root` last.
     pub fn neuron(&self, root: PopulationId) -> Vec<PopulationId> {
         let child = |&id: &PopulationId| child_of(&self.parts.children, id).map(|child| child.population);
         let mut neuron: Vec<PopulationId> = std::iter::successors(Some(root), child).collect();
@@ -515,7 +514,7 @@ impl Quantised {
         })
     }
 
-    /// The same populations without projections.
+    /// Returns this network without projections.
     #[must_use]
     pub fn without_projections(mut self) -> Self {
         self.parts.projections = IdVec::default();
@@ -566,7 +565,7 @@ impl Quantised {
         &self.parts
     }
 
-    /// The compartments that decide.
+    /// The output compartments.
     ///
     /// # Panics
     /// Never: the constructor has checked that the output has compartments.
@@ -590,12 +589,12 @@ impl Quantised {
         &self.parts.projections
     }
 
-    /// Input channels of all input populations.
+    /// Number of channels of all input populations.
     pub fn channels(&self) -> u32 {
         self.channels
     }
 
-    /// Compartments of all populations.
+    /// Number of compartments of all populations.
     pub fn compartments(&self) -> u32 {
         self.compartments
     }
@@ -669,12 +668,12 @@ impl Quantised {
     }
 }
 
-/// The child of a parent, of children by parent.
+/// The child of a parent, if any; `children` are ordered by parent.
 fn child_of(children: &[Child], parent: PopulationId) -> Option<&Child> {
     children.binary_search_by_key(&parent, |child| child.parent).ok().map(|at| &children[at])
 }
 
-/// Checks children and their parents, and sets how each compartment uses the stack of its neuron.
+/// Checks children and their parents, and sets each compartment's use of the stack.
 fn join_children(parts: &mut Parts) -> Result<(), Inconsistent> {
     parts.children.sort_unstable_by_key(|child| child.parent);
     if !parts.children.is_empty() && (parts.semantics, parts.threshold) != (Semantics::Hardware, ThresholdTest::Strict)

@@ -1,10 +1,9 @@
 //! The limits of a core, and the pools that its resources share.
 //!
-//! Input: the `limits` of a chip file. Output: [`Limits`], a table by [`Resource`], with the pools
-//! that resources share and the rules by which axons and synapses take of them. Invariants: every
-//! resource has a limit, its own or the most that its pools leave it, or is named as without one.
-//! Errors: a resource that has neither a limit nor a pool and is not named so; a pool that nothing
-//! draws on.
+//! Input: the `limits` of a chip file. Output: [`Limits`]: a limit for each [`Resource`], the
+//! shared pools, and the rules by which axons and synapses use them. Invariants: every resource has
+//! its own limit, or one from its pools, or is listed as unlimited. Errors: a resource with none of
+//! these; a pool that no resource uses.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -25,20 +24,21 @@ pub enum Packing {
     Nxtf,
 }
 
-/// What an output axon is counted for. A population axon of a core serves the sources at one
-/// position (its atoms).
+/// Rule that counts output axons. A population axon of a core serves the sources at one position
+/// (its atoms).
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub enum OutputAxons {
-    /// For each compartment and destination core.
+    /// One output axon for each compartment and destination core.
     #[default]
     PerCompartment,
-    /// For each destination core and position whose compartments on the core send to population
-    /// axons only, and to the same ones; for each compartment and destination core otherwise.
+    /// One output axon for each destination core and position, if the position's compartments on
+    /// the core send to the same population axons only. Otherwise as
+    /// [`OutputAxons::PerCompartment`].
     PerPosition {
-        /// Atoms that a population axon of the slots of a discrete one has at most (pop16); its
+        /// The most atoms of a population axon that takes the slots of a discrete axon (pop16); its
         /// base is a multiple of 4.
         atoms: u16,
-        /// Slots that an output axon to any other population axon (pop32) takes more.
+        /// Additional slots of an output axon to any other population axon (pop32).
         more_slots: u32,
     },
 }
@@ -57,7 +57,7 @@ macro_rules! define_limits {
             ];
         }
 
-        /// Limits as a file writes them.
+        /// Serialised form of [`Limits`].
         #[derive(Deserialize, Serialize)]
         #[serde(deny_unknown_fields, rename = "Limits")]
         struct LimitsInFile {
@@ -74,20 +74,20 @@ macro_rules! define_limits {
             pools: Vec<Pool>,
         }
 
-        /// Limits that take the place of others; those that are not given stay.
+        /// Changes of limits; `None` leaves a limit unchanged.
         #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
         #[serde(deny_unknown_fields, rename = "Limits")]
         pub struct LimitChanges {
             $($(#[$doc])* pub $name: Option<u32>,)*
             /// Slots that an output axon takes when its target is on the same chip.
             pub axon_out_slots: Option<u32>,
-            /// Slots that it takes when its target is on another chip.
+            /// Slots that an output axon takes when its target is on another chip.
             pub axon_out_slots_off_chip: Option<u32>,
-            /// What an output axon is counted for.
+            /// Rule that counts output axons.
             pub output_axons: Option<OutputAxons>,
-            /// Synapses of one entry of a list.
+            /// Synapses of one entry of a list, 1 to 64.
             pub synapses_per_entry: Option<u32>,
-            /// How words are counted.
+            /// Rule that counts synapse words.
             pub packing: Option<Packing>,
             /// Limits of pools by their names.
             #[serde(default, deserialize_with = "by_name")]
@@ -95,8 +95,8 @@ macro_rules! define_limits {
         }
 
         impl LimitChanges {
-            /// The limits with these changes. A resource that had as much as a pool left it follows
-            /// the pool.
+            /// Returns the limits with these changes. A resource whose limit came from a pool
+            /// follows the pool.
             pub fn applied(&self, mut limits: Limits) -> Limits {
                 let before = limits.pools.clone();
                 for pool in &mut limits.pools {
@@ -122,7 +122,7 @@ macro_rules! define_limits {
                 limits
             }
 
-            /// Whether a limit of this name is changed.
+            /// Whether the limit of this name is changed.
             pub fn changes(&self, name: &str) -> bool {
                 let changed = [
                     $((stringify!($name), self.$name.is_some()),)*
@@ -165,20 +165,20 @@ macro_rules! define_limits {
 
 resources!(define_limits);
 
-/// What a chip need not limit: Loihi 1 counts words instead.
+/// Resources that need no limit: Loihi 1 limits synapse words instead.
 const OPTIONAL: [Resource; 1] = [Resource::StoredSynapses];
 
-/// Something that several resources of a core share freely, such as a memory.
+/// A capacity that several resources of a core share freely, such as a memory.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub struct Pool {
     /// Its name.
     pub name: String,
-    /// What it is measured in, in the plural.
+    /// Its unit, in the plural.
     pub unit: String,
-    /// How much of it a core has.
+    /// Amount that a core has, in `unit`.
     pub limit: u64,
-    /// What one of each resource takes of it.
+    /// Cost of one of each resource in `unit`, above 0.
     #[serde(deserialize_with = "each_once")]
     pub costs: BTreeMap<Resource, u32>,
 }
@@ -191,7 +191,7 @@ fn left_by<'p>(pools: impl IntoIterator<Item = &'p Pool>, resource: Resource) ->
     least.map_or(NOT_GIVEN, |most| u32::try_from(most).unwrap_or(NOT_GIVEN))
 }
 
-/// Numbers by names, in a map or as the fields of a struct.
+/// Reads numbers by name, from a map or from the fields of a struct.
 fn by_name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, u64>, D::Error> {
     struct ByName;
     impl<'de> Visitor<'de> for ByName {
@@ -212,7 +212,7 @@ fn by_name<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String
     deserializer.deserialize_any(ByName)
 }
 
-/// A map whose keys differ.
+/// Reads a map and refuses duplicate keys.
 fn each_once<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<Resource, u32>, D::Error> {
     struct EachOnce;
     impl<'de> Visitor<'de> for EachOnce {
@@ -244,7 +244,7 @@ impl Pool {
         multiple.is_some_and(|multiple| MULTIPLES.contains(&multiple.trim()))
     }
 
-    /// How much of it these uses take.
+    /// Amount in `unit` that these uses take, at most `u64::MAX`.
     pub fn need(&self, used: &PerResource<u64>) -> u64 {
         self.costs
             .iter()
@@ -253,7 +253,7 @@ impl Pool {
     }
 }
 
-/// What there is only so much of.
+/// A limited capacity: a resource of a core, a pool, or the cores of the target.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Capacity {
     /// A resource of a core.
@@ -274,7 +274,7 @@ impl Capacity {
         }
     }
 
-    /// The code of the reason that there is too little of it.
+    /// Diagnostic code where it is exceeded.
     pub fn code(&self) -> &'static str {
         match self {
             Capacity::Resource(resource) => resource.description().code,
@@ -292,7 +292,7 @@ impl Capacity {
         }
     }
 
-    /// As a sentence counts it.
+    /// Its name in a sentence, in the plural.
     pub fn noun(&self) -> Cow<'static, str> {
         match self {
             Capacity::Resource(resource) => resource.description().noun.into(),
@@ -301,7 +301,7 @@ impl Capacity {
         }
     }
 
-    /// What to do where there is too little of it.
+    /// Advice where it is exceeded.
     pub fn advice(&self) -> Cow<'static, str> {
         match self {
             Capacity::Resource(resource) => resource.description().advice.into(),
@@ -326,40 +326,40 @@ impl PartialEq<Resource> for Capacity {
     }
 }
 
-/// The limits of a core (`docs/formats.md` has the source of each), a table by [`Resource`].
+/// The limits of a core (chip files name the source of each), a table by [`Resource`].
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(try_from = "LimitsInFile", into = "LimitsInFile")]
 pub struct Limits {
-    /// The most of each resource: its own limit, or what its pools leave it.
+    /// The most of each resource, by its own limit or by its pools; `u32::MAX` where unlimited.
     pub most: PerResource<u32>,
-    /// What resources share.
+    /// Pools that resources share.
     pub pools: Vec<Arc<Pool>>,
     /// Slots that an output axon takes when its target is on the same chip.
     pub axon_out_slots: u32,
-    /// Slots that it takes when its target is on another chip.
+    /// Slots that an output axon takes when its target is on another chip.
     pub axon_out_slots_off_chip: u32,
-    /// What an output axon is counted for.
+    /// Rule that counts output axons.
     pub output_axons: OutputAxons,
-    /// Synapses of one entry of a list.
+    /// Synapses of one entry of a list, 1 to 64.
     pub synapses_per_entry: u32,
-    /// How words are counted.
+    /// Rule that counts synapse words.
     pub packing: Packing,
 }
 
 impl Limits {
-    /// The same limits but for one.
+    /// Returns these limits with another limit of one resource.
     #[must_use]
     pub fn with(mut self, resource: Resource, limit: u32) -> Self {
         self.most[resource] = limit;
         self
     }
 
-    /// Whether a resource has a limit, its own or that of a pool.
+    /// Whether a resource has a limit, of its own or by a pool.
     pub fn is_limited(&self, resource: Resource) -> bool {
         self.most[resource] != NOT_GIVEN
     }
 
-    /// Need and limit of everything that a core has, in a fixed order: resources, then pools.
+    /// Need and limit of every limited resource, then of every pool, in a fixed order.
     pub fn against(&self, used: PerResource<u64>) -> impl Iterator<Item = (Capacity, u64, u64)> {
         let limited = Resource::ALL.into_iter().filter(|&resource| self.is_limited(resource));
         let resources = limited.map(move |r| (Capacity::Resource(r), used[r], u64::from(self.most[r])));

@@ -1,7 +1,7 @@
-//! The resources of a core: what each is called, and how much of each a core has.
+//! The resources of a core: their names and their limits.
 //!
-//! - `table`: the resources, and a table by [`Resource`] of anything.
-//! - `limits`: how much of each a core has, and the pools that resources share.
+//! - `table`: the resources, and tables indexed by [`Resource`].
+//! - `limits`: the limit of each resource, and the pools that resources share.
 
 mod limits;
 mod table;

@@ -1,8 +1,8 @@
-//! The resources of a core, and tables by them.
+//! The resources of a core, and tables indexed by them.
 //!
 //! A resource is described once, in the table of [`Resource`]: files, messages, reports and counts
-//! take their names, their order and their number from it. To add one, add a row here, count it
-//! where the counter makes a table of uses, and give it a limit in the chip files.
+//! take their names, their order and their number from it. To add a resource, add a row here, count
+//! it in each counter of usage, and give it a limit in the chip files.
 
 use std::collections::BTreeMap;
 use std::ops::{Index, IndexMut};
@@ -10,16 +10,16 @@ use std::ops::{Index, IndexMut};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// What messages and reports say of a resource.
+/// Texts about a resource in messages and reports.
 pub(super) struct Description {
     name: &'static str,
-    /// Of the reason why a network does not fit.
+    /// Diagnostic code where a network exceeds the resource.
     pub(super) code: &'static str,
-    /// In the table of cores; `None` where only the greatest of many is counted.
+    /// Heading in the table of cores; `None` where the amount is a maximum, not a sum.
     pub(super) heading: Option<&'static str>,
-    /// As a sentence counts it.
+    /// Name in a sentence, in the plural.
     pub(super) noun: &'static str,
-    /// What to do where there is too little of it.
+    /// Advice where the resource is exceeded.
     pub(super) advice: &'static str,
 }
 
@@ -42,37 +42,37 @@ const ONE_ADVICE: &str = "every compartment has one: give a target that has some
 macro_rules! resources {
     ($with:ident) => {
         $with! {
-            /// Compartments.
+            /// Number of compartments.
             Compartments, compartments: "map.compartments", Some("compartments"), "compartments",
                 "move compartments of this core to another";
             /// Input axons.
             AxonsIn, axons_in: "map.axons-in", Some("axons in"), "input axons of its core", FAN_IN_ADVICE;
-            /// Output axon slots.
+            /// Number of output axon slots.
             AxonsOut, axons_out: "map.axons-out", Some("axons out"), "output axon slots of its core", FAN_OUT_ADVICE;
             /// The most output axons of one compartment.
             AxonsOutPerCompartment, axons_out_per_compartment: "map.axons-out-per-compartment", None,
                 "output axons of one compartment", FAN_OUT_ADVICE;
-            /// 64-bit words of synapse memory.
+            /// Number of 64-bit words of synapse memory.
             SynapseWords, synapse_words: "map.synapse-words", Some("words"), "synapse words of its core", WORDS_ADVICE;
             /// The most words of one input axon's list.
             SynapseWordsPerAxon, synapse_words_per_axon: "map.synapse-words-per-axon", None,
                 "synapse words of one input axon", LIST_ADVICE;
-            /// Distinct synapse formats.
+            /// Number of distinct synapse formats.
             SynapseFormats, synapse_formats: "map.synapse-formats", Some("formats"), "synapse formats of its core",
                 "let projections into this population share weight exponent, sign mode and weight bits";
-            /// Distinct compartment profiles (du, dv, refractory period).
+            /// Number of distinct compartment profiles (du, dv, refractory period).
             CompartmentProfiles, compartment_profiles: "map.compartment-profiles", Some("profiles"),
                 "compartment profiles of its core", ONE_ADVICE;
-            /// Distinct threshold mantissas.
+            /// Number of distinct threshold mantissas.
             ThresholdProfiles, threshold_profiles: "map.threshold-profiles", Some("thresholds"),
                 "threshold profiles of its core", ONE_ADVICE;
-            /// Dendritic accumulators: compartments times delay slots, a power of two above the
-            /// longest delay.
+            /// Number of dendritic accumulators: compartments times delay slots, a power of two
+            /// above the longest delay.
             Accumulators, accumulators: "map.accumulators", Some("accumulators"), "dendritic accumulators of its core",
                 DELAY_ADVICE;
-            /// Synapses that a core stores where kernels are shared: of a convolution or a pool
-            /// its kernel, once for each channel of targets; none of weight 0. Counted only where
-            /// it is limited.
+            /// Number of synapses stored by a core that shares kernels, without weights of 0. A
+            /// convolution or pool stores its kernel once for each target channel. Counted only
+            /// where it is limited.
             StoredSynapses, stored_synapses: "map.stored-synapses", Some("stored synapses"),
                 "stored synapses of its core",
                 "use fewer synapses, or prune weights to 0, which take no memory";
@@ -92,7 +92,7 @@ macro_rules! define_resource {
         }
 
         impl Resource {
-            /// Every resource, in the order in which they are counted and reported.
+            /// All resources, in the order of counts and reports.
             pub const ALL: [Resource; Resource::COUNT] = [$(Resource::$resource,)*];
             /// Number of resources.
             pub const COUNT: usize = [$(stringify!($name),)*].len();
@@ -116,19 +116,19 @@ impl Resource {
     }
 }
 
-/// Something for each resource.
+/// A value for each resource.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct PerResource<T>(pub(super) [T; Resource::COUNT]);
 
 impl<T> PerResource<T> {
-    /// What a function makes of each resource.
+    /// Builds a table from the value of each resource.
     #[inline]
     pub fn from_fn(f: impl FnMut(Resource) -> T) -> Self {
         PerResource(Resource::ALL.map(f))
     }
 }
 
-/// Written by the names of the resources, all of which a text has.
+/// Serialised as a map by resource name, in which every resource is required.
 impl<T: Serialize> Serialize for PerResource<T> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         serializer.collect_map(Resource::ALL.iter().zip(&self.0))

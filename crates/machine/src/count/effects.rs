@@ -1,8 +1,7 @@
-//! What a message causes at the core that it reaches: events of dense and of sparse synapses.
+//! Effects of a message at its target core: events of dense and of sparse synapses.
 //!
-//! Input: the lists of a class of cores. Output: [`Effect`], 32 bits for each list. The messages of
-//! a core's spikes find them in the cache: neighbouring sources select lists side by side, and few
-//! effects differ.
+//! Input: the lists of a class of cores. Output: [`Effect`], 32 bits for each list. Effects stay in
+//! the cache, since neighbouring sources select adjacent lists, and few effects are distinct.
 
 use rayon::prelude::*;
 
@@ -21,7 +20,7 @@ pub(crate) struct Events {
 }
 
 impl Events {
-    /// Of a list whose synapses of each delay field are reached this often.
+    /// Events of a list whose synapses of a delay field receive `times` spikes each.
     pub fn of_list(list: &[Synapse], formats: &[CoreFormat], times: impl Fn(u8) -> u64) -> Self {
         let mut events = Events::default();
         for synapse in list {
@@ -35,21 +34,21 @@ impl Events {
     }
 }
 
-/// What reaching a list causes: how many of its synapses are dense, how many sparse, and their
+/// Effect of a message that selects a list: the numbers of dense and of sparse synapses, and their
 /// delay field.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Effect(u32);
 
 impl Effect {
-    /// Bits of the number of dense synapses, and of the number of sparse ones.
+    /// Bits of the number of dense synapses, and bits of the number of sparse synapses.
     const COUNT_BITS: u32 = 13;
-    /// Synapses that differ in their delay field, which is at most 62.
+    /// Marks synapses of different delay fields; a delay field is at most 62.
     const SEVERAL: u32 = 63;
-    /// More synapses than the bits hold: the list has to be read.
+    /// Marks a list that has to be read, since the bits cannot hold its number of synapses.
     const READ: Self = Effect(u32::MAX);
 
-    /// At most this many of the effects of all classes, ascending. The last is [`Self::READ`], for
-    /// the lists whose effects are omitted.
+    /// Returns at most `most` distinct effects of all classes, ascending. The last is
+    /// [`Self::READ`], for the lists whose effects are omitted.
     pub fn distinct(of_classes: &[Vec<Self>], most: usize) -> Vec<Self> {
         let of_class = |lists: &Vec<Self>| {
             let mut distinct = lists.clone();
@@ -67,7 +66,7 @@ impl Effect {
         distinct
     }
 
-    /// Of each list of a class.
+    /// Returns the effect of each list of a class.
     pub fn of_class(class: &CoreClass) -> Vec<Self> {
         class.inputs.lists.iter().map(|list| Effect::new(list, &class.formats)).collect()
     }
@@ -83,8 +82,8 @@ impl Effect {
         Effect(delay << (2 * Effect::COUNT_BITS) | (dense as u32) << Effect::COUNT_BITS | sparse as u32)
     }
 
-    /// Events of the list if its synapses of each delay field are reached this often, all of them
-    /// `always` if that is so; `None` where the list has to be read.
+    /// Events of the list, whose synapses of a delay field receive `times` spikes each; with
+    /// `always` all receive this number. `None` where the list has to be read.
     #[inline]
     pub fn events(self, always: Option<u64>, times: impl Fn(u8) -> u64) -> Option<Events> {
         let delay = self.0 >> (2 * Effect::COUNT_BITS);
@@ -117,7 +116,7 @@ mod tests {
         assert_eq!(Effect::READ.events(Some(1), |_| 1), None);
     }
 
-    /// Lists of every length about the limits, of one delay field or of several.
+    /// Lists of every length around the limits, of one delay field or of several.
     #[test]
     fn effects_are_what_lists_hold() {
         let (exponent, bits) = (WeightExponent::new(0).unwrap(), WeightBits::new(8).unwrap());

@@ -1,10 +1,10 @@
-//! Counts of the mapped program, from who spiked.
+//! Counts of the mapped program, from its spikes.
 //!
-//! - `effects`: what reaching a list of synapses causes.
+//! - `effects`: events of a message that selects a list of synapses.
 //! - `tally`: messages, hops and synaptic events of spikes.
-//! - `spike_counts`: how often each source spiked, and what that caused.
+//! - `spike_counts`: spikes of each source, and the activity that they cause.
 //! - `routing_tables`: the list of synapses that a message selects.
-//! - `residual`: synaptic events that steps leave to the end of a run.
+//! - `residual`: synaptic events that are counted at the end of a run instead of in steps.
 
 pub(crate) mod effects;
 pub(crate) mod residual;

@@ -1,20 +1,20 @@
 //! Synaptic events of sources with unequal fan-out, counted without a look-up per spike.
 //!
-//! A step counts a spike of source s as m(s) events. Let n(s) be how often s spiked, and f(s) its
-//! fan-out. Then
+//! A step counts a spike of source s as m(s) events. Let n(s) be the number of spikes of s, and
+//! f(s) its fan-out. Then
 //!
 //! ```text
 //! events = sum of n(s) f(s) = sum of n(s) m(s) + sum of n(s) r(s),   r(s) = f(s) - m(s)
 //! ```
 //!
-//! Within a dense block m is the mean of f, the same for all its sources, so a step multiplies once
-//! a block; elsewhere m = f. The second sum is made when events are asked for; n is counted for the
+//! Within a dense block m is the mean of f over its sources, so a step multiplies once a block;
+//! elsewhere m = f. The second sum is computed when events are requested; n is counted for the
 //! activity anyway. Delayed synapses keep m = f: their events may fall after the sample's end, and
 //! then are not counted.
 //!
 //! Why: pruned networks have blocks of unequal fan-out. Looking up f for every spike took a sixth
-//! of a step: pruned slip scenes ran at 0.83 of the speed of whole ones, and at 0.98 when counted
-//! so.
+//! of a step: pruned slip scenes ran at 0.83 of the speed of whole ones. With residuals they run at
+//! 0.98.
 
 use crate::layout::fan_out::FanOut;
 use nsim_ir::base::id::{CompartmentId, Id};
@@ -26,7 +26,7 @@ pub(crate) struct Residual {
 }
 
 impl Residual {
-    /// Replaces f by m in these fan-outs, of sources from `first` on, out of this many in all.
+    /// Replaces f by m in the fan-outs of sources from `first` on; `sources` counts all sources.
     pub fn replace_by_means(&mut self, fan_outs: &mut [FanOut], first: usize, sources: usize) {
         let undelayed = fan_outs.iter_mut().filter(|fan_out| fan_out.delay == 0);
         for block in undelayed.flat_map(|fan_out| &mut fan_out.dense.blocks).filter(|block| block.is_uneven()) {
@@ -40,8 +40,8 @@ impl Residual {
         self.by_source.get(source as usize).map_or(0, |&residual| residual.into())
     }
 
-    /// The sum of n(s) r(s): n of the channels, n of the compartments that others hold by their
-    /// number, or of none, and n of each shard's lanes with their compartments.
+    /// Returns the sum of n(s) r(s). `remote` has n of compartments of other ranks, by number, or
+    /// is empty; `shards` has each lane's compartment and its n.
     pub fn events<'a>(
         &self,
         arch: pulp::Arch,

@@ -1,23 +1,23 @@
 //! Routing tables: from the messages of a spike to the synapses that they select.
 //!
 //! Input: a [`Program`] and sources of spikes. Output: for each of their messages the list of
-//! synapses that its axon selects, batch by batch, in a batch core by core.
+//! synapses that its axon selects, by batch, then by core.
 //!
-//! Why: where every synapse is a message of its own, each look-up goes to another core, axon and
-//! list, three misses of the cache and of the page tables. Input axons are numbered by source, so
-//! the messages of neighbouring sources to one core select lists side by side.
+//! Why: where every synapse has its own message, each look-up reads another core, axon and list,
+//! with three misses in caches and page tables. Input axons are numbered by source, so the messages
+//! of neighbouring sources to one core select adjacent lists.
 
 use crate::deliver::prefetch::prefetch;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, Messages, Program, Stored, Synapse};
 
-/// Messages in a batch: a few for each core of a large network, whose synapses fit a cache.
+/// Messages of a batch: some for each core of a large network, whose synapses fit a cache.
 const BATCH: usize = 1 << 16;
 
-/// Messages between the prefetch of where a list begins, of its synapses, and their use.
+/// Prefetch distances in messages: of a list's begin, and of its synapses.
 const PREFETCH_MESSAGES: [usize; 2] = [16, 8];
 
-/// The tables of a core that a message passes, in one cache line.
+/// The tables of a core that a message reads, in one cache line.
 #[derive(Debug, Clone, Copy)]
 #[repr(align(64))]
 struct Core<'p> {
@@ -89,7 +89,7 @@ impl<'p> RoutingTables<'p> {
         })
     }
 
-    /// The core, the axon and the list of a message's key, and the base of its slots.
+    /// The core of a message's key, its tables, the list, and the base of the list's slots.
     #[inline]
     fn list(&self, key: u64) -> (CoreId, &Core<'p>, usize, u16) {
         let (core, axon) = (CoreId((key >> CORE_SHIFT) as u32), usize::from(key as u16));
@@ -98,7 +98,7 @@ impl<'p> RoutingTables<'p> {
         (core, tables, list, base)
     }
 
-    /// The place in its batch of the message with a key of these, and the list that it selects.
+    /// The place in its batch of the message with key `order[at]`, and the selected list.
     #[inline]
     fn selected(&self, order: &[u64], at: usize) -> (usize, Selected<'p>) {
         if let Some(&far) = order.get(at + PREFETCH_MESSAGES[0]) {
@@ -118,8 +118,8 @@ impl<'p> RoutingTables<'p> {
     }
 }
 
-/// Bits of a message's key below its core's number and below its place in the batch; the lowest are
-/// its input axon. A place is below [`BATCH`] and the number of cores together.
+/// Shifts of the core's number and of the place in the batch, in a message's key; the lowest bits
+/// are its input axon. A place is below [`BATCH`] plus the number of cores.
 const CORE_SHIFT: u32 = 40;
 const PLACE_SHIFT: u32 = 16;
 
@@ -133,7 +133,7 @@ pub(crate) struct Batch<'t, 'p> {
 }
 
 impl<'p> Batch<'_, 'p> {
-    /// Core by core, the places of messages and the lists that they select.
+    /// Returns the places of messages and the lists that they select, core by core.
     pub fn by_core(&self) -> impl Iterator<Item = (usize, Selected<'p>)> {
         (0..self.order.len()).map(|at| self.tables.selected(&self.order, at))
     }

@@ -1,15 +1,15 @@
-//! How often each source spiked, and the counts that follow from it.
+//! Spike counts by source, and the activity that follows from them.
 //!
-//! Let c(s) be what one spike of source s causes on the chip (`tally`), n(s) how often s spiked
-//! since the activity was last taken, and l(s, k) how often it spiked so near a sample's end that
-//! its deliveries reached only k steps. A synapse of delay d then lost the events of all spikes
-//! with k <= d:
+//! Let c(s) be the activity of one spike of source s on the chip (`tally`). Let n(s) be the number
+//! of its spikes since the activity was last taken. Let l(s, k) count its spikes so near a sample's
+//! end that deliveries reach only k steps. A synapse of delay d loses the events of all spikes with
+//! k <= d:
 //!
 //! ```text
 //! activity = sum over s of n(s) c(s) - sum over s, synapses of s with delay d, k <= d of l(s, k)
 //! ```
 //!
-//! Why: c is the same for every spike, so a step only counts spikes. Each synapse of a source is
+//! Why: c does not depend on the spike, so a step only counts spikes. Each synapse of a source is
 //! visited once for all its late spikes: with long delays most spikes of a short sample are late.
 
 use crate::count::tally::Fired;
@@ -19,25 +19,24 @@ use nsim_ir::activity::Activity;
 use nsim_ir::base::id::Id;
 use nsim_ir::source_counts::{LeftField, SourceCounts};
 
-/// Spikes since the activity was last taken. Those of compartments are counted in their shard's
-/// state.
+/// Spikes since the activity was last taken. The shards' states count the spikes of compartments.
 #[derive(Debug, Clone)]
 pub(crate) struct SpikeCounts {
     /// n of each channel.
     pub channels: Vec<u32>,
-    /// n of each compartment that another process holds, by compartment; empty where there is none.
+    /// n of each compartment of another rank, by compartment; empty where there is none.
     pub remote: Vec<u32>,
-    /// l, by source, then by the steps that are reached; empty while there was no such spike.
+    /// l, by source, then by the steps reached; empty until there is such a spike.
     late: Vec<u32>,
-    /// Timesteps.
+    /// Number of timesteps.
     pub steps: u64,
-    /// The residual of the spikes since `channels` was last cleared that were before this sample;
-    /// negative once those of this sample have been cleared.
+    /// Residual of the spikes before this sample, since `channels` was last cleared. It is negative
+    /// once spikes of this sample have been cleared.
     residual_before: i64,
 }
 
 impl SpikeCounts {
-    /// No spikes of an image's sources.
+    /// Zero counts for the sources of an image.
     pub fn new(image: &Image) -> Self {
         let remote = if image.held < image.compartments() { image.compartments() } else { 0 };
         SpikeCounts {
@@ -54,19 +53,19 @@ impl SpikeCounts {
         self.residual_before = self.residual(image, shards, arch);
     }
 
-    /// Notes spikes of an image's sources whose deliveries reach only `reach` more steps, at most
-    /// as many as the longest delay.
+    /// Counts late spikes of an image's sources: their deliveries reach only `reach` more steps, at
+    /// most the longest delay.
     #[cold]
     pub fn note_late(&mut self, image: &Image, sources: impl Iterator<Item = u32>, reach: u32) {
         let delays = image.longest_delay as usize + 1;
         if self.late.is_empty() {
-            // Zeroed memory is committed where it is written.
+            // Zeroed memory is committed only where it is written.
             self.late = vec![0; image.sources() * delays];
         }
         sources.for_each(|source| self.late[source as usize * delays + reach as usize] += 1);
     }
 
-    /// Adds the counts of another run over the same image; those of compartments are in the states
+    /// Adds the counts of another run over this image. The counts of compartments are in the states
     /// of its shards.
     pub fn absorb(&mut self, other: &SpikeCounts) {
         let add = |sums: &mut Vec<u32>, more: &[u32]| {
@@ -79,7 +78,7 @@ impl SpikeCounts {
         self.steps += other.steps;
     }
 
-    /// The residual of the sample's synaptic events, those of undelivered spikes included
+    /// Residual of the sample's synaptic events, with the events of undelivered spikes
     /// (`residual`).
     pub fn sample_residual(&self, image: &Image, shards: &[ShardState], arch: pulp::Arch) -> i64 {
         self.residual(image, shards, arch) - self.residual_before
@@ -90,7 +89,7 @@ impl SpikeCounts {
         image.residual.events(arch, (&self.channels, &self.remote), lanes)
     }
 
-    /// What all steps did since this was last asked, by core and by source.
+    /// Takes the activity of all steps since the last call, by core and by source.
     pub fn take(&mut self, image: &Image, shards: &mut [ShardState], arch: pulp::Arch) -> (Activity, SourceCounts) {
         self.residual_before -= self.residual(image, shards, arch);
         let mut fired: Vec<u32> = self.channels.iter_mut().map(std::mem::take).collect();
@@ -125,7 +124,7 @@ impl SpikeCounts {
         (activity, by_source)
     }
 
-    /// Spikes by source, which `fired` has channels first, and what left its field.
+    /// Spikes and overflows by source; `fired` has channels first.
     fn by_source(&self, fired: &[u32], image: &Image, shards: &mut [ShardState]) -> SourceCounts {
         let (channels, compartments) = fired.split_at(self.channels.len());
         let wide = |counts: &[u32]| counts.iter().map(|&count| u64::from(count)).collect::<Vec<_>>();

@@ -1,13 +1,12 @@
-//! Counts of the mapped program, from who spiked when.
+//! Counts of the mapped program, from the spikes of a run or a step.
 //!
 //! Input: spikes by source. Output: messages, hops and synaptic events by core, from the program's
-//! tables. Every spike of a source causes the same, so the machine only counts spikes and this
-//! module multiplies. What a spike causes belongs to the step of the spike, or for inputs to the
-//! step that they enter: the cores receive it before the barrier that ends that step. A payload
-//! changes no count.
+//! tables. All spikes of a source cause equal counts, so the machine only counts spikes and this
+//! module multiplies. A spike's counts belong to its step, or for inputs to the step that they
+//! enter: the cores receive it before the barrier that ends that step. A payload changes no count.
 //!
-//! What a message causes is known of its list (`effects`). Only near a sample's end, where
-//! deliveries fall after it, are synapses of several delay fields counted one by one.
+//! The effect of a message is stored by its list (`effects`). Lists without a stored effect, and
+//! near a sample's end lists of several delay fields, are read synapse by synapse.
 //!
 //! A run is counted once, source by source (`Tally::sum`), and a step spike by spike.
 
@@ -26,19 +25,19 @@ use nsim_ir::placement::{MeshPosition, Route};
 use nsim_ir::program::{AxonTarget, CoreClass, CoreImage, Program};
 use nsim_ir::quantised::Output;
 
-/// How often each source spiked.
+/// Number of spikes of each source.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Fired<'a> {
     /// Spikes by source, channels first.
     pub spikes: &'a [u32],
-    /// For each source and each delay field up to the longest, the spikes that synapses of that
-    /// delay did not deliver before a sample's end; empty if there were none.
+    /// For each source and each delay field up to the longest: spikes that synapses of this delay
+    /// did not deliver before a sample's end. Empty if there were none.
     pub lost: &'a [u32],
 }
 
-/// Messages whose effects are in the cache at a time, those of the last source not counted.
+/// Messages whose effects are looked up together; the last source may exceed this number.
 const BATCH: usize = 256;
-/// Messages of a step from which on threads share its sources.
+/// Least number of messages of a step for which threads share its sources.
 const SHARED: usize = 1 << 14;
 /// Messages that are always stored: half a megabyte of memory.
 const ALWAYS_KEPT: usize = 1 << 16;
@@ -51,15 +50,15 @@ const PIECE: u32 = 1 << 12;
 /// A core that messages reach.
 #[derive(Debug)]
 struct Receiver {
-    /// Where its lists begin among those of all classes.
+    /// Index of its first list among the lists of all classes.
     lists: usize,
     /// Whether input axon i selects list i.
     is_direct: bool,
     position: MeshPosition,
 }
 
-/// A message of a spike in 32 bits: the core that it reaches, and above it the number of its
-/// effect.
+/// A message of a spike in 32 bits: its target core in the low bits, the number of its effect
+/// above.
 #[derive(Debug, Clone, Copy)]
 struct Message(u32);
 
@@ -70,34 +69,34 @@ struct Crossed {
     longest: Route,
 }
 
-/// The messages of all sources.
+/// The stored messages of all sources.
 #[derive(Debug)]
 struct Kept {
     messages: Csr<Message>,
     crossed: Vec<Crossed>,
 }
 
-/// What a spike of each source causes.
+/// The counts that a spike of each source causes.
 #[derive(Debug)]
 pub struct Tally<'p> {
     program: &'p Program,
-    /// Whether this process counts input spikes, which all see.
+    /// Whether this rank counts input spikes, which all ranks receive.
     counts_inputs: bool,
     longest_delay: u32,
     receivers: IdVec<CoreId, Receiver>,
     classes: IdVec<CoreId, &'p CoreClass>,
-    /// The different effects of lists; the last is that a list has to be read.
+    /// Distinct effects of lists; the last marks lists that have to be read.
     effects: Vec<Effect>,
     /// Bits of a message that hold its core.
     core_bits: u32,
-    /// Number of the effect of each list of all classes, one class after the other.
+    /// Number of the effect of each list, class by class.
     of_lists: Vec<u32>,
     /// `None` where they would take much memory and their synapses are many.
     kept: Option<Kept>,
 }
 
 self_cell!(
-    /// A program and what spikes cause in it.
+    /// A program and the counts of its spikes.
     pub struct ProgramTally {
         owner: Arc<Program>,
         #[covariant]
@@ -108,7 +107,7 @@ self_cell!(
 );
 
 impl<'p> Tally<'p> {
-    /// The counts of a program.
+    /// Prepares the counts of a program.
     pub fn new(program: &'p Program) -> Self {
         let classes = program.classes();
         let of_classes: Vec<Vec<Effect>> = classes.as_slice().par_iter().map(Effect::of_class).collect();
@@ -198,7 +197,7 @@ impl<'p> Tally<'p> {
         CoreId(message.0 & ((1 << self.core_bits) - 1))
     }
 
-    /// Passes on each of these sources with its messages.
+    /// Calls `see` for each of these sources with its messages.
     fn each(&self, sources: impl Iterator<Item = u32>, mut see: impl FnMut(u32, &[Message])) {
         if let Some(kept) = &self.kept {
             return sources.for_each(|source| see(source, kept.messages.get(source as usize)));
@@ -206,7 +205,7 @@ impl<'p> Tally<'p> {
         let mut sources = sources.peekable();
         let (mut places, mut ends, mut messages) = (Vec::new(), Vec::new(), Vec::new());
         while sources.peek().is_some() {
-            // All are asked for before the first is used.
+            // All are prefetched before the first is used.
             while let Some(source) = sources.next_if(|_| places.len() < BATCH) {
                 places.extend(self.program.messages(source).map(|target| {
                     let list = self.receivers[target.core].lists + self.list(target);
@@ -239,8 +238,8 @@ impl<'p> Tally<'p> {
         crossed
     }
 
-    /// Synaptic events of a source's messages, with the core that each reaches, if the synapses of
-    /// each delay field are reached this often, all of them `always` if that is so.
+    /// Synaptic events of a source's messages, each with its target core. Synapses of a delay field
+    /// receive `times` spikes each; with `always` all receive this number.
     #[inline]
     fn events<'a>(
         &'a self,
@@ -271,8 +270,8 @@ impl<'p> Tally<'p> {
         Some(self.program.seats()[CompartmentId(compartment)].core)
     }
 
-    /// Synaptic events of a spike of each of these sources, of those synapses whose delay field is
-    /// below `reach`. Sources are numbered channels first.
+    /// Synaptic events of one spike of each source, over synapses whose delay field is below
+    /// `reach`. Sources are numbered channels first.
     pub fn events_within(&self, sources: impl Iterator<Item = u32>, reach: u32) -> u64 {
         if reach == 0 {
             return 0;
@@ -285,8 +284,7 @@ impl<'p> Tally<'p> {
         sum
     }
 
-    /// Adds what this many spikes of a source cause, whose synapses of each delay field are reached
-    /// so often, all of them `always` if that is so.
+    /// Adds the counts of `spikes` spikes of a source; `times` is as in `events`.
     #[inline]
     fn add_spikes(
         &self,
@@ -314,8 +312,8 @@ impl<'p> Tally<'p> {
         sum.longest = sum.longest.max(longest);
     }
 
-    /// Adds spikes of a core, or of channels. A core's spikes are counted where it is held; its
-    /// messages where they arrive.
+    /// Adds spikes of a core, or of channels. A core's rank counts its spikes; the rank of a
+    /// message's target counts the message.
     #[inline]
     fn add_fired(&self, core: Option<CoreId>, times: u64, sum: &mut StepActivity) {
         match core {
@@ -324,8 +322,8 @@ impl<'p> Tally<'p> {
         }
     }
 
-    /// Adds what one spike of each of these sources causes, counting synapses whose delay field is
-    /// below `reach`.
+    /// Adds the counts of one spike of each source, over synapses whose delay field is below
+    /// `reach`.
     fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
         let messages: usize = sources.clone().map(|source| self.program.messages(source).len()).sum();
         let add = |source: u32, messages: &[Message], sum: &mut StepActivity| {
@@ -344,7 +342,7 @@ impl<'p> Tally<'p> {
         parts.collect::<Vec<_>>().iter().for_each(|part| sum.merge(part));
     }
 
-    /// What these spikes cause.
+    /// Returns the counts of these spikes.
     pub(crate) fn sum(&self, fired: Fired<'_>) -> StepActivity {
         let (cores, sources) = (self.receivers.len(), fired.spikes.len() as u32);
         // Each thread has counts for all cores, so it takes at least as many sources.
@@ -356,14 +354,14 @@ impl<'p> Tally<'p> {
         sum
     }
 
-    /// What the spikes of some sources cause.
+    /// Returns the counts of the spikes of some sources.
     fn sum_of(&self, sources: Range<u32>, fired: Fired<'_>) -> StepActivity {
         let (mut sum, delays) = (StepActivity::new(self.receivers.len()), self.longest_delay as usize + 1);
         let fires = |source: &u32| fired.spikes[*source as usize] > 0;
         self.each(sources.filter(fires), |source, messages| {
             let (spikes, first) = (u64::from(fired.spikes[source as usize]), source as usize * delays);
             let lost = fired.lost.get(first..first + delays).unwrap_or_default();
-            // Later deliveries lose at least as many.
+            // Longer delays lose at least as many spikes.
             let always = lost.last().is_none_or(|&lost| lost == 0).then_some(spikes);
             let times = |delay: u8| spikes - u64::from(lost.get(usize::from(delay)).copied().unwrap_or(0));
             self.add_spikes((source, spikes), messages, (always, times), &mut sum);
@@ -371,8 +369,8 @@ impl<'p> Tally<'p> {
         sum
     }
 
-    /// Adds one step's spikes. Deliveries of inputs reach `left` steps, those of compartments one
-    /// less.
+    /// Adds one step's spikes. Deliveries of inputs reach `left` steps, deliveries of compartments
+    /// one step less.
     pub fn add_step(&self, (channels, spikes): (&[ChannelId], &[CompartmentId]), left: u32, step: &mut StepActivity) {
         let Output { first, count: size, .. } = self.program.output();
         step.channels.extend_from_slice(channels);
@@ -383,14 +381,14 @@ impl<'p> Tally<'p> {
         self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
     }
 
-    /// Adds what the spikes of another process do on the cores of this one, in a step after which
-    /// one less than `left` remain.
+    /// Adds the counts of another rank's spikes on the cores of this rank, in a step after which
+    /// `left - 1` steps remain.
     pub fn add_remote(&self, spikes: &[CompartmentId], left: u32, step: &mut StepActivity) {
         let before = self.program.channels();
         self.add_each(spikes.iter().map(|spike| before + spike.0), left.saturating_sub(1), step);
     }
 
-    /// Adds the visits to all compartments in this many steps.
+    /// Adds the visits to all compartments in `steps` steps.
     pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
         let cores = self.program.cores().enumerate().zip(sum.cores.iter_mut());
         for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.holds(*core)) {

@@ -1,14 +1,14 @@
-//! What a spike adds to a sum of arrivals: the weight, or weight times payload.
+//! Contribution of a spike to a sum of arrivals: the weight, or weight times payload.
 //!
-//! Binary spikes are summed in 16 or 32 bits, graded ones in 32 while payloads are small enough and
-//! in 64 from then on: a product of a weight and a payload has up to 47 bits. The payload is a
+//! Binary spikes are summed in 16 or 32 bits. Graded spikes are summed in 32 bits while payloads
+//! are small enough, and in 64 afterwards: weight times payload has up to 47 bits. The payload is a
 //! type, so that delivery of binary spikes has no multiplication and no look-up.
 
 use crate::update::kernel::{LANES, Sum};
 
 /// A sum to which spikes with this payload can add.
 pub(crate) trait Accumulate<P>: Sum {
-    /// Adds what a spike adds over a synapse of this weight.
+    /// Adds the contribution of a spike over a synapse of this weight.
     #[must_use]
     fn accumulate(self, weight: i16, payload: P) -> Self;
 }
@@ -35,7 +35,7 @@ impl Accumulate<i32> for i64 {
     }
 }
 
-/// Bits of a sum in units of 64 that the update can see: registers have at most 32.
+/// Low bits of a sum, in units of 64, that reach the update: registers have at most 32.
 const SEEN_BITS: u32 = 26;
 
 /// For graded spikes whose payloads are large.
@@ -47,9 +47,9 @@ impl Sum for i64 {
         self + i64::from(weight)
     }
 
-    /// A sum that does not fit is replaced by one that does and has the same effect: the same low
-    /// bits, hence the same registers, and too large for any accumulator that wraps, hence the same
-    /// overflow.
+    /// Replaces a sum that does not fit by one that fits and has an equal effect. Its low bits are
+    /// equal, hence the registers. It is too large for any accumulator that wraps, hence the
+    /// overflow is equal too.
     #[inline(always)]
     fn value(self) -> i32 {
         let low = self & ((1 << SEEN_BITS) - 1);
@@ -68,7 +68,7 @@ impl Sum for i64 {
     }
 }
 
-/// Adds chunks of weights to as many chunks of sums.
+/// Adds N chunks of weights to N chunks of sums.
 #[inline(always)]
 pub(crate) fn add_weights<S: Accumulate<Y>, Y: Copy, const N: usize>(
     sums: &mut [[S; LANES]; N],

@@ -1,4 +1,4 @@
-//! Delivery by dense blocks: the weights of a source to ranges of lanes, one after the other.
+//! Delivery by dense blocks: the weights of a source are added to lanes, range by range.
 
 use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::delay_ring::DelayRing;
@@ -8,7 +8,7 @@ use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {
     /// Delivers spikes, ascending, by the blocks of one delay into the slot of their arrival;
-    /// returns the synaptic events.
+    /// returns the number of synaptic events.
     #[inline(always)]
     pub(super) fn deliver_dense<const MARK: bool, P: Spike>(
         &mut self,
@@ -54,7 +54,7 @@ impl<S: Sum> DelayRing<S> {
         events
     }
 
-    /// Delivers spikes of a dense block's sources, four at a time: their weights come from memory
+    /// Delivers spikes of a dense block's sources, four at a time. Their weights come from memory
     /// in order, and sums are loaded and stored once for all four.
     #[inline(always)]
     fn deliver_wide<const MARK: bool, W: Copy + Into<i16>, P: Spike>(
@@ -113,9 +113,9 @@ impl<S: Sum> DelayRing<S> {
         }
     }
 
-    /// Delivers spikes of the sources of a dense block with one range of this many chunks, up to
-    /// the first spike of another source; returns how many. Looking up each source's weights finds
-    /// the end without a search beforehand.
+    /// Delivers spikes of the sources of a dense block with one range of N chunks, up to the first
+    /// spike of another source; returns the number of delivered spikes. The look-up of each
+    /// source's weights finds the end, so that no search is needed.
     #[inline(always)]
     fn deliver_narrow<P: Spike, const N: usize>(
         &mut self,
@@ -133,8 +133,8 @@ impl<S: Sum> DelayRing<S> {
         let (sums, _) = self.sums[slot + range.target as usize..].as_chunks_mut::<LANES>();
         let Some(sums) = sums.first_chunk_mut::<N>() else { return 0 };
         let mut kept = *sums;
-        // Two loops, so that neither decides in each turn whether it counts; as many counts as
-        // weights need one check.
+        // Two loops, so that neither tests in each iteration whether it counts. Slices of equal
+        // length need one bound check.
         let delivered = match counts.get_mut(..weights.len()) {
             Some(counts) => add_sources::<true, _, _, N>(&mut kept, weights, counts, spikes, block.first as usize),
             None => add_sources::<false, _, _, N>(&mut kept, weights, &mut [], spikes, block.first as usize),
@@ -144,7 +144,7 @@ impl<S: Sum> DelayRing<S> {
     }
 }
 
-/// Up to this many spikes are counted faster than searched.
+/// Number of spikes up to which counting is faster than a binary search.
 const COUNTED: usize = 64;
 
 /// Number of these spikes, ascending, that come before a source; often none or all.
@@ -160,7 +160,7 @@ fn before<P: Spike>(spikes: &[P], source: u32) -> usize {
     }
 }
 
-/// Number of items before the first that holds; near ones are looked at first.
+/// Number of items before the first that `holds`; the first four are tested separately.
 #[inline(always)]
 fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
     match items.iter().take(4).position(&holds) {
@@ -169,9 +169,9 @@ fn first_at_least<T>(items: &[T], holds: impl Fn(&T) -> bool) -> usize {
     }
 }
 
-/// Adds the weights of each source to as many chunks of sums, up to the first spike of a source
-/// without weights; returns how many spikes that were. Two spikes a turn: the loop's own
-/// instructions are a third of those of one.
+/// Adds the weights of each source to N chunks of sums, up to the first spike of a source without
+/// weights; returns the number of spikes before it. Two spikes an iteration: with one, a third of
+/// the instructions would be the loop's own.
 #[inline(always)]
 fn add_sources<const COUNT: bool, S: Accumulate<P::Payload>, P: Spike, const N: usize>(
     sums: &mut [[S; LANES]; N],

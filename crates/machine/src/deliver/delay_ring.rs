@@ -1,4 +1,4 @@
-//! The delay ring: sums of arrivals by step and lane, and the skip blocks that they lie in.
+//! The delay ring: sums of arrivals by step and lane, and the skip blocks with arrivals.
 
 use std::ops::Range;
 
@@ -9,17 +9,17 @@ use crate::layout::weight_rows::RowPlace;
 use crate::store::Aligned;
 use crate::update::kernel::{LANES, Sum};
 
-/// Arrivals of the coming steps, a slot each.
+/// Arrivals of the coming steps, one slot a step.
 #[derive(Debug)]
 pub(crate) struct DelayRing<S> {
-    /// Lanes of the shard, whole skip blocks.
+    /// Number of lanes of the shard, in whole skip blocks.
     pub(super) lanes: usize,
     /// Sums in units of 64, slot by slot.
     pub(super) sums: Aligned<S>,
-    /// Skip blocks with arrivals, slot by slot: 1, else 0. Bytes, since marks within a word would
-    /// wait for each other.
+    /// 1 for a skip block with arrivals, else 0; slot by slot. Bytes, since marks within a word
+    /// would depend on each other.
     pub(super) marks: Vec<u8>,
-    /// Slots of which every skip block may have arrivals.
+    /// Slots in which every skip block may have arrivals.
     marked: Vec<bool>,
     /// Scratch memory.
     pub(super) queue: Vec<u32>,
@@ -39,7 +39,7 @@ pub(crate) struct Arrivals<'a> {
 }
 
 impl Arrivals<'_> {
-    /// A word of them, a bit each, which are forgotten.
+    /// Takes a word of them, one bit each, and clears it.
     #[inline(always)]
     pub fn take(&mut self, word: usize) -> u64 {
         let end = self.marks.len().min(64 * word + 64);
@@ -57,9 +57,9 @@ impl Arrivals<'_> {
 }
 
 impl<S: Sum> DelayRing<S> {
-    /// This ring with sums of this type.
+    /// Returns this ring with sums of type `T`.
     pub fn in_type<T: Sum + From<S>>(&self) -> DelayRing<T> {
-        // Untouched pages stay untouched.
+        // Pages beyond the slots stay untouched.
         let mut sums = Aligned::new(self.sums.len());
         let all = self.lanes * self.slots();
         sums[..all].iter_mut().zip(&self.sums[..all]).for_each(|(to, &sum)| *to = sum.into());
@@ -67,10 +67,10 @@ impl<S: Sum> DelayRing<S> {
         DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), rows: Vec::new() }
     }
 
-    /// An empty ring of this many lanes and slots; `compact` if a list of the shard is.
+    /// An empty ring of `lanes` lanes and `slots` slots; `compact` if a list of the shard is.
     pub fn new(lanes: usize, compact: bool, slots: usize) -> Self {
-        // What lies beyond the slots is untouched pages, which the OS never commits.
-        // The last chunk of a row may reach beyond the lanes too, where it adds zeros.
+        // Pages beyond the slots are untouched, so the OS never commits them. The last chunk of a
+        // row may also reach beyond the lanes, where it adds zeros.
         let spare = if compact { ADDRESSED } else { LANES };
         DelayRing {
             lanes,
@@ -82,7 +82,7 @@ impl<S: Sum> DelayRing<S> {
         }
     }
 
-    /// Slots.
+    /// Number of slots.
     #[inline(always)]
     pub fn slots(&self) -> usize {
         self.marked.len()
@@ -115,7 +115,7 @@ impl<S: Sum> DelayRing<S> {
         self.marked.fill(true);
     }
 
-    /// The sums and the arrivals of a slot, which are taken from it.
+    /// Returns the sums of a slot, and takes its arrivals.
     #[inline(always)]
     pub fn take(&mut self, slot: usize) -> (&mut [S], Arrivals<'_>) {
         let blocks = self.lanes / SKIP_BLOCK;

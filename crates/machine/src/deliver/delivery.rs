@@ -13,10 +13,10 @@ use crate::update::kernel::Sum;
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {
-    /// Delivers spikes of channels or of compartments, ascending if there are dense blocks, and
-    /// with `MARK` marks where they arrive. Returns the synaptic events that fall within `left`
-    /// steps. Spikes that reach narrow dense blocks are counted in `counts` by source, unless it
-    /// is empty.
+    /// Delivers spikes of channels or of compartments, ascending if there are dense blocks. With
+    /// `MARK` it marks the skip blocks of their targets. Returns the synaptic events that fall
+    /// within `left` steps. Spikes that reach narrow dense blocks are counted in `counts` by
+    /// source, unless it is empty.
     #[inline(always)]
     pub fn deliver<const MARK: bool, P: Spike>(
         &mut self,
@@ -31,7 +31,7 @@ impl<S: Sum> DelayRing<S> {
         let mut events = 0;
         for fan_out in &fan_outs.by_delay {
             let arrives = u32::from(fan_out.delay) < left;
-            // What would arrive after the end has no effect. Delivery may count channels, though.
+            // Arrivals after the end have no effect, but delivery may count spikes of channels.
             if !arrives && counts.is_empty() {
                 continue;
             }
@@ -69,8 +69,8 @@ mod tests {
     use nsim_ir::base::id::{ChannelId, Id};
     use nsim_ir::base::rng;
 
-    /// Sums, marked skip blocks and numbers of synapses are those of adding one synapse after the
-    /// other.
+    /// Sums, marked skip blocks and numbers of synapses equal the result of adding synapse by
+    /// synapse.
     fn compare<S: Sum>(lanes: usize, synapses: u64, width: u64) -> FanOuts {
         let of = |source: u64, index| {
             let lane = (source * 17 + rng::below(width, 1, source, index)) % lanes as u64;
@@ -102,7 +102,7 @@ mod tests {
             };
             assert!(counts.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
             assert_eq!(marking.deliver::<true, _>(&fan_outs, (&ids, &mut []), (1, 2), arch), events);
-            // What would arrive after the last step is no event and is not delivered.
+            // Arrivals after the last step are no events and are not delivered.
             let mut ended = DelayRing::<S>::new(lanes, compact, 2);
             assert_eq!(ended.deliver::<true, _>(&fan_outs, (&ids, &mut []), (1, 1), arch), 0);
             assert!(ended.is_empty() && ended.sums.iter().all(|sum| sum.value() == 0));
@@ -117,7 +117,7 @@ mod tests {
         fan_outs
     }
 
-    /// Lists of several delays, from any step of the ring, until the end of a sample and before.
+    /// Lists of several delays, from any step of the ring, before and at the end of a sample.
     #[test]
     fn delays_lead_around_the_ring_and_not_beyond_the_end() {
         const SLOTS: usize = 8;

@@ -8,7 +8,7 @@ use crate::update::kernel::Sum;
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {
-    /// As [`DelayRing::deliver_lists`], not compiled again for each processor's vectors: it is a
+    /// [`DelayRing::deliver_lists`] without a version for each processor's vectors, since it is a
     /// third of the code of a step.
     #[inline(never)]
     pub(super) fn deliver_graded_lists<const MARK: bool, P: Spike>(
@@ -24,8 +24,8 @@ impl<S: Sum> DelayRing<S> {
         self.deliver_lists::<MARK, P>(table, spikes, cursor, left)
     }
 
-    /// Delivers spikes by lists of all delays, of what arrives within `left` steps; returns the
-    /// synaptic events.
+    /// Delivers spikes by lists of all delays, for arrivals within `left` steps; returns the number
+    /// of synaptic events.
     #[inline(always)]
     pub(super) fn deliver_lists<const MARK: bool, P: Spike>(
         &mut self,
@@ -65,7 +65,7 @@ impl<S: Sum> DelayRing<S> {
     }
 }
 
-/// Adds to the sum of a target, and marks its skip block; targets are counted from `slot` on,
+/// Adds to the sum of a target, and marks its skip block. Targets are counted from `slot` on,
 /// around the ring's end.
 #[inline(always)]
 fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(
@@ -74,7 +74,7 @@ fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(
     (slot, end): (usize, usize),
 ) -> impl FnMut(usize, i16, Y) {
     move |target, weight, payload| {
-        // The smaller one, as no target is negative.
+        // Before the ring's end the difference wraps to a large number; after it, it is smaller.
         let at = (target + slot).min((target + slot).wrapping_sub(end));
         sums[at] = sums[at].accumulate(weight, payload);
         if MARK {
@@ -83,7 +83,7 @@ fn add_to<const MARK: bool, S: Accumulate<Y>, Y>(
     }
 }
 
-/// As [`add_to`], for lanes of 16 bits: there is a sum for each, so that no bound is checked.
+/// [`add_to`] for lanes of 16 bits: every such lane has a sum, so no bound is checked.
 #[inline(always)]
 fn add_compact<const MARK: bool, S: Accumulate<Y>, Y>(
     sums: &mut [S],
@@ -101,7 +101,7 @@ fn add_compact<const MARK: bool, S: Accumulate<Y>, Y>(
     }
 }
 
-/// The spikes of sources that have a bit.
+/// Returns the spikes of sources whose bit in `few` is set.
 #[inline(never)]
 pub(super) fn with_list<P: Spike>(few: &[u64], spikes: &[P]) -> Vec<P> {
     let has_list = |spike: &&P| few[spike.source() / 64] >> (spike.source() % 64) & 1 == 1;

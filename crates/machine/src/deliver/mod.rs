@@ -1,11 +1,11 @@
 //! Delivery of spikes: sums of weights by lane and step of arrival.
 //!
-//! - `delivery`: what a step's spikes reach, form by form.
+//! - `delivery`: delivery of a step's spikes, form by form.
 //! - `blocks`, `rows`, `lists`: the loops over dense blocks, rows of weights, lists of synapses.
 //! - `plastic`: the loop over synapses whose weights are state.
-//! - `accumulate`: what one spike adds, the weight or weight times payload.
-//! - `delay_ring`: the sums that they add to.
-//! - `prefetch`: cache lines of lists to come.
+//! - `accumulate`: the contribution of one spike, the weight or weight times payload.
+//! - `delay_ring`: the sums of arrivals.
+//! - `prefetch`: prefetching of the cache lines of lists.
 
 pub(crate) mod accumulate;
 pub(crate) mod blocks;

@@ -1,4 +1,4 @@
-//! Delivery over plastic synapses: one after the other, at the weights of the moment.
+//! Delivery over plastic synapses, synapse by synapse, with the current weights.
 
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::DelayRing;
@@ -7,9 +7,9 @@ use crate::update::kernel::Sum;
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {
-    /// Delivers spikes of sources that are numbered from `first` on over synapses of these weights,
-    /// and marks where they arrive. Returns the synaptic events that fall within `left` steps.
-    /// It is a separate function, so that a step without plastic synapses has nothing of it.
+    /// Delivers spikes over synapses of these weights, and marks the skip blocks of their targets.
+    /// Sources are numbered from `first` on. Returns the synaptic events within `left` steps. The
+    /// function is separate, so that a step without plastic synapses has none of its code.
     #[cold]
     #[inline(never)]
     pub fn deliver_plastic<P: Spike>(

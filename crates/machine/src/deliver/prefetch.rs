@@ -1,7 +1,7 @@
 //! Prefetching of cache lines.
 //!
-//! Spikes read lists all over tables that fit no cache: without prefetch a step waits for one after
-//! another. Only time depends on it.
+//! Spikes read lists all over tables that exceed the caches: without prefetch a step waits for each
+//! of them. Only time depends on it.
 
 /// Bytes of a cache line, on every processor with the instruction below.
 pub(crate) const LINE: usize = 64;

@@ -3,10 +3,10 @@
 //! Input: spikes, and the rows of their sources. Output: sums of weights, the skip blocks that they
 //! lie in, and the number of synaptic events.
 //!
-//! Spikes of one position, from channel to channel, add rows of the same lengths to the same lanes:
-//! they are a *group*. In the order of lanes they follow each other; input spikes are sorted. Where
-//! a step has several spikes a group, their sums stay in registers while the weights of all of them
-//! are added; else each row is added for itself.
+//! Spikes of one position in several channels are a *group*: they add rows of equal lengths to
+//! equal lanes. Spikes in lane order have their groups together; input spikes are sorted. Where a
+//! step has several spikes a group, their sums stay in registers while the weights of all of them
+//! are added. Otherwise each row is added separately.
 
 use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::prefetch::prefetch;
@@ -21,11 +21,11 @@ const TOGETHER: usize = 2;
 /// Delivery of spikes by rows of one delay.
 #[derive(Debug)]
 pub(crate) struct RowDelivery<'a, S, P> {
-    /// Lanes of the shard.
+    /// Number of lanes of the shard.
     pub lanes: usize,
-    /// By lane, and beyond: the last chunk of a row may reach there, where it adds zeros.
+    /// Sums by lane, and beyond, where the last chunk of a row may add zeros.
     pub sums: &'a mut [S],
-    /// By skip block: 1 with arrivals; empty if they are not marked.
+    /// 1 for a skip block with arrivals; empty if they are not marked.
     pub marks: &'a mut [u8],
     /// The rows of each source.
     pub table: &'a RowTable,
@@ -41,8 +41,8 @@ impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
     }
 }
 
-/// A delivery in the form in which `pulp` runs it with the processor's vectors: a function of its
-/// own, so that the compiled step has nothing of it.
+/// A delivery in the form that `pulp` runs with the processor's vectors. It has a function of its
+/// own, so that the compiled step has none of its code.
 struct Dispatched<'a, S, P>(RowDelivery<'a, S, P>);
 
 impl<S: Accumulate<P::Payload>, P: Spike> pulp::NullaryFnOnce for Dispatched<'_, S, P> {
@@ -75,14 +75,14 @@ impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
             // Zeros beyond the last lane may lie in a skip block that does not exist.
             let (first, last) = (lanes.start / SKIP_BLOCK, (lanes.end.min(self.lanes) - 1) / SKIP_BLOCK);
             (self.marks[first], self.marks[last]) = (1, 1);
-            // Most rows lie in two, which need no call.
+            // Most rows lie in at most two skip blocks, which need no call.
             if last > first + 1 {
                 self.marks[first + 1..last].fill(1);
             }
         }
     }
 
-    /// Adds the rows of each spike for itself.
+    /// Adds the rows of each spike separately.
     // A loop over the few rows of each spike would end in a mispredicted branch, so rows of many
     // spikes are queued.
     #[inline(always)]
@@ -105,7 +105,7 @@ impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
         self.mark(lane..end);
     }
 
-    /// Adds the rows of these spikes, [`AT_A_TIME`] at most, group by group.
+    /// Adds the rows of these spikes, at most [`AT_A_TIME`], group by group.
     #[inline(always)]
     fn deliver_together(&mut self, spikes: &[P], groups: &[u32]) -> u64 {
         let (table, mut firsts, mut events) = (self.table, [0; AT_A_TIME], 0);
@@ -143,7 +143,7 @@ impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
         events
     }
 
-    /// Adds to the lanes from one on the chunks of a row of each of these spikes, from one on.
+    /// Adds N chunks of a row of each of these spikes, from chunk `done` on, to lanes from `lane`.
     #[inline(always)]
     fn add_together<const N: usize>(
         &mut self,
@@ -162,7 +162,7 @@ impl<S: Accumulate<P::Payload>, P: Spike> RowDelivery<'_, S, P> {
     }
 }
 
-/// These spikes group by group.
+/// Returns these spikes sorted by group.
 #[inline(always)]
 fn by_group<P: Spike>(table: &RowTable, spikes: &[P]) -> Vec<P> {
     let group = |spike: &P| table.origins[spike.source()].group as usize;
@@ -181,7 +181,7 @@ fn by_group<P: Spike>(table: &RowTable, spikes: &[P]) -> Vec<P> {
     sorted
 }
 
-/// Finds the group of each of these spikes; returns how many groups follow each other.
+/// Finds the group of each of these spikes; returns the number of runs of equal groups.
 #[inline(always)]
 fn find_groups<P: Spike>(table: &RowTable, spikes: &[P], groups: &mut [u32]) -> usize {
     let (mut count, mut last) = (0, None);
@@ -196,15 +196,15 @@ fn find_groups<P: Spike>(table: &RowTable, spikes: &[P], groups: &mut [u32]) -> 
     count
 }
 
-/// Spikes whose rows are delivered at a time.
+/// Number of spikes whose rows are delivered together.
 const AT_A_TIME: usize = 512;
 
-/// Spikes between the prefetch of a source's origin, of its stencil, of the stencil's rows, and
-/// their use: each gives the address of the next.
+/// Prefetch distances in spikes: of a source's origin, of its stencil, and of the stencil's rows.
+/// Each gives the address of the next.
 const PREFETCH_SPIKES: [usize; 3] = [24, 16, 8];
 
-/// Queues the rows of these spikes and what each carries; returns their number and that of the
-/// synapses in them.
+/// Queues the rows of these spikes, with their payloads; returns the numbers of rows and of
+/// synapses.
 #[inline(always)]
 fn enqueue_rows<P: Spike>(
     table: &RowTable,
@@ -262,12 +262,12 @@ mod tests {
     const POSITIONS: u64 = 30;
     const CHANNELS: u64 = 12;
 
-    /// Sums, marks and synapses of spikes in groups are those of each row for itself, and of every
-    /// synapse for itself.
+    /// Sums, marks and numbers of synapses are equal for delivery by groups, by single rows and by
+    /// single synapses.
     fn compare<P: Spike, S: Sum + Accumulate<P::Payload>>(spike: impl Fn(usize) -> P) {
         let lanes = 64 * 24;
-        // A channel's rows have its own weights, and begin two chunks later at each position. Every
-        // fifth channel's second row is shorter, so that it is of another group.
+        // Each channel has its own weights, and its rows begin 33 lanes later at each position.
+        // Every fifth channel's second row is shorter, so that it belongs to another group.
         let weight = |row: u64, at| rng::below(255, 1, row, at) as i16 - 127;
         let rows: Vec<Vec<i16>> = (0..2 * CHANNELS)
             .map(|row| {

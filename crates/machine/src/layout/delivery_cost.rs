@@ -1,15 +1,15 @@
-//! What it takes to deliver spikes, by the forms in which synapses are held: the one table by which
-//! the planner chooses forms.
+//! Cost of the delivery of spikes, by the forms in which synapses are stored: the one table by
+//! which the planner chooses forms.
 //!
 //! A delivery has parts ([`DeliveryParts`]), and the table ([`DELIVERY_COST`]) a time for each. A
 //! wrong entry makes runs slower and no result different, so one table serves all processors.
 //!
-//! `cargo bench --bench delivery_cost` measures it: it times steps of small networks, each of which
-//! has mostly parts of one kind, fits a time for each part, and prints both next to each other.
-//! Entries are not simply what is fitted: those networks fit a cache, where a listed synapse takes
-//! half as long as elsewhere, and blocks are what networks beyond caches need. Anyone who changes
-//! an entry compares `nsim bench step` before and after (`docs/benchmarks.md` has what the fitted
-//! times did to it).
+//! `cargo bench --bench delivery_cost` measures it. It times steps of small networks, each with
+//! mostly parts of one kind. It fits a time for each part, and prints both next to each other.
+//! Entries differ from the fitted times. The benchmark's networks fit a cache, where a listed
+//! synapse takes half as long as elsewhere, but networks beyond caches need blocks. For a new entry
+//! compare `nsim bench step` before and after; `docs/benchmarks.md` has its times with the fitted
+//! entries.
 
 /// A number for each part of a delivery.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -20,7 +20,7 @@ pub struct DeliveryParts {
     pub synapse: usize,
     /// Dense blocks of which at least one source spikes.
     pub block: usize,
-    /// Lane ranges of those: their sums are loaded into registers and stored.
+    /// Lane ranges of these blocks: their sums are loaded into registers and stored.
     pub range: usize,
     /// Chunks of sixteen weights that are added from dense blocks.
     pub chunk: usize,
@@ -30,7 +30,7 @@ pub struct DeliveryParts {
     pub row_chunk: usize,
 }
 
-/// Tenths of a nanosecond that each part takes.
+/// Time of each part in tenths of a nanosecond.
 pub const DELIVERY_COST: DeliveryParts =
     DeliveryParts { list: 40, synapse: 6, block: 50, range: 40, chunk: 4, row: 15, row_chunk: 5 };
 

@@ -2,8 +2,8 @@
 //! where there is no synapse.
 //!
 //! Input: the sources that become blocks (`planner`), and their synapses. Output: [`DenseBlocks`];
-//! synapses in no block are left to the lists. Invariant: padding zeros are not counted as
-//! synapses; the number of synapses is stored next to the weights.
+//! lists take the synapses outside blocks. Invariant: padding zeros are not counted as synapses;
+//! the number of synapses is stored next to the weights.
 
 use std::ops::Range;
 
@@ -12,7 +12,7 @@ use crate::store::Aligned;
 use crate::update::kernel::LANES;
 use nsim_ir::spikes::Spike;
 
-/// Consecutive lanes that each source of a dense block has weights for.
+/// Consecutive lanes for which each source of a dense block has weights.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct LaneRange {
     /// The first lane, a multiple of sixteen.
@@ -35,17 +35,17 @@ pub(crate) struct DenseBlock {
     /// The first source after it.
     pub end: u32,
     pub ranges: Vec<LaneRange>,
-    /// Chunk of the first source's weights: range by range, then the next source's.
+    /// Index of its first chunk of weights, which are ordered by source, then by range.
     pub weights: usize,
-    /// Whether they are among the weights of 8 bits.
+    /// Whether its weights have 8 bits, in an array of their own.
     pub bytes: bool,
-    /// Chunks from one source to the next.
+    /// Number of chunks of each source.
     pub stride: usize,
     /// Synapses of each source, without padding.
     pub synapses: SynapseCounts,
 }
 
-/// Chunks whose sums fit the vector registers.
+/// Number of chunks whose sums fit the vector registers.
 const NARROW: u32 = 4;
 
 impl DenseBlock {
@@ -58,7 +58,7 @@ impl DenseBlock {
         }
     }
 
-    /// Synapses of these sources of the block.
+    /// Number of synapses of these sources of the block.
     #[inline(always)]
     pub fn synapses(&self, spikes: &[impl Spike]) -> u64 {
         match &self.synapses {
@@ -74,7 +74,7 @@ impl DenseBlock {
         matches!(self.synapses, SynapseCounts::Each(_))
     }
 
-    /// Replaces the number of synapses of each source by their mean; adds what each has more to
+    /// Replaces the number of synapses of each source by their mean; adds each difference to
     /// `residual`, by source.
     pub fn use_mean(&mut self, residual: &mut [i32]) {
         let SynapseCounts::Each(counts) = &self.synapses else { return };
@@ -87,12 +87,12 @@ impl DenseBlock {
     }
 }
 
-/// Synapses of each source.
+/// Numbers of synapses of a block's sources.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(crate) enum SynapseCounts {
     /// One number for all.
     Same(u32),
-    /// In order.
+    /// One number for each source, in order.
     Each(Vec<u32>),
 }
 
@@ -105,8 +105,8 @@ pub(crate) struct DenseBlocks {
     bytes: Aligned<i8>,
 }
 
-/// Weights of a block from which on 8 bits are used where they do: a step then waits for memory. A
-/// quarter of a second-level cache.
+/// Number of a block's weights from which on 8 bits are used if all weights fit, since a step then
+/// waits for memory. A quarter of a second-level cache.
 const BYTES_FROM: usize = 1 << 16;
 
 impl DenseBlocks {
@@ -122,7 +122,7 @@ impl DenseBlocks {
         self.bytes.as_chunks().0
     }
 
-    /// Moves the weights of large blocks that fit 8 bits.
+    /// Moves the weights of large blocks into 8 bits where they fit.
     fn narrowed(blocks: Vec<DenseBlock>, weights: Aligned<i16>) -> Self {
         let range = |block: &DenseBlock| {
             let chunks = block.stride * (block.end - block.first) as usize;
@@ -313,7 +313,7 @@ mod tests {
                 }
             }
             assert_eq!(count, synapses.len(), "source {source}");
-            // Weights of 0, and sums of several that are, are held in lists only.
+            // In blocks a weight or sum of 0 is no different from padding.
             held.retain(|_, sum| *sum != 0);
             expected.retain(|_, sum| *sum != 0);
             assert_eq!(held, expected, "source {source}");
@@ -321,7 +321,7 @@ mod tests {
         (blocks, all_listed)
     }
 
-    /// Sources with a synapse to each of these lanes in this many of 1,000 cases.
+    /// Sources with a synapse to each of these lanes with probability `per_mille` / 1,000.
     fn some(sources: u64, lanes: Range<u32>, per_mille: u64) -> Vec<Vec<LaneWeight>> {
         let of = |source: u64, lane: u32| {
             let weight = rng::below(511, 2, source, lane.into()) as i16 - 255;
@@ -334,7 +334,7 @@ mod tests {
     fn missing_synapses_break_no_block() {
         for per_mille in [1_000, 900, 600] {
             let mut sources = some(2_000, 0..62, per_mille);
-            // Where a channel was pruned, nothing is left of it.
+            // Pruned channels have no synapses.
             for source in (100..1_900).filter(|k| per_mille < 1_000 && rng::below(4, 7, *k as u64, 0) == 0) {
                 sources[source].clear();
             }
@@ -370,7 +370,7 @@ mod tests {
         }
     }
 
-    /// In a network that the cache holds, chunks of zeros cost less than lists.
+    /// In a network that fits the cache, chunks of zeros cost less than lists.
     #[test]
     fn few_synapses_over_few_lanes_are_dense() {
         let (blocks, listed) = laid_out(&some(500, 0..500, 100), 512);
@@ -414,7 +414,7 @@ mod tests {
     }
 
     /// Targets that move from source to source, several synapses to one lane, and weights whose sum
-    /// 16 bits do not hold.
+    /// exceeds 16 bits.
     #[test]
     fn whatever_the_form_nothing_is_lost() {
         for seed in 0..40 {

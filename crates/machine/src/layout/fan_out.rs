@@ -1,8 +1,7 @@
-//! The synapses that the sources of one kind reach in a shard, in the form in which they are
-//! delivered.
+//! Synapses of the sources of one kind into a shard, in the forms in which they are delivered.
 //!
-//! Input: rows and synapses source after source ([`Flattened`]), by delay. Output: by delay the
-//! rows and dense blocks, and one list a source of the rest, for any delays. Errors: more synapses
+//! Input: rows and synapses by source ([`Flattened`]), by delay. Output: rows and dense blocks by
+//! delay, and for each source one list of its other synapses, of any delay. Errors: more synapses
 //! than a list position can index.
 
 use std::sync::Arc;
@@ -20,9 +19,9 @@ use nsim_ir::base::id::{ChannelId, Id};
 /// Synapses of the channels or the compartments into one shard.
 #[derive(Debug, Default)]
 pub(crate) struct FanOuts {
-    /// Those in rows and dense blocks, by ascending delay.
+    /// Synapses in rows and dense blocks, by ascending delay.
     pub by_delay: Vec<FanOut>,
-    /// The others.
+    /// All other synapses.
     pub lists: Option<ListTable>,
 }
 
@@ -37,13 +36,13 @@ impl FanOuts {
         Ok(FanOuts { by_delay: by_delay.into_iter().flatten().collect(), lists: ListTable::new(lists, lanes)? })
     }
 
-    /// Whether one narrow dense block of one delay follows the other, from the first source to the
-    /// last, and there is nothing else.
+    /// Whether adjacent narrow dense blocks of one delay cover all sources, and there is nothing
+    /// else.
     pub fn is_narrow(&self, sources: u32) -> bool {
         self.lists.is_none() && matches!(self.by_delay.as_slice(), [one] if one.is_narrow(sources))
     }
 
-    /// Adds what delivering these spikes, in ascending order, consists of.
+    /// Adds the parts of the delivery of these spikes, which are ascending.
     pub fn add_parts(&self, spikes: &[ChannelId], parts: &mut DeliveryParts) {
         self.by_delay.iter().for_each(|fan_out| fan_out.add_parts(spikes, parts));
         for place in self.lists.iter().flat_map(|table| spikes.iter().map(|spike| table.places[spike.index()])) {
@@ -70,8 +69,8 @@ pub(crate) struct FanOut {
 }
 
 impl FanOut {
-    /// Chooses which of these synapses become dense, in a shard with this many lanes; the lists are
-    /// of the others.
+    /// Chooses the synapses that become dense, in a shard with `lanes` lanes; lists take the
+    /// others.
     fn new(
         delay: u8,
         Flattened { lists: mut builder, rows }: Flattened,
@@ -89,14 +88,14 @@ impl FanOut {
         Ok((any.then_some(FanOut { delay, rows, dense }), (delay, builder)))
     }
 
-    /// As [`FanOuts::is_narrow`], of this delay.
+    /// [`FanOuts::is_narrow`] of this delay.
     fn is_narrow(&self, sources: u32) -> bool {
         let adjacent =
             |end: u32, block: &DenseBlock| Some(block.end).filter(|_| block.first == end && block.narrow().is_some());
         self.rows.is_none() && self.dense.blocks.iter().try_fold(0, adjacent) == Some(sources)
     }
 
-    /// As [`FanOuts::add_parts`], of this delay.
+    /// [`FanOuts::add_parts`] of this delay.
     fn add_parts(&self, spikes: &[ChannelId], parts: &mut DeliveryParts) {
         if let Some(table) = &self.rows {
             for spike in spikes {

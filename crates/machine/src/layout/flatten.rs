@@ -1,11 +1,10 @@
 //! The synapses of each source, collected from the cores' tables and flattened to lanes and
 //! weights.
 //!
-//! Input: a [`Program`], and the lane of each compartment. Output: for each shard and delay, source
-//! after source, the rows of weights ([`RowBuilder`]) and the synapses that are in none
-//! ([`ListBuilder`]), in the order of the source's messages and their lists; plastic synapses are
-//! not among them. Threads take consecutive sources; their results are joined in the order of
-//! sources.
+//! Input: a [`Program`], and the lane of each compartment. Output: for each shard and delay, by
+//! source, the rows of weights ([`RowBuilder`]) and the other synapses ([`ListBuilder`]). They are
+//! in the order of the source's messages and their lists, without plastic synapses. Threads take
+//! consecutive sources; their results are joined in the order of sources.
 
 use std::ops::Range;
 
@@ -19,28 +18,28 @@ use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::id::Id;
 use nsim_ir::program::{Program, Synapse};
 
-/// Sources that a thread takes at a time.
+/// Number of sources that a thread takes in one task.
 const PIECE: u32 = 1_024;
-/// Pieces of each thread that are joined at a time: this bounds their memory.
+/// Pieces of each thread that are joined together: this bounds their memory.
 const PIECES: usize = 4;
 
 /// Synapses of consecutive sources, of one shard and delay.
 #[derive(Debug)]
 struct Piece {
-    /// Synapses of each source.
+    /// Number of synapses of each source.
     counts: Vec<u32>,
-    /// The synapses, source after source.
+    /// The synapses, by source.
     synapses: Vec<LaneWeight>,
-    /// Rows of each source, and synapses in them.
+    /// Numbers of rows of each source, and of synapses in them.
     row_counts: Vec<(u32, u32)>,
-    /// The rows, source after source.
+    /// The rows, by source.
     rows: Vec<RowPlace>,
 }
 
-/// What the sources of one kind reach over one delay in one shard.
+/// Synapses of the sources of one kind over one delay into one shard.
 #[derive(Debug)]
 pub(crate) struct Flattened {
-    /// Synapses.
+    /// Synapses in no row.
     pub lists: ListBuilder,
     /// Rows of weights.
     pub rows: RowBuilder,
@@ -61,11 +60,11 @@ pub(crate) struct Flattener<'a> {
     tables: RoutingTables<'a>,
     /// Index in `lanes` of each core's first slot.
     slots: Vec<u32>,
-    /// The lane of each slot, over all shards, core after core.
+    /// The lane of each slot, over all shards, core by core.
     lanes: Vec<u32>,
-    /// The same lanes, ascending within each core.
+    /// These lanes, ascending within each core.
     ascending: Vec<u32>,
-    /// First lane of each shard, over all.
+    /// First lane of each shard, among the lanes of all shards.
     bases: &'a [u32],
     /// Delay fields, ascending.
     delays: &'a [u8],
@@ -74,8 +73,8 @@ pub(crate) struct Flattener<'a> {
 }
 
 impl<'a> Flattener<'a> {
-    /// For the lane of each compartment over all shards, the first lane of each shard, all delay
-    /// fields, ascending, the sums of each compartment, and the rows that lists consist of.
+    /// `lane_of` has the lane of each compartment over all shards, `bases` the first lane of each
+    /// shard. `delays` has all delay fields, ascending; `rows` has the rows of lists.
     pub fn new(
         program: &'a Program,
         lane_of: &[u32],
@@ -94,8 +93,8 @@ impl<'a> Flattener<'a> {
         Flattener { program, tables: RoutingTables::new(program), slots, lanes, ascending, bases, delays, sums, rows }
     }
 
-    /// The synapses of these sources, by shard, then by delay; the shards have this many lanes.
-    /// Sources are numbered channels first.
+    /// Returns the synapses of these sources, by shard, then by delay; `lanes` has the lanes of
+    /// each shard. Sources are numbered channels first.
     pub fn flatten(&self, sources: Range<u32>, lanes: &[usize]) -> Vec<Flattened> {
         let empty = |lanes| Flattened { lists: ListBuilder::new(lanes), rows: RowBuilder::new() };
         let builders = lanes.iter().flat_map(|&lanes| self.delays.iter().map(move |_| empty(lanes)));
@@ -125,7 +124,7 @@ impl<'a> Flattener<'a> {
         let mut pieces: Vec<Piece> = (0..self.bases.len() * self.delays.len()).map(|_| empty()).collect();
         let place = |shard: usize, delay: u8| (shard * self.delays.len() + place_of[usize::from(delay)]) as u32;
         for batch in self.tables.batches(sources.clone()) {
-            // Found core by core, then put in the order of messages.
+            // Collected core by core, then put in the order of messages.
             let mut synapses: Vec<(u32, LaneWeight)> = Vec::new();
             let mut rows: Vec<(u32, u32, RowPlace)> = Vec::new();
             let mut messages: Vec<(Range<u32>, Range<u32>)> = vec![(0..0, 0..0); batch.sources.len()];
@@ -136,7 +135,7 @@ impl<'a> Flattener<'a> {
                     let first = first_slot + usize::from(row.rank);
                     (self.ascending[first], self.ascending[first + usize::from(row.span) - 1])
                 };
-                // Rows need lanes side by side, in one shard.
+                // Rows need adjacent lanes, in one shard.
                 let adjacent = |row: &AxonRow| {
                     let (first, last) = lanes(row);
                     last - first + 1 == u32::from(row.span) && self.shard(first) == self.shard(last)
@@ -221,13 +220,13 @@ mod tests {
         CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
     }
 
-    /// Cores over which compartments are distributed, each source with messages to some of them,
-    /// each message with a list of its own; the last core has a table that every third channel
-    /// selects from, twice over at other bases.
+    /// Each source has messages to some of the cores, each message with a list of its own. On the
+    /// last core every third channel selects from one table instead, which two population axons
+    /// have at different bases.
     fn program(seed: u64) -> Program {
         let draw = |below, what, index| rng::below(below, seed, what, index);
         let compartments = CORES * SLOTS;
-        // 7 and the number of compartments shard no factor, so each is named once.
+        // 7 and the number of compartments share no factor, so each is named once.
         let id = |core, slot| CompartmentId((((core * SLOTS + slot) * 7 + seed) % compartments) as u32);
         let sources = CHANNELS + compartments;
         let mut lists = vec![Csr::default(); CORES as usize];
@@ -315,7 +314,7 @@ mod tests {
         .unwrap()
     }
 
-    /// The obvious walk: source by source, message by message, synapse by synapse.
+    /// The synapses in the obvious order: message by message, synapse by synapse.
     fn walked(image: &Image, source: u32, shard: usize, delay: u8) -> Vec<LaneWeight> {
         let program = image.program();
         let mut synapses = Vec::new();

@@ -1,8 +1,8 @@
 //! A program laid out for a run, which only reads it.
 //!
-//! Input: a [`Program`] and about how many shards to make. Output: the compartments in lanes
+//! Input: a [`Program`] and the approximate number of shards. Output: the compartments in lanes
 //! (`shard`), and for each shard the synapses of every source (`fan_out`). Errors: [`ImageError`].
-//! Counts are not taken from here but from the program (`tally`), so the layout cannot change them.
+//! Counts come from the program (`tally`), so the layout cannot change them.
 //!
 //! Compartments are laid out core by core (`lane_order`).
 
@@ -40,13 +40,13 @@ pub(crate) const ELSEWHERE: u32 = u32::MAX;
 /// The updates of blocks, by the parameters of their compartments.
 type Updaters = HashMap<Vec<u32>, Arc<dyn Updater>>;
 
-/// The shortest run of equal parameters that gets a core block of its own.
+/// Least length of a run of equal parameters that gets its own core block.
 const SHORTEST_RUN: usize = 8;
 
-/// Why a program cannot be laid out.
+/// Reasons for which a program cannot be laid out.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ImageError {
-    /// The weights of all synapses of a compartment, times the largest payload, sum to too much.
+    /// The weights of a compartment's synapses, times the largest payload, exceed the exact sums.
     #[error(
         "compartment {0} has synapses that together exceed 2^{1} weight units: their sum cannot be counted exactly"
     )]
@@ -63,7 +63,7 @@ pub enum ImageError {
 #[derive(Debug)]
 pub struct Image {
     program: Arc<Program>,
-    /// What spikes cause on the chip.
+    /// Counts that spikes cause on the chip.
     tally: ProgramTally,
     /// The longest delay field.
     pub(crate) longest_delay: u32,
@@ -78,42 +78,42 @@ pub struct Image {
     /// Lane of each compartment of the network over all shards; [`ELSEWHERE`] where another process
     /// holds it.
     pub(crate) lanes: Vec<u32>,
-    /// Compartments that are held.
+    /// Number of compartments of this rank.
     pub(crate) held: usize,
-    /// Whether this process counts input spikes, which all see.
+    /// Whether this rank counts input spikes, which all ranks receive.
     pub(crate) counts_inputs: bool,
     /// Whether compartments reach dense blocks.
     pub(crate) has_blocks: bool,
-    /// First lane of each shard, over all.
+    /// First lane of each shard, among the lanes of all shards.
     pub(crate) bases: Vec<u32>,
     pub(crate) shards: Vec<Shard>,
     /// Whether spikes are binary and no sum of arrivals can leave 16 bits.
     pub(crate) narrow_sums: bool,
     /// The greatest magnitude of payloads with which no sum of arrivals can leave 32 bits.
     pub(crate) exact_up_to: u32,
-    /// What a message of each source carries, channels first, 1 for binary spikes, and `None` where
-    /// that differs from message to message; empty if sums of 32 bits do.
+    /// Payload of each source's messages, channels first: 1 for binary spikes, `None` where it
+    /// differs from message to message. Empty if sums of 32 bits suffice.
     pub(crate) payloads: Vec<Option<i32>>,
-    /// Whether each input spike carries an integer of its own.
+    /// Whether each input spike carries its own integer.
     pub(crate) channels_carry: bool,
-    /// Whether each compartment reaches any; empty as `payloads`.
+    /// Whether each compartment reaches a synapse; empty if `payloads` is.
     pub(crate) has_synapses: Vec<bool>,
-    /// Whether a message carries anything.
+    /// Whether any message carries a payload.
     pub(crate) graded: bool,
     pub(crate) channels: u32,
-    /// Whether each channel is in one narrow dense block and in nothing else: then delivery counts
+    /// Whether each channel is in one narrow dense block and in no other form; then delivery counts
     /// its spikes.
     pub(crate) delivery_counts_channels: bool,
-    /// What steps leave out of the number of synaptic events.
+    /// Synaptic events that steps do not count.
     pub(crate) residual: Residual,
-    /// Skip blocks of all shards.
+    /// Number of skip blocks of all shards.
     pub(crate) skip_blocks: usize,
     /// Rows of weights that sources share.
     rows: Arc<WeightRows>,
 }
 
 impl Image {
-    /// Flattens a program into about this many shards.
+    /// Flattens a program into about `shards` shards.
     ///
     /// # Errors
     /// [`ImageError`] when sums could not be exact or an index would overflow.
@@ -177,12 +177,12 @@ impl Image {
         &self.program
     }
 
-    /// What spikes cause on the chip.
+    /// Counts that spikes cause on the chip.
     pub(crate) fn tally(&self) -> &Tally<'_> {
         self.tally.borrow_dependent()
     }
 
-    /// Number of compartments, those included that other processes hold.
+    /// Number of compartments of the program, on all ranks.
     pub fn compartments(&self) -> usize {
         self.lanes.len()
     }
@@ -197,21 +197,20 @@ impl Image {
         self.channels as usize + self.compartments()
     }
 
-    /// Chunks of sixteen weights that several sources share.
+    /// Number of chunks of sixteen weights that several sources share.
     pub fn shared_chunks(&self) -> usize {
         self.rows.all().len()
     }
 
-    /// What it takes to deliver the spikes of these channels, in ascending order, that spike in one
-    /// step.
+    /// The parts of the delivery of one step in which these channels, in ascending order, spike.
     pub fn delivery_parts(&self, channels: &[ChannelId]) -> DeliveryParts {
         let mut parts = DeliveryParts::default();
         self.shards.iter().for_each(|shard| shard.from_channels.add_parts(channels, &mut parts));
         parts
     }
 
-    /// What the messages of a shard's lanes carry where that is always the same, 1 where it is not;
-    /// empty if sums of 32 bits do.
+    /// Payloads of the messages of a shard's lanes where they are constant, 1 elsewhere; empty if
+    /// sums of 32 bits suffice.
     pub(crate) fn sent_by(&self, shard: &Shard) -> Vec<i32> {
         let payloads = |name: &CompartmentId| self.payloads.get(self.channels as usize + name.index());
         shard.names.iter().filter_map(payloads).map(|payload| payload.unwrap_or(1)).collect()
@@ -223,7 +222,7 @@ impl Image {
         self.program.class_of(seat.core).compartments[usize::from(seat.slot)].neuron
     }
 
-    /// The parameters of a lane of a core block.
+    /// The parameters of one lane of a core block.
     #[inline]
     pub(crate) fn fields_of(&self, block: CoreBlock, offset: usize) -> &Fields {
         match block.fields {
@@ -232,7 +231,7 @@ impl Image {
         }
     }
 
-    /// Shard and lane within it of a compartment.
+    /// Shard of a compartment, and its lane there.
     pub(crate) fn lane(&self, compartment: CompartmentId) -> (usize, usize) {
         let lane = self.lanes[compartment.index()];
         let shard = self.bases.partition_point(|&base| base <= lane) - 1;
@@ -282,7 +281,7 @@ impl Image {
                 ids.iter().zip(&field_of).map(|(&id, &f)| (f, order.population(id))).collect();
             let mut slot = 0;
             while slot < field_of.len() {
-                // Without padding between cores: it would be a third of a large network.
+                // No padding between cores: it would be a third of a large network.
                 if last != Some(kind_of[slot]) {
                     lane = lane.next_multiple_of(LANES as u32);
                 }
@@ -303,7 +302,8 @@ impl Image {
                     last = None;
                     (list, length, if count > 1 { SKIP_BLOCK } else { length })
                 } else if in_neuron(slot) {
-                    // Whole neurons: a block has more lanes than a neuron has compartments.
+                    // A block takes whole neurons: it has more lanes than a neuron has
+                    // compartments.
                     let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
                     let left = (slot..field_of.len()).take(room).take_while(|&slot| in_neuron(slot)).count();
                     let begins = |slot: usize| slot == field_of.len() || of(slot).neuron.stack.pops.is_none();
@@ -361,10 +361,10 @@ impl Image {
         }
     }
 
-    /// Bounds sums: each synapse adds at most once a step, so none exceeds that of all absolute
-    /// weights, times the largest payload.
+    /// Bounds sums. Each synapse adds at most once a step, so no sum exceeds the total of the
+    /// absolute weights, times the largest payload.
     fn check_fan_in(&mut self) -> Result<(), ImageError> {
-        // A value that is wider than its population says is sent whole.
+        // A value that is wider than its population's bits is sent whole.
         let greatest = |payload: &Option<i32>| payload.map_or(1 << 31, |payload| u64::from(payload.unsigned_abs()));
         let factor = self.payloads.iter().map(greatest).max().unwrap_or(1).max(1);
         let bits = if self.payloads.is_empty() { 31 } else { 63 };
@@ -384,7 +384,7 @@ impl Image {
         Ok(())
     }
 
-    /// Cuts the lanes into shards of about as many whole skip blocks each.
+    /// Cuts the lanes into shards with about equal numbers of whole skip blocks.
     fn split_into_shards(&mut self, blocks: Vec<CoreBlock>, sums: &Sums, shards: usize) {
         let skip_blocks = blocks.last().map_or(0, |block| block.start as usize / SKIP_BLOCK + 1);
         let size = skip_blocks.div_ceil(shards.max(1)).max(1);
@@ -448,7 +448,7 @@ impl Image {
             shard.wakes = vec![0; skip_blocks.div_ceil(64)];
             for block in &shard.words {
                 let skip_block = block.start as usize / SKIP_BLOCK;
-                // A reset may change what rests.
+                // A reset may make an idle compartment active.
                 let marks = if self.reset.is_some() { &mut shard.driven } else { &mut shard.wakes };
                 marks[skip_block / 64] |= u64::from(block.updater.wakes() || self.reset.is_some()) << (skip_block % 64);
             }
@@ -469,8 +469,8 @@ impl Image {
         }
     }
 
-    /// A block whose state is words, after those before it in its shard. Blocks with the same
-    /// parameters share their update: it takes less of the cache.
+    /// The block of words of a core block; its words follow the blocks `before` it in its shard.
+    /// Blocks with equal parameters share their update, which takes less of the cache.
     fn words(&self, block: &CoreBlock, sums: &Sums, before: &[WordBlock], known: &mut Updaters) -> Option<WordBlock> {
         let BlockFields::Each(first) = block.fields else { return None };
         let fields = &self.field_of[first as usize..(first + block.length) as usize];
@@ -546,7 +546,7 @@ impl Image {
         Ok(())
     }
 
-    /// Counts fan-outs by the means of dense blocks where the residual can be counted.
+    /// Replaces fan-outs by the means of dense blocks where the residual can be counted.
     fn replace_by_means(&mut self) -> Residual {
         let (sources, channels) = (self.sources(), self.channels as usize);
         let mut residual = Residual::default();
@@ -560,8 +560,7 @@ impl Image {
     }
 }
 
-/// What a message of each source carries, channels first; empty if all are binary spikes to
-/// registers.
+/// Payload of each source's messages, channels first; empty if all are binary spikes to registers.
 fn payloads(program: &Program) -> Vec<Option<i32>> {
     let graded = &program.parts().graded;
     let has_words = |class: &CoreClass| class.compartments.iter().any(|c| !c.neuron.kind.table().registers);

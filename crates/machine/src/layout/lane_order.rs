@@ -1,9 +1,8 @@
 //! The order in which a core's compartments become lanes.
 //!
 //! Input: a program and one of its cores. Output: its slots in the order of lanes. Compartments of
-//! a population over space are ordered by position, the channels of a position side by side, for
-//! any order of their slots: a row of a kernel then reaches lanes that follow each other. All
-//! others keep the order of slots.
+//! a population over space are ordered by position, then by channel, for any order of their slots.
+//! A row of a kernel then reaches consecutive lanes. Other compartments keep the order of slots.
 
 use nsim_ir::base::id::{CompartmentId, CoreId};
 use nsim_ir::program::{Compartments, Program};
@@ -12,19 +11,19 @@ use nsim_ir::program::{Compartments, Program};
 #[derive(Debug)]
 pub(crate) struct LaneOrder<'p> {
     program: &'p Program,
-    /// Ascending.
+    /// In ascending order.
     populations: Vec<Compartments>,
 }
 
 impl<'p> LaneOrder<'p> {
-    /// For the cores of a program.
+    /// The populations of a program, in order.
     pub fn new(program: &'p Program) -> Self {
         let mut populations: Vec<Compartments> = program.parts().populations.iter().flatten().copied().collect();
         populations.sort_unstable_by_key(|population| population.first);
         LaneOrder { program, populations }
     }
 
-    /// The place of a compartment's population in the order of compartments.
+    /// Number of populations that begin at or before a compartment.
     pub fn population(&self, id: CompartmentId) -> usize {
         self.populations.partition_point(|population| population.first <= id)
     }

@@ -1,12 +1,11 @@
 //! Lists of synapses by source.
 //!
-//! Input: lanes and weights, source after source ([`ListBuilder`]), by delay. Output: a
-//! [`ListTable`] in the narrowest form that fits all. Errors: more synapses than a list position
-//! can index.
+//! Input: lanes and weights by source ([`ListBuilder`]), by delay. Output: a [`ListTable`] in the
+//! narrowest form that fits all. Errors: more synapses than a list position can index.
 //!
-//! A source has one list for all delays, in ascending order: with a list for each delay, a spike
-//! looks up, and pads, as many lists as there are delays. So what a synapse names is a *target*:
-//! its lane, and the lanes of a slot for each step by which its delay exceeds the shortest.
+//! A source has one list for all delays, in ascending order. With a list for each delay, a spike
+//! would look up and pad as many lists. A synapse therefore names a *target*: its lane plus the
+//! lanes of a slot for each step by which its delay exceeds the shortest.
 
 use std::ops::Range;
 
@@ -19,11 +18,11 @@ use nsim_ir::spikes::Spike;
 pub(crate) struct ListTable {
     /// The shortest delay field.
     pub shortest: u8,
-    /// The longest.
+    /// The longest delay field.
     pub longest: u8,
-    /// Where each source's list is.
+    /// Place of each source's list.
     pub places: Vec<ListPlace>,
-    /// A bit for each source that has one, if few have: places of the others are not looked up.
+    /// A bit for each source with a list, if few have one: other places are not looked up.
     pub few: Option<Vec<u64>>,
     pub synapses: ListForm,
 }
@@ -38,20 +37,20 @@ pub(crate) enum ListForm {
     /// Target and weight in one word; longer lists have larger runs.
     Packed(PaddedRuns<Packing, 4>),
     PackedSixteens(PaddedRuns<Packing, 16>),
-    /// Lists of one synapse at most.
+    /// Lists of at most one synapse.
     Singles(Singles),
-    /// Targets and weights in arrays of their own.
+    /// Targets and weights in separate arrays.
     Split(Split),
 }
 
-/// Lanes that 16 bits can address.
+/// Number of lanes that 16 bits can address.
 pub(crate) const ADDRESSED: usize = 1 << 16;
 
-/// Sources with a list are few if they are at most one in this many.
+/// Sources with a list are few if they are fewer than one in this many.
 const FEW: usize = 8;
 
-/// The fewest lanes of a shard whose lists are compact: smaller shards fit the cache anyway, and
-/// would need many times their own number of sums.
+/// Least number of lanes of a shard whose lists are compact. Smaller shards fit the cache anyway,
+/// and would need many times their number of sums.
 const COMPACT_FROM: usize = 1 << 12;
 
 impl ListForm {
@@ -61,8 +60,8 @@ impl ListForm {
     }
 }
 
-/// One synapse a source, or none: what a layer that passes its input on consists of. Neither place
-/// nor length of a list is looked up.
+/// At most one synapse a source, as in a layer that passes its input on. Neither place nor length
+/// of a list is looked up.
 #[derive(Debug)]
 pub(crate) struct Singles(Vec<Single>);
 
@@ -71,12 +70,12 @@ pub(crate) struct Singles(Vec<Single>);
 struct Single {
     target: u32,
     weight: i16,
-    /// 0 or 1.
+    /// Number of synapses, 0 or 1.
     synapses: u16,
 }
 
 impl Singles {
-    /// The synapses of lists of one at most.
+    /// Stores lists of at most one synapse.
     fn new(lists: impl Iterator<Item = Range<usize>>, mut synapses: impl Iterator<Item = (usize, i16)>) -> Self {
         let single = |list: Range<usize>| match list.is_empty() {
             true => Single::default(),
@@ -89,7 +88,7 @@ impl Singles {
         Singles(lists.map(single).collect())
     }
 
-    /// As [`PaddedRuns::deliver`].
+    /// [`PaddedRuns::deliver`] for single synapses.
     #[inline(always)]
     pub fn deliver<P: Spike>(&self, spikes: &[P], below: usize, mut add: impl FnMut(usize, i16, P::Payload)) -> u64 {
         let mut events = 0;
@@ -104,7 +103,7 @@ impl Singles {
     }
 }
 
-/// Targets and weights in arrays of their own, where they do not fit one word.
+/// Targets and weights in separate arrays, where they do not fit one word.
 #[derive(Debug)]
 pub(crate) struct Split {
     targets: Vec<u32>,
@@ -112,7 +111,7 @@ pub(crate) struct Split {
 }
 
 impl Split {
-    /// As [`PaddedRuns::deliver`].
+    /// [`PaddedRuns::deliver`] for separate arrays.
     #[inline(always)]
     pub fn deliver<P: Spike>(
         &self,
@@ -136,8 +135,8 @@ impl Split {
 }
 
 impl ListTable {
-    /// The lists of each of these delays, ascending, as one; `None` when there is no synapse. A
-    /// slot has this many lanes.
+    /// Joins the lists of these delays, ascending; `None` when there is no synapse. A slot has
+    /// `lanes` lanes.
     ///
     /// # Errors
     /// The number of synapses, when positions do not fit.
@@ -191,7 +190,7 @@ pub(crate) type LaneWeight = (u32, i16);
 pub(crate) struct ListBuilder {
     lanes: usize,
     packing: Packing,
-    /// Synapses up to the end of each source.
+    /// Number of synapses up to the end of each source.
     ends: Vec<usize>,
     words: Words,
 }
@@ -204,7 +203,7 @@ enum Words {
 }
 
 impl ListBuilder {
-    /// A builder for lanes or targets below a number.
+    /// A builder for lanes or targets below `lanes`.
     pub fn new(lanes: usize) -> Self {
         ListBuilder { lanes, packing: Packing::new(lanes), ends: Vec::new(), words: Words::Packed(Vec::new()) }
     }
@@ -216,7 +215,7 @@ impl ListBuilder {
         }
     }
 
-    /// Appends a synapse; the first that does not fit a word splits all.
+    /// Appends a synapse; the first synapse that does not fit a word splits all.
     fn push(&mut self, (target, weight): LaneWeight) {
         if let Words::Packed(words) = &mut self.words {
             if let Some(word) = self.packing.pack(target, weight) {
@@ -244,7 +243,7 @@ impl ListBuilder {
         })
     }
 
-    /// Appends the lists of the next sources, of this many synapses each.
+    /// Appends the lists of the next sources; `counts` has the length of each.
     pub fn append(&mut self, counts: &[u32], mut synapses: &[LaneWeight]) {
         for &count in counts {
             let list;
@@ -311,7 +310,7 @@ impl ListBuilder {
         }
     }
 
-    /// Where each list is, and the synapses; all have one delay or several.
+    /// The place of each list, and the synapses; `one_delay` if all have one delay.
     ///
     /// # Errors
     /// The number of synapses, when positions do not fit.
@@ -326,7 +325,7 @@ impl ListBuilder {
         let compact =
             one_delay && lanes >= COMPACT_FROM && matches!(&words, Words::Packed(words) if words.iter().all(fits));
         let lengths = lists().map(|list| list.len());
-        // Of lists that are not padded.
+        // Places of lists that are not padded.
         let places = || lists().map(|list| ListPlace::new(list.start, list.len())).collect::<Option<Vec<_>>>();
         match words {
             Words::Packed(words) if lists().all(|list| list.len() <= 1) => {
@@ -355,7 +354,7 @@ impl ListBuilder {
     }
 }
 
-/// Positions, and runs as a [`ListForm`].
+/// Returns the places, and the runs as a [`ListForm`].
 fn named<G>(made: Option<(Vec<ListPlace>, G)>, form: fn(G) -> ListForm) -> Option<(Vec<ListPlace>, ListForm)> {
     made.map(|(places, runs)| (places, form(runs)))
 }
@@ -398,7 +397,7 @@ mod tests {
     use super::*;
     use nsim_ir::base::rng;
 
-    /// What the table of these lists says.
+    /// Returns the lists as read from their table, and the table.
     fn read(lists: &[Vec<LaneWeight>], lanes: usize) -> (Vec<Vec<LaneWeight>>, ListTable) {
         let table = ListTable::new(vec![(0, ListBuilder::holding(lists, lanes))], lanes).unwrap().unwrap();
         ((0..lists.len()).map(|source| table.list(source)).collect(), table)
@@ -442,7 +441,7 @@ mod tests {
         assert!(matches!((of(3), of(8), of(64)), (ListForm::Fours(_), ListForm::Eights(_), ListForm::Sixteens(_))));
     }
 
-    /// One list holds the synapses of all delays, those of shorter ones first.
+    /// One list holds the synapses of all delays, shorter delays first.
     #[test]
     fn delays_are_joined() {
         let (lanes, delays) = (300, [3, 4, 20]);

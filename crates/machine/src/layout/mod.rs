@@ -1,6 +1,6 @@
 //! A program laid out for the processor: the image that a run only reads.
 //!
-//! - `image`, `shard`, `lane_order`: compartments in lanes; `sums`: the sums of each.
+//! - `image`, `shard`, `lane_order`: compartments in lanes; `sums`: the sums of each compartment.
 //! - `flatten`: synapses from the tables of cores, by source.
 //! - `planner`, `delivery_cost`: the form of each source's synapses.
 //! - `weight_rows`, `dense_blocks`, `lists`, `padded_runs`: the four forms.

@@ -1,12 +1,12 @@
 //! Padded runs: lists of synapses padded to whole runs of one size.
 //!
-//! Input: lanes and weights, source after source, and their form. Output: lane and weight of each
-//! synapse of some sources. Invariant: padding has weight 0, so it changes no sum.
+//! Input: lanes and weights by source, and their form. Output: lane and weight of each synapse of
+//! some sources. Invariant: padding has weight 0, so it changes no sum.
 //!
 //! Why: lengths of lists vary, and a loop over each list ends in a mispredicted branch (about 20
 //! cycles, as long as adding ten synapses). So the runs of many sources are queued, and one loop of
-//! fixed length goes over each run. Where spikes are rare their lists are in no cache, and a
-//! synapse costs the cache lines that it lies in; so a list is aligned to touch as few as possible.
+//! fixed length goes over each run. Lists of rare spikes are in no cache, where a list costs its
+//! cache lines; so alignment makes it touch as few as possible.
 
 use std::ops::Range;
 
@@ -14,8 +14,8 @@ use crate::deliver::prefetch::{LINE, prefetch};
 use crate::store::Store;
 use nsim_ir::spikes::Spike;
 
-/// Sources whose runs are queued at a time: few enough for the first-level cache if lists have up
-/// to some 16 runs.
+/// Number of sources whose runs are queued together: few enough for the first-level cache if lists
+/// have up to some 16 runs.
 const SOURCES: usize = 512;
 /// Runs of a list that are queued without looking at its length.
 const UNCHECKED: usize = 8;
@@ -29,7 +29,7 @@ const OVERHEAD: f64 = 1.4;
 /// Bytes between the positions at which a list can begin.
 pub(crate) const STEP: usize = 4;
 
-/// Where a source's list is.
+/// Place of a source's list.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub(crate) struct ListPlace {
     /// Its beginning, in units of [`STEP`] bytes; in synapses for split lists.
@@ -39,8 +39,8 @@ pub(crate) struct ListPlace {
 }
 
 impl ListPlace {
-    /// The place of a list that begins there and has this many synapses; `None` if a number does
-    /// not fit.
+    /// The place of a list of `count` synapses that begins at `start`; `None` if a number does not
+    /// fit.
     pub fn new(start: usize, count: usize) -> Option<Self> {
         Some(ListPlace { start: start.try_into().ok()?, count: count.try_into().ok()? })
     }
@@ -64,13 +64,13 @@ impl ListPlace {
     }
 }
 
-/// How the synapses of a run are stored.
+/// Storage format of the synapses of a run.
 pub(crate) trait RunForm: Copy {
     /// Bytes of a synapse; a run of four takes whole [`STEP`]s.
     const SYNAPSE: usize;
     /// Writes a synapse, lane and weight, into a run of `N`.
     fn write<const N: usize>(self, run: &mut [u8], index: usize, synapse: (usize, i16));
-    /// Reads it.
+    /// Reads a synapse, lane and weight, from a run of `N`.
     fn read<const N: usize>(self, run: &[u8], index: usize) -> (usize, i16);
 }
 
@@ -94,15 +94,15 @@ impl RunForm for Compact {
     }
 }
 
-/// A synapse in a word of 32 bits: the lane in as many low bits as the shard's lanes need, the
-/// weight in the others: 16 bits of weight for 65,536 lanes, 12 for a million.
+/// A synapse in a word of 32 bits: the lane in the low bits, as many as the shard's lanes need, the
+/// weight in the others. The weight has 16 bits for up to 65,535 lanes, 12 for a million.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Packing {
     target_bits: u32,
 }
 
 impl Packing {
-    /// The packing of a shard with this many lanes.
+    /// The packing of a shard with `lanes` lanes.
     pub fn new(lanes: usize) -> Self {
         Packing { target_bits: (usize::BITS - lanes.leading_zeros()).clamp(1, 31) }
     }
@@ -141,7 +141,7 @@ pub(crate) struct PaddedRuns<F, const N: usize> {
     store: Store,
 }
 
-/// Estimated cost of delivering each of these lists once in runs of this size, in synapses.
+/// Estimated cost of delivering each of these lists once in runs of `size`, in synapses.
 pub(crate) fn cost(size: usize, lengths: impl Iterator<Item = usize>) -> f64 {
     lengths.map(|length| length.div_ceil(size) as f64 * (size as f64 + OVERHEAD)).sum()
 }
@@ -152,8 +152,8 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
     /// Runs between the prefetch of a run and its use.
     const AHEAD: usize = PREFETCH_SYNAPSES / N;
 
-    /// Stores lists of this many synapses, which come list after list; also their positions. `None`
-    /// when a position does not fit.
+    /// Stores lists of these lengths, whose synapses come list by list, and returns their places.
+    /// `None` when a place does not fit.
     pub fn new(
         form: F,
         lengths: impl Iterator<Item = usize>,
@@ -182,9 +182,9 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         self.store.bytes().len()
     }
 
-    /// Calls `add` with target, weight and payload for every synapse that these spikes reach, and
-    /// for padding, of targets below a number if there is one; returns the number of synapses.
-    /// Lists are at `places`, of ascending slots; `queue` is scratch memory.
+    /// Calls `add` with target, weight and payload for every synapse of these spikes, and for
+    /// padding; targets stay below `below`, if it is not `usize::MAX`. Returns the number of
+    /// synapses. Lists are at `places`, with ascending slots; `queue` is scratch memory.
     #[inline(always)]
     pub fn deliver<P: Spike>(
         &self,
@@ -196,7 +196,7 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         let (bytes, mut events) = (self.store.bytes(), 0);
         let fetch = |run: u32| prefetch(bytes, run as usize * STEP + Self::BYTES - 1);
         if !P::BINARY || below < usize::MAX {
-            // Queued runs do not know their spike, and are delivered whole.
+            // A queued run has no spike, and is delivered whole.
             for (index, spike) in spikes.iter().enumerate() {
                 if let Some(far) = spikes.get(index + PREFETCH_SOURCES / 4) {
                     fetch(places[far.source()].start() as u32);
@@ -229,8 +229,8 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         events
     }
 
-    /// Adds the synapses of the run at this byte. A function, since a closure may be compiled on
-    /// its own, without the processor's widest vectors.
+    /// Adds the synapses of the run at this byte. It is a function, since a closure may be compiled
+    /// separately, without the processor's widest vectors.
     #[inline(always)]
     fn add_run<Y: Copy>(&self, run: usize, payload: Y, add: &mut impl FnMut(usize, i16, Y)) {
         let run = &self.store.bytes()[run..run + Self::BYTES];
@@ -240,8 +240,8 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
         }
     }
 
-    /// Queues the runs of these spikes; returns their number and that of their synapses. The last
-    /// run is repeated, so that every run has another to prefetch.
+    /// Queues the runs of these spikes; returns the numbers of runs and of synapses. The last run
+    /// is repeated, so that every run has another to prefetch.
     #[inline(always)]
     fn enqueue(places: &[ListPlace], spikes: &[impl Spike], queue: &mut Vec<u32>) -> (usize, u64) {
         let each = (Self::BYTES / STEP) as u32;
@@ -274,9 +274,9 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
     }
 }
 
-/// Positions for lists of this many synapses, which take this many bytes, and the bytes of all. No
-/// list touches more cache lines than its length needs. At most half of the bytes are gaps: a gap
-/// is smaller than the list after it. `None` when a position does not fit.
+/// Places for lists of these lengths, each of `bytes(length)` bytes, and the bytes of all. No list
+/// touches more cache lines than its length needs. At most half of the bytes are gaps: a gap is
+/// smaller than the list after it. `None` when a place does not fit.
 pub(crate) fn lay_out(
     lengths: impl Iterator<Item = usize>,
     bytes: impl Fn(usize) -> usize,
@@ -304,8 +304,8 @@ mod tests {
 
     const LANES: u64 = 1_000;
 
-    /// Compares with adding one synapse after the other: sums, the lanes called with, and the
-    /// number of synapses.
+    /// Compares with adding synapse by synapse: sums, the lanes called with, and the number of
+    /// synapses.
     fn compare<F: RunForm, const N: usize>(form: F, heaviest: i16, most: u64) {
         let list = |source| -> Vec<(usize, i16)> {
             let of = |index| {

@@ -1,10 +1,10 @@
-//! The planner: which synapses go to dense blocks, and which to lists.
+//! The planner: divides the synapses between dense blocks and lists.
 //!
-//! Input: the lanes that each source reaches over one delay, source after source. Output: the dense
-//! blocks to make ([`PlannedBlock`]). The choice minimises an estimate of the time and memory of
-//! delivery. A chunk of sixteen lanes is added in less time than one listed synapse, so blocks pay
-//! even with many zeros. But a chunk takes the memory of ten synapses, so blocks with many zeros do
-//! not pay in networks that fit no cache.
+//! Input: the lanes that each source reaches over one delay, by source. Output: the dense blocks to
+//! make ([`PlannedBlock`]). The choice minimises an estimate of the time and memory of delivery. A
+//! chunk of sixteen lanes is added in less time than one listed synapse, so blocks pay even with
+//! many zeros. But a chunk takes the memory of eight listed synapses or more. So blocks with many
+//! zeros do not pay in networks that fit no cache.
 
 use crate::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::layout::padded_runs::{Packing, RunForm};
@@ -14,16 +14,16 @@ use crate::update::kernel::LANES;
 const LISTED: usize = Packing::SYNAPSE;
 /// Bytes of a chunk.
 const CHUNK_BYTES: usize = 2 * LANES;
-/// The fewest synapses of a chunk that is worth its memory where memory counts: 6.4 bytes a
-/// synapse.
+/// Least number of synapses of a chunk that is worth its memory in a network beyond the cache: 6.4
+/// bytes a synapse.
 const DENSE: u32 = 5;
 /// Bytes of weights that may be mostly zeros: half of a second-level cache.
 const CACHED: usize = 1 << 20;
-/// Steps in which each source spikes about once: sources of a block that spike together find it
-/// once.
+/// Number of steps in which each source spikes about once. Sources of a block that spike in one
+/// step share its look-up.
 const STEPS: usize = 20;
 /// Chunks of zeros a source that may be added to join two blocks, by round: similar blocks join
-/// first. The last is worth what a block costs.
+/// first. The last costs as much as a block.
 const ZEROS: [usize; 5] = [1, 3, 6, 12, (COST.block + COST.range) / COST.chunk];
 
 /// Consecutive sources that become a dense block.
@@ -34,9 +34,9 @@ pub(crate) struct PlannedBlock {
     pub end: u32,
     /// Its chunks, ascending.
     pub chunks: Vec<u32>,
-    /// Chunks of its sources, summed, without those that hold only zeros.
+    /// Number of its sources' chunks that hold not only zeros.
     own: usize,
-    /// Synapses in them.
+    /// Number of synapses in them.
     synapses: usize,
 }
 
@@ -46,7 +46,7 @@ impl PlannedBlock {
         (self.end - self.first) as usize
     }
 
-    /// Chunks of all sources.
+    /// Number of chunks of all sources.
     pub fn size(&self) -> usize {
         self.sources() * self.chunks.len()
     }
@@ -58,7 +58,7 @@ impl PlannedBlock {
     }
 
     /// Joins the next block if that adds few zeros; returns the chunks of zeros added, or the next
-    /// block. Zeros may be half of all chunks, and `spare` more.
+    /// block. At most half of all chunks may be zeros, unless the join adds at most `spare`.
     fn join(&mut self, next: PlannedBlock, zeros: usize, spare: usize) -> Result<usize, PlannedBlock> {
         let sources = (next.end - self.first) as usize;
         let others = || next.chunks.iter().filter(|chunk| self.chunks.binary_search(chunk).is_err());
@@ -75,15 +75,15 @@ impl PlannedBlock {
     }
 }
 
-/// One way to divide the synapses.
+/// One division of the synapses between blocks and lists.
 #[derive(Debug)]
 struct Candidate {
-    /// The fewest synapses of a chunk that goes to a block.
+    /// Least number of synapses of a chunk in a block.
     least: u32,
     blocks: Vec<PlannedBlock>,
-    /// Chunks of all dense blocks.
+    /// Number of chunks of all dense blocks.
     size: usize,
-    /// Synapses left to the lists.
+    /// Number of synapses in lists.
     listed: usize,
     /// Chunks of the current source.
     chunks: Vec<u32>,
@@ -169,23 +169,23 @@ impl Candidate {
     }
 }
 
-/// Divides the synapses of the sources of one kind, of one delay.
+/// Divides the synapses of the sources of one kind and one delay.
 #[derive(Debug)]
 pub(crate) struct Planner {
     /// Synapses of the current source by chunk; zeros between sources.
     counts: Vec<u32>,
-    /// Chunks with any.
+    /// Chunks with a synapse of the current source.
     touched: Vec<u32>,
     synapses: usize,
     sources: usize,
-    /// Everything in blocks, while that is not too large.
+    /// All synapses in blocks, while these are not too large.
     dense_only: Option<Candidate>,
     /// Blocks where chunks are dense, lists elsewhere.
     mixed: Candidate,
 }
 
 impl Planner {
-    /// A planner for a shard with this many lanes.
+    /// A planner for a shard with `lanes` lanes.
     pub fn new(lanes: usize) -> Self {
         Planner {
             counts: vec![0; lanes.div_ceil(LANES)],
@@ -197,7 +197,7 @@ impl Planner {
         }
     }
 
-    /// Takes the lanes that a source reaches, one a synapse; sources come in ascending order.
+    /// Adds a source and the lane of each of its synapses; sources come in ascending order.
     pub fn take(&mut self, source: u32, synapses: &[u32]) {
         for &lane in synapses {
             let chunk = lane / LANES as u32;
@@ -213,7 +213,7 @@ impl Planner {
         let most = self.most();
         if let Some(candidate) = &mut self.dense_only {
             candidate.take(source, &self.touched, &self.counts);
-            // It cannot become small enough any more.
+            // It is too large by far.
             if candidate.bytes() > 4 * most {
                 self.dense_only = None;
             }
@@ -223,8 +223,8 @@ impl Planner {
         }
     }
 
-    /// The most bytes that blocks alone may take: what fits a third-level cache, or four times as
-    /// many as lists. Weights of 8 bits take half.
+    /// Maximum number of bytes of blocks without lists: a third-level cache, or four times the
+    /// bytes of lists. Weights of 8 bits take half.
     fn most(&self) -> usize {
         (16 * CACHED).max(4 * LISTED * self.synapses)
     }

@@ -1,11 +1,11 @@
-//! How the compartments of a shard are laid out, and where their synapses come from.
+//! Layout of the compartments of a shard, and their incoming synapses.
 //!
 //! A *core block* is consecutive compartments of one core. It starts at a multiple of sixteen
 //! lanes, unless it is updated as vectors together with the block before it, of another core. A
 //! *vector run* is core blocks that are updated together. A *skip block* is 64 lanes: it is updated
-//! only if something in it is not idle. Lanes without a compartment are padding. Weights of dense
-//! blocks are padded with zeros to whole chunks, so what they add to padding or to a neighbour
-//! changes nothing.
+//! only if one of its compartments is not idle. Lanes without a compartment are padding. Weights of
+//! dense blocks are padded with zeros to whole chunks, so that they change neither padding nor
+//! neighbours.
 
 use std::sync::Arc;
 
@@ -15,33 +15,33 @@ use crate::plastic::synapses::PlasticSynapses;
 use nsim_dynamics::kinds::{CHUNK, Updater};
 use nsim_ir::base::id::{CompartmentId, CoreId};
 
-/// Lanes of a skip block.
+/// Number of lanes of a skip block.
 pub const SKIP_BLOCK: usize = 64;
 
 /// Compartments of a kind whose state is words.
 #[derive(Debug)]
 pub(crate) struct WordBlock {
     pub start: u32,
-    /// Where its words begin among those of the shard, in chunks.
+    /// Index of its first word among the words of the shard, in chunks.
     pub first: usize,
     pub updater: Arc<dyn Updater>,
-    /// The bits of what each of its messages carries; 0 where it always is the same.
+    /// Number of bits of the values in its messages; 0 where all messages carry one payload.
     pub bits: u32,
-    /// Bits by which what arrives in a step is shifted.
+    /// Shift of a step's arrivals toward minus infinity, in bits.
     pub shift: u8,
-    /// The step that periodic resets are counted from.
+    /// The step from which periodic resets are counted.
     pub resets_from: u32,
     /// The sums of each compartment.
     pub sums: Vec<Sum>,
 }
 
 impl WordBlock {
-    /// Chunks of its compartments.
+    /// Number of chunks of its compartments.
     pub fn chunks(&self) -> usize {
         self.updater.lanes().div_ceil(CHUNK)
     }
 
-    /// Where its words are among those of the shard, in chunks.
+    /// Range of its words among the words of the shard, in chunks.
     pub fn columns(&self) -> std::ops::Range<usize> {
         self.first..self.first + self.chunks() * self.updater.words()
     }
@@ -60,26 +60,26 @@ pub(crate) enum BlockFields {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct CoreBlock {
     pub start: u32,
-    /// Compartments.
+    /// Number of compartments.
     pub length: u32,
     pub core: CoreId,
     pub fields: BlockFields,
     /// The earliest step from which one of its compartments is not held at zero.
     pub starts: u32,
-    /// The list of sums of compartments whose state is words.
+    /// Index of the list of sums of compartments whose state is words.
     pub sums: u32,
 }
 
 /// Adjacent core blocks of a skip block that are updated together.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct VectorRun {
-    /// The first block.
+    /// Index of its first block.
     pub first: u32,
-    /// The first block after it.
+    /// Index of the first block after it.
     pub end: u32,
     /// Its first lane, a multiple of sixteen.
     pub start: u32,
-    /// Its lanes, padding up to the next multiple of sixteen included.
+    /// Number of its lanes, with padding up to the next multiple of sixteen.
     pub lanes: u32,
     /// The earliest step from which one of its compartments is not held at zero; all its blocks
     /// have the same fields.
@@ -87,14 +87,14 @@ pub(crate) struct VectorRun {
     /// The parameters that all share, if they can be updated as vectors; otherwise the run is one
     /// block.
     pub vector: Option<u32>,
-    /// Its place among the blocks of words, if its state is words.
+    /// Its index among the blocks of words, if its state is words.
     pub words: Option<u32>,
-    /// Its lanes that are no padding, a bit each.
+    /// Its lanes without padding, one bit each.
     pub mask: u64,
 }
 
-/// The lanes that one thread updates, and the synapses that lead to them. Lanes are counted within
-/// the shard.
+/// The lanes that one thread updates, and their incoming synapses. Lanes are counted within the
+/// shard.
 #[derive(Debug, Default)]
 pub(crate) struct Shard {
     /// Number of lanes, padding included.
@@ -105,11 +105,11 @@ pub(crate) struct Shard {
     pub blocks: Vec<CoreBlock>,
     /// Vector runs in order.
     pub vector_runs: Vec<VectorRun>,
-    /// First vector run of each skip block, and one more.
+    /// First vector run of each skip block, and the number of vector runs.
     pub skip_blocks: Vec<u32>,
-    /// Skip blocks that never rest, a bit each.
+    /// Skip blocks that are never idle, one bit each.
     pub driven: Vec<u64>,
-    /// Skip blocks that are not idle before the first step.
+    /// Skip blocks that are not idle before the first step, one bit each.
     pub wakes: Vec<u64>,
     /// Compartments whose state is words, by lane.
     pub words: Vec<WordBlock>,
@@ -117,7 +117,7 @@ pub(crate) struct Shard {
     pub from_channels: FanOuts,
     /// Synapses of compartments.
     pub from_compartments: FanOuts,
-    /// Synapses whose weights a run may change, of both.
+    /// Synapses of both whose weights a run may change.
     pub plastic: PlasticSynapses,
 }
 

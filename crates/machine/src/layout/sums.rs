@@ -1,7 +1,7 @@
 //! The sums of arrivals of compartments whose state is words.
 //!
-//! Input: a program. Output: for each compartment the list of its sums, and which of them a synapse
-//! adds to. Errors: a compartment with more sums than a skip block has lanes.
+//! Input: a program. Output: for each compartment the list of its sums, and the sum to which a
+//! synapse adds. Errors: a compartment with more sums than a skip block has lanes.
 //!
 //! A compartment has a sum for each of its ports, and separate sums: one for each number, shift and
 //! delay of its synapses. The sums of a list lie `stride` lanes from each other, within one skip
@@ -26,7 +26,7 @@ pub(crate) struct Sum {
     pub apart: Option<Apart>,
     /// Bits by which it is shifted before that.
     pub shift: u8,
-    /// The delay field of what arrives, 0 of a port's.
+    /// Delay field of the arrivals of a separate sum; 0 for the sum of a port.
     delay: u8,
 }
 
@@ -36,7 +36,7 @@ impl Sum {
         Sum { port, apart: None, shift: 0, delay: 0 }
     }
 
-    /// The one that synapses of this format and delay field add to.
+    /// The sum to which synapses of this format and delay field add.
     fn reached_by(format: SynapseFormat, delay: u8) -> Sum {
         let SynapseFormat { port, apart, .. } = format;
         let delay = if apart.is_some() { delay } else { 0 };
@@ -44,7 +44,7 @@ impl Sum {
     }
 }
 
-/// Lanes between the sums of a list of this many.
+/// Lanes between the sums of a list of `sums` sums.
 pub(crate) const fn stride(sums: usize) -> usize {
     MOST_LANES / sums.next_power_of_two()
 }
@@ -52,14 +52,14 @@ pub(crate) const fn stride(sums: usize) -> usize {
 /// The sums of all compartments.
 #[derive(Debug)]
 pub(crate) struct Sums {
-    /// Lists of sums, ascending: of one port, of two ports, then those with separate sums.
+    /// Lists of sums: of one port, of two ports, then lists with separate sums.
     lists: Vec<Vec<Sum>>,
     /// The list of each compartment that has separate sums; empty if no compartment has any.
     apart: Vec<Option<u32>>,
 }
 
 impl Sums {
-    /// Of a program; a compartment with too many.
+    /// The sums of a program. The error is a compartment with too many.
     pub fn new(program: &Program, order: &LaneOrder<'_>) -> Result<Sums, CompartmentId> {
         let ports = [Port::First, Port::Second].map(Sum::of_port);
         let mut sums = Sums { lists: vec![ports[..1].to_vec(), ports.to_vec()], apart: Vec::new() };
@@ -92,7 +92,7 @@ impl Sums {
         Ok(sums)
     }
 
-    /// The list of a compartment with this many ports.
+    /// The index of the list of a compartment with `ports` ports.
     pub fn list(&self, id: CompartmentId, ports: u8) -> u32 {
         self.own(id).unwrap_or_else(|| u32::from(ports) - 1)
     }
@@ -106,7 +106,7 @@ impl Sums {
         ids.iter().all(|&id| self.own(id).is_none_or(|list| self.get(list).len() == 1))
     }
 
-    /// From the lane of a compartment to that of the sum which a synapse adds to.
+    /// Lanes from a compartment's lane to the lane of the sum to which a synapse adds.
     #[inline]
     pub fn offset(&self, id: CompartmentId, format: SynapseFormat, delay: u8) -> u32 {
         let Some(list) = self.own(id) else { return (format.port.index() * stride(2)) as u32 };

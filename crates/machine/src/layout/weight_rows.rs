@@ -1,15 +1,14 @@
-//! Rows of weights: consecutive lanes that many sources reach with the same weights, each source
-//! from another lane on.
+//! Rows of weights: weights of consecutive lanes that many sources share, each source from its own
+//! first lane.
 //!
-//! Input: the input axons of a program's cores. Output: the distinct rows ([`WeightRows`]), which
-//! rows the axons consist of ([`ProgramRows`]), and for each source its rows and the lane at which
-//! they begin ([`RowTable`]). Axons that share no rows, or whose rows would cost more than their
-//! synapses, are left to dense blocks and lists. Nothing is taken from kernels but what the tables
-//! of the cores say.
+//! Input: the input axons of a program's cores. Output: the distinct rows ([`WeightRows`]), the
+//! rows of each axon ([`ProgramRows`]), and for each source its rows and their first lanes
+//! ([`RowTable`]). Dense blocks and lists take the axons that share no rows, or whose rows would
+//! cost more than single synapses. Rows are found in the cores' tables alone, not in kernels.
 //!
-//! Why: a spike into a convolution adds a few rows of its kernel, the same ones at every position,
-//! so that their weights stay in the cache and are added as vectors. The lanes of a core have
-//! channels innermost (`lane_order`), so what a row of the kernel reaches are lanes side by side.
+//! Why: a spike into a convolution adds a few rows of its kernel, equal at every position. Their
+//! weights stay in the cache and are added as vectors. The lanes of a core have channels innermost
+//! (`lane_order`), so a row of the kernel reaches adjacent lanes.
 
 use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
@@ -27,21 +26,21 @@ use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ClassId, CoreId, Id};
 use nsim_ir::program::{CoreClass, CoreFormat, Program, Selected, Stored, Synapse};
 
-/// Lanes without a synapse that a row may bridge.
+/// Greatest distance in lanes between neighbouring synapses of a row.
 const BRIDGED: u16 = LANES as u16;
-/// How often the synapses of rows must be used on average: rows of one source each belong to dense
-/// blocks or lists, and pieces of those are equal to others by chance.
+/// Least average number of uses of the synapses of rows. Rows of a single source belong to dense
+/// blocks or lists; pieces of these are equal by chance.
 const USES: usize = 4;
 /// Input axons of a core of which either all that have rows are delivered by them or none.
 const TOGETHER: usize = 64;
 /// Those of them that have rows: fewer are equal to another by chance, as pairs of random synapses
 /// are, and a step would look for the rows of every spike.
 const FEWEST: usize = 4;
-/// Synapses of a program from which on rows that only other cores use too are shared: the weights
-/// of fewer fit a cache, where dense blocks are faster.
+/// Least number of a program's synapses for which uses by other cores count. The weights of fewer
+/// synapses fit a cache, where dense blocks are faster.
 const MANY: u64 = 1 << 22;
 
-/// A row: its first chunk in the high bits, its number of chunks in the others.
+/// A row: its first chunk in the high bits, its number of chunks in the low ones.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct WeightRow(u32);
 
@@ -56,7 +55,7 @@ impl WeightRow {
         Some(WeightRow(first << CHUNK_BITS | count))
     }
 
-    /// Its chunks among those of all rows.
+    /// Its chunks among the chunks of all rows.
     #[inline(always)]
     pub fn range(self) -> Range<usize> {
         let (first, count) = ((self.0 >> CHUNK_BITS) as usize, (self.0 & ((1 << CHUNK_BITS) - 1)) as usize);
@@ -77,7 +76,7 @@ impl WeightRows {
         &self.weights[row.range()]
     }
 
-    /// The weights of all rows, chunk after chunk.
+    /// The weights of all rows, chunk by chunk.
     #[inline(always)]
     pub fn all(&self) -> &[[i16; LANES]] {
         &self.weights
@@ -88,8 +87,8 @@ impl WeightRows {
         size_of_val(self.weights.as_slice())
     }
 
-    /// Stores rows; `None` of those that do not fit. A row whose chunks follow each other in a
-    /// longer one is a part of that: what a core's border leaves of a kernel's row takes no memory.
+    /// Stores rows; `None` for rows that do not fit. A row whose chunks are consecutive in a longer
+    /// row becomes a part of that, as does a kernel's row that a core's border cuts.
     fn with(contents: &[Content]) -> (Self, Vec<Option<WeightRow>>) {
         let mut order: Vec<usize> = (0..contents.len()).collect();
         order.sort_by_key(|&row| std::cmp::Reverse(contents[row].weights.len()));
@@ -114,7 +113,7 @@ impl WeightRows {
     }
 }
 
-/// Places at which a row is looked for in others.
+/// Number of places at which a row is searched in others.
 const TRIED: usize = 16;
 
 /// The content by which rows are distinguished.
@@ -127,21 +126,21 @@ struct Content {
 /// A row of an input axon.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct AxonRow {
-    /// Where it begins: how many lanes of the core come before.
+    /// Its first lane, counted within the core.
     pub rank: u16,
-    /// Lanes that it spans.
+    /// Number of lanes that it spans.
     pub span: u16,
     /// Delay field of its synapses.
     pub delay: u8,
-    /// Synapses in it.
+    /// Number of synapses in it.
     pub synapses: u32,
     pub row: WeightRow,
 }
 
-/// Which rows the input axons of each core consist of.
+/// The rows of the input axons of each core.
 #[derive(Debug)]
 pub(crate) struct ProgramRows {
-    /// By core, the place of its axons' rows; none where axons have none.
+    /// By core, the index of its axons' rows; `None` where axons have none.
     places: Vec<Option<u32>>,
     axons: Vec<Csr<AxonRow>>,
     pub rows: Arc<WeightRows>,
@@ -150,7 +149,7 @@ pub(crate) struct ProgramRows {
 impl ProgramRows {
     /// The rows of a program.
     pub fn new(program: &Program) -> Self {
-        // Cores of a class in the same order of lanes are visited once.
+        // Cores of a class with equal orders of lanes are visited once.
         let order = LaneOrder::new(program);
         let ranks: Vec<Vec<u16>> =
             program.cores().ids().collect::<Vec<_>>().par_iter().map(|&core| ranks(&order.slots(core))).collect();
@@ -172,7 +171,7 @@ impl ProgramRows {
         let synapses: u64 = firsts.par_iter().map(|(class, _, cores)| class.inputs.count() * *cores as u64).sum();
         let found: Vec<Option<CoreRows>> =
             firsts.par_iter().map(|&(class, ranks, _)| CoreRows::of_class(class, ranks)).collect();
-        // How often the cores of all classes together use each row.
+        // Number of uses of each row by the cores of all classes.
         let mut uses: HashMap<&Content, usize> = HashMap::new();
         if synapses >= MANY {
             for (found, &(_, _, cores)) in found.iter().zip(&firsts) {
@@ -236,7 +235,7 @@ fn ranks(slots: &[u16]) -> Vec<u16> {
 struct CoreRows {
     /// Distinct rows.
     contents: Vec<Content>,
-    /// By axon: rank of the first lane, delay, and place in `contents`.
+    /// By axon: rank of the first lane, delay, and index in `contents`.
     axons: Csr<(u16, u8, u32)>,
 }
 
@@ -262,9 +261,9 @@ impl CoreRows {
         (!contents.is_empty()).then_some(CoreRows { contents, axons })
     }
 
-    /// These rows with only the runs of axons whose rows are used often enough, on average, to take
-    /// no more memory than lists would. Uses by the core's own axons or by those of all cores
-    /// count. A kernel's rows that the border cuts are used seldom, but lie next to others.
+    /// Returns these rows for the runs of axons whose rows are used often enough, on average, to
+    /// take no more memory than lists would. Uses by the core's axons or by the axons of all cores
+    /// count. Rows that the border cuts from a kernel have few uses, but lie next to others.
     fn shared(&self, uses: &HashMap<&Content, usize>) -> Option<Self> {
         let mut all = vec![0; self.contents.len()];
         self.axons.items().iter().for_each(|(_, _, number)| all[*number as usize] += 1);
@@ -304,7 +303,7 @@ impl CoreRows {
 }
 
 /// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost
-/// more than the synapses one by one, or do not fit, or a weight may change.
+/// more than single synapses, or do not fit, or a weight is plastic.
 fn rows_of(
     axon: Selected<'_>,
     ranks: &[u16],
@@ -344,9 +343,8 @@ fn rows_of(
     scratch.chunk_by(together).map(content).collect()
 }
 
-/// A row, in the high bits, and the lane at which it begins, in the low ones; in a stencil, how
-/// many lanes after the first. One number, so that the rows of a stencil are moved to their lanes
-/// by one addition.
+/// A row, in the high bits, and its first lane, in the low bits; in a stencil, the lane after the
+/// stencil's first. As it is one number, one addition moves a row of a stencil to its lane.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub(crate) struct RowPlace(u64);
 
@@ -367,13 +365,13 @@ impl RowPlace {
         WeightRow((self.0 >> u32::BITS) as u32)
     }
 
-    /// The same row this many lanes later, which the shard has.
+    /// Returns this row `lanes` lanes later, which is within the shard.
     #[inline(always)]
     pub fn after(self, lanes: u32) -> Self {
         RowPlace(self.0.wrapping_add(lanes.into()))
     }
 
-    /// The same row this many lanes earlier; its lane is not before them.
+    /// Returns this row `lanes` lanes earlier; its lane is at least `lanes`.
     fn before(self, lanes: u32) -> Self {
         RowPlace(self.0 - u64::from(lanes))
     }
@@ -382,24 +380,24 @@ impl RowPlace {
 /// Rows of a stencil that are queued without looking at how many it has.
 pub(crate) const UNCHECKED: usize = 8;
 
-/// The rows that a source adds, which others add from another lane on.
+/// The rows that a source adds, and that others add from another lane on.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Stencil {
-    /// The place of its first row.
+    /// Index of its first row.
     pub first: u32,
-    /// Rows.
+    /// Number of rows.
     pub rows: u32,
-    /// Synapses in all of them.
+    /// Number of synapses in all of them.
     pub synapses: u32,
 }
 
-/// A source: its stencil, and the lane at which that begins.
+/// A source: its stencil, and the first lane of this.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Origin {
     /// The first lane of its rows.
     pub lane: u32,
     pub stencil: u32,
-    /// Sources of a group have rows of the same lengths at the same lanes.
+    /// Sources of a group have rows of equal lengths at equal lanes.
     pub group: u32,
 }
 
@@ -407,18 +405,18 @@ pub(crate) struct Origin {
 /// stencils, which the cache holds.
 #[derive(Debug)]
 pub(crate) struct RowTable {
-    /// By source.
+    /// By source, channels or compartments alone.
     pub origins: Vec<Origin>,
     /// Number of groups of the sources.
     pub groups: usize,
     pub stencils: Vec<Stencil>,
-    /// The rows of all stencils, and [`UNCHECKED`] more.
+    /// The rows of all stencils, and [`UNCHECKED_ROWS`] more.
     pub places: Vec<RowPlace>,
     pub rows: Arc<WeightRows>,
 }
 
 impl RowTable {
-    /// A source's stencil, and its rows with as many more as may be read unchecked.
+    /// A source's stencil, its rows with padding for unchecked reads, and their number.
     #[inline(always)]
     pub fn stencil(&self, origin: Origin) -> (Stencil, &[RowPlace], usize) {
         let stencil = self.stencils[origin.stencil as usize];
@@ -454,18 +452,18 @@ pub(crate) struct RowBuilder {
     /// The stencil without rows comes first.
     stencils: Vec<Stencil>,
     places: Vec<RowPlace>,
-    /// By rows and synapses: rows that share weights may differ in synapses of weight 0.
+    /// By rows and synapses, as rows with equal weights may differ in synapses of weight 0.
     known: HashMap<(Vec<RowPlace>, u32), u32>,
 }
 
 impl RowBuilder {
-    /// Without a source.
+    /// An empty builder.
     pub fn new() -> Self {
         let none = Stencil { first: 0, rows: 0, synapses: 0 };
         RowBuilder { origins: Vec::new(), stencils: vec![none], places: Vec::new(), known: HashMap::new() }
     }
 
-    /// Appends the next sources, of this many rows and synapses in rows each.
+    /// Appends the next sources; `counts` has the rows of each, and the synapses in them.
     pub fn append(&mut self, counts: &[(u32, u32)], mut places: &[RowPlace]) {
         let mut own = Vec::new();
         for &(rows, synapses) in counts {
@@ -482,9 +480,9 @@ impl RowBuilder {
         }
     }
 
-    /// The stencil of these rows.
+    /// Returns the index of the stencil of these rows.
     fn stencil(&mut self, rows: &[RowPlace], synapses: u32) -> u32 {
-        // Neighbours mostly have the same one.
+        // Neighbouring sources mostly have equal stencils.
         if let Some(&Origin { stencil, .. }) = self.origins.last() {
             let Stencil { first, rows: count, synapses: of_last } = self.stencils[stencil as usize];
             if of_last == synapses && &self.places[first as usize..(first + count) as usize] == rows {
@@ -503,7 +501,7 @@ impl RowBuilder {
         number
     }
 
-    /// Source, lane and weight of what is in rows, without zeros.
+    /// Source, lane and weight of the synapses in rows, without zeros.
     #[cfg(test)]
     pub fn synapses(&self, rows: &WeightRows) -> Vec<(usize, u32, i16)> {
         let mut synapses = Vec::new();
@@ -540,8 +538,8 @@ impl RowBuilder {
                 *shapes.entry(rows.iter().map(|row| (row.lane(), row.row().range().len())).collect()).or_insert(next)
             })
             .collect();
-        // Shape of each group, and the group before it at the same lane. The one of sources without
-        // rows comes first, before all others.
+        // Shape of each group, and the previous group at its lane. The group of sources without
+        // rows is the first.
         let mut groups: Vec<(u32, u32)> = vec![(0, 0)];
         let lanes = origins.iter().map(|origin| origin.lane as usize + 1).max().unwrap_or(0);
         let mut last_of_lane = vec![0; lanes];
@@ -562,7 +560,7 @@ impl RowBuilder {
     }
 }
 
-/// A table of these rows: by source, which row begins at which lane.
+/// A table of these rows; `sources` has the rows of each source and their first lanes.
 #[cfg(test)]
 pub(crate) fn table(rows: &[Vec<i16>], sources: &[Vec<(usize, u32)>]) -> RowTable {
     let content = |weights: &Vec<i16>| Content { weights: weights.clone(), synapses: weights.len() as u32 };
@@ -649,7 +647,7 @@ mod tests {
         }
     }
 
-    /// The same weights with and without a synapse of weight 0 after them.
+    /// Equal weights with and without a synapse of weight 0 after them.
     #[test]
     fn synapses_of_weight_zero_are_counted() {
         let contents = [(vec![3, 4], 2), (vec![3, 4, 0], 3)].map(|(weights, synapses)| Content { weights, synapses });

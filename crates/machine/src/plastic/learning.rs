@@ -1,7 +1,7 @@
 //! The phase Learn: plastic weights change at the end of each epoch of a rule.
 //!
 //! Input: the sources whose messages a step delivered. Output: new weights in the state of each
-//! shard. Targets are sources too, so that one set of notes serves both ends of a synapse.
+//! shard. Targets are sources too, so that one record serves both ends of a synapse.
 
 use std::sync::Arc;
 
@@ -12,11 +12,11 @@ use crate::update::state::ShardState;
 use nsim_ir::base::id::Id;
 use nsim_ir::learning::LearningRule;
 
-/// A rule, and what an epoch noted so far.
+/// A rule, and the record of the current epoch.
 #[derive(Debug, Clone)]
 pub(crate) struct Learning {
     rule: Arc<dyn LearningRule>,
-    /// By source, channels first.
+    /// Whether each source sent a delivered message; channels first.
     noted: Vec<bool>,
 }
 
@@ -26,12 +26,12 @@ impl Learning {
         Learning { rule, noted: vec![false; image.sources()] }
     }
 
-    /// Forgets all notes.
+    /// Clears the record.
     pub fn clear(&mut self) {
         self.noted.fill(false);
     }
 
-    /// Notes these sources, whose messages `step` delivered; weights change if an epoch ends.
+    /// Records these sources, whose messages `step` delivered; weights change if an epoch ends.
     pub fn learn(
         &mut self,
         step: u32,

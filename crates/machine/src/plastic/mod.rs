@@ -1,7 +1,7 @@
-//! Plastic synapses: those whose weights a run may change between steps.
+//! Plastic synapses, whose weights a run may change between steps.
 //!
-//! - `synapses`: where each leads, by source; their weights are in the state of a shard.
-//! - `places`: which of them are those of a network's projection.
+//! - `synapses`: their targets, by source; their weights are in the state of a shard.
+//! - `places`: the plastic synapses of each projection of a network.
 //! - `learning`: the phase in which a rule changes weights.
 
 pub(crate) mod learning;

@@ -1,11 +1,10 @@
-//! Where the plastic synapses of a network's projections are in the state of a run.
+//! Places of the plastic synapses of a network's projections in the state of a run.
 //!
-//! Input: an [`Image`] and the network that it was made from, of several copies one. Output: for
-//! each plastic projection the place of each synapse, in the order of
-//! [`Enumerate::for_each_from`], source after source. The tables of cores name no projections: a
-//! synapse is recognised by its source, target, delay and format, which two plastic projections
-//! never share, and several of a projection with these in common by their weight before the first
-//! step. Which of those with the same weight is which makes no difference.
+//! Input: an [`Image`] and its network, or one of several copies in it. Output: for each plastic
+//! projection the place of each synapse, by source, in the order of [`Enumerate::for_each_from`].
+//! The tables of cores name no projections. A synapse is identified by source, target, delay and
+//! format, which two plastic projections never share. Several synapses with these in common are
+//! identified by their weight before the first step. Synapses of equal weight are interchangeable.
 
 use crate::layout::image::Image;
 use nsim_dynamics::synapses::Enumerate;
@@ -13,25 +12,25 @@ use nsim_ir::base::id::{CompartmentId, ProjectionId};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Projection, Quantised, Units};
 
-/// Where the weight of a synapse is: its shard, and the place among the shard's weights; `None`
-/// where another process holds it.
+/// Place of a synapse's weight: its shard, and the index among the shard's weights; `None` where
+/// another rank has it.
 pub type PlasticPlace = Option<(u32, u32)>;
 
 /// A plastic projection in the state of a run.
 #[derive(Debug, Clone)]
 pub struct PlasticProjection {
-    /// Which.
+    /// Its id in the network.
     pub id: ProjectionId,
     /// `source -> target`.
     pub name: String,
     /// The format of its weights.
     pub format: SynapseFormat,
-    /// By copy of the network the place of each synapse.
+    /// Place of each synapse, by copy of the network.
     pub places: Vec<Vec<PlasticPlace>>,
 }
 
 impl PlasticProjection {
-    /// The plastic projections of a network, of which an image has this many copies, ascending.
+    /// The plastic projections of a network, of which an image has `copies` copies, ascending.
     pub fn all(image: &Image, one: &Quantised, copies: u32) -> Vec<Self> {
         let found = one.plastic().map(|(id, projection)| {
             let places = (0..copies).map(|copy| places(image, one, projection, copy)).collect();

@@ -1,12 +1,12 @@
 //! The plastic synapses of each shard, by source.
 //!
 //! Input: a [`Program`], the lane of each compartment, the first lane of each shard. Output: for
-//! each shard the synapses whose format is plastic, source after source, in the order of the
-//! source's messages and their lists, with the weights that a run begins with.
+//! each shard the synapses whose format is plastic, with the weights before the first step. They
+//! are ordered by source, then by the source's messages and their lists.
 //!
-//! They are in no dense block, row or list: those are shared by all runs, and weights are scaled,
-//! summed and compared when they are made. Here a run stores mantissas, which scaling by a negative
-//! exponent would not give back.
+//! They are in no dense block, row or list. All runs share these forms, and weights are scaled,
+//! summed and compared when forms are made. Here a run stores mantissas, which could not be
+//! recovered after scaling by a negative exponent.
 
 use crate::layout::sums::Sums;
 use nsim_dynamics::arithmetic::scaled;
@@ -28,7 +28,7 @@ pub(crate) struct PlasticSynapse {
 }
 
 impl PlasticSynapse {
-    /// What a binary spike adds at this weight, in units of 64.
+    /// Contribution of a binary spike at this weight, in units of 64.
     pub fn units(&self, weight: i16) -> i16 {
         (scaled(self.format, weight) >> WEIGHT_SHIFT) as i16
     }
@@ -44,7 +44,7 @@ pub(crate) struct PlasticSynapses {
 }
 
 impl PlasticSynapses {
-    /// Those of each shard.
+    /// The plastic synapses of each shard.
     pub fn by_shard(program: &Program, lanes: &[u32], bases: &[u32], sums: &Sums) -> Vec<Self> {
         let mut all: Vec<Self> = bases.iter().map(|_| Self::default()).collect();
         let is_plastic = |class: &CoreClass| class.formats.iter().any(|format| format.synapse.plastic);
@@ -72,7 +72,7 @@ impl PlasticSynapses {
         all
     }
 
-    /// The synapses of a source, each with its place among the weights of the shard.
+    /// The synapses of a source, each with its index among the weights of the shard.
     pub fn synapses(&self, source: usize) -> impl Iterator<Item = (usize, &PlasticSynapse)> {
         let first = self.by_source.firsts().get(source).map_or(0, |&first| first as usize);
         let row = if source < self.by_source.len() { self.by_source.get(source) } else { &[] };

@@ -1,11 +1,11 @@
 //! The exchange of spikes between the ranks that run the parts of a program.
 //!
-//! Input: the part that this rank holds, and the spikes of its compartments, step by step. Output:
-//! the spikes of others of which this rank has axons. Before the first step each rank informs the
-//! others which of their compartments it has axons of; from then on a step sends each neighbour, in
-//! one message, the numbers of those of its own that spiked. A message is sent in every step, empty
-//! or not: its arrival is the barrier. Where neurons compute what their messages carry, it follows
-//! each number; else it is known by the source, and numbers are all that is sent.
+//! Input: this rank's part of the program, and the spikes of its compartments, step by step.
+//! Output: the spikes of other ranks for which this rank has axons. Before the first step each rank
+//! sends the others the numbers of their compartments for which it has axons. Then each step sends
+//! each neighbour one message: the numbers of its wanted compartments that spiked. It is sent in
+//! every step, empty or not: its arrival is the barrier. Where neurons compute the values of
+//! messages, each number is followed by its value. Otherwise the source determines the payload.
 
 use crate::ranks::transport::Ranks;
 use nsim_ir::activity::StepActivity;
@@ -13,28 +13,28 @@ use nsim_ir::base::id::CompartmentId;
 use nsim_ir::program::Program;
 use nsim_ir::spikes::Message;
 
-/// Which of this rank's compartments another rank has axons of.
+/// This rank's compartments whose spikes another rank receives.
 #[derive(Debug, Clone)]
 enum Wanted {
     None,
     All,
-    /// A bit each.
+    /// One bit for each compartment.
     Some(Vec<u64>),
 }
 
-/// The exchange, as one rank takes part in it.
+/// The exchange of one rank.
 #[derive(Debug, Clone)]
 pub(crate) struct Exchange {
     ranks: Ranks,
-    /// By rank.
+    /// By receiving rank.
     wanted: Vec<Wanted>,
-    /// Whether what a spike carries follows its number.
+    /// Whether each number is followed by the value of the spike.
     values: bool,
     /// Words for each rank, reused.
     posted: Vec<Vec<u32>>,
     /// Words of others, reused.
     taken: Vec<u32>,
-    /// Whether a round has begun that has not ended.
+    /// Whether a round has begun and not ended.
     pending: bool,
     /// The output population, where its spikes are shown to every rank.
     pub shown: Option<(CompartmentId, u32)>,
@@ -43,7 +43,7 @@ pub(crate) struct Exchange {
     pub at_once: bool,
 }
 
-/// A number that distinguishes mappings.
+/// A hash that distinguishes mappings.
 fn checksum(program: &Program) -> u64 {
     let mut sum = 0xcbf2_9ce4_8422_2325u64;
     let mut add = |word: u64| sum = (sum ^ word).wrapping_mul(0x0000_0100_0000_01b3).rotate_left(17);
@@ -61,10 +61,10 @@ fn checksum(program: &Program) -> u64 {
 }
 
 impl Exchange {
-    /// Informs the other ranks of the spikes that this one wants, and learns what they want.
+    /// Exchanges with the other ranks the compartments whose spikes each of them wants.
     ///
     /// # Panics
-    /// When the program is no part, or the ranks have made different mappings: faults of the caller
+    /// When the program is no part, or the ranks have made different mappings: errors of the caller
     /// and of the compiler.
     pub fn new(program: &Program, ranks: &Ranks, shown: Option<(CompartmentId, u32)>, at_once: bool) -> Self {
         let assignment = program.parts().assignment.as_ref().expect("a program of several ranks is distributed");
@@ -112,7 +112,7 @@ impl Exchange {
         Exchange { ranks: ranks.clone(), wanted, values, posted, taken: Vec::new(), pending: false, shown, at_once }
     }
 
-    /// Sends this rank's spikes of a step, and what they carry where that is computed.
+    /// Sends this rank's spikes of a step, with their values where neurons compute these.
     pub fn post(&mut self, spikes: &[CompartmentId], payloads: &[i32]) {
         for (wanted, words) in self.wanted.iter().zip(&mut self.posted) {
             words.clear();
@@ -132,8 +132,8 @@ impl Exchange {
         self.pending = true;
     }
 
-    /// The others' spikes of the step whose own were posted last, and what they carry where that is
-    /// computed; false where they have been taken already.
+    /// Takes the other ranks' spikes of the last posted step, with their values where neurons
+    /// compute these; false where they have been taken already.
     pub fn take(&mut self, spikes: &mut Vec<CompartmentId>, payloads: &mut Vec<i32>) -> bool {
         if !std::mem::take(&mut self.pending) {
             return false;
@@ -152,12 +152,12 @@ impl Exchange {
         true
     }
 
-    /// Whether it is so on every rank.
+    /// Whether `here` is true on every rank.
     pub fn all(&self, here: bool) -> bool {
         self.ranks.transport().all(here)
     }
 
-    /// Adds what the step did on the other ranks, on rank 0.
+    /// Adds the other ranks' activity of the step, on rank 0.
     pub fn merge(&self, step: &mut StepActivity) {
         for other in self.ranks.gathered::<_, StepActivity>(step) {
             step.merge(&other);

@@ -1,7 +1,7 @@
 //! One program run by several processes.
 //!
-//! - `transport`: the messages of processes to each other, for any carrier.
-//! - `exchange`: spikes of a step, to those that have axons of their sources.
+//! - `transport`: the messages between processes, for any carrier.
+//! - `exchange`: spikes of a step, to the ranks with axons of their sources.
 //! - `threads`: ranks that are threads of one process, for tests.
 //! - `mpi`: ranks of an MPI job, with the feature of that name.
 

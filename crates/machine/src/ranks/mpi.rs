@@ -1,12 +1,11 @@
 //! Ranks of an MPI job. All calls into MPI are in this file.
 //!
 //! Input: the environment that `mpirun` or `srun` sets. Output: [`Ranks`]. Rounds are nonblocking:
-//! receives are begun before sends, so that words go straight to where they belong, and both end in
-//! one wait. Errors of MPI end the job, as is its default; so does a rank that ends without
-//! [`finish`].
+//! receives begin before sends, so that words arrive in their buffers directly, and one wait ends
+//! both. Errors of MPI end the job, as is its default; so does a rank that ends without [`finish`].
 //!
-//! Why the calls are MPI's own and not those of the crate that binds it: a round begins in one call
-//! and ends in another, and the crate's requests cannot outlive the call in which they begin.
+//! Why MPI's own calls: a round begins in one call and ends in another. Requests of the crate that
+//! binds MPI cannot outlive the call in which they begin.
 
 use std::ffi::{c_int, c_void};
 use std::sync::Mutex;
@@ -18,15 +17,15 @@ use mpi::{Threading, initialize_with_threading};
 
 use super::transport::{Ranks, Transport};
 
-/// Variables of which a launcher sets one.
+/// Environment variables of which a launcher sets one.
 const LAUNCHED: [&str; 4] = ["OMPI_COMM_WORLD_SIZE", "PMIX_RANK", "PMI_RANK", "PMI_SIZE"];
-/// The message of a round, and the one that says that a rank has failed and said why.
+/// Tags of the message of a round, and of the message of a rank that failed and printed why.
 const ROUND: c_int = 1;
 const FAILED: c_int = 2;
-/// How long the message of a failure may take to leave.
+/// Time limit of sending the message of a failure.
 const SENDING: Duration = Duration::from_millis(100);
 
-/// Held until the end of the job: letting it go waits for all other ranks.
+/// The job, stored until its end: dropping it waits for all other ranks.
 static JOB: Mutex<Option<Universe>> = Mutex::new(None);
 
 /// Joins the job that this process was started for; `None` where it was started alone.
@@ -34,7 +33,7 @@ pub fn start() -> Option<Ranks> {
     if LAUNCHED.iter().all(|name| std::env::var_os(name).is_none()) {
         return None;
     }
-    // Signals are handled by a thread of their own.
+    // Signals are handled by a separate thread.
     let (universe, _) = initialize_with_threading(Threading::Multiple)?;
     JOB.lock().ok()?.replace(universe);
     let (mut rank, mut size) = (0, 0);
@@ -60,7 +59,7 @@ pub fn finish() {
     drop(job);
 }
 
-/// Informs the other ranks that this one has failed and says why, so that they say nothing when
+/// Informs the other ranks that this one has failed and prints why, so that they print nothing when
 /// they are ended for it.
 pub fn tell_failed(ranks: &Ranks) {
     let mut requests = Vec::new();
@@ -73,7 +72,7 @@ pub fn tell_failed(ranks: &Ranks) {
             requests.push(request);
         }
     }
-    // A message leaves only while MPI is called; a rank that does not answer is not waited for.
+    // A message leaves only during calls of MPI; ranks that do not answer are not waited for.
     let begin = Instant::now();
     let mut sent = 0;
     while sent == 0 && begin.elapsed() < SENDING {
@@ -100,28 +99,28 @@ pub fn another_has_failed() -> bool {
 #[derive(Debug)]
 struct Mpi {
     rank: u32,
-    /// Words on their way to each rank; not touched while there are requests.
+    /// Words in transit to each rank; not touched while there are requests.
     sends: Vec<Vec<u32>>,
-    /// Room for the words from each rank.
+    /// Buffer for the words from each rank.
     receives: Vec<Vec<u32>>,
     to: Vec<usize>,
     from: Vec<usize>,
-    /// Of a round that has begun: receives, then sends.
+    /// Requests of a round that has begun: receives, then sends.
     requests: Vec<ffi::MPI_Request>,
 }
 
 #[expect(unsafe_code, reason = "a request is a handle that any thread may use: the job asks for threads at any time")]
 unsafe impl Send for Mpi {}
 
-/// A length as MPI takes it.
+/// A length in the type of MPI.
 ///
 /// # Panics
-/// When it is beyond 2^31 words, which no rank has to say.
+/// When it is 2^31 words or more, which no rank sends.
 fn length(words: usize) -> c_int {
     c_int::try_from(words).expect("a message of 2^31 words")
 }
 
-/// Where each part begins when parts lie one after the other, and how long all are.
+/// Beginning of each part in their concatenation, and the length of all.
 fn starts(lengths: &[c_int]) -> (Vec<c_int>, usize) {
     let mut sum = 0usize;
     let starts = lengths.iter().map(|&part| {
@@ -258,7 +257,7 @@ impl Transport for Mpi {
 impl Drop for Mpi {
     fn drop(&mut self) {
         if !self.requests.is_empty() {
-            // MPI may still write to them.
+            // MPI may still write to these buffers.
             std::mem::take(&mut self.sends).into_iter().for_each(std::mem::forget);
             std::mem::take(&mut self.receives).into_iter().for_each(std::mem::forget);
         }

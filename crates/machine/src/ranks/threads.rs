@@ -1,4 +1,4 @@
-//! Ranks that are threads of one process: the same exchange as between processes, for tests.
+//! Ranks that are threads of one process, for tests: the exchange is as between processes.
 
 use std::sync::mpsc::{Receiver, Sender, channel};
 
@@ -14,7 +14,7 @@ struct Threads {
     from: Vec<bool>,
 }
 
-/// This many ranks, one for each thread to take.
+/// Returns `count` ranks, one for each thread.
 pub fn ranks(count: u32) -> Vec<Ranks> {
     let mut senders: Vec<Vec<Sender<Vec<u32>>>> = (0..count).map(|_| Vec::new()).collect();
     let mut receivers: Vec<Vec<Receiver<Vec<u32>>>> = (0..count).map(|_| Vec::new()).collect();
@@ -34,12 +34,12 @@ pub fn ranks(count: u32) -> Vec<Ranks> {
 
 impl Threads {
     fn send(&self, to: usize, words: Vec<u32>) {
-        // A rank that has ended needs nothing any more.
+        // A rank that has ended receives no more words.
         let _ = self.senders[to].send(words);
     }
 
     /// # Panics
-    /// When the other rank has ended without a word: its own panic is the one to look at.
+    /// When the other rank has ended without sending; its own panic has the reason.
     fn receive(&self, from: usize) -> Vec<u32> {
         self.receivers[from].recv().unwrap_or_else(|_| panic!("rank {from} has ended"))
     }

@@ -1,9 +1,8 @@
-//! What processes that run a program together say to each other.
+//! Messages between the processes that run a program together.
 //!
-//! Input: words for others. Output: the words of others. All calls but [`Transport::post`] and
-//! [`Transport::take`] are made by every rank, in the same order, and return when every rank that
-//! matters has made its own. A rank that ends without its part takes the job down with it, so that
-//! nothing here returns an error.
+//! Input: words for other ranks. Output: the words of other ranks. Every rank makes all calls but
+//! [`Transport::post`] and [`Transport::take`], in one order. They return when all ranks involved
+//! have made theirs. A rank that ends early ends the job, so no call returns an error.
 
 use std::fmt;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -19,27 +18,27 @@ pub trait Transport: fmt::Debug + Send {
     /// Number of ranks.
     fn ranks(&self) -> u32;
 
-    /// To each rank its words, and from each rank those for this one, by rank.
+    /// Sends each rank its words; returns the words of each rank for this one, by rank.
     fn swap(&mut self, words: Vec<Vec<u32>>) -> Vec<Vec<u32>>;
 
-    /// The bytes of every rank, by rank, on rank 0; nothing on the others.
+    /// Returns the bytes of every rank, by rank, on rank 0; nothing on the others.
     fn gather(&mut self, bytes: Vec<u8>) -> Vec<Vec<u8>>;
 
-    /// Whether it is so on every rank.
+    /// Whether `here` is true on every rank.
     fn all(&mut self, here: bool) -> bool;
 
-    /// Prepares rounds: by rank, whether words go to it, and the most words that come from it,
-    /// where any do.
+    /// Prepares rounds: by rank, whether it receives words from this one, and the maximum number of
+    /// words that it sends, if it sends any.
     fn prepare(&mut self, to: &[bool], most: &[Option<usize>]);
 
     /// Begins a round with these words for each rank, and returns immediately.
     fn post(&mut self, words: &mut [Vec<u32>]);
 
-    /// Ends the round: adds the words of others, rank after rank.
+    /// Ends the round: appends the words of the others, rank by rank.
     fn take(&mut self, words: &mut Vec<u32>);
 }
 
-/// The ranks of a job, as this process is one of them.
+/// The ranks of a job, from the view of this one.
 #[derive(Debug, Clone)]
 pub struct Ranks {
     rank: u32,
@@ -48,7 +47,7 @@ pub struct Ranks {
 }
 
 impl Ranks {
-    /// This process among others.
+    /// This rank of a job, from its transport.
     pub fn new(transport: impl Transport + 'static) -> Self {
         Ranks { rank: transport.rank(), ranks: transport.ranks(), transport: Arc::new(Mutex::new(transport)) }
     }
@@ -63,15 +62,15 @@ impl Ranks {
         self.ranks
     }
 
-    /// The number that rank 0 proposes.
+    /// Returns the number of rank 0, on every rank.
     pub fn agreed(&self, number: u64) -> u64 {
         let words = vec![vec![number as u32, (number >> 32) as u32]; self.ranks as usize];
         let heard = self.transport().swap(words);
         u64::from(heard[0][0]) | u64::from(heard[0][1]) << 32
     }
 
-    /// On rank 0 what every other rank has found, by rank; nothing on the others. All write the
-    /// same type.
+    /// Returns on rank 0 the value `found` of every other rank, by rank; nothing on the others. All
+    /// ranks serialise one type.
     ///
     /// # Panics
     /// When they do not: a mistake of the caller.
@@ -82,7 +81,7 @@ impl Ranks {
         all.iter().skip(1).map(|bytes| postcard::from_bytes(bytes).expect("ranks write the same form")).collect()
     }
 
-    /// What carries words.
+    /// The carrier of words.
     pub fn transport(&self) -> MutexGuard<'_, dyn Transport + 'static> {
         self.transport.lock().unwrap_or_else(PoisonError::into_inner)
     }

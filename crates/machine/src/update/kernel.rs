@@ -1,26 +1,26 @@
-//! Sixteen compartments at a time, in the chip's semantics: the vector form of
+//! The update of sixteen compartments in parallel, in the chip's semantics: the vector form of
 //! [`nsim_dynamics::update`].
 //!
-//! Comes in: registers and sums of a block whose compartments share their fields, padded to whole
-//! chunks of sixteen. Goes out: the new registers, which lanes spiked, which were not idle, and
-//! which left their field. Written as plain loops over arrays of sixteen that the compiler turns
-//! into vector instructions; `pulp` picks the widest set that the processor has, and all of them
-//! compute the same integers; for AVX-512 they are named one by one (`vectors`). A test holds every
-//! result of either against the scalar update.
+//! Input: registers and sums of a block whose compartments share their fields, padded to whole
+//! chunks of sixteen. Output: the new registers, the lanes that spiked, the lanes that were not
+//! idle, and the chunks with overflow. The compiler turns plain loops over arrays of sixteen into
+//! vector instructions. `pulp` picks the widest set of the processor, and all sets compute equal
+//! integers. For AVX-512 the instructions are explicit (`vectors`). A test compares both with the
+//! scalar update.
 //!
 //! A voltage and its refractory counter share a register, so that a step streams through less
 //! memory.
 //!
 //! All arithmetic fits 32 bits: |u|, |v| <= 2^23 and q is below 2^21, so sums stay below 2^25. The
-//! 36-bit product of a decay is split at bit 12: with x = 4096 h + l, (x k) >> 12 = h k + ((l k)
-//! >> 12) exactly.
+//! 36-bit product of a decay is split at bit 12: with x = 4096 h + l,
+//! `(x k) >> 12 = h k + ((l k) >> 12)` exactly.
 
 use std::array::from_mut;
 
 use nsim_dynamics::Fields;
 use nsim_ir::base::fixed::{DECAY_ONE, UV_BITS, WEIGHT_SHIFT};
 
-/// Compartments of a chunk.
+/// Number of compartments of a chunk.
 pub const LANES: usize = 16;
 
 /// Fields that a whole block shares.
@@ -69,16 +69,16 @@ pub struct Block<'a, S> {
     pub u: &'a mut [i32],
     /// Voltages, as [`store`] writes them.
     pub v: &'a mut [i32],
-    /// Sums of arrivals in units of 64; taken, and left at 0.
+    /// Sums of arrivals in units of 64; set to 0.
     pub sums: &'a mut [S],
 }
 
-/// The voltage register while v is held: this and the steps until v is free again. It is above
+/// The voltage register while v is held is this plus the steps until v is free again. It is above
 /// every voltage, |v| < 2^23.
 pub(crate) const HELD: i32 = 1 << 30;
 
-/// A voltage and the steps until it is free again, in one register. As on the chip, where the
-/// register of a held voltage counts: v is 0 meanwhile.
+/// A voltage and the steps until it is free again, in one register. As on the chip, the register
+/// counts while v is held, since v is 0 then.
 #[inline(always)]
 pub fn store(v: i32, hold: u8) -> i32 {
     if hold == 0 { v } else { HELD + i32::from(hold) }
@@ -92,19 +92,19 @@ pub fn load(stored: i32) -> (i32, u8) {
 
 /// A sum of arrivals in units of 64.
 pub trait Sum: Copy + Default + PartialEq + std::fmt::Debug + Send + Sync + 'static {
-    /// Whether its values can leave the 16 bits that the accumulator has for them.
+    /// Whether its values can exceed the 16 bits of the accumulator.
     const WIDE: bool;
     /// Adds a weight.
     fn plus(self, weight: i16) -> Self;
-    /// The sum, as the update of registers sees it.
+    /// The sum for the update of registers.
     fn value(self) -> i32;
-    /// The sum shifted to the right by at most 31 bits, as the update of words sees it, and whether
-    /// that leaves 32 bits.
+    /// The sum for the update of words, shifted to the right by at most 31 bits, and whether it
+    /// exceeds 32 bits.
     #[inline(always)]
     fn shifted(self, bits: u8) -> (i32, bool) {
         (self.value() >> bits, false)
     }
-    /// The sum.
+    /// The exact sum.
     #[inline(always)]
     fn whole(self) -> i64 {
         self.value().into()
@@ -123,7 +123,7 @@ impl Sum for i32 {
     }
 }
 
-/// For compartments whose synapses together cannot exceed it, so that it never wraps.
+/// For compartments whose synapses together fit 16 bits, so that it never wraps.
 impl Sum for i16 {
     const WIDE: bool = false;
     #[inline(always)]
@@ -136,8 +136,8 @@ impl Sum for i16 {
     }
 }
 
-/// Equation (3) in 32 bits. The masks change nothing, as |x| <= 2^23 and keep <= 4096: they show
-/// the compiler that both factors fit 16 bits, for which it has a multiplication of half the cost.
+/// Equation (3) in 32 bits. The masks change nothing, as |x| <= 2^23 and keep <= 4096. They show
+/// the compiler that both factors fit 16 bits; this multiplication costs half.
 #[inline(always)]
 fn kept(x: i32, keep: i32) -> i32 {
     let sign = x >> 31;
@@ -147,7 +147,7 @@ fn kept(x: i32, keep: i32) -> i32 {
     (kept ^ sign) - sign
 }
 
-/// Not 0 where a value does not fit 23 bits and a sign.
+/// Returns non-zero where a value does not fit 23 bits and a sign.
 #[inline(always)]
 fn outside(x: i32) -> i32 {
     ((x + (1 << UV_BITS)) as u32 >> (UV_BITS + 1)) as i32
@@ -160,11 +160,11 @@ pub struct Chunks<'a, S, const N: usize> {
     pub u: &'a mut [[i32; LANES]; N],
     /// Voltages, as [`store`] writes them.
     pub v: &'a mut [[i32; LANES]; N],
-    /// Sums of arrivals; left at 0.
+    /// Sums of arrivals; set to 0.
     pub sums: &'a mut [[S; LANES]; N],
 }
 
-/// What an update of some lanes did.
+/// Effect of an update of some lanes.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Effect {
     /// A bit for each lane that spiked.
@@ -176,7 +176,7 @@ pub struct Effect {
 }
 
 impl Effect {
-    /// Adds what the update of other lanes did.
+    /// Adds the effect of the update of other lanes.
     #[inline(always)]
     pub(crate) fn merge(&mut self, other: Effect) {
         self.spiked |= other.spiked;
@@ -184,20 +184,20 @@ impl Effect {
         self.busy |= other.busy;
     }
 
-    /// This effect, this many lanes later.
+    /// This effect, `lanes` lanes later.
     #[inline(always)]
     pub(crate) fn after(self, lanes: usize) -> Effect {
         Effect { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
     }
 }
 
-/// Instructions for chunks.
+/// Vector instructions for chunks.
 pub trait Vectors: Copy {
     /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing
     /// has changed. `PLAIN` only for fields that are.
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
 
-    /// Updates some chunks in one call, for processors with the registers; `None` also if not.
+    /// Updates some chunks in one call; `None` also on processors with too few registers.
     #[inline(always)]
     fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
         self,
@@ -209,7 +209,7 @@ pub trait Vectors: Copy {
     }
 }
 
-/// Any vectors that the compiler makes of loops.
+/// The vectors that the compiler makes of loops.
 #[derive(Debug, Clone, Copy)]
 pub struct Portable;
 
@@ -252,8 +252,8 @@ impl Vectors for Portable {
 
 /// Updates a block of at most 64 lanes, a multiple of sixteen.
 ///
-/// Chunks in which a value leaves its field are not updated but have a bit in the second result:
-/// they are rare, and what happened in them has to be found lane by lane.
+/// Chunks in which a value leaves its field are not updated, but have a bit in the second result.
+/// They are rare, and are updated lane by lane.
 #[inline(always)]
 pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> (Effect, u32) {
     match shared.plain {
@@ -291,7 +291,7 @@ fn chunks<S: Sum, const PLAIN: bool>(
     (effects, overflowed)
 }
 
-/// Updates this many chunks in one call.
+/// Updates N chunks in one call.
 #[inline(always)]
 fn some<S: Sum, const PLAIN: bool, const N: usize>(
     u: &mut [[i32; LANES]],
@@ -304,8 +304,8 @@ fn some<S: Sum, const PLAIN: bool, const N: usize>(
     vectors.update_some::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
 }
 
-/// One bit a lane: the product collects the lowest bits of eight bytes in its highest byte, as no
-/// two of its terms meet.
+/// Returns one bit a lane. The product collects the lowest bits of eight bytes in its highest byte,
+/// as no two of its terms overlap.
 #[inline(always)]
 fn bits(lanes: [bool; LANES]) -> u16 {
     let bytes = bytes(lanes);
@@ -313,7 +313,7 @@ fn bits(lanes: [bool; LANES]) -> u16 {
     (gather(bytes as u64) | (gather((bytes >> 64) as u64) << 8)) as u16
 }
 
-/// One byte a lane, 1 or 0.
+/// Returns one byte a lane, 1 or 0.
 #[inline(always)]
 fn bytes(lanes: [bool; LANES]) -> u128 {
     // Not `lanes.map`, which the compiler does not always turn into one register.
@@ -336,7 +336,7 @@ mod tests {
     use nsim_ir::quantised::Neuron;
     use std::io::Write;
 
-    /// A number whose magnitude has a random number of bits, so that edges come up as often as
+    /// A number whose magnitude has a random number of bits, so that edges are as frequent as
     /// middles.
     fn draw(seed: u64, index: u64, bits: u64) -> i64 {
         let width = rng::below(bits + 1, seed, index, 0);
@@ -392,8 +392,8 @@ mod tests {
         effects
     }
 
-    /// What some compartments do, one by one and as vectors; returns how many spiked and how many
-    /// chunks left a field.
+    /// Compares the scalar update of some compartments with the vectors; returns the numbers of
+    /// spikes and of chunks with overflow.
     fn compare<S: Sum, const COUNT: usize>(
         arch: pulp::Arch,
         seed: u64,
@@ -405,7 +405,7 @@ mod tests {
         let registers: [Registers; COUNT] = std::array::from_fn(|lane| {
             let hold = (at(lane, 2, 7).unsigned_abs() as u8).min(f.refractory);
             let v = at(lane, 1, [12, 18, 20, 23][seed as usize / 4 % 4]).clamp(f.vmin.into(), f.vmax.into()) as i32;
-            // A held voltage is 0; that is what lets the counter share its register.
+            // A held voltage is 0, so the counter can share its register.
             let v = if hold > 0 { 0 } else { v };
             Registers {
                 u: at(lane, 0, [12, 18, 20, 23][seed as usize / 4 % 4]).clamp(-(1 << 23), (1 << 23) - 1) as i32,
@@ -446,21 +446,21 @@ mod tests {
         (expected.spiked.count_ones(), overflowed.count_ones())
     }
 
-    /// A million lane-updates over random fields and registers, edges included, with sums of both
-    /// widths.
+    /// Some 3.5 million lane updates over random fields and registers, edges included, with sums of
+    /// both widths.
     #[test]
     fn sixteen_lanes_are_sixteen_compartments() {
         let (mut spikes, mut overflows) = (0, 0);
         let narrower = crate::update::width::halved();
         if !matches!(pulp::Arch::new(), pulp::Arch::V4(_)) {
-            // The harness keeps what `println!` prints of a test that passes.
+            // The harness hides the output of `println!` of a test that passes.
             let mut seen = std::io::stderr();
             writeln!(seen, "skipped: no AVX-512 here: the kernel of the compiler's vectors is compared with itself")
                 .unwrap();
         }
         for seed in 0..20_000u64 {
             let arch = if seed / 16 % 4 == 3 { narrower } else { pulp::Arch::new() };
-            // Arrivals beyond 16 bits make every chunk leave a field: most seeds draw smaller ones.
+            // Arrivals beyond 16 bits overflow in every chunk, so most seeds sample smaller ones.
             let wide = compare::<_, 48>(arch, seed, [6, 10, 14, 30][seed as usize % 4], |sum| sum as i32);
             let four = compare::<_, 64>(arch, seed, [6, 10, 14, 30][seed as usize % 4], |sum| sum as i32);
             let limit = i64::from(i16::MAX);

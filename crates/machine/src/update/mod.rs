@@ -1,7 +1,7 @@
 //! The update of compartments, sixteen at a time.
 //!
-//! - `step`: a step of a shard, in the form of its sums and of what its spikes carry.
-//! - `state`: the state of a shard, which blocks a step updates and which it skips.
+//! - `step`: a step of a shard, compiled for its types of sums and payloads.
+//! - `state`: the state of a shard, and the blocks that a step updates or skips.
 //! - `kernel`, `vectors`: the update of a chunk of Loihi 1's compartments; other kinds are in
 //!   [`nsim_dynamics::kinds`].
 //! - `width`: the widest vectors of the processor.

@@ -1,9 +1,8 @@
 //! The state of a shard, and its update.
 //!
-//! Input: a shard of an [`Image`], and the spikes to deliver. Output: the next spikes, what was not
-//! idle, what left its field. A skip block is updated if something arrived at it, if it was not
-//! idle after its last update, or if a bias drives it. For all others the result of the update is
-//! known.
+//! Input: a shard of an [`Image`], and the spikes to deliver. Output: the next spikes, the numbers
+//! of active compartments, and overflows. A skip block is updated if it has arrivals, if it was not
+//! idle after its last update, or if a bias drives it. All others stay as they are.
 
 use std::ops::Range;
 
@@ -27,12 +26,12 @@ use nsim_ir::source_counts::LeftField;
 use nsim_ir::spikes::Spike;
 use pulp::NullaryFnOnce;
 
-/// What of a step is done.
+/// Part of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Phase {
-    /// All of it.
+    /// Delivery and update.
     Whole,
-    /// Delivery of these spikes; more follow.
+    /// Delivery of these spikes; others follow.
     Deliver,
     /// Delivery of the last spikes, and the update.
     Update,
@@ -41,26 +40,26 @@ pub(crate) enum Phase {
 /// Parameters of one step.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct StepInput<'a> {
-    /// What of the step is done.
+    /// Part of the step to compute.
     pub phase: Phase,
     pub step: u32,
     /// Steps of the sample that are left, this one included: later arrivals are no events.
     pub left: u32,
     /// Input channels that spike in it.
     pub channels: &'a [ChannelId],
-    /// What their messages carry where the network does not say it; empty if that is always 1.
+    /// Values of their messages where the network does not define them; empty if all are 1.
     pub channel_values: &'a [i32],
-    /// Compartments that spiked in the step before.
+    /// Compartments that spiked in the previous step.
     pub carried: &'a [CompartmentId],
-    /// What their spikes carry; empty if all spikes are binary.
+    /// Payloads of their spikes; empty if all spikes are binary.
     pub carried_payloads: &'a [i32],
-    /// The vectors of the processor.
+    /// Vector instructions of the processor.
     pub arch: pulp::Arch,
-    /// Update every skip block that any spike could reach, instead of marking arrivals.
+    /// Whether to mark every skip block, instead of marking arrivals.
     pub visit_all: bool,
     /// Whether to update only the skip blocks that are not idle.
     pub skip: bool,
-    /// List what was not idle in this step.
+    /// Whether to list the active compartments of this step by core.
     pub list_active: bool,
 }
 
@@ -76,49 +75,49 @@ pub(crate) struct ShardState {
 pub(super) enum Rings {
     Bits16(DelayRing<i16>),
     Bits32(DelayRing<i32>),
-    /// Once a graded spike carried more than [`Image::exact_up_to`].
+    /// Used once a graded spike carried more than [`Image::exact_up_to`].
     Bits64(DelayRing<i64>),
 }
 
-/// Registers, and what was counted.
+/// Registers and counts.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct CompartmentState {
     u: Aligned<i32>,
-    /// As `kernel::store` writes them; plain where `hold` is not empty.
+    /// Voltages as `kernel::store` writes them; plain where `hold` is not empty.
     v: Aligned<i32>,
     /// Steps until v is free again, in SLAYER's semantics, where a voltage may need its whole
     /// register.
     hold: Vec<u8>,
-    /// The state of compartments of words, block after block.
+    /// The state of compartments of words, block by block.
     words: Vec<[i32; CHUNK]>,
     /// The weights of the shard's plastic synapses.
     pub(crate) plastic: Vec<i16>,
-    /// What the last message of each lane carries; empty if sums of 32 bits do.
+    /// Value of the last message of each lane; empty if sums of 32 bits suffice.
     pub(super) sent: Vec<i32>,
-    /// Skip blocks that are not idle, a bit each.
+    /// Skip blocks that are not idle, one bit each.
     busy: Vec<u64>,
     /// The lanes that spiked in the last step, ascending, and room for more.
     pub(super) spiked: Vec<u32>,
-    /// Number of them.
+    /// Number of lanes that spiked in the last step.
     pub(super) spiking: usize,
     /// Compartments that spiked in the last step, in the order of lanes.
     pub spikes: Vec<CompartmentId>,
-    /// What each of them carries; empty if all spikes are binary.
+    /// Payload of each of them; empty if all spikes are binary.
     pub payloads: Vec<i32>,
-    /// Spikes of each lane since they were last taken.
+    /// Number of spikes of each lane since the counts were last taken.
     pub fired: Vec<u32>,
-    /// Compartments of a core that were not idle in the last step, by core block, if asked for.
+    /// Number of active compartments of a core in the last step, by core block, if listed.
     pub active: Vec<(CoreId, u32)>,
     /// Number of compartments that were not idle in the last step.
     pub active_now: u64,
-    /// That number by core block since it was last taken, without the steps in which the whole
-    /// vector run moved.
+    /// Number of active compartments by core block since it was last taken, without the steps that
+    /// `whole` counts.
     active_by_block: Vec<u64>,
-    /// Those steps, by vector run.
+    /// Number of steps in which the whole vector run was active, by vector run.
     whole: Vec<u64>,
     /// Synaptic events that the last step counted.
     pub events_now: u64,
-    /// What left its field.
+    /// Overflows of the sample.
     pub overflow: Overflow,
     /// What left its field by lane since it was last taken; empty while nothing has.
     pub left_fields: Vec<LeftField>,
@@ -141,7 +140,7 @@ impl std::ops::DerefMut for ShardState {
 }
 
 impl ShardState {
-    /// A shard in its initial state, with this many slots in its delay ring.
+    /// A shard in its initial state, with `slots` slots in its delay ring.
     pub fn new(image: &Image, shard: &Shard, slots: usize) -> Self {
         let holds = if image.semantics == Semantics::Slayer { shard.lanes } else { 0 };
         let state = CompartmentState {
@@ -184,7 +183,7 @@ impl ShardState {
         4 * words + 2 * state.plastic.len() + state.hold.len() + ring
     }
 
-    /// Resets to the state before the first step; what is counted over samples stays.
+    /// Resets to the state before the first step; counts over samples stay.
     pub fn clear(&mut self, shard: &Shard) {
         match &mut self.rings {
             Rings::Bits16(ring) => ring.clear(),
@@ -221,7 +220,7 @@ impl ShardState {
 }
 
 impl CompartmentState {
-    /// Adds what was counted over the samples of another run of the shard.
+    /// Adds the counts of another run of the shard.
     pub fn absorb(&mut self, other: &CompartmentState) {
         self.fired.iter_mut().zip(&other.fired).for_each(|(sum, more)| *sum += more);
         self.active_by_block.iter_mut().zip(&other.active_by_block).for_each(|(sum, more)| *sum += more);
@@ -230,8 +229,8 @@ impl CompartmentState {
         self.left_fields.iter_mut().zip(&other.left_fields).for_each(|(sum, more)| *sum += *more);
     }
 
-    /// Number of compartments of each core block that were not idle, summed over the steps since
-    /// this was last asked.
+    /// Takes the number of active compartments of each core block, summed over the steps since the
+    /// last call.
     pub fn take_active(&mut self, shard: &Shard) -> Vec<u64> {
         for (run, steps) in shard.vector_runs.iter().zip(&mut self.whole) {
             let steps = std::mem::take(steps);
@@ -296,11 +295,11 @@ impl CompartmentState {
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
-        // Graded spikes mark where they arrive in any case: marks take them little time, and what
-        // they do not reach takes long to update.
+        // Graded spikes always mark their targets: marks take them little time, and updating
+        // unreached blocks takes long.
         let unmarked = input.visit_all && size_of::<C::Payload>() == 0;
         if unmarked && input.phase != Phase::Update {
-            // This step's spikes may arrive in any slot that a delay leads to.
+            // This step's spikes may arrive in the slot of any delay.
             ring.mark_all();
         }
         if unmarked {
@@ -358,7 +357,7 @@ impl CompartmentState {
         }
     }
 
-    /// Updates a vector run; returns whether anything in it is not idle.
+    /// Updates a vector run; returns whether any of its compartments is not idle.
     #[inline(always)]
     fn update_run<S: Sum>(
         &mut self,
@@ -382,7 +381,7 @@ impl CompartmentState {
         let Some(fields) = run.vector else {
             let block = shard.blocks[run.first as usize];
             let lanes = 0..block.length as usize;
-            // Blocks have whole neurons, or compartments that are neurons of their own.
+            // A block has whole neurons, or neurons of one compartment.
             let effects = match image.fields_of(block, 0).neuron.stack.is_unused() {
                 true => self.scalar::<S, false>(sums, image, shard, block, lanes, input),
                 false => self.scalar::<S, true>(sums, image, shard, block, lanes, input),
@@ -402,13 +401,13 @@ impl CompartmentState {
         if overflowed != 0 {
             effects.merge(self.redo(sums, image, shard, *run, overflowed, input));
         }
-        // With a bias padding is never idle, without one always.
+        // With a bias padding is never idle, without one it always is.
         let moved = if shared.plain { effects.moved } else { run.mask };
         self.count(shard, index, kernel::Effect { spiked: effects.spiked & run.mask, moved, ..effects }, input)
     }
 
-    /// As [`CompartmentState::update_run`], of a run whose state is words. A separate function, so
-    /// that a step of registers has nothing of it.
+    /// [`CompartmentState::update_run`] of a run whose state is words. The function is separate, so
+    /// that a step of registers has none of its code.
     #[cold]
     #[inline(never)]
     fn update_words_run<S: Sum>(
@@ -458,7 +457,7 @@ impl CompartmentState {
                 }
                 let (arrived, shift) = (&mut arrived[port.index()], if apart.is_some() { own } else { *shift });
                 for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags) {
-                    // Compilers make vectors of copies, with one result a loop.
+                    // Compilers vectorise loops over copies, with one result a loop.
                     let own = *sums;
                     let (mut shifted, mut of_chunk) = ([0; CHUNK], [0u32; CHUNK]);
                     for lane in 0..CHUNK {
@@ -491,7 +490,7 @@ impl CompartmentState {
         let effects = updater.update(&mut Block { columns, arrived, sent, step: input.step, vectors: input.arch });
         let mut too_wide = 0;
         if *bits == 0 && updater.computes() {
-            // Each message counts as 1.
+            // Each message carries 1.
             self.sent[start..start + lanes].fill(1);
         } else if *bits > 0 && *bits < 32 {
             let sent = &self.sent[start..start + lanes];
@@ -540,7 +539,7 @@ impl CompartmentState {
         effects
     }
 
-    /// Counts what the update of a vector run did; returns whether it is busy.
+    /// Counts the effects of the update of a vector run; returns whether it is busy.
     #[inline(always)]
     fn count(&mut self, shard: &Shard, index: usize, effects: kernel::Effect, input: StepInput) -> bool {
         let run = &shard.vector_runs[index];
@@ -563,7 +562,7 @@ impl CompartmentState {
         effects.busy
     }
 
-    /// Records and counts the spikes. In a loop of its own, so that the cache misses on names and
+    /// Records and counts the spikes. The loop is separate, so that the cache misses on names and
     /// counts overlap.
     #[inline(always)]
     fn record_spikes(&mut self, shard: &Shard) {
@@ -575,7 +574,7 @@ impl CompartmentState {
         }
     }
 
-    /// Counts values that left their fields, which is rare.
+    /// Counts overflows, which are rare.
     #[cold]
     fn note_overflow(&mut self, effect: Effect, v: i32, step: u32, lane: usize, shard: &Shard) {
         let (q_wrapped, u_wrapped) = (u64::from(effect.q_wrapped), u64::from(effect.u_wrapped));
@@ -632,7 +631,7 @@ impl CompartmentState {
     }
 }
 
-/// Adds several sums of a port, each narrowed by itself: rules (39) and (40).
+/// Adds several sums of a port, each narrowed separately: rules (39) and (40).
 #[cold]
 fn add_apart<S: Sum>(
     sums: &mut [S],
@@ -660,8 +659,7 @@ fn add_apart<S: Sum>(
     }
 }
 
-/// [`CompartmentState::update_words`], in the form in which `pulp` runs it with the processor's
-/// vectors.
+/// [`CompartmentState::update_words`], in the form that `pulp` runs with the processor's vectors.
 struct UpdateWords<'a, S> {
     state: &'a mut CompartmentState,
     sums: &'a mut [S],

@@ -1,7 +1,7 @@
-//! A timestep of a shard, in the form of its sums and of what its spikes carry.
+//! A timestep of a shard, compiled for its types of sums and payloads.
 //!
 //! Input: the state of a shard of an [`Image`], and the spikes to deliver. Output: the state after
-//! the step, with the next spikes and what each carries. The form is the narrowest whose sums are
+//! the step, with the next spikes and their payloads. The form is the narrowest whose sums are
 //! exact; once a large graded spike arrives, the sums of the shard have 64 bits. Each form is
 //! compiled for the widest vectors of the processor.
 
@@ -21,22 +21,22 @@ pub(crate) struct Step<'a> {
     pub image: &'a Image,
     pub shard: &'a Shard,
     pub input: &'a StepInput<'a>,
-    /// Spikes of each channel, which delivery counts unless this is empty.
+    /// Number of spikes of each channel, which delivery counts unless this is empty.
     pub channel_counts: &'a mut [u32],
 }
 
 impl Step<'_> {
-    /// Runs it in the form of its sums and of what its spikes carry.
+    /// Runs the step in the form of its sums and payloads.
     pub fn run(self, arch: pulp::Arch) {
         let Step { state: ShardState { state, rings }, image, shard, input, channel_counts } = self;
         let graded = (!image.payloads.is_empty()).then(|| messages(image, input));
         if let (Rings::Bits32(ring), Some((channels, carried))) = (&*rings, &graded) {
-            // The bits of all magnitudes together are found without a branch.
+            // Combines the bits of all magnitudes without a branch.
             let bits = |all: u32, payload: i32| all | (payload ^ payload >> 31) as u32;
             let all = channels.iter().fold(0, |all, spike| bits(all, spike.payload));
             let all = carried.iter().fold(all, |all, spike| bits(all, spike.payload));
             let is_large = |payload: i32| payload.unsigned_abs() > image.exact_up_to;
-            // What reaches nothing, such as a sum that is read out, may be large.
+            // The spikes of a compartment without synapses, such as a read-out sum, may be large.
             let of_carried =
                 |spike: &GradedSpike<CompartmentId>| is_large(spike.payload) && image.has_synapses[spike.id.index()];
             if all >= image.exact_up_to
@@ -68,25 +68,25 @@ impl Step<'_> {
     }
 }
 
-/// A step with sums of one type and spikes that carry one type.
+/// A step for one type of sums and of spikes.
 struct Form<'a, S, C, N> {
     ring: &'a mut DelayRing<S>,
-    /// Those of channels, how often each channel spiked, those of compartments.
+    /// Spikes of channels, number of spikes of each channel, spikes of compartments.
     spikes: (&'a [C], &'a mut [u32], &'a [N]),
     state: &'a mut CompartmentState,
     within: (&'a Image, &'a Shard, StepInput<'a>),
 }
 
-/// A step and its vectors, as `pulp` runs it: everything below is inlined into one function that is
-/// compiled for them. (A closure would not be.)
+/// A step and its vectors, in the form that `pulp` runs. Everything below is inlined into one
+/// function that is compiled for these vectors, unlike a closure.
 struct With<F, V>(F, V);
 
 impl<S, C: Spike, N: Spike> Form<'_, S, C, N>
 where
     S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
 {
-    /// Runs it with the widest vectors of the processor. Vectors of others are not compiled: each
-    /// is a third of the time that this crate takes to compile.
+    /// Runs the step with the widest vectors of the processor. Other vectors are not compiled,
+    /// since each takes a third of this crate's compile time.
     #[inline(always)]
     fn run(self, arch: pulp::Arch) {
         match arch {
@@ -115,8 +115,8 @@ where
     }
 }
 
-/// Declares a module for a form. The compiler makes one piece of machine code of a module, and the
-/// pieces at the same time.
+/// Declares a module for a form. Modules become separate pieces of machine code, which the compiler
+/// makes in parallel.
 macro_rules! form {
     ($name:ident, $sum:ty, $channel:ty, $compartment:ty) => {
         mod $name {
@@ -137,14 +137,14 @@ form!(graded, i32, GradedSpike<ChannelId>, GradedSpike<CompartmentId>);
 mod large {
     use super::*;
 
-    /// No vectors of AVX2 multiply numbers of 64 bits.
+    /// AVX2 has no vector multiplication of 64-bit numbers.
     #[inline(never)]
     pub fn run(form: Form<'_, i64, GradedSpike<ChannelId>, GradedSpike<CompartmentId>>) {
         With(form, Portable).call();
     }
 }
 
-/// The messages of a step and what each carries.
+/// Returns the messages of a step with their payloads.
 fn messages(image: &Image, input: &StepInput) -> (Vec<GradedSpike<ChannelId>>, Vec<GradedSpike<CompartmentId>>) {
     let given = input.channels.iter().zip(input.channel_values);
     let channels = if image.channels_carry && input.channel_values.len() == input.channels.len() {

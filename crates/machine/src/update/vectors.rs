@@ -1,9 +1,9 @@
-//! Chunks of sixteen compartments in the instructions of AVX-512, named one by one.
+//! Chunks of sixteen compartments in explicit AVX-512 instructions.
 //!
-//! Comes in and goes out: as for [`Portable`], which says the same as loops that the compiler turns
-//! into vectors. It does so well but for what is said of lanes, bits and flags: AVX-512 has
-//! registers of one bit a lane for them, which the loops' booleans do not become. The test of the
-//! kernel runs both against the update of a single compartment.
+//! Input and output: as for `kernel::Portable`, whose loops the compiler vectorises. It does so
+//! well except for masks of lanes. AVX-512 has registers of one bit a lane for them, which the
+//! compiler does not use for the loops' booleans. The test of the kernel compares both with the
+//! update of a single compartment.
 
 use pulp::cast;
 use pulp::x86::V4;
@@ -20,8 +20,8 @@ fn all(simd: V4, x: i32) -> __m512i {
     simd.avx512f._mm512_set1_epi32(x)
 }
 
-/// Equation (3), as `kernel::kept`, of integers as floats. Floats hold the integers exactly, as |x|
-/// <= 2^23, and the product, rounded toward zero to 24 bits, loses nothing of its integer part, as
+/// Equation (3), as `kernel::kept`, of integers as floats. Floats represent the integers exactly,
+/// as |x| <= 2^23. The product, rounded toward zero to 24 bits, keeps its integer part exactly, as
 /// it is no greater than x.
 #[inline(always)]
 fn kept(simd: V4, x: __m512, share: __m512) -> __m512i {
@@ -38,7 +38,7 @@ impl Vectors for V4 {
         self.update_some::<S, PLAIN, 1>(chunk, shared)
     }
 
-    /// The loop over chunks is unrolled, so that none waits for the one before it.
+    /// The loop over chunks is unrolled, so that no chunk waits for the previous one.
     #[inline(always)]
     fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
         self,
@@ -64,7 +64,7 @@ impl Vectors for V4 {
                 true => f._mm512_srai_epi32::<10>(f._mm512_slli_epi32::<16>(sum)),
                 false => f._mm512_slli_epi32::<WEIGHT_SHIFT>(sum),
             };
-            // A float of no bits is 0.
+            // A float whose bits are all 0 is 0.
             let old_v = f._mm512_maskz_cvtepi32_ps(unheld, stored);
             let kept_u = kept(self, f._mm512_cvtepi32_ps(old_u), share_u);
             let kept_v = kept(self, old_v, share_v);

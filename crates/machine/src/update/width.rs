@@ -1,9 +1,9 @@
-//! Which vectors of the processor steps use.
+//! The vectors of the processor that steps use.
 //!
 //! Input: the processor, and the variable `NSIM_VECTORS`, read once: `avx2` for vectors of half the
-//! width of AVX-512, `scalar` for none that the program was not built for. Output: the widest that
-//! the processor has and the variable allows. Results do not depend on it; it is there for
-//! measuring what narrower processors would do. Errors: another value.
+//! width of AVX-512, `scalar` for the vectors that the program was built for. Output: the widest
+//! that the processor has and the variable allows. Results do not depend on it; it serves to
+//! measure narrower processors. Errors: another value.
 
 use std::sync::LazyLock;
 
@@ -19,7 +19,7 @@ static FOUND: LazyLock<Result<pulp::Arch, String>> = LazyLock::new(|| match std:
     },
 });
 
-/// AVX2 where the processor has it.
+/// AVX2 where the processor has it, else the vectors of the build.
 pub(super) fn halved() -> pulp::Arch {
     #[cfg(target_arch = "x86_64")]
     if let Some(vectors) = pulp::x86::V3::try_new() {
@@ -28,20 +28,20 @@ pub(super) fn halved() -> pulp::Arch {
     pulp::Arch::Scalar
 }
 
-/// The vectors that steps use; the widest where the variable makes no sense.
+/// The vectors that steps use; the widest where the variable is invalid.
 pub fn vectors() -> pulp::Arch {
     FOUND.as_ref().map_or_else(|_| pulp::Arch::new(), |found| *found)
 }
 
-/// Refuses a variable that makes no sense.
+/// Refuses an invalid variable.
 ///
 /// # Errors
-/// A sentence.
+/// A message with the value and the valid ones.
 pub fn check() -> Result<(), String> {
     FOUND.as_ref().map(|_| ()).map_err(Clone::clone)
 }
 
-/// What the vectors are called.
+/// Name of the vectors in use.
 pub fn name() -> &'static str {
     match vectors() {
         pulp::Arch::Scalar => "scalar",

@@ -1,51 +1,49 @@
-//! Which input axons of a core become members of population axons, so that a kernel is stored once.
+//! Grouping of a core's input axons into population axons, so that a kernel is stored once.
 //!
-//! In come the lists of a core; out go classes of places whose lists are the same, and how many
-//! places of each share one stored table. A *place* is one position of a population over space from
-//! which a window (convolution or pooling) goes out; its channels are its *atoms*. All that a
-//! convolution sends from one place to a core is a list for each atom; from the next place it is
-//! the same lists, a few slots further on. A population axon represents a place: it has a table (a
-//! list for each atom, which several population axons may have in common) and a base that is added
-//! to all slots. The message of a spike carries the atom.
+//! Input: the lists of a core. Output: classes of places with equal lists, and the number of places
+//! of each class that share one stored table. A *place* is one position of a population over space
+//! that is the source of a window (convolution or pooling); its channels are its *atoms*. From one
+//! place, a convolution sends to a core a list for each atom; from the next place, the same lists a
+//! few slots further on. A population axon represents a place: it has a table and a base that is
+//! added to all slots. The table has a list for each atom, and several population axons may share
+//! it. The message of a spike carries the atom.
 //!
-//! What the hardware allows (nengo-loihi `hardware/builder.py`, `block.py`,
-//! `builder/split_blocks.py` and `builder/validate.py`), by how a target counts output axons
-//! ([`OutputAxons`]):
+//! Limits of the hardware (nengo-loihi `hardware/builder.py`, `block.py`, `builder/split_blocks.py`
+//! and `builder/validate.py`), by the target's rule for output axons ([`OutputAxons`]):
 //!
 //! | | pop16 | pop32 |
 //! |---|---|---|
 //! | numbers of axons on a core | 10 bits | 12 bits |
 //! | atoms | 32 | 512 (inferred) |
 //! | base | multiples of 4 below 256 | below 256 |
-//! | slots of an output axon | those of a discrete one | one more |
+//! | slots of an output axon | as a discrete one | one more |
 //!
 //! - Counted for each position, a population axon is pop16 where its atoms and its base allow it,
 //!   pop32 otherwise ([`is_long`]).
-//! - Counted for each compartment, all are pop16 in the widest form of nengo-loihi's emulator: an
-//!   atom has up to 9 bits, those beyond five are taken from the ten of the axon's number
+//! - Counted for each compartment, all are pop16 in the widest form of nengo-loihi's emulator. An
+//!   atom has up to 9 bits; bits beyond five are taken from the ten of the axon's number
 //!   ([`most_axons`]).
-//! - Places that begin farther on than a base reaches keep whole 256s in the slots of their lists,
-//!   so that they share with others between the same 256s only, as nengo-loihi has it (`conv.py`,
+//! - Where a place begins beyond the range of a base, its lists keep the multiple of 256 in their
+//!   slots. It shares only with places of the same multiple, as in nengo-loihi (`conv.py`,
 //!   `conv2d_loihi_weights`).
 //! - A compartment belongs to one population, so its atom is the same on every core: it is the
 //!   channel.
 //!
-//! A population that all of another's sources reach may have more sources than a core has input
-//! axons. Such sources are grouped too: each 512 of them are the atoms of a population axon, whose
-//! lists stay their own, so that input axons are saved and no words. Only networks that say so
-//! (`Parts::gathers`, `nsim map --relays`) are mapped in this way.
+//! A target of dense projections may have more sources than a core has input axons. Such sources
+//! are grouped too: up to 512 of them are the atoms of one population axon. Each keeps its own
+//! list, so input axons are saved and no words. Only networks with `Parts::gathers`
+//! (`nsim map --relays`) are mapped so.
 //!
-//! How a table is stored: the lists of its atoms follow each other at equal distances. NxTF
-//! (`nxsdk_modules_ncl/dnn`) pads lists to the longest; here places whose lists differ in words do
-//! not share, so there is nothing to pad but atoms that send nothing. The entry of a population
-//! axon has one base and no more, so the first slot of a dense group stands in the table
-//! ([`packing::words_as`]).
+//! A table stores the lists of its atoms at equal distances. NxTF (`nxsdk_modules_ncl/dnn`) pads
+//! lists to the longest. Here places whose lists differ in words do not share, so only atoms that
+//! send nothing are padded. The entry of a population axon has a single base, so the first slot of
+//! a dense group is in the table ([`packing::words_as`]).
 //!
-//! The rule: a class shares when that takes no more words than lists of its own for each source,
-//! and fewer words or fewer input axons; those that save most come first while there are numbers
-//! for population axons. [`crate::resources::exact`] counts so, `nsim_compile::emit::tables` writes
-//! so, [`crate::resources::incremental`] asks so for whole tiles, and
-//! [`crate::resources::closed_form`] counts classes from geometry.
+//! A class shares when that takes no more words than separate lists, and fewer words or fewer input
+//! axons. Classes that save most come first, while there are numbers for population axons.
+//! [`crate::resources::exact`] counts by this rule, and `nsim_compile::emit::tables` writes by it.
+//! [`crate::resources::incremental`] applies it to whole tiles, and
+//! [`crate::resources::closed_form`] to classes from geometry.
 //!
 //! [`packing::words_as`]: crate::resources::packing::words_as
 
@@ -57,9 +55,9 @@ use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Projection, Quantised};
 use nsim_ir::resource::{Limits, OutputAxons, Resource};
 
-/// Bits of an atom at most.
+/// Most bits of an atom.
 const MOST_ATOM_BITS: u32 = 9;
-/// Bits of an atom that the number of an axon does not miss.
+/// Bits of an atom that take none from the number of the axon.
 const FREE_ATOM_BITS: u32 = 5;
 /// Bits of the number of a population axon whose atoms need no more than [`FREE_ATOM_BITS`].
 const AXON_BITS: u32 = 10;
@@ -69,18 +67,18 @@ const LONG_AXON_BITS: u32 = 12;
 pub const BASE_STEP: u16 = 4;
 /// Bases are below this.
 pub const BASE_END: u16 = 256;
-/// Members of population axons and discrete axons that a core of a program can number.
+/// Most members of population axons and discrete axons of a core of a program.
 pub const MOST_NUMBERED: u64 = 1 << 16;
-/// The most atoms.
+/// Most atoms of a population axon.
 pub const MOST_ATOMS: u16 = 1 << MOST_ATOM_BITS;
 
-/// pop16 axons that a core can number when its tables have this many atoms, at most [`MOST_ATOMS`].
+/// Most pop16 axons of a core whose tables have `atoms` atoms, at most [`MOST_ATOMS`].
 pub fn most_axons(atoms: u16) -> u32 {
     let bits = u16::BITS - atoms.saturating_sub(1).leading_zeros();
     1 << (AXON_BITS - bits.clamp(FREE_ATOM_BITS, MOST_ATOM_BITS) + FREE_ATOM_BITS)
 }
 
-/// Population axons that a core can number: of this many atoms at most, and all together.
+/// Most population axons of a core: short ones (pop16), and all together.
 pub fn numbers(most_atoms: u16, limits: &Limits) -> (u32, u32) {
     match limits.output_axons {
         OutputAxons::PerCompartment => (most_axons(most_atoms), most_axons(most_atoms)),
@@ -97,7 +95,7 @@ pub fn is_long(atoms: u16, base: u16, limits: &Limits) -> bool {
     }
 }
 
-/// The base of a place whose lists begin at this slot.
+/// The base of a place whose lists begin at `first_slot`.
 #[inline]
 pub fn base_of(first_slot: u16, limits: &Limits) -> u16 {
     let base = first_slot % BASE_END;
@@ -110,10 +108,10 @@ pub fn base_of(first_slot: u16, limits: &Limits) -> u16 {
 /// A population whose sources have places.
 #[derive(Debug, Clone, Copy)]
 struct Spatial {
-    /// Its sources.
+    /// Its first source; `end` is one past the last.
     first: u32,
     end: u32,
-    /// Positions of a channel.
+    /// Number of positions of a channel.
     positions: u32,
     /// The number of its first place.
     place: u32,
@@ -123,7 +121,7 @@ struct Spatial {
 #[derive(Debug, Clone, Default)]
 pub struct Places {
     populations: Vec<Spatial>,
-    /// Whether any of them are compartments.
+    /// Whether compartments have places, and not only input channels.
     of_compartments: bool,
     /// Whether any of them are there because input axons are too few.
     of_need: bool,
@@ -147,14 +145,14 @@ fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
 }
 
 impl Places {
-    /// Of all populations over space from which a window goes out; and of those whose sources all
-    /// reach a population that has more of them than a core has input axons, where these may be
-    /// population axons of any atoms.
+    /// Returns the places of all populations over space that are sources of windows. Where the
+    /// network and the limits allow it, sources of a dense projection have places too if its target
+    /// has more sources than a core has input axons.
     pub fn for_network(network: &Quantised, limits: &Limits) -> Self {
         Places::gathered(network, Some(limits))
     }
 
-    /// Of all populations over space from which a window goes out, regardless of the limits.
+    /// Returns the places of all populations over space that are sources of windows.
     pub fn of_windows(network: &Quantised) -> Self {
         Places::gathered(network, None)
     }
@@ -217,15 +215,15 @@ impl Places {
     }
 }
 
-/// Places whose lists are the same, counted from their bases, and what one of them takes in one way
-/// of storing.
+/// Places whose lists are equal relative to their bases, and the words of one of them. A core has
+/// such classes for lists without runs, and for lists with runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Class {
     /// Number of places.
     pub places: u32,
-    /// Lists of a place: sources at it that reach the core.
+    /// Lists of a place: one for each source there that reaches the core.
     pub lists: u32,
-    /// The highest atom and one.
+    /// The highest atom + 1.
     pub atoms: u16,
     /// Words of a place's lists as lists of discrete axons.
     pub words: u32,
@@ -239,7 +237,7 @@ impl Class {
         u64::from(self.atoms) * u64::from(self.list_words.1)
     }
 
-    /// Words that this many places save by sharing; less than none when the table is dearer.
+    /// Words that `places` places save by sharing; negative where the table takes more.
     pub fn saving(&self, places: u32) -> i64 {
         (u64::from(places) * u64::from(self.words)) as i64 - self.table() as i64
     }
@@ -260,8 +258,7 @@ pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
     // Those that may be short count as such, regardless of their bases.
     let may_be_short = |class: &Class| !is_long(class.atoms, 0, limits);
     let mut order: Vec<usize> = (0..classes.len()).collect();
-    // Classes that are equal in all respects can take each other's part, so counts do not depend on
-    // the order they came in.
+    // Classes with equal fields are interchangeable, so counts do not depend on the input order.
     order.sort_by_key(|&at| std::cmp::Reverse((classes[at].saving(classes[at].places), classes[at])));
     let mut sharing = vec![0; classes.len()];
     for at in order {
@@ -280,25 +277,25 @@ pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
 /// A place on a core.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct EqualPlace {
-    /// Its number.
+    /// Number of the place.
     pub place: u32,
-    /// Its base.
+    /// Base of the place, below [`BASE_END`].
     pub base: u16,
     /// Atom and number of each of its lists, by atom.
     pub lists: Vec<(u16, u32)>,
 }
 
-/// Places of a core whose lists are the same, counted from their bases; ascending, at least one.
+/// Places of a core whose lists are equal relative to their bases; ascending, at least one.
 pub type EqualPlaces = Vec<EqualPlace>;
 
 impl EqualPlace {
-    /// The highest atom and one.
+    /// The highest atom + 1.
     pub fn atoms(&self) -> u16 {
         self.lists.last().map_or(0, |&(atom, _)| atom + 1)
     }
 }
 
-/// Classes of a core's lists, given by their synapses; in the order of their first places.
+/// Classes of the places of a core, from its synapses, in the order of their first places.
 pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<EqualPlaces> {
     let lists: Vec<&[Key]> = by_core::lists(keys).collect();
     let placed = lists.iter().zip(0u32..).filter_map(|(list, number)| {

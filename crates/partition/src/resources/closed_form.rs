@@ -1,13 +1,12 @@
-//! Boxes of a layer on cores, from the geometry of its windows alone.
+//! Resource use of boxes of a layer, from the geometry of its windows alone.
 //!
-//! In comes a population that windows (or all sources) reach; out goes what a core uses that holds
-//! a box of it (channels x rows x columns). A window reaches rows and columns independently of each
-//! other, so the lists of a box are the products of fields of rows, of columns and of channels:
-//! sources with the same fields have lists of the same make-up, which is counted once, and places
-//! whose fields are the same but for where they begin are a class that may share a table
-//! ([`crate::resources::axon_sharing`]). The counts are those of [`crate::resources::exact`],
-//! output axons and profiles excepted; a test holds them to it. They could only be greater where
-//! two different parts of a kernel have the same weights.
+//! Input: a population that windows (or all sources) reach. Output: the use of a core that holds a
+//! box of it (channels x rows x columns). A window reaches rows and columns independently, so the
+//! lists of a box are products of fields of rows, columns and channels. Sources with equal fields
+//! have lists of equal make-up, which is counted once. Places whose fields differ in their start
+//! only are a class that may share a table ([`crate::resources::axon_sharing`]). The counts equal
+//! the counts by [`crate::resources::exact`], output axons and profiles excepted; a test compares
+//! them. They could only be greater where two different parts of a kernel have the same weights.
 
 use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
@@ -29,45 +28,45 @@ use nsim_ir::resource::{Limits, OutputAxons, Resource};
 /// A projection into a layer.
 #[derive(Debug, Clone, Copy)]
 pub struct Incoming {
-    /// Where spikes come from.
+    /// Source population.
     pub source: PopulationId,
-    /// Its window; a layer that all sources reach is a window of one position.
+    /// Its window; a layer that all sources reach has a window of one position.
     pub window: Window,
     /// Whether every source reaches every target.
     pub all_to_all: bool,
     /// Channels and positions of a source population that has places.
     pub placed: Option<(u32, u64)>,
-    /// Whether all its weights are the same.
+    /// Whether all its weights are equal.
     pub uniform: bool,
     /// Compartments of the source; `None` for inputs, which take no output axon.
     pub from: Option<u32>,
-    /// Synapses that a core stores of each channel of its targets, at most: those of weight 0 are
-    /// counted where all sources reach all targets.
+    /// Most synapses that a core stores for one channel of the targets. Weights of 0 are included
+    /// where all sources reach all targets.
     pub stored: u64,
-    /// Its format among those of the network.
+    /// Index of its format among the network's formats.
     pub format: u16,
     /// Its delay.
     pub delay: Delay,
 }
 
-/// A population and what reaches it.
+/// A population and its incoming projections.
 #[derive(Debug, Clone)]
 pub struct Layer {
     /// Channels, height and width.
     pub shape: (u32, u32, u32),
-    /// What reaches it, in the order of the file.
+    /// Its incoming projections, in the order of the file.
     pub incoming: Vec<Incoming>,
-    /// Whether compartments stand channel by channel; they do where each channel sees its own
-    /// channel only.
+    /// Whether compartments are in the order of channels. They are where each channel receives
+    /// input from its own channel only.
     pub by_channel: bool,
-    /// Whether two projections come from one population: its lists are then both together, which is
-    /// not counted here.
+    /// Whether two projections come from one population. Its lists then combine both, which is not
+    /// counted here.
     pub joined: bool,
 }
 
 impl Layer {
-    /// A population and what reaches it; `None` when a projection into it is neither a window nor
-    /// all to all.
+    /// Returns a population and its incoming projections; `None` when one of them is neither a
+    /// window nor all to all.
     pub fn for_population(
         network: &Quantised,
         population: PopulationId,
@@ -108,8 +107,7 @@ impl Layer {
         Some(Layer { shape, incoming, by_channel, joined })
     }
 
-    /// What a core uses that holds the box in the middle, whose windows are whole, when boxes have
-    /// this size.
+    /// Use of a core that holds the middle box, whose windows are whole, for boxes of this size.
     pub fn middle(&self, size: (u32, u32, u32), formats: &Formats, limits: &Limits) -> BoxUse {
         let at = middle(self.shape, size);
         let channels = Channels::of_part(self, &part(self.shape.0, size.0, at.0));
@@ -119,30 +117,30 @@ impl Layer {
     }
 }
 
-/// A part of an axis, with the fields of every projection into the layer.
+/// A part of an axis, with the receptive fields of every projection into the layer.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Side {
     /// Length of the part.
     pub size: u32,
-    /// By projection: fields, and how many sources have each.
+    /// By projection: fields, and the number of sources with each.
     fields: Vec<Vec<(ReceptiveField, u64)>>,
 }
 
 impl Side {
-    /// Of a layer.
+    /// Returns the fields of a part of one axis of a layer.
     pub fn of_part(layer: &Layer, axis: fn(&Window) -> WindowAxis, part: &Range<u32>) -> Self {
         let fields = |incoming: &Incoming| axis(&incoming.window).uniform(incoming.uniform).fields(part);
         Side { size: part.end - part.start, fields: layer.incoming.iter().map(fields).collect() }
     }
 
-    /// The number of a field among those of a projection.
+    /// Index of a field among the fields of a projection.
     pub fn number_of(&self, projection: usize, field: &ReceptiveField) -> Option<u32> {
         self.fields[projection].binary_search_by(|(other, _)| other.cmp(field)).ok().map(|at| at as u32)
     }
 }
 
-/// A part of the channels: how many of them sources reach, and how many sources reach this many;
-/// and the last such source.
+/// A part of the channels. By projection: numbers of channels reached, with the number of source
+/// channels that reach as many; and the last such source channel.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Channels {
     /// Number of channels in the part.
@@ -152,7 +150,7 @@ pub struct Channels {
 }
 
 impl Channels {
-    /// Of a layer.
+    /// Returns the channels of a part of a layer.
     pub fn of_part(layer: &Layer, part: &Range<u32>) -> Self {
         let of = |incoming: &Incoming| {
             let window = &incoming.window;
@@ -174,17 +172,17 @@ impl Channels {
     }
 }
 
-/// The box in the middle of a grid, whose windows are whole.
+/// Indices of the box in the middle of a grid of boxes; its windows are whole.
 pub fn middle(shape: (u32, u32, u32), size: (u32, u32, u32)) -> (u32, u32, u32) {
     (middle_of(shape.0, size.0), middle_of(shape.1, size.1), middle_of(shape.2, size.2))
 }
 
-/// A part of an axis that is cut into parts of this size; the last may be smaller.
+/// Part `at` of an axis that is cut into parts of `size`; the last may be smaller.
 pub fn part(length: u32, size: u32, at: u32) -> Range<u32> {
     at * size..((at + 1) * size).min(length)
 }
 
-/// The part in the middle of an axis that is cut into parts of this size.
+/// Index of the middle part of an axis that is cut into parts of `size`.
 pub fn middle_of(length: u32, size: u32) -> u32 {
     (length.div_ceil(size) - 1) / 2
 }
@@ -192,40 +190,40 @@ pub fn middle_of(length: u32, size: u32) -> u32 {
 /// Synapses of a box with sources in one population.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arriving {
-    /// The sources' population.
+    /// Population of the sources.
     pub source: PopulationId,
-    /// In lists without indices.
+    /// Synapses in lists without indices.
     pub dense: u64,
-    /// In lists with indices or runs.
+    /// Synapses in lists with indices or runs.
     pub sparse: u64,
 }
 
-/// What a core that holds a box uses.
+/// Resource use of a core that holds a box.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct BoxUse {
-    /// Everything but output axons and profiles.
+    /// Use of all resources but output axons and profiles.
     pub usage: CoreUsage,
-    /// Its synapses, by where they come from.
+    /// Its synapses, by source population.
     pub arriving: Arc<[Arriving]>,
-    /// By projection into the layer, which of its positions are population axons.
+    /// Source positions that are members of population axons, by projection into the layer.
     pub members: Arc<[Members]>,
 }
 
-/// How the lists that a position sends to a box are stored.
+/// Storage of the lists that a source position sends to a box.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Membership {
-    /// Each for itself, or perhaps so: of a class of positions not all of which share their table,
-    /// none is counted as a member.
+    /// As lists of discrete axons, at least some of them. If only some positions of a class share
+    /// its table, none counts as a member.
     #[default]
     Discrete,
-    /// As those of a population axon that takes the slots of a discrete one (pop16).
+    /// As lists of a population axon that takes the slots of a discrete one (pop16).
     Short,
-    /// As those of any other (pop32).
+    /// As lists of any other population axon (pop32).
     Long,
 }
 
-/// Which positions of a projection are members of population axons: by the numbers of their fields
-/// of rows and of columns.
+/// Storage of the lists of a projection's source positions, by the indices of their fields of rows
+/// and of columns.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Members {
     columns: usize,
@@ -233,20 +231,20 @@ pub struct Members {
 }
 
 impl Members {
-    /// That of the positions with these fields.
+    /// Storage of the lists of the positions with these fields.
     pub fn get(&self, rows: u32, columns: u32) -> Membership {
         self.of.get(rows as usize * self.columns + columns as usize).copied().unwrap_or_default()
     }
 }
 
 impl BoxUse {
-    /// Whether it needs more than there is.
+    /// Whether the use of any resource exceeds its limit.
     pub fn exceeds(&self, limits: &Limits) -> bool {
         self.usage.excesses(limits).next().is_some()
     }
 }
 
-/// What a core uses that holds the box of these channels, rows and columns.
+/// Use of a core that holds the box of these channels, rows and columns.
 pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, &Side, &Side)) -> BoxUse {
     let (channels, rows, columns) = parts;
     let compartments = channels.size * rows.size * columns.size;
@@ -256,7 +254,7 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
     let widths = Widths::for_core(compartments, longest, limits.packing);
     let (mut counter, mut arriving) = (ListCounter::new(formats, widths, limits), Vec::new());
     let mut classes = Classes::default();
-    // By projection and pair of fields: the classes of these positions, and whether their axons are
+    // By projection and pair of fields: classes of these positions, and whether their axons are
     // long.
     let mut of_fields: Vec<Vec<Tables>> = vec![Vec::new(); layer.incoming.len()];
     let mut slots: Vec<u16> = Vec::new();
@@ -371,7 +369,7 @@ impl Place {
         }
     }
 
-    /// One of this many places with the same lists each.
+    /// The lists of one of `places` places with equal lists.
     fn part(mut self, places: u64) -> Self {
         self.lists /= places;
         self.ways.iter_mut().for_each(|way| way.0 /= places);
@@ -385,7 +383,7 @@ impl Place {
     }
 }
 
-/// Projection, relative fields of rows and columns, and how far after its base a place begins.
+/// Projection, relative fields of rows and columns, and distance from a base to the first slot.
 type Kind = (usize, ReceptiveField, ReceptiveField, u16);
 
 /// Classes of places of a box.
@@ -404,7 +402,7 @@ impl Classes {
         self.ways[0].len()
     }
 
-    /// The number of the class that these places are of.
+    /// Adds places to the class of their kind; returns its number.
     fn add(&mut self, kind: Kind, places: u64, place: Place, atoms: u16) -> usize {
         let at = *self.known.entry(kind).or_insert(self.ways[0].len());
         if at == self.ways[0].len() {

@@ -1,13 +1,13 @@
-//! What a core uses of each resource: the rules that every way of counting shares.
+//! Rules for the resource use of a core, common to all counters.
 //!
-//! Input: [`CoreTotals`], what was counted on a core. Output: its [`CoreUsage`]. The totals come in
-//! three forms, which are tested against each other on random networks:
+//! Input: [`CoreTotals`], the counts of a core. Output: its [`CoreUsage`]. Three counters make the
+//! totals; tests compare them on random networks:
 //!
-//! | form | counts | for |
+//! | counter | counts | for |
 //! |---|---|---|
-//! | [`exact`](crate::resources::exact) | the synapses of each core of a partition | what a partition claims |
-//! | [`incremental`](crate::resources::incremental) | compartments, one by one | filling a core |
-//! | [`closed_form`](crate::resources::closed_form) | products of receptive fields | boxes of a layer |
+//! | [`exact`](super::exact) | the synapses of each core of a partition | usage of a partition |
+//! | [`incremental`](super::incremental) | compartments, one by one | filling a core |
+//! | [`closed_form`](super::closed_form) | products of receptive fields | boxes of a layer |
 //!
 //! The rules:
 //!
@@ -15,9 +15,9 @@
 //!   one ([`axon_sharing`]);
 //! - output axons: one for each compartment and destination core, in slots
 //!   ([`Limits::axon_out_slots`]);
-//! - words: as [`packing`] counts them. A core stores its lists without runs or with them,
-//!   whichever takes fewer words while its formats suffice, so both are counted ([`LISTS`]); a
-//!   table of population axons is stored once;
+//! - words: as [`packing`] counts them. A core stores its lists with runs where that takes fewer
+//!   words and its formats suffice, else without, so both are counted ([`LISTS`]). A table of
+//!   population axons is stored once;
 //! - formats: distinct (synapse format, delayed or not, compression), because widths are the same
 //!   for all groups of a core;
 //! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct
@@ -40,7 +40,7 @@ use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Limits, PerResource, Resource};
 
-/// The fewest bits of runs over these distances between slots.
+/// Fewest bits of runs over these distances between slots; `None` if one is 0 or too long.
 pub fn skip_bits_for(mut distances: impl Iterator<Item = u16>) -> Option<u8> {
     let widest = distances.try_fold(0, |widest: u16, distance| Some(widest.max(distance.checked_sub(1)?)))?;
     packing::skip_bits(widest)
@@ -54,7 +54,7 @@ pub struct FormatCounts {
 }
 
 impl FormatCounts {
-    /// Of a core without groups, in a network of this many formats.
+    /// Returns the counts of a core without groups, in a network with this number of formats.
     pub fn new(formats: usize) -> Self {
         FormatCounts { groups: vec![[0; 12]; formats], distinct: 0 }
     }
@@ -68,7 +68,7 @@ impl FormatCounts {
         &mut self.groups[usize::from(format)][usize::from(delayed) * 6 + kind]
     }
 
-    /// One group more.
+    /// Adds one group.
     #[inline]
     pub fn add(&mut self, format: u16, delayed: bool, compression: Compression) {
         let count = self.count(format, delayed, compression);
@@ -78,7 +78,7 @@ impl FormatCounts {
         }
     }
 
-    /// One group less.
+    /// Removes one group.
     #[inline]
     pub fn remove(&mut self, format: u16, delayed: bool, compression: Compression) {
         let count = self.count(format, delayed, compression);
@@ -88,19 +88,19 @@ impl FormatCounts {
         }
     }
 
-    /// Formats in use.
+    /// Number of formats in use.
     pub fn distinct(&self) -> u32 {
         self.distinct
     }
 
-    /// Begins another core.
+    /// Clears the counts for another core.
     pub fn clear(&mut self) {
         self.groups.fill([0; 12]);
         self.distinct = 0;
     }
 }
 
-/// What the lists of a core take, stored in one way.
+/// Resource use of the lists of a core, stored without runs or with runs.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ListTotals {
     /// Input axons.
@@ -150,13 +150,13 @@ pub struct ListCounter<'a> {
 }
 
 impl<'a> ListCounter<'a> {
-    /// Of a core without lists.
+    /// Returns the counter of a core without lists.
     pub fn new(formats: &Formats, widths: Widths, limits: &'a Limits) -> Self {
         let formats = std::array::from_fn(|_| FormatCounts::new(formats.len()));
         ListCounter { widths, limits, totals: Default::default(), formats }
     }
 
-    /// Notes the format of a group; returns what the group takes.
+    /// Counts the format of a group; returns the words of the group.
     pub fn group(&mut self, (format, group): (u16, Group)) -> [Words; LISTS] {
         let ways = packing::stored(group, self.widths, self.limits);
         for (formats, (compression, _)) in self.formats.iter_mut().zip(ways) {
@@ -168,7 +168,7 @@ impl<'a> ListCounter<'a> {
         })
     }
 
-    /// Counts this many lists of this many words each.
+    /// Counts this number of lists, with these words each.
     pub fn lists(&mut self, lists: u64, words: [Words; LISTS]) {
         for (totals, words) in self.totals.iter_mut().zip(words) {
             totals.axons += lists;
@@ -177,13 +177,13 @@ impl<'a> ListCounter<'a> {
         }
     }
 
-    /// What was counted.
+    /// Totals without runs and with runs.
     pub fn totals(&self) -> [ListTotals; LISTS] {
         std::array::from_fn(|way| ListTotals { formats: self.formats[way].distinct(), ..self.totals[way] })
     }
 }
 
-/// What was counted on a core.
+/// Counts of a core.
 #[derive(Debug, Clone, Copy)]
 pub struct CoreTotals {
     /// Compartments.
@@ -203,8 +203,8 @@ pub struct CoreTotals {
 }
 
 impl CoreTotals {
-    /// Of a core with this many compartments and this longest delay, before anything else is
-    /// counted.
+    /// Returns the counts of a core with this number of compartments and this longest delay; all
+    /// others are 0.
     pub fn new(compartments: u32, longest_delay: Delay) -> Self {
         CoreTotals {
             compartments,
@@ -223,7 +223,7 @@ impl CoreTotals {
         with_runs.words < plain.words && with_runs.formats <= limits[Resource::SynapseFormats]
     }
 
-    /// What the core uses, without output axons.
+    /// Resource use of the core; 0 for output axons.
     #[inline]
     pub fn usage(&self, limits: &Limits) -> CoreUsage {
         let lists = self.lists[usize::from(self.stores_runs(limits))];
@@ -254,13 +254,13 @@ pub struct Profiles {
 }
 
 impl Profiles {
-    /// Notes those of a compartment.
+    /// Adds the profiles of a compartment.
     pub fn insert(&mut self, neuron: &Neuron) {
         self.compartments.insert(neuron.profile());
         self.thresholds.insert(neuron.threshold());
     }
 
-    /// Distinct compartment profiles and threshold profiles.
+    /// Numbers of distinct compartment profiles and threshold profiles.
     pub fn counts(&self) -> (u32, u32) {
         (self.compartments.len() as u32, self.thresholds.len() as u32)
     }
@@ -277,7 +277,7 @@ mod tests {
         let mut lists = ListTotals { axons: 40_000, words: 100_000, longest: 1, formats: 1 };
         assert_eq!(lists.share(&[class], &limits()), [60]);
         assert_eq!((lists.axons, lists.words, lists.longest), (40_000 - 60 * 511, 100_000 - 59 * 1024, 2));
-        // What takes more words than it saves is left alone.
+        // A table that takes more words than it saves is not shared.
         let before = ListTotals { axons: 10, words: 100, longest: 2, formats: 1 };
         let mut lists = before;
         lists.share(&[Class { places: 1, words: 1023, ..class }], &limits());

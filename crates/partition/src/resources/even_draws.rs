@@ -1,24 +1,24 @@
-//! The least needs of evenly sampled synapses, from their numbers before any is sampled.
+//! Lower bounds on the resource use of random connectivity, before any synapse is sampled.
 //!
-//! Input: a network and a target. Output: the reasons for which evenly sampled synapses
-//! ([`Connectivity::Random`]) cannot fit, if there are any. Each source samples `F` of `m` targets,
-//! so it reaches one of k given targets with a probability of
+//! Input: a network and a target. Output: the reasons for which random connectivity
+//! ([`Connectivity::Random`]) cannot fit, if there are any. Each of S sources samples `F` of `m`
+//! targets, so it reaches one of k given targets with a probability of
 //!
 //! ```text
 //! q(k) = 1 - (1 - k / m)^F.
 //! ```
 //!
-//! The sources that reach k targets are a sum of independent draws with mean M = S q(k), so fewer
-//! than M - d reach them with a probability below exp(-d^2 / 2 M) (Chernoff), and there are fewer
-//! than m^k such sets of targets. Where a core has no input axons for any of them, its targets are
-//! fewer than k; so each source reaches the more cores, and takes the more output axons. All bounds
-//! hold but for a chance of e^-45, which is smaller than that of a fault of memory.
+//! The number of sources that reach k targets is a sum of independent samples with mean M = S q(k).
+//! It is below M - d with a probability under exp(-d^2 / 2 M) (Chernoff), and there are fewer than
+//! m^k such sets of targets. Where none fits the input axons of a core, it holds fewer than k
+//! targets. So each source reaches more cores, and takes more output axons. The bounds hold except
+//! with a probability of e^-45, less likely than a memory error.
 //!
-//! What full cores are expected to send is also where filling cores of a large network begins
+//! The slots that full cores are expected to use also start the filling of cores of a large network
 //! ([`expected_slots`]).
 //!
-//! Not looked at: other kinds of projections, and sources that share input axons because windows go
-//! out from them too.
+//! Ignored: other kinds of projections, and sources that share input axons because they are sources
+//! of windows too.
 
 use std::ops::Range;
 
@@ -34,7 +34,7 @@ use nsim_ir::resource::Resource;
 /// The logarithm of the chance that is left for a bound to be wrong.
 const DOUBT: f64 = 45.0;
 
-/// Rounds in which an estimate settles, at most.
+/// Most rounds of an estimate.
 const ROUNDS: usize = 32;
 
 /// Draws of one projection.
@@ -84,8 +84,7 @@ fn independent(network: &Quantised, id: PopulationId, places: &Places) -> Vec<Dr
     draws_into
 }
 
-/// The most compartments of a population that a core can hold, and the sources of one of them at
-/// least.
+/// Most compartments of a population that a core can hold, and a lower bound on the sources of one.
 fn most_together(network: &Quantised, id: PopulationId, places: &Places, target: &Target) -> (u32, f64) {
     let (limits, size) = (target.limits(), network.populations()[id].shape.len());
     let most = limits[Resource::Compartments].min(size);
@@ -99,8 +98,8 @@ fn most_together(network: &Quantised, id: PopulationId, places: &Places, target:
     ((1..=most).find(too_many).map_or(most, |k| k - 1), least_sources(1))
 }
 
-/// The reasons why evenly sampled synapses certainly cannot fit; empty where they may. With
-/// `relays` a source may have as many of them as its targets need.
+/// Returns the reasons for which random connectivity cannot fit; empty where it may. With `relays`
+/// a source may have as many relays as its targets need.
 pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) -> Vec<Reason> {
     let (limits, places) = (target.limits(), Places::for_network(network, target.limits()));
     let mut reasons = Vec::new();
@@ -132,7 +131,8 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
         if population.first_compartment().is_none() || places.holds(network, id) {
             continue;
         }
-        // Targets of several projections may share cores, so the one that reaches most counts.
+        // Targets of several projections may share cores, so the projection that reaches most
+        // counts.
         let reached = |&p: &ProjectionId| {
             let projection = &network.projections()[p];
             let draws = draws(&projection.connectivity, population)?;
@@ -146,7 +146,7 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
             let (capacity, limit) = (Resource::AxonsOutPerCompartment.into(), most as u64);
             reasons.push(Reason::of_population(network, id, capacity, each as u64, limit));
         }
-        // A compartment, or a relay, has no more targets on its own chip than that has cores.
+        // A compartment, or a relay, has no more targets on its own chip than the chip has cores.
         let synapses: u64 =
             network.outgoing(id).iter().map(|&p| network.projections()[p].connectivity.count_from(0)).sum();
         let of_source = if relays { 2.0 * (synapses as f64 / (most - 1.0).max(1.0)).ceil() } else { 0.0 };
@@ -167,8 +167,8 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
     reasons
 }
 
-/// The output axon slots that a compartment of a population is expected to take for its evenly
-/// sampled targets, in a partition whose cores are full of such compartments.
+/// Expected output axon slots of a compartment of a population for its randomly sampled targets, in
+/// a partition whose cores are full of such compartments.
 pub fn expected_slots(network: &Quantised, id: PopulationId, target: &Target) -> u32 {
     let limits = target.limits();
     let population = &network.populations()[id];
@@ -209,7 +209,7 @@ mod tests {
         builder.build()
     }
 
-    /// What is needed of a resource, if it is a reason.
+    /// The need of a resource, if it is a reason.
     fn need(reasons: &[Reason], resource: impl Into<Capacity>) -> Option<u64> {
         let resource = resource.into();
         reasons.iter().find(|reason| reason.resource == resource).map(|reason| reason.need)
@@ -222,7 +222,7 @@ mod tests {
         let found = reasons(&network, &board, 1, false);
         let each = need(&found, Resource::AxonsOutPerCompartment).unwrap();
         assert!((3_700..=3_777).contains(&each), "{each}");
-        // 2 * 77,169 * 3,777 slots, but for those on the own chip.
+        // 2 * 77,169 * 3,777 slots, except for targets on the source's own chip.
         let cores = need(&found, Capacity::Cores).unwrap();
         assert!((130_000..142_400).contains(&cores), "{cores}");
         let said = found.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");

@@ -1,8 +1,8 @@
-//! What each core of a given membership uses of each resource, counted from its synapses.
+//! Resource use of each core of a given membership, counted from its synapses.
 //!
 //! Input: a network, the compartments of each core in slot order and the chip of each core. Output:
-//! a [`CoreUsage`] each, by the rules of [`counter`](crate::resources::counter), which is what
-//! `nsim_compile::emit::tables` writes. Limits are not looked at.
+//! a [`CoreUsage`] for each core, by the rules of [`counter`](crate::resources::counter). It is the
+//! use of the tables that `nsim_compile::emit::tables` writes. Limits are not checked.
 
 use crate::resources::axon_sharing::{self, Class, EqualPlace, EqualPlaces, Places};
 use crate::resources::by_core::{self, Key};
@@ -17,7 +17,7 @@ use nsim_ir::partition::{CoreUsage, Seat};
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Limits, Resource};
 
-/// The longest delay of a synapse into each core, of those from the populations that count.
+/// Longest delay of a synapse into each core, over the source populations with `counts`.
 pub fn longest_delays(
     network: &Quantised,
     seats: &IdVec<CompartmentId, Seat>,
@@ -37,7 +37,7 @@ pub fn longest_delays(
     longest
 }
 
-/// The use of each core.
+/// Resource use of each core.
 ///
 /// # Panics
 /// When `seats` and `members` differ or `chips` is shorter than `members`: a mistake of the caller.
@@ -56,7 +56,7 @@ pub fn usage(
     with_fan_out(used, members, &fan_out::network_fan_out(network, &core_of, chips, limits, shared))
 }
 
-/// The use of each core, where that of all but output axons is known.
+/// Resource use of each core, from its use without output axons and the fan-out.
 pub fn with_fan_out(
     usage: impl IntoIterator<Item = CoreUsage>,
     members: &IdVec<CoreId, Vec<CompartmentId>>,
@@ -70,23 +70,23 @@ pub fn with_fan_out(
     usage.into_iter().zip(members).map(of_core).collect()
 }
 
-/// What a core uses but for its output axons, and which places are members of population axons on
-/// it. It depends on the compartments of the core and their order alone.
+/// Use of a core without its output axons, and the places that are members of its population axons.
+/// Both depend only on the compartments of the core and their order.
 #[derive(Debug, Clone, Default)]
 pub struct CoreUse {
     /// The use.
     pub usage: CoreUsage,
-    /// The places, ascending, and whether it is a pop32 axon.
+    /// The places, ascending, and whether the population axon of each is a pop32 axon.
     pub shared: Vec<(u32, bool)>,
 }
 
-/// The uses, and the places.
+/// Splits the results into uses and places.
 pub fn unzipped(uses: Vec<CoreUse>) -> (Vec<CoreUsage>, MembersOfCores) {
     let (usage, shared): (_, Vec<_>) = uses.into_iter().map(|core| (core.usage, core.shared)).unzip();
     (usage, shared.into())
 }
 
-/// What each wanted core uses; of the others nothing is counted.
+/// Use of each wanted core; the default for all others.
 ///
 /// # Panics
 /// As [`usage`].
@@ -133,19 +133,19 @@ fn profiles(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, cores: usiz
 /// The lists of a core, stored without and with runs.
 #[derive(Debug, Clone, Default)]
 pub struct StoredLists {
-    /// What they take.
+    /// Their totals.
     pub totals: [ListTotals; LISTS],
-    /// Places whose lists are the same.
+    /// Classes of places with equal lists.
     equal: Vec<EqualPlaces>,
     /// Number of places of each class that share its table.
     sharing: [Vec<u32>; LISTS],
 }
 
 impl StoredLists {
-    /// Of the synapses of a core.
+    /// Counts the lists of a core from its synapses.
     pub fn new(keys: &[Key], formats: &Formats, widths: Widths, limits: &Limits, places: &Places) -> Self {
         let mut counter = ListCounter::new(formats, widths, limits);
-        // Neighbours mostly have the same make-up.
+        // Consecutive groups mostly have the same make-up.
         let mut last: Option<((u16, Group), [Words; LISTS])> = None;
         let mut of_lists: Vec<[Words; LISTS]> = Vec::new();
         for list in by_core::lists(keys) {
@@ -195,7 +195,7 @@ impl StoredLists {
         CoreTotals { lists: self.totals, ..CoreTotals::new(0, Delay::MIN) }.stores_runs(limits)
     }
 
-    /// The places that are members of population axons, ascending, and whether it is a pop32 axon.
+    /// Member places of population axons, ascending, and whether each axon is a pop32 axon.
     fn members(&self, limits: &Limits) -> Vec<(u32, bool)> {
         let of_class = |(equal, sharing): (&EqualPlaces, u32)| {
             let atoms = equal[0].atoms();
@@ -207,13 +207,13 @@ impl StoredLists {
         members
     }
 
-    /// Classes of places, and how many places of each share its table, as the core stores them.
+    /// Classes of places, with the number of places that share a table, as the core stores them.
     pub fn shared(&self, limits: &Limits) -> impl Iterator<Item = (&EqualPlaces, u32)> {
         self.equal.iter().zip(self.sharing[usize::from(self.stores_runs(limits))].iter().copied())
     }
 }
 
-/// The make-up of a group, and its format.
+/// Format of a group, and its make-up.
 pub fn group_of(group: &[Key], formats: &Formats) -> (u16, Group) {
     let format = group[0].format();
     let made = Group {

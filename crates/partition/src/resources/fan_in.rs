@@ -1,13 +1,12 @@
-//! What reaches one compartment: the network read backwards.
+//! Sources of each compartment: the network transposed.
 //!
-//! In comes a network, whose synapses are enumerated source by source; out goes, compartment by
-//! compartment, the sources of its synapses. Listed and random synapses are sorted by target once,
-//! at four bytes a synapse; dense layers and windows are computed. Copies of a network share their
-//! index.
+//! Input: a network, whose synapses are enumerated by source. Output: for each compartment, the
+//! sources of its synapses. Listed and random synapses are sorted by target once, at four bytes a
+//! synapse; dense layers and windows are computed. Copies of a network share their index.
 //!
-//! Where all that a population sends goes out through windows of the same groups, what holds of one
-//! channel of a group holds of all: at a position they reach the same compartments. Such channels
-//! are a *bundle*, which is reported once.
+//! Where all projections from a population are convolutions with groups of one size, all channels
+//! of a group reach the same compartments from a position. Such channels are a *bundle*, which is
+//! reported once.
 
 use std::collections::HashMap;
 use std::sync::{Arc, OnceLock};
@@ -23,22 +22,21 @@ use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::resource::{Limits, Resource};
 
-/// Sources, and targets, that one task looks at where there are many; the number of one within its
-/// piece has half of 32 bits.
+/// Most sources, and most targets, of one task. The number of one within its piece fits 16 bits.
 const PIECE: u32 = 1 << 14;
 
 /// Sources by target.
 #[derive(Debug)]
 struct Transposed {
-    /// One more than targets.
+    /// Index of each target's first source, and the end.
     first: Vec<u64>,
-    /// Ascending within a target.
+    /// Sources, ascending within a target.
     sources: Vec<u32>,
 }
 
 impl Transposed {
     /// Pieces of sources sort their synapses into ranges of targets, then ranges read the pieces in
-    /// order; so sources ascend, and threads change nothing.
+    /// order. So sources ascend, and the result does not depend on threads.
     fn new(connectivity: &Connectivity, sources: u32, targets: u32) -> Self {
         let ranges = targets.div_ceil(PIECE) as usize;
         let pieces: Vec<Vec<Vec<u32>>> = (0..sources.div_ceil(PIECE))
@@ -92,20 +90,20 @@ impl Transposed {
     }
 }
 
-/// What makes two projections' indices equal.
+/// Key of projections that share an index.
 #[derive(PartialEq, Eq, Hash)]
 enum Key {
     Listed { list: (usize, usize), sources: u32, targets: u32 },
     Random { targets: u32, fan_out: u32, seed: u64, first_source: u32, sources: u32 },
 }
 
-/// How one projection is read backwards.
+/// One projection, transposed.
 #[derive(Debug)]
 enum Backwards {
     Dense {
         sources: u32,
     },
-    /// Channels of a bundle: those of a group, or one.
+    /// A bundle has the channels of a group, or one channel.
     Conv {
         window: Window,
         bundle: u32,
@@ -114,7 +112,7 @@ enum Backwards {
     Listed(Arc<Transposed>),
 }
 
-/// A network read backwards.
+/// A network, transposed.
 #[derive(Debug)]
 pub struct FanIn {
     incoming: IdVec<PopulationId, Vec<ProjectionId>>,
@@ -123,7 +121,7 @@ pub struct FanIn {
 }
 
 impl FanIn {
-    /// The index of a network.
+    /// Returns the index of a network.
     pub fn new(network: &Quantised) -> Self {
         let mut known: HashMap<Key, Arc<Transposed>> = HashMap::new();
         let mut projections = IdVec::new();
@@ -162,12 +160,12 @@ impl FanIn {
     }
 
     /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a
-    /// population, by projection, then source; synapses of the channels of a bundle, this many, are
-    /// one call with the first of their sources. Synapses of a projection that are the same part of
-    /// a kernel, between sources of the same atom, have the same weight.
+    /// population, by projection, then source. The synapses of a bundle of `bundle` channels are
+    /// one call, with the first of their sources. Synapses of a projection with equal parts of a
+    /// kernel, from sources of the same atom, have the same weight.
     #[inline]
     pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId, u64, u32)) {
-        // Where there is no kernel each synapse is a part of its own.
+        // Without a kernel, each synapse is a part of its own.
         let own = |source: u32| u64::from(source) << 32 | u64::from(index);
         for &id in &self.incoming[population] {
             let (first, backwards) = &self.projections[id];
@@ -199,8 +197,8 @@ impl FanIn {
         }
     }
 
-    /// Synaptic events of each compartment in as many steps as rates count; sources of a bundle are
-    /// taken to spike as its first does.
+    /// Synaptic events of each compartment in the steps that `rates` counts. All sources of a
+    /// bundle are assumed to spike as its first does.
     pub fn events_into(&self, network: &Quantised, rates: &Rates) -> Vec<u64> {
         let of_population = |(id, population): (PopulationId, &Population)| {
             let size = if population.first_compartment().is_some() { population.shape.len() } else { 0 };
@@ -216,8 +214,8 @@ impl FanIn {
     }
 }
 
-/// Channels of a bundle of a population: those of a group where all that it sends goes out through
-/// convolutions of the same groups, one otherwise.
+/// Number of channels of a bundle of a population: the channels of a group where all its
+/// projections are convolutions with groups of one size, 1 otherwise.
 pub fn bundle(network: &Quantised, population: PopulationId) -> u32 {
     let mut bundle = None;
     for &id in network.outgoing(population) {
@@ -230,7 +228,7 @@ pub fn bundle(network: &Quantised, population: PopulationId) -> u32 {
     bundle.unwrap_or(1)
 }
 
-/// The sources of one channel that the window of a target covers, and their places in the window.
+/// Calls `f` with the sources of a channel that a target's window covers, and their place in it.
 fn for_each_covered(window: &Window, target: u32, channel: u32, mut f: impl FnMut(u32, u64)) {
     let within = target % (window.target.1 * window.target.2);
     let (y, x) = (within / window.target.2, within % window.target.2);

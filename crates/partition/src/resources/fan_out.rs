@@ -1,13 +1,12 @@
-//! The fan-out of each compartment: its output axons, from where its targets sit.
+//! Fan-out of each compartment: its output axons, from the cores of its targets.
 //!
-//! Input: a network, the core of each compartment and the chip of each core. Output: compartment by
-//! compartment, the number of distinct cores that its spikes reach and the output axon slots that
+//! Input: a network, the core of each compartment and the chip of each core. Output: for each
+//! compartment, the number of distinct cores that its spikes reach, and the output axon slots that
 //! these take.
 //!
-//! Where a target counts output axons by position ([`OutputAxons::PerPosition`]), also what is
-//! known of population axons is needed ([`SharedPlaces`]): the compartments of a core at one
-//! position whose spikes all go to population axons, and to the same cores, take the slots of one
-//! of them.
+//! Where a target counts output axons by position ([`OutputAxons::PerPosition`]), population axons
+//! are an input too ([`SharedPlaces`]). Some compartments of a core at one position take the slots
+//! of one: all their spikes go to population axons, on the same cores.
 
 use rayon::prelude::*;
 
@@ -21,38 +20,38 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::{Limits, OutputAxons};
 
-/// Compartments that one task looks at; fixed, so that nothing depends on threads.
+/// Number of compartments of one task; fixed, so that nothing depends on threads.
 const PIECE: usize = 1 << 14;
 
 /// The fan-out of each compartment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FanOut {
-    /// Output axon slots by compartment, of each as if it shared none.
+    /// Output axon slots by compartment, as if it shared none.
     pub slots: Vec<u32>,
     /// Output axons by compartment.
     pub axons: Vec<u32>,
-    /// By compartment, a number that those of a core have in common that share their output axons,
-    /// [`ALONE`] for those that share none; empty where no compartment does.
+    /// Group of each compartment: compartments of a core with equal numbers share output axons, and
+    /// [`ALONE`] shares none. Empty where no compartment shares.
     pub together: Vec<u64>,
 }
 
-/// Of a compartment that shares no output axon.
+/// Group of a compartment that shares no output axon.
 pub const ALONE: u64 = 0;
 
-/// The places that are members of population axons on each core, ascending, and whether it is a
-/// pop32 axon.
+/// The places that are members of population axons on each core, ascending, and whether the axon of
+/// each is a pop32 axon.
 pub type MembersOfCores = IdVec<CoreId, Vec<(u32, bool)>>;
 
-/// What of population axons decides how many output axons there are.
+/// Places on which the number of output axons depends.
 #[derive(Debug)]
 pub struct SharedPlaces<'a> {
     /// The places of sources.
     pub places: &'a Places,
-    /// Which are members of population axons.
+    /// Places that are members of population axons, by core.
     pub members: &'a MembersOfCores,
 }
 
-/// Whether output axons, which input channels have none of, depend on population axons.
+/// Whether output axons depend on population axons. Input channels have no output axons.
 pub fn by_position(places: &Places, limits: &Limits) -> bool {
     places.are_of_compartments() && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
 }
@@ -66,7 +65,7 @@ pub fn cores_of(compartments: u32, members: &IdVec<CoreId, Vec<CompartmentId>>) 
     core_of
 }
 
-/// Cores of whole populations, for dense layers: all of their sources reach the same ones.
+/// Cores of each population, ascending; all sources of a dense layer reach the same cores.
 fn cores_of_populations(
     network: &Quantised,
     core_of: &IdVec<CompartmentId, CoreId>,
@@ -81,8 +80,7 @@ fn cores_of_populations(
     network.populations().as_slice().par_iter().map(of).collect::<Vec<_>>().into()
 }
 
-/// The fan-out of each compartment; with the places of population axons where [`by_position`] says
-/// so.
+/// The fan-out of each compartment; `shared` is given where [`by_position`] is true.
 pub fn network_fan_out(
     network: &Quantised,
     core_of: &IdVec<CompartmentId, CoreId>,
@@ -101,8 +99,8 @@ pub fn network_fan_out(
 }
 
 impl SharedPlaces<'_> {
-    /// The slots that a source's messages to pop32 axons take more, and what it shares output axons
-    /// by.
+    /// Extra slots of a source's messages to pop32 axons, and its group of compartments that share
+    /// output axons.
     fn of_source(&self, source: u32, reached: &[CoreId], limits: &Limits) -> (u32, u64) {
         let OutputAxons::PerPosition { more_slots, .. } = limits.output_axons else { return (0, ALONE) };
         let Some((place, _)) = self.places.of_source(source).filter(|_| !reached.is_empty()) else { return (0, ALONE) };
@@ -120,7 +118,7 @@ impl SharedPlaces<'_> {
     }
 }
 
-/// Output axon slots of a source on a core that reaches these cores.
+/// Output axon slots of a source on core `own` that reaches the cores `reached`.
 pub fn axon_slots(
     own: Option<CoreId>,
     reached: impl Iterator<Item = CoreId>,
@@ -132,7 +130,7 @@ pub fn axon_slots(
     reached.map(slots).sum()
 }
 
-/// Messages between cores, inputs' included, in as many steps as rates count.
+/// Messages between cores, inputs' included, in the steps that `rates` counts.
 pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cores: usize, rates: &Rates) -> u64 {
     let of = |source: u32, own: Option<CoreId>, reached: &[CoreId]| {
         let others = reached.iter().filter(|&&core| Some(core) != own).count() as u64;
@@ -141,16 +139,16 @@ pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cor
     by_source(network, core_of, cores, true, of).into_iter().sum()
 }
 
-/// Consecutive sources of a population that one task looks at; for sources in bundles
+/// Consecutive sources of a population, counted by one task; for sources in bundles
 /// ([`crate::resources::fan_in`]), the same positions of every channel of a bundle.
 #[derive(Debug, Clone)]
 struct Piece {
     population: PopulationId,
-    /// Index of the first.
+    /// Index of the first source.
     first: u32,
     /// Number of sources in a channel.
     length: u32,
-    /// From a channel to the next of its bundle, and how many there are.
+    /// Distance from a channel to the next of its bundle, and number of channels.
     channels: (u32, u32),
 }
 
@@ -163,7 +161,7 @@ fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
         }
         let size = population.shape.len();
         if size == 0 {
-            // Pruned whole.
+            // All its units are pruned.
             continue;
         }
         let (positions, bundle) = match (bundle(network, id), population.shape.volume()) {
@@ -183,7 +181,7 @@ fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
     pieces
 }
 
-/// What `f(source, own core, cores reached)` returns for every source, in order: channels (if asked
+/// Results of `f(source, own core, cores reached)` for every source, in order: channels (if asked
 /// for), then compartments. Cores are in the order in which they are first reached.
 pub fn by_source<T: Send>(
     network: &Quantised,
@@ -204,8 +202,7 @@ pub fn by_source<T: Send>(
                     .map(|k| (number + first + k * positions, Vec::with_capacity(length as usize)))
                     .collect();
                 for index in first..first + length {
-                    // Marks distinguish sources; a task of few sources never comes near the end of
-                    // their range.
+                    // Marks distinguish sources; a task has too few sources to overflow them.
                     *mark += 1;
                     reached.clear();
                     let mut reach = |core: CoreId| {

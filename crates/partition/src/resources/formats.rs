@@ -1,5 +1,5 @@
-//! What synapses are stored as: the distinct formats of a network, and the number of synapses that
-//! a core stores where kernels are shared ([`Resource::StoredSynapses`]).
+//! Stored forms of synapses: the distinct formats of a network, and the number of synapses that a
+//! core stores where kernels are shared ([`Resource::StoredSynapses`]).
 //!
 //! The rule, for a core that holds some compartments of a population:
 //!
@@ -8,7 +8,7 @@
 //! - of every other projection, the synapses into each compartment;
 //! - nothing for a weight of 0.
 //!
-//! The number is never less than what the checker counts from the tables of the core.
+//! The number is never less than the checker's count from the tables of the core.
 //!
 //! [`Resource::StoredSynapses`]: nsim_ir::resource::Resource::StoredSynapses
 
@@ -64,9 +64,9 @@ impl Formats {
 struct Weights {
     /// Positions of a channel, at least 1.
     positions: u32,
-    /// Of all kernels of a channel.
+    /// Weights of all kernels of a channel.
     by_channel: Vec<u64>,
-    /// Of the other synapses into each compartment.
+    /// Weights of the other synapses into each compartment.
     by_compartment: Vec<u64>,
 }
 
@@ -77,7 +77,7 @@ pub type Kernels = HashSet<(PopulationId, u32)>;
 #[derive(Debug)]
 pub struct StoredSynapses(IdVec<PopulationId, Weights>);
 
-/// Weights of the kernels of each channel of a projection's targets; none where it has no kernel.
+/// Weights of the kernels of each channel of a projection's targets; empty without a kernel.
 pub fn by_channel(projection: &Projection) -> Vec<u64> {
     let stored = |weights: &[i16]| weights.iter().filter(|&&weight| weight != 0).count() as u64;
     match &projection.connectivity {
@@ -93,7 +93,7 @@ pub fn by_channel(projection: &Projection) -> Vec<u64> {
 }
 
 impl StoredSynapses {
-    /// Those of a network.
+    /// Counts the stored weights of a network.
     pub fn for_network(network: &Quantised) -> Self {
         let weights = |(id, population): (PopulationId, &Population)| {
             let size = population.shape.len() as usize;
@@ -116,7 +116,7 @@ impl StoredSynapses {
         StoredSynapses(network.populations().enumerate().map(weights).collect())
     }
 
-    /// What a core stores in addition once it holds this compartment too.
+    /// Number of weights that a core stores in addition once it holds this compartment too.
     pub fn added(&self, population: PopulationId, index: u32, kernels: &mut Kernels) -> u64 {
         let weights = &self.0[population];
         let channel = index / weights.positions;
@@ -124,7 +124,7 @@ impl StoredSynapses {
         weights.by_compartment[index as usize] + kernel
     }
 
-    /// What a core of these compartments stores.
+    /// Number of weights that a core of these compartments stores.
     pub fn of_core(&self, network: &Quantised, members: &[CompartmentId]) -> u64 {
         let mut kernels = Kernels::new();
         let added = |&id: &CompartmentId| {

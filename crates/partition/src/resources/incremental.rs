@@ -1,16 +1,16 @@
-//! One core while it is being filled, with the present needs of its compartments for every
-//! resource.
+//! One core while it is being filled, with the present use of every resource by its compartments.
 //!
-//! Input: compartments one by one. Output: whether the core still holds them all. The counts are
-//! those of [`crate::resources::exact`] but for output axons, which depend on where the targets end
-//! up: for these the caller gives an estimate for each compartment. Adding never lowers a need
-//! (formats excepted, and the widest list when a core changes its mind about runs), so that a core
-//! that is too full stays too full; the caller then begins another.
+//! Input: compartments one by one. Output: whether the core is still within its limits. The counts
+//! equal the counts by [`crate::resources::exact`], except for output axons, which depend on the
+//! final cores of targets. For these the caller gives an estimate for each compartment. Adding
+//! never lowers a need, so a core that is too full stays too full, and the caller then begins
+//! another. (Formats are an exception, and the longest list when a core starts or ends storing
+//! runs.)
 //!
 //! Lists that sources share through population axons ([`crate::resources::axon_sharing`]) are
-//! counted only where a core does not hold its compartments without: while a tile is added row by
-//! row its lists differ, and only when it is whole are they the same. So compartments that came one
-//! by one are counted with lists of their own, which is never too little.
+//! counted only where a core exceeds a limit without them. While a tile is added row by row its
+//! lists differ, and only the lists of a whole tile are equal. So compartments that came one by one
+//! are counted with separate lists, which is never too little.
 
 use std::collections::{HashMap, HashSet};
 
@@ -27,14 +27,14 @@ use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::{Neuron, Quantised, Units};
 use nsim_ir::resource::{Limits, Resource};
 
-/// A compartment that wants a seat.
+/// A compartment to be added to a core.
 #[derive(Debug, Clone, Copy)]
 pub struct Newcomer {
     /// Its number in the network.
     pub id: CompartmentId,
     /// Its population.
     pub population: PopulationId,
-    /// Its index there.
+    /// Its index in its population.
     pub index: u32,
     /// Its parameters.
     pub neuron: Neuron,
@@ -42,14 +42,14 @@ pub struct Newcomer {
     pub neuron_size: usize,
     /// Estimate of its output axon slots.
     pub slots_out: u32,
-    /// What it shares them by with others of the core ([`FanOut::together`]).
+    /// Its group of compartments that share output axons on a core ([`FanOut::together`]).
     ///
     /// [`FanOut::together`]: crate::resources::fan_out::FanOut::together
     pub together: u64,
 }
 
 impl Newcomer {
-    /// A compartment of which it is not known what it sends; `None` for one of no population.
+    /// Returns a compartment with no output axons known; `None` where its population has none.
     pub fn new(network: &Quantised, id: CompartmentId) -> Option<Self> {
         let (population, index) = network.population_of(id);
         let Units::Compartments { neurons, .. } = &network.populations()[population].units else { return None };
@@ -58,29 +58,28 @@ impl Newcomer {
     }
 }
 
-/// The identical input axons of a bundle of sources ([`crate::resources::fan_in`]) so far.
+/// Identical input axons of a bundle of sources ([`crate::resources::fan_in`]) so far.
 #[derive(Debug, Clone, Copy)]
 struct Axon {
     /// Number of these axons.
     bundle: u32,
-    /// The last of its groups, which leads to the others.
+    /// Its last entry, the head of the linked list of its entries.
     last: Option<u32>,
-    /// Without and with runs.
+    /// Words without and with runs.
     words: [u32; 2],
-    /// Where the first of its sources stands, if it has a place.
+    /// Place of the first of its sources, if it has one.
     placed: Option<PlacedAxon>,
 }
 
-/// The list of a source that has a place, as far as it is to be distinguished from others.
+/// The list of a source that has a place, in a form to compare with others.
 #[derive(Debug, Clone, Copy)]
 struct PlacedAxon {
     place: u32,
     atom: u16,
-    /// Of the place.
+    /// Base of the place.
     base: u16,
-    /// A digest of its synapses' slots, counted from the base, and the parts of kernels that they
-    /// are. Two different lists with the same digest would be found out when the cores are counted
-    /// exactly.
+    /// Digest of its synapses: slots relative to the base, and parts of kernels. Different lists
+    /// with equal digests would be detected when the cores are counted exactly.
     digest: u64,
 }
 
@@ -100,13 +99,13 @@ struct Entry {
     format: u16,
     last_slot: u16,
     synapses: u32,
-    /// Without and with runs.
+    /// Words without and with runs.
     words: [u32; 2],
     delayed: bool,
     dense: bool,
-    /// The widest gap between its slots; `None` once a slot stands twice.
+    /// Widest gap between its slots; `None` once a slot repeats.
     gap: Option<u16>,
-    /// With runs.
+    /// Compression with runs.
     compression: Compression,
 }
 
@@ -116,24 +115,24 @@ impl Entry {
         Group { weight_bits, synapses: self.synapses, delayed: self.delayed, dense: self.dense, skip }
     }
 
-    /// How it is stored without and with runs.
+    /// Compression without and with runs.
     fn compressions(&self) -> [Compression; LISTS] {
         [if self.dense { Compression::Dense } else { Compression::Sparse }, self.compression]
     }
 }
 
-/// A make-up of a group at some widths, and how it is stored without and with runs.
+/// Widths and make-up of a group, with its compression and words without and with runs.
 type Packed = ((Widths, Group), [(Compression, u32); LISTS]);
 
-/// Input axons by source: a table of open addresses, small enough to stay in a cache where one of
-/// all sources would not.
+/// Input axons by source: a hash table with open addressing. It is small enough to stay in a cache,
+/// unlike an array of all sources.
 #[derive(Debug)]
 struct AxonTable {
-    /// Source, input axon, and the core by count on which it has it; a power of two of them, at
-    /// most half of them in use.
+    /// Source, its input axon, and the core (by count) for which the slot is valid. Their number is
+    /// a power of two, and at most half of them are in use.
     slots: Vec<(u32, u32, u32)>,
     held: usize,
-    /// The present core by count.
+    /// Count of the present core.
     core: u32,
 }
 
@@ -149,7 +148,7 @@ impl AxonTable {
         }
     }
 
-    /// The axon of a source; `next` if it had none, which it then has.
+    /// Returns the axon of a source; assigns `next` and returns it if the source had none.
     #[inline]
     fn get_or_insert(&mut self, source: u32, next: u32) -> u32 {
         let mask = self.slots.len() - 1;
@@ -196,7 +195,7 @@ pub struct Filling<'a> {
     members: Vec<CompartmentId>,
     axons: Vec<Axon>,
     entries: Vec<Entry>,
-    /// Without and with runs.
+    /// Formats in use without and with runs.
     format_counts: [FormatCounts; LISTS],
     profiles: Profiles,
     widths: Widths,
@@ -204,21 +203,21 @@ pub struct Filling<'a> {
     totals: CoreTotals,
     /// Estimate of output axon slots.
     slots_out: u64,
-    /// Of compartments that share output axons, those counted so far.
+    /// Groups of compartments that share output axons and are counted already.
     together: HashSet<u64>,
     places: Places,
-    /// What compartments store where kernels are shared, if that is limited.
+    /// Stored synapses of compartments, if that resource is limited.
     stored: Option<&'a StoredSynapses>,
     kernels: Kernels,
     /// The first slot that each place reaches.
     begins: HashMap<u32, u16>,
-    /// Whether the core holds its compartments only because lists are shared.
+    /// Whether shared lists are counted where the core exceeds a limit without them.
     shares: bool,
-    /// What a group took when last asked, by format: neighbours mostly have the same make-up.
+    /// Last group by format, as a cache: consecutive groups mostly have the same make-up.
     last: Vec<Option<Packed>>,
-    /// Whether a list became shorter, so that the longest may be one that no longer is.
+    /// Whether a list became shorter, so that the longest may be too long.
     shortened: bool,
-    /// What the members use, where that is known exactly.
+    /// Use of the members, where it is exact.
     used: Option<CoreUsage>,
 }
 
@@ -254,7 +253,7 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// Begins another core and hands out the compartments of this one.
+    /// Begins another core and returns the compartments of this one.
     pub fn next_core(&mut self) -> Vec<CompartmentId> {
         self.axon_of.clear();
         self.axons.clear();
@@ -271,7 +270,7 @@ impl<'a> Filling<'a> {
         std::mem::take(&mut self.members)
     }
 
-    /// Compartments so far.
+    /// Number of compartments so far.
     pub fn len(&self) -> usize {
         self.members.len()
     }
@@ -284,8 +283,8 @@ impl<'a> Filling<'a> {
     /// Adds a compartment.
     ///
     /// # Errors
-    /// What the core would use, when it cannot hold the compartment. It is not a member then, but
-    /// the running counts are spoiled: begin another core.
+    /// The use of the core with the compartment, when it exceeds a limit. The compartment is no
+    /// member then, but the running counts are invalid: begin another core.
     pub fn add(&mut self, newcomer: &Newcomer) -> Result<(), CoreUsage> {
         self.put(newcomer)?;
         match self.holds(newcomer.neuron_size) {
@@ -300,14 +299,13 @@ impl<'a> Filling<'a> {
         }
     }
 
-    /// What the compartments added one by one use, without output axons: exactly what is counted
-    /// from their synapses. `None` where lists may be shared, or have become shorter, because only
-    /// a new count is right then.
+    /// Exact use of the compartments added one by one, without output axons. `None` where lists may
+    /// be shared, or have become shorter, because only a new count is exact then.
     pub fn used(&self) -> Option<CoreUsage> {
         self.used
     }
 
-    /// Adds compartments that make a whole, whose lists may be shared.
+    /// Adds compartments as one unit, such as a tile, whose lists may be shared.
     ///
     /// # Errors
     /// As [`Filling::add`]; begin another core then.
@@ -353,10 +351,10 @@ impl<'a> Filling<'a> {
         Ok(())
     }
 
-    /// What it has uses, where the core holds it and its last neuron is of this many compartments.
+    /// Use of the members: `Ok` within the limits. The last neuron has `neuron_size` compartments.
     fn holds(&self, neuron_size: usize) -> Result<CoreUsage, CoreUsage> {
-        // One neuron alone cannot be split any further; whether its output axons fit is asked when
-        // targets are seated.
+        // One neuron alone cannot be split any further; its output axons are checked when its
+        // targets have their cores.
         let mut used = self.usage();
         if self.shares && !self.limits.hold(&used.of) {
             used = self.usage_shared();
@@ -441,7 +439,7 @@ impl<'a> Filling<'a> {
         self.totals.synapses += u64::from(bundle);
     }
 
-    /// Counts all words again, with other widths.
+    /// Counts all words again, with the changed widths.
     fn recount(&mut self) {
         self.totals.lists.iter_mut().for_each(|lists| (lists.words, lists.longest) = (0, 0));
         self.axons.iter_mut().for_each(|axon| axon.words = [0; LISTS]);
@@ -509,12 +507,12 @@ impl<'a> Filling<'a> {
         totals
     }
 
-    /// What the compartments so far use with lists of their own, without output axons.
+    /// Use of the compartments so far with separate lists, without output axons.
     pub fn usage(&self) -> CoreUsage {
         self.totals().usage(self.limits)
     }
 
-    /// What the compartments so far use when lists are shared, without output axons.
+    /// Use of the compartments so far with shared lists, without output axons.
     fn usage_shared(&self) -> CoreUsage {
         let mut totals = self.totals();
         for (lists, classes) in totals.lists.iter_mut().zip(self.classes()) {
@@ -533,8 +531,7 @@ mod tests {
     use nsim_ir::resource::Packing;
     use nsim_testing::{limits, random_network};
 
-    /// What a core uses that holds the first this many of these compartments, counted from its
-    /// synapses.
+    /// Use of a core that holds the first `held` of these compartments, counted from its synapses.
     fn exact(network: &Quantised, order: &[CompartmentId], held: usize, limits: &Limits) -> CoreUsage {
         let (held, rest) = order.split_at(held);
         let members: IdVec<_, _> = vec![held.to_vec(), rest.to_vec()].into();
@@ -567,9 +564,8 @@ mod tests {
             let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
             let limits = Limits { packing, ..limits() };
             let mut order: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();
-            // Parts of a kernel that happen to have the same weights are distinguished while a core
-            // is filled, so lists that are shared are compared whole and in the order of the file
-            // only.
+            // Filling distinguishes parts of a kernel that happen to have equal weights. So shared
+            // lists are compared only for the whole network, in the order of the file.
             let shared = !Places::for_network(&network, &limits).is_empty();
             if !shared {
                 order.sort_by_key(|id| rng::digest(seed, u64::from(id.0)));

@@ -1,9 +1,9 @@
-//! What a core has, and what compartments use of it.
+//! Resources of a core, and their use by compartments.
 //!
-//! | question | file |
+//! | count | file |
 //! |---|---|
-//! | what a core uses, given its totals | `counter`, `packing`, `formats` |
-//! | the totals of a finished partition | `exact`, from the order of `by_core` |
+//! | use of a core, from its totals | `counter`, `packing`, `formats` |
+//! | the totals of a finished partition | `exact`, from the order of `sorted_synapses` |
 //! | the totals while a core is filled | `incremental` |
 //! | the totals of a box of a layer | `closed_form`, `receptive_field`, `even_draws` |
 //! | sources and targets of a compartment | `fan_in`, `fan_out` |

@@ -1,9 +1,9 @@
 //! Number of 64-bit words of synapse memory that an input axon's list takes.
 //!
-//! In comes the make-up of a list; out goes a number of words. The synapses that one spike source
-//! sends to one core are one list; those of the same
-//! [`SynapseFormat`](nsim_ir::quantised::connectivity::SynapseFormat) form one *group* of it, and a
-//! list takes the sum of its groups. A group is stored
+//! Input: the make-up of a list. Output: a number of words. The synapses that one spike source
+//! sends to one core are one list. Its synapses of one
+//! [`SynapseFormat`](nsim_ir::quantised::connectivity::SynapseFormat) form a *group*, and a list
+//! takes the sum of its groups. A group is stored
 //!
 //! - *dense*, without target indices, when its slots follow each other without gap or repetition; a
 //!   single synapse is dense;
@@ -12,57 +12,57 @@
 //!   of at most 31;
 //! - *sparse*, with an index for each synapse.
 //!
-//! Of the last two the one with fewer words is taken ([`stored`]), sparse on a tie. Each width of
-//! runs is a format of its own, and a core has few formats; a core on which they would not fit, or
-//! save nothing, stores no runs at all.
+//! Of the last two, the form with fewer words is taken ([`stored`]), sparse on a tie. Each width of
+//! runs is a separate format, and a core has few formats. A core on which runs would not fit, or
+//! save nothing, stores none at all.
 //!
-//! Widths that a core's groups share, so that a core needs few distinct formats: the index of a
-//! sparse synapse has the fewest legal bits that hold every slot of the core ([`index_bits`]); a
-//! group in which any synapse is delayed has the fewest legal bits that hold the longest delay of
-//! the core ([`delay_bits`]), any other group none.
+//! A core's groups share widths, so that it needs few distinct formats. The index of a sparse
+//! synapse has the fewest legal bits that hold every slot of the core ([`index_bits`]). A group
+//! with a delayed synapse has the fewest legal bits that hold the longest delay of the core
+//! ([`delay_bits`]), any other group none.
 //!
-//! Two ways of counting ([`Packing`]):
+//! Two counting rules ([`Packing`]):
 //!
 //! - `Nengo` (nengo-loihi `builder/validate.py`, `bits_per_axon`): a group of n synapses is cut
 //!   into entries of at most `synapses_per_entry`; an entry of g synapses takes
 //!   `ceil((g b + 4 + 6) / 64)` words, where b is weight, delay and index bits, 4 the bits of the
-//!   format number and 6 those of the count. nengo-loihi has no run-length lists; theirs are
-//!   counted with the index of the first slot, as NxTF has it.
-//! - `Nxtf` (Intel's NxTF, `nxsdk_modules_ncl/dnn`): at most 60 synapses an entry; one that is not
-//!   sparse also holds the index of its first slot; one more word when the bits of an entry's last
-//!   word are 0 or at least 59. NxTF also pads the axons that share one output axon to the longest
-//!   of them; axons here are discrete, so there is nothing to pad.
+//!   format number and 6 the bits of the count. nengo-loihi has no run-length lists; here they
+//!   include the index of the first slot, as in NxTF.
+//! - `Nxtf` (Intel's NxTF, `nxsdk_modules_ncl/dnn`): at most 60 synapses an entry; an entry that is
+//!   not sparse also holds the index of its first slot; one more word when the bits of an entry's
+//!   last word are 0 or at least 59. NxTF also pads the axons that share one output axon to the
+//!   longest of them; axons here are discrete, so there is nothing to pad.
 //!
 //! Omitted on purpose: learning tags.
 
 use nsim_ir::base::fixed::{Delay, WeightBits};
 use nsim_ir::resource::{Limits, Packing};
 
-/// Bits of a slot index that can be stored (nengo-loihi `SynapseConfig`, `INDEX_BITS_MAP`).
+/// Legal widths of a slot index, in bits (nengo-loihi `SynapseConfig`, `INDEX_BITS_MAP`).
 pub const INDEX_BITS: [u8; 7] = [6, 7, 8, 9, 10, 11, 12];
 /// Slots that the widest index can distinguish: no core of any target can hold more compartments.
 pub const MOST_SLOTS: u32 = 1 << 12;
-/// Bits of a run that can be stored (NxTF, run-length skip).
+/// Legal widths of a run, in bits (NxTF, run-length skip).
 pub const SKIP_BITS: [u8; 4] = [2, 3, 4, 5];
 /// Bits of an entry's header: 4 for the number of the format, 6 for the count of synapses
 /// (nengo-loihi `validate.py`).
 const HEADER_BITS: u64 = 4 + 6;
-/// Synapses of an entry that NxTF uses at most (NxTF `ExclusionCriteria`).
+/// Most synapses of an entry in NxTF (NxTF `ExclusionCriteria`).
 const NXTF_PER_ENTRY: u32 = 60;
-/// The least width of a stored delay that NxTF uses.
+/// Least width of a stored delay in NxTF, in bits.
 const NXTF_DELAY_BITS: u8 = 3;
 
-/// A core's lists without runs and with runs.
+/// Number of forms of a core's lists: without runs and with runs.
 pub const LISTS: usize = 2;
 
-/// The fewest legal index bits that hold every slot of a core with this many compartments; `None`
-/// above [`MOST_SLOTS`].
+/// The fewest legal index bits that hold every slot of a core with `compartments` compartments;
+/// `None` above [`MOST_SLOTS`].
 pub fn index_bits(compartments: u32) -> Option<u8> {
     INDEX_BITS.into_iter().find(|&bits| compartments <= 1 << bits)
 }
 
 /// The fewest legal bits that hold a core's longest delay: 0 for none, otherwise 1 to 6 (a delay is
-/// below 64), and at least 3 as NxTF has it.
+/// below 64), and at least 3 in NxTF.
 pub fn delay_bits(longest: Delay, packing: Packing) -> u8 {
     let bits = (u8::BITS - longest.get().leading_zeros()) as u8;
     match packing {
@@ -78,7 +78,7 @@ pub fn delay_slots(longest: Delay) -> u32 {
     (u32::from(longest.get()) + 1).next_power_of_two()
 }
 
-/// Synapses of an entry at most.
+/// Most synapses of an entry.
 pub fn per_entry(limits: &Limits) -> u32 {
     match limits.packing {
         Packing::Nengo => limits.synapses_per_entry,
@@ -96,7 +96,7 @@ pub struct Widths {
 }
 
 impl Widths {
-    /// The widths of a core with this many compartments and this longest delay. Above
+    /// The widths of a core with this number of compartments and this longest delay. Above
     /// [`MOST_SLOTS`] the index stays at its widest; such a core fits no target.
     pub fn for_core(compartments: u32, longest: Delay, packing: Packing) -> Self {
         Widths { index: index_bits(compartments).unwrap_or(12), delay: delay_bits(longest, packing) }
@@ -118,18 +118,18 @@ pub struct Group {
     pub skip: Option<u8>,
 }
 
-/// How the targets of a group's synapses are encoded.
+/// Encoding of the targets of a group's synapses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Compression {
     /// By their place in the list.
     Dense,
-    /// By the slots skipped before each, in this many bits.
+    /// By the slots skipped before each, in this number of bits.
     RunLength(u8),
     /// By an index each.
     Sparse,
 }
 
-/// The fewest bits of a run that hold a gap of this many slots; `None` beyond the widest.
+/// The fewest bits of a run that hold a gap of `gap` slots; `None` beyond the widest.
 #[inline]
 pub fn skip_bits(gap: u16) -> Option<u8> {
     SKIP_BITS.into_iter().find(|&bits| gap < 1 << bits)
@@ -141,7 +141,7 @@ pub fn words(group: Group, widths: Widths, limits: &Limits) -> u32 {
     stored(group, widths, limits)[0].1
 }
 
-/// How a group of a discrete axon is stored without and with runs, and in how many words.
+/// Compression and words of a group of a discrete axon, without and with runs.
 #[inline]
 pub fn stored(group: Group, widths: Widths, limits: &Limits) -> [(Compression, u32); LISTS] {
     let way = |compression| (compression, words_as(group, compression, false, widths, limits));
@@ -153,8 +153,8 @@ pub fn stored(group: Group, widths: Widths, limits: &Limits) -> [(Compression, u
     [plain, runs.filter(|runs| runs.1 < plain.1).unwrap_or(plain)]
 }
 
-/// Words of one group stored in this way, in the list of a discrete axon or in the table of a
-/// population axon: a dense one begins with its first slot there, whichever way it is counted.
+/// Words of one group in this compression, in the list of a discrete axon or in the table of a
+/// population axon. In a table a dense group begins with its first slot, under both rules.
 #[inline]
 pub fn words_as(group: Group, compression: Compression, in_table: bool, widths: Widths, limits: &Limits) -> u32 {
     let nxtf = limits.packing == Packing::Nxtf;
@@ -253,7 +253,7 @@ mod tests {
 
     #[test]
     fn more_synapses_never_take_fewer_words() {
-        // The partitioner relies on it: what does not fit will not fit with more on the core.
+        // The partitioner relies on it: a core that is too full stays so with more compartments.
         for packing in [Packing::Nengo, Packing::Nxtf] {
             let limits = Limits { packing, ..limits() };
             for (is_dense, delayed) in [(true, false), (false, false), (true, true), (false, true)] {

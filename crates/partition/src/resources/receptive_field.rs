@@ -1,9 +1,9 @@
-//! One axis of a window: who reaches whom.
+//! One axis of a window: its targets by source, and its sources by target.
 //!
-//! In comes a window (convolution or pooling); out go, for its rows or its columns alone, the
-//! targets of a source, and the fields in which the sources of a part of the targets reach it. A
-//! window reaches rows and columns independently, so both are counted in the length of an axis
-//! instead of the area.
+//! Input: a window (convolution or pooling). Output, for its rows or its columns alone: the targets
+//! of a source, and the receptive fields of the sources that reach a part of the targets. A window
+//! reaches rows and columns independently, so counting takes the length of an axis instead of the
+//! area.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -27,18 +27,18 @@ pub struct WindowAxis {
 pub type ReceptiveField = Vec<(u16, u32)>;
 
 impl WindowAxis {
-    /// From north to south.
+    /// Returns the axis of rows, from north to south.
     pub fn rows(window: &Window) -> Self {
         WindowAxis::along(window, |pair| pair.0, window.source.1, window.target.1)
     }
 
-    /// With the same weight at every place of the kernel.
+    /// Sets whether every place of the kernel has the same weight.
     #[must_use]
     pub fn uniform(self, uniform: bool) -> Self {
         WindowAxis { uniform, ..self }
     }
 
-    /// From west to east.
+    /// Returns the axis of columns, from west to east.
     pub fn columns(window: &Window) -> Self {
         WindowAxis::along(window, |pair| pair.1, window.source.2, window.target.2)
     }
@@ -62,8 +62,8 @@ impl WindowAxis {
         self.reached_by(source).map(|(at, _)| at)
     }
 
-    /// Target positions, ascending, whose windows cover a source position, and the places in the
-    /// kernel where they do; one place for all where the kernel is the same everywhere.
+    /// Target positions, ascending, whose windows cover a source position, and their places in the
+    /// kernel; place 0 for all where the kernel has one weight.
     fn reached_by(self, source: u32) -> impl Iterator<Item = (u32, u32)> {
         // Output o covers s at k when o stride - padding + k dilation = s.
         (0..self.kernel).rev().filter_map(move |k| {
@@ -81,20 +81,20 @@ impl WindowAxis {
         first.min(end) as u32..end as u32
     }
 
-    /// What a source reaches of a part of the targets, counted from where the part begins.
+    /// Targets of a source within a part of the axis, relative to the start of the part.
     #[must_use]
     pub fn field(self, source: u32, part: &Range<u32>) -> ReceptiveField {
         let inside = self.reached_by(source).filter(|(at, _)| part.contains(at));
         inside.map(|(at, k)| ((at - part.start) as u16, k)).collect()
     }
 
-    /// The sources that reach a part of the targets, ascending, and what each reaches of it.
+    /// Sources that reach a part of the targets, ascending, and the field of each.
     fn reaching(self, part: &Range<u32>) -> impl Iterator<Item = (u32, ReceptiveField)> {
         self.under(part).map(move |source| (source, self.field(source, part))).filter(|(_, field)| !field.is_empty())
     }
 
-    /// The first source that reaches a part of the targets, and what each of them reaches of it, by
-    /// its distance from the first; parts with equal patterns differ by a shift of all sources.
+    /// The first source that reaches a part of the targets, and the field of each source, by its
+    /// distance from the first. Parts with equal patterns differ by a shift of all sources.
     pub fn pattern(self, part: &Range<u32>) -> (u32, Vec<(u32, ReceptiveField)>) {
         let mut pattern: Vec<(u32, ReceptiveField)> = self.reaching(part).collect();
         let first = pattern.first().map_or(0, |&(source, _)| source);
@@ -102,7 +102,7 @@ impl WindowAxis {
         (first, pattern)
     }
 
-    /// What sources reach of a part, ascending, and how many sources reach the same.
+    /// Distinct fields of a part of the targets, ascending, and the number of sources with each.
     pub fn fields(self, part: &Range<u32>) -> Vec<(ReceptiveField, u64)> {
         let mut fields: BTreeMap<ReceptiveField, u64> = BTreeMap::new();
         for (_, field) in self.reaching(part) {
@@ -112,7 +112,7 @@ impl WindowAxis {
     }
 }
 
-/// Targets of a source, counted from where they begin, each with its place in the kernel.
+/// Targets of a source relative to the first of them, each with its place in the kernel.
 pub fn relative(field: &ReceptiveField) -> ReceptiveField {
     let first = field.first().map_or(0, |&(at, _)| at);
     field.iter().map(|&(at, k)| (at - first, k)).collect()

@@ -1,9 +1,9 @@
-//! What the cores of boxes send: whole boxes are reached, so destinations follow from positions.
+//! Fan-out of the cores of boxes: whole boxes are reached, so destinations follow from positions.
 //!
-//! Input: layers, their cuts and the compartments of each core. Output: core by core, the distinct
-//! sets of cores that its compartments' spikes reach, with how many compartments and how many
-//! output axons; and the same of the input channels. Nothing is enumerated synapse by synapse: a
-//! source position reaches some rows and some columns of boxes, and all boxes where they cross.
+//! Input: layers, their cuts and the compartments of each core. Output: for each core, the distinct
+//! sets of cores that its compartments' spikes reach, with numbers of compartments and of output
+//! axons; and likewise for the input channels. Nothing is enumerated synapse by synapse: a source
+//! position reaches some rows and some columns of boxes, and all boxes where they cross.
 
 use std::collections::{BTreeMap, HashSet};
 use std::ops::Range;
@@ -26,7 +26,7 @@ const PIECE: u32 = 1 << 14;
 /// Sources of one core, or of the inputs, that reach the same cores.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Sends {
-    /// Cores reached, ascending; the own one may be among them.
+    /// Cores reached, ascending; the sources' own core may be among them.
     pub to: Vec<u32>,
     /// Number of sources.
     pub sources: u64,
@@ -37,16 +37,16 @@ pub struct Sends {
     pub longer: u64,
 }
 
-/// What all sources send.
+/// Fan-out of all sources.
 #[derive(Debug, Clone)]
 pub struct BoxFanOut {
-    /// Of the channels of each population.
+    /// Fan-out of the channels of each population.
     pub inputs: IdVec<PopulationId, Vec<Sends>>,
-    /// Of the compartments of each core.
+    /// Fan-out of the compartments of each core.
     pub cores: Vec<Vec<Sends>>,
 }
 
-/// Where the boxes of a layer are: its cut and the number of its first core.
+/// Boxes of a layer: its cut and the number of its first core.
 #[derive(Debug, Clone)]
 pub struct Placed {
     /// The cut.
@@ -55,24 +55,24 @@ pub struct Placed {
     pub first: u32,
 }
 
-/// Where one projection leads.
+/// Destinations of one projection.
 struct Outlet<'a> {
     to: &'a Placed,
-    /// Its number among the projections into its target.
+    /// Its index among the projections into its target.
     projection: usize,
     reaches: Reaches,
 }
 
-/// Which boxes the sources of a projection reach.
+/// Boxes that the sources of a projection reach.
 enum Reaches {
     /// Every source reaches all.
     All,
-    /// Boxes by row and by column of the source, each with the number of the source's field there;
-    /// and by channel.
+    /// Boxes by row and by column of the source, each with the index of the source's field there;
+    /// and boxes by channel.
     Window { rows: Vec<Vec<(u32, u32)>>, columns: Vec<Vec<(u32, u32)>>, channels: Vec<Range<u32>> },
 }
 
-/// The cores that a source reaches, ascending, and how it is stored there.
+/// The cores that a source reaches, ascending, and the storage of its lists there.
 #[derive(Debug, Default)]
 struct Reached {
     cores: Vec<u32>,
@@ -132,7 +132,7 @@ impl<'a> Outgoing<'a> {
         Outgoing { shape: layers[source].shape, outlets }
     }
 
-    /// Whether two sources reach the same cores for certain.
+    /// Whether two sources certainly reach the same cores.
     fn same(&self, one: u32, other: u32) -> bool {
         let (_, height, width) = self.shape;
         let plane = height * width;
@@ -175,9 +175,9 @@ impl<'a> Outgoing<'a> {
         reached
     }
 
-    /// What sources with these indices send, ascending by the cores that they reach.
+    /// Fan-out of sources with these indices, ascending by the cores that they reach.
     fn sends(&self, indices: impl Iterator<Item = u32>) -> Vec<Sends> {
-        // By the cores that are reached; those at a position that share output axons count as one
+        // Keyed by the cores reached; sources at a position that share output axons count as one
         // there.
         let mut sends: BTreeMap<Vec<u32>, Sends> = BTreeMap::new();
         let mut positions: HashSet<(u32, Vec<u32>)> = HashSet::new();
@@ -208,7 +208,7 @@ impl<'a> Outgoing<'a> {
 }
 
 impl Sends {
-    /// Adds what other sources send to the same cores.
+    /// Adds other sources that reach the same cores.
     fn add(&mut self, other: &Sends) {
         self.sources += other.sources;
         self.axons += other.axons;
@@ -216,7 +216,7 @@ impl Sends {
     }
 }
 
-/// What all sources of a network send.
+/// Returns the fan-out of all sources of a network.
 pub fn fan_out(
     network: &Quantised,
     layers: &IdVec<PopulationId, Layer>,
@@ -267,15 +267,15 @@ pub fn axons(core: CoreId, sends: &[Sends], chips: &IdVec<CoreId, u32>, limits: 
     (sends.iter().map(slots).sum(), sends.iter().map(|sends| sends.to.len() as u32).max().unwrap_or(0))
 }
 
-/// Spikes of each source of a population in as many steps as rates count.
+/// Spikes of each source of a population, in the steps that rates count.
 pub type PopulationRates = IdVec<PopulationId, u64>;
 
-/// The same rate for all populations, as it is assumed.
+/// Returns the assumed rate for all populations.
 pub fn everywhere(network: &Quantised, rates: &Rates) -> PopulationRates {
     vec![rates.rate_of(0); network.populations().len()].into()
 }
 
-/// The rate of one population; others have that of what never spiked in a profile run.
+/// Returns the rate of one population; others have the profile rate of silent sources.
 pub fn only(network: &Quantised, population: PopulationId, rates: &Rates) -> PopulationRates {
     let never = Rates::assumed(0.0);
     network.populations().ids().map(|id| if id == population { rates.rate_of(0) } else { never.rate_of(0) }).collect()

@@ -1,7 +1,7 @@
-//! A network of layers cut into boxes, a core each, and what the boxes use and send.
+//! A network of layers cut into boxes, a core each, with the resource use and fan-out of the boxes.
 //!
-//! Input: the [`Layers`] of a network. Output: its [`Boxes`], the fewest that fit a target's limits
-//! or those of given lattices, in the order of populations and lattices.
+//! Input: the [`Layers`] of a network. Output: its [`Boxes`], either the fewest that fit a target's
+//! limits or the boxes of given lattices, in the order of populations and lattices.
 
 use std::collections::BTreeMap;
 
@@ -26,7 +26,7 @@ use nsim_ir::resource::{Limits, Resource};
 /// Rounds of making boxes smaller because their output axons do not fit.
 const ROUNDS: usize = 12;
 
-/// Where every layer is cut; none for inputs.
+/// Lattice of every layer; none for inputs.
 pub type Lattices = IdVec<PopulationId, Option<Lattice>>;
 
 /// A network of layers.
@@ -54,8 +54,8 @@ impl<'n> Layers<'n> {
         Ok(Layers { network, layers, formats: Formats::for_network(network) })
     }
 
-    /// The fewest boxes of which each fits a core with at most this many compartments, before
-    /// output axons are counted.
+    /// Finds the fewest boxes that each fit a core with at most `most` compartments, before output
+    /// axons are counted.
     fn fewest(&self, most: &IdVec<PopulationId, u32>, limits: &Limits, cuts: &mut Cuts) -> Result<(), CompileError> {
         let mut reasons = Vec::new();
         for (id, population) in self.network.populations().enumerate() {
@@ -75,8 +75,8 @@ impl<'n> Layers<'n> {
         vec![None; self.layers.len()].into()
     }
 
-    /// Whether the boxes of this many copies, of at most this many synapses each, are no more than
-    /// the cores of the target, before output axons are counted.
+    /// Whether the boxes of `copies` copies, of at most `most_synapses` synapses each, are no more
+    /// than the cores of the target, before output axons are counted.
     pub fn may_fit(&self, target: &Target, copies: u64, most_synapses: Option<u64>) -> bool {
         let most = most_compartments(self.network, target.limits(), most_synapses);
         let mut cuts = self.no_cuts();
@@ -91,21 +91,21 @@ type Cuts = IdVec<PopulationId, Option<Cut>>;
 /// A network in boxes, a core each.
 #[derive(Debug, Clone)]
 pub struct Boxes {
-    /// Where each layer is cut, and its first core.
+    /// Cut and first core of each layer.
     pub placed: IdVec<PopulationId, Option<Placed>>,
     /// The compartments of every box, in slot order.
     pub members: Members,
-    /// What boxes and inputs send.
+    /// Fan-out of boxes and inputs.
     pub sends: BoxFanOut,
     /// The layer of each box.
     pub layer: IdVec<CoreId, PopulationId>,
-    /// What each box uses.
+    /// Resource use of each box.
     pub uses: Vec<BoxUse>,
 }
 
 impl Boxes {
-    /// Cuts every layer into the fewest boxes, of at most this many synapses where that is said,
-    /// smaller where their output axons do not fit.
+    /// Cuts every layer into the fewest boxes, of at most `most_synapses` synapses if given. Boxes
+    /// are smaller where their output axons do not fit.
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`].
@@ -131,8 +131,8 @@ impl Boxes {
             for (core, used) in usage.enumerate() {
                 let id = found.layer[core];
                 for (resource, need, limit) in used.excesses(limits) {
-                    // What one compartment sends, and what is too much for one alone, no smaller
-                    // box makes less.
+                    // No smaller box reduces the output axons of one compartment, or the use of a
+                    // single one.
                     let held = used[Resource::Compartments];
                     if resource == Resource::AxonsOutPerCompartment || held == 1 || round == ROUNDS {
                         let reason = Reason::of_population(network.network, id, resource, need, limit);
@@ -189,12 +189,12 @@ impl Boxes {
         Boxes { placed, members, sends, layer, uses }
     }
 
-    /// Where every layer is cut.
+    /// Lattice of every layer.
     pub fn lattices(&self) -> Lattices {
         self.placed.iter().map(|placed| placed.as_ref().map(|placed| placed.cut.lattice)).collect()
     }
 
-    /// The boxes as a partition, whose members they then leave to it, with the chip of each given.
+    /// Moves the members into a partition, with the chip of each core given.
     ///
     /// # Errors
     /// As [`partition_of`].
@@ -209,7 +209,7 @@ impl Boxes {
         Ok((partition, self))
     }
 
-    /// What every core uses, with its chip given.
+    /// Resource use of every core, with its chip given.
     pub fn usage(&self, network: &Quantised, chips: &IdVec<CoreId, u32>, limits: &Limits) -> IdVec<CoreId, CoreUsage> {
         let of = |(core, held): (CoreId, &Vec<CompartmentId>)| {
             let (axons_out, axons_out_per_compartment) =
@@ -225,8 +225,8 @@ impl Boxes {
         self.members.enumerate().map(of).collect()
     }
 
-    /// What is sent, inputs first: by which core, none for inputs; to which cores, ascending;
-    /// spikes in as many steps as rates count.
+    /// Spikes between cores, inputs first: core of the sources, none for inputs; cores reached,
+    /// ascending; number of spikes in the steps that `rates` counts.
     pub fn flows<'a>(&'a self, rates: &'a PopulationRates) -> impl Iterator<Item = (Option<CoreId>, &'a [u32], u64)> {
         let inputs = self.sends.inputs.enumerate().flat_map(move |(population, sends)| {
             sends.iter().map(move |sends| (None, &sends.to[..], sends.sources * rates[population]))

@@ -1,13 +1,13 @@
-//! Equal copies of a network on cores, from as few of them as repeat.
+//! Equal copies of a network on cores, from the smallest number of copies that repeats.
 //!
-//! Input: one copy, how many, a target. Output: a [`Pattern`]: groups of copies that share cores
-//! among themselves and with no other group. What the cores of a group use depends on the group and
-//! on where it crosses from one chip to the next, so that each such case is counted once.
+//! Input: one copy, their number, a target. Output: [`CopyGroups`]: copies that share cores within
+//! a group, and with no other group. The use of a group's cores depends on the group, and on its
+//! position if it crosses from one chip to the next. Each such case is counted once.
 //!
 //! Filling cores in the order of the file looks only at the core being filled and at the next
-//! segment. So where two cores begin at the same place of a copy, everything after the second
-//! repeats what follows the first. If that place is the beginning, the cores up to there are a
-//! group, and the copies left over at the end are another; otherwise only their number is known.
+//! segment. So where two cores begin at the same place of a copy, the cores after the second repeat
+//! the cores after the first. If that place is the beginning, the cores up to there are a group,
+//! and the remaining copies are another. Otherwise only the number of cores is known.
 
 use std::collections::HashMap;
 
@@ -20,8 +20,7 @@ use nsim_ir::partition::{CoreUsage, seats};
 use nsim_ir::quantised::Quantised;
 use nsim_quantise::copies::copies;
 
-/// Copies that are filled at first to see where they repeat, and how many times more in each
-/// further attempt.
+/// Copies of the first attempt to find a repetition, and factor to the next attempt.
 const FIRST: u32 = 8;
 const MORE: u32 = 4;
 
@@ -30,11 +29,11 @@ const MORE: u32 = 4;
 struct Group {
     network: Quantised,
     members: Members,
-    /// How often it follows itself.
+    /// Number of times that it is repeated.
     times: u32,
 }
 
-/// All copies, as groups one after the other.
+/// All copies, as consecutive groups.
 #[derive(Debug, Clone)]
 pub struct Pattern(Vec<Group>);
 
@@ -59,7 +58,7 @@ impl Pattern {
         Pattern(vec![Group { network: one.clone(), members, times: copies }])
     }
 
-    /// Cores filled with copies in the order of the file, regardless of the fan-out; `None` when a
+    /// Fills cores with copies in the order of the file, regardless of the fan-out; `None` when a
     /// compartment fits no core.
     pub fn filled(one: &Quantised, all: u32, target: &Target, keep_whole: bool) -> Option<Filled> {
         let fill = |many: u32| {
@@ -80,7 +79,7 @@ impl Pattern {
                 many = many.saturating_mul(MORE).min(all);
                 continue;
             };
-            // From the second on, cores are those from the first on, again and again.
+            // From `second` on, the cores from `first` to `second` are repeated.
             let (begin, cycle) = (u64::from(starts[first]), u64::from(starts[second] - starts[first]));
             let behind = u64::from(one.compartments()) * u64::from(all) - begin;
             let last = starts[first..second].iter().filter(|&&start| u64::from(start) - begin < behind % cycle).count();
@@ -118,8 +117,8 @@ impl Pattern {
         all.into()
     }
 
-    /// What each core uses when cores are placed chip by chip; `None` when a group is no partition
-    /// of its copies.
+    /// Resource use of each core when cores are placed chip by chip; `None` when a group is no
+    /// partition of its copies.
     pub fn usage(&self, target: &Target) -> Option<IdVec<CoreId, CoreUsage>> {
         let of_chip = target.chip().cores;
         let (mut all, mut first) = (Vec::with_capacity(self.cores()), 0);

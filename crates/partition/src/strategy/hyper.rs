@@ -1,20 +1,19 @@
-//! A network as a hypergraph, and what a partition of it costs.
+//! A network as a hypergraph, and the cost of its partitions.
 //!
 //! Input: a network. Output: a [`Hypergraph`]: one hyperedge (*net*) for each source of spikes, or
-//! for all sources of a population whose targets are the same (dense layers), with the compartments
-//! that it reaches as pins. One net per source rather than one edge per pair, because a spike is
-//! sent once to each core however many of its targets are there (Ronzani & Silvano, arXiv
-//! 2601.16118). The cost of a partition is the number of messages of a step: over all nets, the
-//! rate of each source times the number of cores that hold a pin, the source's own core not
-//! counted.
+//! for all sources of a population with equal targets (dense layers). Its pins are the compartments
+//! that it reaches. A net replaces one edge per pair, because a spike is sent once to each core,
+//! for any number of targets there (Ronzani & Silvano, arXiv 2601.16118). The cost of a partition
+//! is the number of messages of a step: over all nets, the rate of each source times the number of
+//! cores that hold a pin, the source's own core not counted.
 //!
 //! A [`State`] keeps that cost and each core's use of compartments, input axons, output axons and
 //! synapse words up to date while groups of compartments move. Compartments and messages are exact.
-//! Input axons are those of lists of their own, output axons take the slots of another chip where
-//! there is more than one: both are never too few. Words are those of the simple formats at the
-//! index width that the largest core needs and the longest delay there is: never too few for
-//! sources with one sparse projection, an estimate for others. A caller that keeps a refined
-//! partition has it counted exactly afterwards ([`crate::resources::exact`]).
+//! Input axons assume separate lists, and output axons the slots of another chip where there is
+//! more than one: both are never too few. Words assume the simple formats, the index width of the
+//! largest core and the longest delay there is. They are never too few for sources with one sparse
+//! projection, an estimate for others. So a refined partition is counted exactly afterwards
+//! ([`crate::resources::exact`]).
 
 use std::collections::HashMap;
 
@@ -29,8 +28,8 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::{PerResource, Resource};
 
-/// The lists turned around: for each key below `keys`, the lists that it is in, ascending. `turn`
-/// makes of a list's number and an item the item's key and what the key's list holds.
+/// Transposed lists: for each key below `keys`, the lists that contain it, ascending. `turn` maps a
+/// list's number and an item to the item's key and its entry in the key's list.
 pub fn transposed<T: Copy, U: Copy + Default>(
     lists: &Csr<T>,
     keys: usize,
@@ -46,16 +45,16 @@ pub fn transposed<T: Copy, U: Copy + Default>(
     })
 }
 
-/// What one or several equal sources reach.
+/// One or several sources with equal targets.
 #[derive(Debug, Clone, Copy)]
 pub struct Net {
     /// Messages of a step to each core that holds a pin, of all its sources together.
     pub weight: u64,
-    /// Sources.
+    /// Number of sources.
     pub sources: u32,
-    /// Whether all pins are those of dense layers, whose lists need no indices.
+    /// Whether all pins belong to dense layers, whose lists need no indices.
     pub dense: bool,
-    /// Bits of a weight and a delay, the most of its synapses.
+    /// Widest weight of its synapses, and whether any of them is delayed.
     pub bits: (WeightBits, bool),
 }
 
@@ -64,10 +63,10 @@ pub struct Net {
 pub struct Hypergraph {
     /// The nets.
     pub nets: Vec<Net>,
-    /// (net, synapses) that reach each compartment, of one source each.
+    /// (net, synapses of one source) of the nets that reach each compartment.
     pub into: Csr<(u32, u32)>,
-    /// The net of each compartment's own spikes, and their rate; `None` for a compartment that
-    /// reaches nothing.
+    /// The net of each compartment's own spikes, and their rate; `None` for a compartment without
+    /// targets.
     pub own: Vec<Option<(u32, u64)>>,
 }
 
@@ -117,9 +116,9 @@ impl Hypergraph {
 pub struct Groups {
     /// Compartments of each group.
     pub members: Csr<u32>,
-    /// (net, synapses of one source) that reach each group.
+    /// (net, synapses of one source) of the nets that reach each group.
     pub into: Csr<(u32, u32)>,
-    /// (net, sources, messages of a step) that a group's own spikes are.
+    /// (net, sources, messages of a step) of a group's own spikes.
     pub own: Csr<(u32, u32, u64)>,
 }
 
@@ -169,13 +168,13 @@ impl Groups {
     }
 }
 
-/// What a core uses while compartments move, of the resources that are followed.
+/// Resource use of a core while compartments move, for the tracked resources.
 pub type Load = PerResource<i64>;
 
 /// The resources that are followed.
 const FOLLOWED: [Resource; 4] = [Resource::Compartments, Resource::AxonsIn, Resource::AxonsOut, Resource::SynapseWords];
 
-/// Whether a core is within a limit in every respect in which it uses more than before.
+/// Whether a core is within the limit of every resource of which it uses more than before.
 fn fits(now: &Load, before: &Load, limit: &Load) -> bool {
     FOLLOWED.into_iter().all(|resource| now[resource] <= limit[resource] || now[resource] <= before[resource])
 }
@@ -195,16 +194,16 @@ pub struct State<'a> {
     out_slots: i64,
     /// Words of a list of n synapses by (dense, bits, delayed).
     words: HashMap<(bool, WeightBits, bool), Vec<u32>>,
-    /// Output axons of a compartment at most.
+    /// Most output axons of a compartment.
     most_out: usize,
 }
 
-/// Synapses of a list whose words are looked up; longer ones are taken in proportion.
+/// Synapses of a list below which words are looked up; longer lists are extrapolated.
 const TABLE: usize = 4097;
 
 impl<'a> State<'a> {
-    /// The state of a membership. Synapse words are limited to this many hundredths of what a core
-    /// has.
+    /// Returns the state of a membership. Synapse words are limited to `percent_of_words` % of a
+    /// core's limit.
     pub fn new(
         graph: &'a Hypergraph,
         members: &IdVec<CoreId, Vec<CompartmentId>>,
@@ -288,8 +287,7 @@ impl<'a> State<'a> {
         i64::from(table[synapses as usize % (TABLE - 1)]) + whole as i64 * i64::from(table[TABLE - 1])
     }
 
-    /// What each core already holds of a group's nets: calls `f(core, messages)` once for each net
-    /// and core.
+    /// Calls `f(core, messages)` for each net of a group and each core that holds a pin of it.
     #[inline]
     pub fn for_each_shared(&self, groups: &Groups, group: u32, mut f: impl FnMut(u32, u64)) {
         for &(net, _) in groups.into.get(group as usize) {
@@ -314,8 +312,8 @@ impl<'a> State<'a> {
             }
             let weight = self.graph.nets[net as usize].weight as i64;
             gain += weight * (i64::from(leaves) - i64::from(arrives));
-            // Of what they save or cost, sources that stay on either core see nothing: their own
-            // core is no message.
+            // Sources that stay on either core neither save nor cost a message: their own core
+            // takes none.
             let moving = own.binary_search_by_key(&net, |own| own.0).map_or(0, |at| own[at].2);
             for &(core, _, rate) in &self.owners[net as usize] {
                 if core == from && leaves {
@@ -334,8 +332,8 @@ impl<'a> State<'a> {
         gain
     }
 
-    /// Whether a group may move: every core stays within its limits, or as far above them as it
-    /// was.
+    /// Whether a group may move: every core stays within its limits, or exceeds them by no more
+    /// than before.
     pub fn may_move(&self, groups: &Groups, group: u32, from: u32, to: u32) -> bool {
         let (before_from, before_to) = (self.loads[from as usize], self.loads[to as usize]);
         let (after_from, after_to) = self.after(groups, group, from, to);
@@ -433,11 +431,10 @@ impl<'a> State<'a> {
         self.loads.len()
     }
 
-    /// Compartments of each core, ascending; `order` gives compartments that do not move, core by
-    /// core, in their slots.
+    /// Compartments of each core: the remaining ones of `before` in their order, then newcomers,
+    /// ascending. Empty cores are removed.
     pub fn members(&self, before: &IdVec<CoreId, Vec<CompartmentId>>) -> IdVec<CoreId, Vec<CompartmentId>> {
         let mut members: Vec<Vec<CompartmentId>> = vec![Vec::new(); self.loads.len()];
-        // Those that stay keep their order; newcomers follow, ascending.
         for (core, held) in before.enumerate() {
             members[core.index()].extend(held.iter().filter(|id| self.core_of[id.index()] == core.0));
         }
@@ -453,7 +450,7 @@ impl<'a> State<'a> {
     }
 }
 
-/// Synapses of a core, or sources.
+/// Synapses (or sources) in the entry of a core; 0 without an entry.
 #[inline]
 fn count(cores: &[(u32, u32)], core: u32) -> u32 {
     cores.iter().find(|entry| entry.0 == core).map_or(0, |entry| entry.1)

@@ -1,7 +1,7 @@
-//! Ways of cutting the layers of a network into boxes, a core each.
+//! Cuts of the layers of a network into boxes, a core each.
 //!
 //! Input: a network in which every projection is a window or all to all. Output: its [`Layer`]s,
-//! and of each the grid of boxes that takes the fewest cores, with what every box uses
+//! and for each the grid of boxes that takes the fewest cores, with the use of every box
 //! ([`crate::resources::closed_form`]).
 
 use std::collections::HashMap;
@@ -18,7 +18,7 @@ use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Limits, Resource};
 
-/// Grids of a layer that are tried.
+/// Most grids of a layer that are tried.
 const TRIALS: usize = 200;
 
 /// The layers of a network, empty for inputs; `None` when a projection is neither a window nor all
@@ -32,18 +32,18 @@ pub fn layers(network: &Quantised) -> Option<IdVec<PopulationId, Layer>> {
     network.populations().ids().map(of).collect()
 }
 
-/// Where a layer is cut.
+/// Grid of boxes over a layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Lattice {
-    /// Channels, rows and columns of a box; those at the end may be smaller.
+    /// Channels, rows and columns of a box; boxes at the end may be smaller.
     pub size: (u32, u32, u32),
     /// Boxes along channels, rows and columns.
     along: (u32, u32, u32),
 }
 
 impl Lattice {
-    /// A layer of this shape in boxes of this size; `None` when a box has no or more sides than the
-    /// layer.
+    /// Returns the grid of boxes of this size over a layer of this shape; `None` when a side of a
+    /// box is 0 or longer than the layer's.
     pub fn new(shape: (u32, u32, u32), size: (u32, u32, u32)) -> Option<Self> {
         let within = |length: u32, size: u32| (1..=length).contains(&size).then(|| length.div_ceil(size));
         let along = (within(shape.0, size.0)?, within(shape.1, size.1)?, within(shape.2, size.2)?);
@@ -60,13 +60,13 @@ impl Lattice {
         tiles::to_and_fro(self.along)
     }
 
-    /// The place of a box in that order.
+    /// Index of a box in that order.
     pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
         let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
         (y * self.along.2 + x) * self.along.0 + c
     }
 
-    /// The compartments of every box, in slot order, of a layer that begins with this one.
+    /// Compartments of every box, in slot order, of a layer whose first compartment is `first`.
     pub fn members(self, layer: &Layer, first: CompartmentId) -> impl Iterator<Item = Vec<CompartmentId>> + use<'_> {
         self.order().map(move |at| {
             let indices = tiles::cell(layer.shape, self.size, at, layer.by_channel);
@@ -78,7 +78,7 @@ impl Lattice {
 /// A layer cut into boxes, a core each.
 #[derive(Debug, Clone)]
 pub struct Cut {
-    /// Where.
+    /// Grid of the boxes.
     pub lattice: Lattice,
     kinds: [Vec<u32>; 3],
     /// Rows and columns of each kind.
@@ -105,7 +105,7 @@ fn kinds<T: Eq + std::hash::Hash + Clone>(items: impl Iterator<Item = T>) -> (Ve
 }
 
 impl Cut {
-    /// A layer cut here.
+    /// Cuts a layer into the boxes of a lattice.
     pub fn new(layer: &Layer, lattice: Lattice, formats: &Formats, limits: &Limits) -> Self {
         let ((c, h, w), size) = (layer.shape, lattice.size);
         let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of_part(layer, &part)));
@@ -124,16 +124,16 @@ impl Cut {
         Cut { lattice, kinds: [of_channels, of_rows, of_columns], sides: [rows, columns], uses }
     }
 
-    /// The first grid, in the order of boxes and then of messages, of which every box fits a core
-    /// with at most this many compartments.
+    /// Returns the first grid, by number of boxes and then of messages, of which every box fits a
+    /// core with at most `most` compartments.
     ///
     /// # Errors
-    /// What one compartment alone uses, when no grid was found.
+    /// The use of one compartment alone, when no grid was found.
     pub fn fewest_boxes(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Result<Self, CoreUsage> {
         let most = most.min(limits[Resource::Compartments]).min(packing::MOST_SLOTS);
         let mut cut = None;
         tiles::first_that_fits(&tiles::grids(layer, formats, limits, most), TRIALS, |Grid { size, .. }| {
-            // Most grids that do not fit are known by a box in the middle, whose windows are whole.
+            // A box in the middle, whose windows are whole, reveals most grids that do not fit.
             if layer.middle(*size, formats, limits).exceeds(limits) {
                 return false;
             }
@@ -153,22 +153,22 @@ impl Cut {
         }
     }
 
-    /// The kind of a box: boxes of one kind use the same.
+    /// Kind of a box: boxes of one kind have the same resource use.
     pub fn kind(&self, (c, y, x): (u32, u32, u32)) -> (u32, u32, u32) {
         (self.kinds[0][c as usize], self.kinds[1][y as usize], self.kinds[2][x as usize])
     }
 
-    /// The rows of the boxes in a row of them.
+    /// Rows of the boxes in one row of the grid.
     pub fn rows(&self, row: u32) -> &Side {
         &self.sides[0][self.kinds[1][row as usize] as usize]
     }
 
-    /// The columns of the boxes in a column of them.
+    /// Columns of the boxes in one column of the grid.
     pub fn columns(&self, column: u32) -> &Side {
         &self.sides[1][self.kinds[2][column as usize] as usize]
     }
 
-    /// What the core of a box uses.
+    /// Resource use of the core of a box.
     pub fn used(&self, at: (u32, u32, u32)) -> &BoxUse {
         &self.uses[&self.kind(at)]
     }

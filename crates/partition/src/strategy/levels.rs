@@ -1,12 +1,12 @@
 //! Compartments merged into ever larger groups, by the nets that they share.
 //!
-//! Input: a hypergraph. Output: levels of labels: on each level two groups of the level below have
-//! one label when they share more of their nets than either shares with any other group that is
-//! still free (heavy-connectivity matching, as multilevel partitioners coarsen: Karypis et al.,
-//! "Multilevel hypergraph partitioning", DAC 1997; Catalyurek & Aykanat, "PaToH", 1999). A net of k
-//! pins counts 1 / (k - 1) of its weight for each pair; nets of many pins distinguish no pair from
-//! another and are omitted. The levels give an order in which related compartments are consecutive,
-//! and the groups that are moved as one during refinement.
+//! Input: a hypergraph. Output: levels of labels. On each level, a group of the level below gets
+//! the label of the free group with which it shares most of its nets (heavy-connectivity matching,
+//! as multilevel partitioners coarsen: Karypis et al., "Multilevel hypergraph partitioning", DAC
+//! 1997; Catalyurek & Aykanat, "PaToH", 1999). A net of k pins counts 1 / (k - 1) of its weight for
+//! each pair; nets of many pins distinguish no pair from another and are omitted. The levels give
+//! an order in which related compartments are consecutive, and the groups that are moved as one
+//! during refinement.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -19,15 +19,15 @@ use nsim_ir::base::rng;
 
 /// Pins above which a net is ignored.
 const LARGEST_NET: usize = 200;
-/// Nets of a group that are considered, a random sample where there are more.
+/// Most nets of a group that are considered; a random sample where there are more.
 const NETS: u64 = 48;
-/// Levels after which it ends in any case.
+/// Most levels.
 const LEVELS: usize = 40;
 const SEED: u64 = 0x1e7e1;
-/// Compartments from one look at the clock to the next.
+/// Number of compartments between two checks of the clock.
 const LOOKS: usize = 64;
 
-/// Labels of compartments, level by level from fine to coarse; `None` for those that do not move.
+/// Labels of compartments, level by level from fine to coarse; `None` for fixed compartments.
 #[derive(Debug)]
 pub struct Levels {
     /// Label of each compartment by level; the first level labels each compartment by itself.
@@ -35,8 +35,8 @@ pub struct Levels {
 }
 
 impl Levels {
-    /// The levels of a hypergraph without the compartments that are `fixed`; none further once it
-    /// is the end.
+    /// The levels of a hypergraph without the compartments that are `fixed`; no further level after
+    /// the time `end`.
     pub fn new(graph: &Hypergraph, fixed: &[bool], end: Option<Instant>) -> Self {
         let mut numbers = 0u32..;
         let finest = |&fixed: &bool| if fixed { None } else { numbers.next() };
@@ -56,7 +56,7 @@ impl Levels {
         Levels { labels }
     }
 
-    /// All compartments that move, such that those of a group are consecutive on every level.
+    /// All compartments that move, ordered such that each group is consecutive on every level.
     pub fn order(&self) -> Vec<u32> {
         let mut ids: Vec<u32> =
             (0..self.labels[0].len() as u32).filter(|&id| self.labels[0][id as usize].is_some()).collect();
@@ -65,14 +65,14 @@ impl Levels {
     }
 }
 
-/// The label of each group's pair, and how many labels there are; `None` when it is the end before
-/// all have one.
+/// The label of each group's pair, and the number of labels; `None` when `end` comes before all
+/// have one.
 fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<(Vec<u32>, u32)> {
     let pins: Csr<u32> = transposed(&groups.into, graph.nets.len(), |group, (net, _)| (net, group));
     let owners: Csr<u32> = transposed(&groups.own, graph.nets.len(), |group, (net, _, _)| (net, group));
     let mut partner: Vec<Option<u32>> = vec![None; groups.len()];
     let (mut score, mut touched) = (vec![0f64; groups.len()], Vec::new());
-    // Groups take their turns in random order: in the file's, the last would find no free partner.
+    // Groups are visited in random order: in the file's, the last would find no free partner.
     let mut turns: Vec<u32> = (0..groups.len() as u32).collect();
     turns.sort_unstable_by_key(|&group| rng::bits(SEED, groups.len() as u64, u64::from(group)));
     let size = |group: u32| groups.members.get(group as usize).len();
@@ -132,13 +132,13 @@ fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<
     Some((labels, count))
 }
 
-/// An order by growth: from a compartment to the one that is joined to most of those already there,
-/// and so on.
+/// An order by growth: the next compartment is the one with most connections to the compartments
+/// already chosen.
 ///
-/// Compartments are joined when one reaches the other. Where none is joined to those chosen so far,
-/// the next in the order of the file starts again; and after `core` compartments what counts is
-/// only who is joined to those that follow. Once it is the end, the rest follow in the order of the
-/// file.
+/// Compartments are connected when one reaches the other, or when a small net of inputs or of a
+/// dense layer reaches both. Where none is connected, the next in the order of the file starts
+/// again. After `core` compartments, only connections to later ones count. After the time `end`,
+/// the rest follow in the order of the file.
 pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instant>) -> Vec<u32> {
     let n = fixed.len();
     let pins: Csr<u32> = transposed(&graph.into, graph.nets.len(), |id, (net, _)| (net, id));
@@ -173,7 +173,7 @@ pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instan
             }
         };
         if order.len() % core.max(1) == 0 {
-            // Another core begins: what is joined to the last one no longer counts.
+            // Another core begins: connections to the last one no longer count.
             heap.clear();
             touched.drain(..).for_each(|id: u32| score[id as usize] = 0);
         }

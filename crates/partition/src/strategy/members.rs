@@ -1,4 +1,4 @@
-//! The compartments of each core, before and after they are known to keep every limit.
+//! Compartments of each core, before and after their limits are checked.
 
 use crate::error::CompileError;
 use crate::reason::Reason;
@@ -16,7 +16,7 @@ pub fn row_of_chips(cores: usize, target: &Target) -> IdVec<CoreId, u32> {
     (0..cores as u32).map(|core| core / target.chip().cores).collect()
 }
 
-/// A partition of given members, with what they use.
+/// Returns a partition of given members, with their resource use.
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`] with a reason for each limit that a core exceeds;

@@ -1,25 +1,25 @@
-//! Compartments onto logical cores.
+//! Assignment of compartments to logical cores.
 //!
 //! Input: a quantised network. Output: a [`Partition`] in which every core keeps every limit, or
-//! every reason why there is none. Every strategy ends in the same way: an order of compartments is
-//! filled into cores ([`order`]), so that limits hold exactly and cores are full. What differs is
-//! the order, and what is done afterwards:
+//! every reason for which there is none. Every strategy fills cores in an order of compartments
+//! ([`order`]), so that limits hold exactly and cores are full. Strategies differ in that order and
+//! in later steps:
 //!
-//! - `Sequential`: the order of the model file, as the public tools hand out cores (nengo-loihi,
+//! - `Sequential`: the order of the model file, as the public tools assign cores (nengo-loihi,
 //!   NxTF).
 //! - `Greedy`: populations over space in tiles ([`tiles`]); all others by growth, each compartment
-//!   next to those that it is joined to ([`levels::grown`]).
-//! - Both: where every synapse is listed, compartments that share sources on one core
-//!   ([`sharing`]).
+//!   next to compartments that it is connected to ([`levels::grown`]).
+//! - `Greedy` and `Multilevel`: where every synapse is listed, compartments that share sources on
+//!   one core ([`sharing`]).
 //! - `Multilevel`: tiles; all others in the order of a hierarchy of groups ([`levels`]), and then
 //!   groups of every size, the largest first, are moved between cores while that saves messages
 //!   ([`refine`]).
 //!
 //! A strategy also tries the ones above it and keeps the best: fewest cores, then fewest messages.
-//! `Multilevel` skips mappings whose steps are too long for the cores that they save; otherwise
-//! none is ever worse than the one above. Where neurons have several compartments all take the
-//! order of the file, neuron by neuron. Copies of a network are one copy's partition repeated, so
-//! that no copy shares a core with another, unless filling all of them together takes fewer cores.
+//! `Multilevel` skips mappings whose steps are too long for the cores that they save. Otherwise no
+//! strategy is worse than the one above. Where neurons have several compartments, all use the order
+//! of the file, neuron by neuron. Copies of a network are one copy's partition repeated, so that no
+//! copy shares a core with another, unless filling all of them together takes fewer cores.
 
 pub mod box_fan_out;
 pub mod boxes;
@@ -65,28 +65,27 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::{Capacity, Limits, Resource};
 
-/// How a partition is looked for.
+/// Options of the search for a partition.
 #[derive(Debug, Clone, Copy)]
 pub struct Search<'a> {
-    /// How compartments are grouped into cores.
+    /// Strategy that groups compartments into cores.
     pub strategy: Strategy,
-    /// How often sources of one copy spike.
+    /// Firing rates of the sources of one copy.
     pub rates: &'a Rates,
-    /// Units of work, about 5 ns each: the amount for an effort of this many seconds, equal on
-    /// every machine.
+    /// Effort in units of work, about 5 ns each; for an effort in seconds, equal on every machine.
     pub work: u64,
-    /// When to end in any case.
+    /// Time at which the search ends in any case.
     pub end: Option<Instant>,
     /// Number of copies to be mapped.
     pub copies: u32,
-    /// Synapses of a core at most, as far as tiles decide.
+    /// Most synapses of a core, respected by tiles.
     pub most_synapses: Option<u64>,
-    /// Whether to say that cores were saved at the price of longer steps.
+    /// Whether to warn that cores were saved at the price of longer steps.
     pub explains: bool,
 }
 
 impl<'a> Search<'a> {
-    /// As options say, for sources that spike this often.
+    /// Returns the search for these options, with these firing rates.
     pub fn new(options: &Options, rates: &'a Rates) -> Self {
         let (work, end) = (options.effort.work(WORK_PER_SECOND), options.effort.end());
         let explains = options.objective == Objective::Cores && work > 0;
@@ -95,34 +94,33 @@ impl<'a> Search<'a> {
     }
 }
 
-/// Units of work in a second, roughly; fixed, so that an effort means the same on every machine.
+/// Approximate units of work in a second; fixed, so that an effort is the same on every machine.
 const WORK_PER_SECOND: u64 = 200_000_000;
 /// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after
 /// level.
 const WORK_PER_PIN: u64 = 60;
 /// Synapses from which on a network is not grouped by levels where its synapses are sampled evenly.
 const EVEN_SYNAPSES: u64 = 1 << 18;
-/// Largest ratio of a step to that in the order of the file, times the ratio of cores saved.
+/// Longest step relative to the order of the file, to be multiplied by the ratio of cores saved.
 const MOST_LONGER: f64 = 1.1;
-/// Synapses of a network whose tiles are also tried with fewer words.
+/// Most synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
-/// Spikes, as a multiple of the mean, of the step in which networks over space are compared too.
+/// Spikes of a busy step, relative to the mean, at which networks over space are compared too.
 const BURST: u64 = 10;
-/// Rounds of making tiles smaller because their output axons do not fit.
+/// Most rounds that make tiles smaller because their output axons do not fit.
 const TILE_ROUNDS: usize = 6;
-/// Hundredths of the synapse words that refinement may count on, in the order of trial: words are
+/// Percentages of the synapse words that refinement may use, in the order of trial: words are
 /// estimates there.
 const WORD_MARGINS: [i64; 2] = [100, 85];
-/// Synapses of a network that is refined once more from shaken members; smaller ones are so as many
-/// times more often.
+/// A network of n synapses is refined from perturbed members this number / n times more.
 const SHAKEN_SYNAPSES: u64 = 2_000;
-/// Times at most.
+/// Most refinements from perturbed members.
 const MOST_SHAKES: u64 = 16;
-/// Where the draws of shaking begin.
+/// Seed of the perturbations.
 const SHAKE_SEED: u64 = 0x5ba4e;
 
-/// Refuses what cannot fit by its sizes alone, before anything large is made; with the reasons of a
-/// single copy, if any.
+/// Refuses a network that cannot fit by its sizes alone, before anything large is built; adds the
+/// reasons of a single copy, if any.
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`].
@@ -138,7 +136,7 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, in_boxes: bo
         let cores = least_cores(one, copies, limits);
         (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
     });
-    // What a compartment needs is found by placing one copy, unless that would take long.
+    // The needs of a compartment are found by mapping one copy, unless that would take long.
     let quick = one.synapses() <= FEW_SYNAPSES || bound.is_some() && compartments <= room;
     let mut reasons = match bound {
         Some(bound) => vec![bound],
@@ -160,8 +158,8 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, in_boxes: bo
     Err(CompileError::DoesNotFit(reasons))
 }
 
-/// Cores for a network of equal copies; `one` is a single copy and `all` is all of them, copy after
-/// copy.
+/// Returns a partition of a network of equal copies; `one` is a single copy and `all` is all of
+/// them, copy after copy.
 ///
 /// # Errors
 /// [`CompileError`].
@@ -181,7 +179,7 @@ pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Sear
     counted(all, found, target).map_err(CompileError::fault)
 }
 
-/// Cores for copies of a network, one of which takes these.
+/// Returns a partition of copies of a network, where `members` are the cores of one copy.
 fn partition_copies(
     filler: &Filler<'_>,
     members: Members,
@@ -211,8 +209,8 @@ fn partition_copies(
             } else if let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
                 && together.members.len() < pattern.cores()
             {
-                // Output axons decide, which depend on the chips of all copies, or cores do not
-                // repeat copy by copy.
+                // Either output axons do not fit, which depend on the chips of all copies, or cores
+                // do not repeat copy by copy.
                 let together = counted(all, together, target).map_err(CompileError::fault)?;
                 on_board((one, copies), (together.members(), together.usage()), target)?;
                 return Ok(together);
@@ -224,7 +222,7 @@ fn partition_copies(
     Partition::new(all.compartments(), members, usage, limits).map_err(CompileError::fault)
 }
 
-/// Refuses more cores of copies than the target has.
+/// Refuses copies that take more cores than the target has.
 fn on_board<M: Borrow<Vec<CompartmentId>>>(
     (one, copies): (&Quantised, u32),
     (members, usage): (&IdVec<CoreId, M>, &IdVec<CoreId, CoreUsage>),
@@ -281,7 +279,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         .map(|(id, p)| if spatial[p.target] { 0 } else { network.synapses_of(id) })
         .sum();
     let listed = !any_spatial && sharing::is_listed(network);
-    // Where synapses are sampled evenly there are no groups to be found.
+    // Uniformly sampled connectivity has no groups to find.
     let is_uniform = listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
     let promising = search.end.is_some() || !is_uniform;
     let affordable = promising && free.saturating_mul(WORK_PER_PIN) <= search.work;
@@ -341,12 +339,12 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     let sorted = sorted(&best.members, &fixed);
     let sorted = if sorted == best.members { None } else { within_limits(network, sorted, target) };
     let best = sorted.unwrap_or(best);
-    // Chips that are assumed to be separate are not the final ones.
+    // Chips that are assumed to be separate are not final, so their counts are dropped.
     Ok(if chips == Chips::Row { best } else { uncounted(best.members) })
 }
 
-/// Cores of tiles with fewer words, population by population: the room that tiles leave may save a
-/// core of those that come after.
+/// Cores of tiles with fewer words, for one population at a time: the memory that tiles leave free
+/// may save a core of later populations.
 fn fewer_words(
     filler: &Filler<'_>,
     spatial: &IdVec<PopulationId, bool>,
@@ -372,8 +370,8 @@ fn fewer_words(
     network.populations().ids().filter(|&id| spatial[id]).filter_map(&mut cores_of).collect()
 }
 
-/// Adds members that differ from the best by groups that were moved between cores, also from
-/// shaken starts; `free` is the number of synapses that grouping sees.
+/// Adds members that result from moving groups of the best ones between cores, also from perturbed
+/// starts; `free` is the number of synapses into populations without tiles.
 fn refine_groups(
     filler: &Filler<'_>,
     (graph, levels, fixed): (&Hypergraph, &Levels, &[bool]),
@@ -457,7 +455,7 @@ fn fewest(filler: &Filler<'_>, found: &[Found], rates: &Rates) -> Option<usize> 
     of_these.min_by_key(|&one| messages(filler.network, &cores_of(compartments, &found[one].members), cores, rates))
 }
 
-/// Members with what each core uses, counted exactly with cores placed chip by chip; none where a
+/// Members with the exact resource use of each core, with cores placed chip by chip; none where a
 /// core exceeds a limit.
 fn within_limits(network: &Quantised, members: Members, target: &Target) -> Option<Found> {
     let partition = counted(network, uncounted(members.clone()), target).ok()?;
@@ -469,8 +467,7 @@ fn uncounted(members: Members) -> Found {
     Found { members, fan_out: None, usage: None }
 }
 
-/// Members after some compartments of different cores have changed places, as a start that leads
-/// elsewhere.
+/// Members after random swaps of compartments between cores, as another start of refinement.
 fn shaken(members: &Members, fixed: &[bool], attempt: u64) -> Members {
     let mut shaken = members.clone();
     let all: usize = members.iter().map(Vec::len).sum();
@@ -586,7 +583,7 @@ fn refined(
             break;
         }
         let groups = Groups::new(graph, &within_cores(labels, &state.core_of));
-        // Groups of half a core and more cannot go anywhere.
+        // Groups of half a core and more have no room to move.
         if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
             continue;
         }
@@ -605,7 +602,7 @@ fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
     labels.iter().zip(core_of).map(of).collect()
 }
 
-/// A number of cores below which no partition can be, from what copies cannot share.
+/// Lower bound on the cores of any partition, from the resources that copies cannot share.
 fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
     let places = Places::for_network(one, limits);
     let active: u64 = one

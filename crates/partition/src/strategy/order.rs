@@ -1,18 +1,17 @@
 //! Filling cores along an order of compartments, until output axons fit too.
 //!
 //! Input: segments of compartments in an order. Output: the compartments of each core. A core is
-//! closed when the next compartment would break a limit. Two things are not known while filling,
-//! and are settled around it:
+//! closed when the next compartment would break a limit. Two decisions are made around the filling:
 //!
 //! - *Whether to keep a segment whole* that fits into an empty core but not into the rest of the
-//!   current one. Both ways are tried for the whole network; the one with fewer cores is taken, on
-//!   a tie the one that keeps segments whole, because it sends fewer messages.
-//! - *Output axons*, which depend on how many cores the targets end up on and on which chips (cores
-//!   are numbered chip by chip, as `nsim_compile::place` keeps them). The first filling ignores
-//!   them, or in large networks what is not sampled evenly; if a core then sends too much, each
-//!   compartment is charged what it sent and a margin, which doubles from round to round, and the
-//!   filling is repeated. It ends because estimates only grow, and a core with a single neuron is
-//!   never split.
+//!   current one. Both are tried for the whole network. The result with fewer cores is taken, on a
+//!   tie the result with whole segments, because it sends fewer messages.
+//! - *Output axons*, which depend on the number of cores with targets and on their chips (cores are
+//!   numbered chip by chip, as `nsim_compile::place` keeps them). The first filling ignores them;
+//!   in large networks it expects the slots of random connectivity. If a core then sends too much,
+//!   each compartment is charged its counted slots and a margin, which doubles from round to round,
+//!   and the filling is repeated. It ends because estimates only grow, and a core with a single
+//!   neuron is never split.
 
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Mutex, PoisonError};
@@ -35,20 +34,20 @@ use nsim_ir::partition::{CoreUsage, Seat, seats};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, OutputAxons, Resource};
 
-/// Rounds of filling after which output axons are given up on: the margin is then 2^9 times the
-/// fan-out.
+/// Rounds of filling after which the network is refused for its output axons: the margin is then
+/// 2^9 times the fan-out.
 const ROUNDS: u32 = 14;
-/// The first margin is a 2^5th of the fan-out.
+/// The first margin is the fan-out / 2^5.
 const FIRST_MARGIN: u32 = 5;
 
-/// Memberships whose cores' uses are cached.
+/// Number of memberships whose cores' uses are cached.
 const KNOWN: usize = 4;
 
-/// Compartments from which on an order is filled in parts, and those of a part.
+/// Compartments from which an order is filled in parts, and compartments of a part.
 const LARGE: u64 = 1 << 18;
 const PART: u32 = 1 << 15;
 
-/// What is assumed of the chips of cores while output axons are counted.
+/// Assumption about the chips of cores while output axons are counted.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Chips {
     /// Cores are numbered chip by chip.
@@ -69,11 +68,11 @@ pub struct Segment {
 /// Indices of a population's compartments.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Indices {
-    /// All from the first, this many.
+    /// This number of indices, from 0 on.
     All(u32),
-    /// These.
+    /// These indices.
     Listed(Vec<u32>),
-    /// These, which are a tile: their lists may be shared when they are on one core.
+    /// These indices, which are a tile: their lists may be shared when they are on one core.
     Tile(Vec<u32>),
 }
 
@@ -99,8 +98,8 @@ impl Indices {
     }
 }
 
-/// Parts of an order that are filled side by side, when it is so long that the core left open at
-/// the end of each is nothing; long segments are cut.
+/// Parts of an order that are filled in parallel; long segments are cut. `None` unless the order is
+/// so long that the core left open at the end of each part is negligible.
 fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
     let all: u64 = order.iter().map(|segment| u64::from(segment.indices.len())).sum();
     let longest = order.iter().map(|segment| segment.indices.len()).max()?;
@@ -118,7 +117,7 @@ fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
     Some(parts)
 }
 
-/// Every population a segment, in the order of the model file; children come with their parents.
+/// Every population as a segment, in the order of the model file; children come with their parents.
 pub fn file_order(network: &Quantised) -> Vec<Segment> {
     let of = |(population, p): (PopulationId, &nsim_ir::quantised::Population)| {
         p.first_compartment()?;
@@ -149,22 +148,22 @@ impl Misfits {
     }
 }
 
-/// Compartments of each core, and what is known of them besides.
+/// Compartments of each core, with the counts made so far.
 #[derive(Debug, Clone)]
 pub struct Found {
     /// The compartments.
     pub members: Members,
-    /// Their fan-out on the chips that were assumed, where it has been counted.
+    /// Their fan-out on the assumed chips, where it has been counted.
     pub fan_out: Option<FanOut>,
-    /// What each core uses, where it has been counted exactly; but for output axons where
-    /// `fan_out` has them.
+    /// Use of each core, where it has been counted exactly; without output axons where `fan_out`
+    /// has them.
     pub usage: Option<IdVec<CoreId, CoreUsage>>,
 }
 
-/// What a core that was filled holds, and what that uses, where it is known.
+/// Compartments of a filled core, and their use where it is known.
 type Filled = (Vec<CompartmentId>, Option<CoreUsage>);
 
-/// What compartments are expected to send ([`FanOut`]).
+/// Estimated output axons of compartments ([`FanOut`]).
 #[derive(Debug)]
 struct Estimate {
     slots: Vec<u32>,
@@ -177,7 +176,7 @@ impl Estimate {
         Estimate { slots: vec![0; network.compartments() as usize], together: Vec::new() }
     }
 
-    /// What evenly sampled targets take, so that a large network need not be filled twice.
+    /// Returns the expected slots of random connectivity; a large network is then filled only once.
     fn expected(network: &Quantised, target: &Target) -> Self {
         let mut estimate = Estimate::nothing(network);
         for (id, population) in network.populations().enumerate() {
@@ -196,19 +195,19 @@ pub struct Filler<'a> {
     pub network: &'a Quantised,
     /// The target.
     pub target: &'a Target,
-    /// The network read backwards.
+    /// The network, transposed.
     pub fan_in: FanIn,
-    /// What cores of these compartments use: from round to round most cores stay as they are.
+    /// Cached uses of cores by their compartments: most cores stay unchanged from round to round.
     known: Mutex<HashMap<Vec<CompartmentId>, CoreUse>>,
 }
 
 impl<'a> Filler<'a> {
-    /// A filler.
+    /// Returns a filler with an empty cache.
     pub fn new(network: &'a Quantised, target: &'a Target) -> Self {
         Filler { network, target, fan_in: FanIn::new(network), known: Mutex::default() }
     }
 
-    /// The better of keeping segments whole and filling every core up.
+    /// Returns the better result of keeping segments whole and of filling every core up.
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that
@@ -220,7 +219,7 @@ impl<'a> Filler<'a> {
         }
         let (whole, full) = rayon::join(whole, || self.first_filling(order, false));
         let whole = whole?;
-        // Settling takes more cores, if any.
+        // Settling never takes fewer cores.
         let full = full.ok().filter(|(_, full)| full.len() < whole.members.len());
         match full.map(|full| self.settled(order, chips, false, full)) {
             Some(Ok(full)) if full.members.len() < whole.members.len() => Ok(full),
@@ -228,7 +227,7 @@ impl<'a> Filler<'a> {
         }
     }
 
-    /// Fills once, with what large networks are expected to send.
+    /// Fills once, in large networks with the expected output axons.
     fn first_filling(&self, order: &[Segment], keep_whole: bool) -> Result<(Estimate, Vec<Filled>), CompileError> {
         let estimate = match parts(order).is_some() {
             true => Estimate::expected(self.network, self.target),
@@ -238,9 +237,9 @@ impl<'a> Filler<'a> {
         Ok((estimate, filled))
     }
 
-    /// Whether keeping segments whole could fill cores otherwise than not: a segment that is no
-    /// tile stays whole only where one before it has begun a core, and where a core has seats for
-    /// all of it; parts of a long order begin cores of their own.
+    /// Whether keeping segments whole could change the result. A segment that is no tile stays
+    /// whole only where an earlier one has begun a core, and where a core has slots for all of it.
+    /// Parts of a long order begin their own cores.
     fn may_keep_whole(&self, order: &[Segment]) -> bool {
         let seats = self.target.limits()[Resource::Compartments];
         let fits = |segment: &Segment| segment.indices.len() <= seats;
@@ -257,8 +256,8 @@ impl<'a> Filler<'a> {
         Ok(filled.into_iter().map(|(held, _)| held).collect())
     }
 
-    /// The fan-out of these members on such chips; and what each core uses but for output axons,
-    /// where that had to be counted exactly to know which of them are shared.
+    /// Returns the fan-out of these members on such chips; and the use of each core without output
+    /// axons, where it had to be counted exactly to find the shared ones.
     pub fn fan_out(&self, members: &Members, chips: Chips) -> (FanOut, Option<IdVec<CoreId, CoreUsage>>) {
         let (network, limits) = (self.network, self.target.limits());
         let core_of = cores_of(network.compartments(), members);
@@ -275,8 +274,8 @@ impl<'a> Filler<'a> {
         (network_fan_out(network, &core_of, &chips, limits, shared.as_ref()), usage.map(IdVec::from))
     }
 
-    /// What each core uses, counted where it is not known. The lock is not held meanwhile, since a
-    /// thread that waits for others may be given work that takes it.
+    /// Returns the use of each core, counted where it is not cached. The lock is not held
+    /// meanwhile, because a thread that waits for others may be given work that takes it.
     fn uses(&self, members: &Members, seats: &IdVec<CompartmentId, Seat>, places: &Places) -> Vec<CoreUse> {
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let mut of_cores: Vec<Option<CoreUse>> = {
@@ -287,7 +286,7 @@ impl<'a> Filler<'a> {
             let is_new = |core: CoreId| of_cores[core.index()].is_none();
             let counted = uses(self.network, members, seats, self.target.limits(), places, is_new);
             let mut known = known();
-            // A few memberships are worth their memory.
+            // Bounds the memory of the cache.
             if known.len() > KNOWN * members.len() {
                 known.clear();
             }
@@ -346,8 +345,8 @@ impl<'a> Filler<'a> {
         unreachable!("the last round gives reasons or members")
     }
 
-    /// Raises each estimate to what was sent and a margin, though never above what every synapse on
-    /// a core of its own sends.
+    /// Raises each estimate to the counted slots and a margin, at most to the slots of every
+    /// synapse on a core of its own.
     fn raise(&self, estimate: &mut [u32], FanOut { slots, together, .. }: &FanOut, round: u32) {
         let limits = self.target.limits();
         let more = match limits.output_axons {

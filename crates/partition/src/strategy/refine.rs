@@ -1,15 +1,14 @@
 //! Moving groups of compartments between cores while that saves messages.
 //!
-//! Input: a [`State`] and [`Groups`]. Output: a state that is no worse. Passes are those of
-//! Fiduccia and Mattheyses ("A linear-time heuristic for improving network partitions", DAC 1982):
-//! the best move first, each group once a pass, moves that cost something are tried too, and at the
-//! end of a pass the state returns to the best that it has been in. Gains are exact: a group's gain
-//! is computed again when its turn comes. What differs from the paper: there are many cores, so a
-//! group looks only at cores that already share one of its nets; and cores are nearly full, so a
-//! group that does not fit where it wants to go may change places with one from there.
+//! Input: a [`State`] and [`Groups`]. Output: a state that is no worse. Passes follow Fiduccia and
+//! Mattheyses ("A linear-time heuristic for improving network partitions", DAC 1982): the best move
+//! first, each group once a pass, costly moves are tried too, and at the end of a pass the state
+//! returns to its best. Gains are exact: a group's gain is computed again when its turn comes. Two
+//! points differ from the paper. There are many cores, so a group considers only cores that already
+//! share one of its nets. Cores are nearly full, so a group that does not fit on its best core may
+//! be swapped with a group there.
 //!
-//! Everything is decided by (gain, number of the group), so the result is the same on every
-//! machine.
+//! Moves are ordered by (gain, number of the group), so the result is equal on every machine.
 
 use std::collections::BinaryHeap;
 use std::time::Instant;
@@ -18,21 +17,20 @@ use crate::options::is_over;
 use crate::strategy::hyper::{Groups, State};
 use nsim_ir::base::rng;
 
-/// Passes over all groups.
+/// Most passes over all groups.
 const PASSES: usize = 3;
 /// Moves without a new best after which a pass ends.
 const PATIENCE: usize = 400;
 /// Groups of the other core that are considered for a swap.
 const PARTNERS: u64 = 12;
-/// Work of looking one net up for a partner: a search through the cores that it reaches, several
-/// times.
+/// Work of one net of a swap partner: several searches through the cores that it reaches.
 const PARTNER_WORK: u64 = 24;
 const SEED: u64 = 0x5eed;
 
-/// Groups from one look at the clock to the next.
+/// Number of groups between two checks of the clock.
 const LOOKS: u32 = 64;
 
-/// Scores of cores, cleared by touching only what was set.
+/// Scores of cores; clearing resets only the scores that were set.
 #[derive(Debug)]
 struct Scores {
     of: Vec<u64>,
@@ -69,8 +67,8 @@ impl Scores {
     }
 }
 
-/// Refines a state by moving groups, until `end` at most. `work` is the number of gains that may be
-/// computed in all passes together, as a measure of time that is the same everywhere.
+/// Refines a state by moving groups, until `end` at most. `work` is the remaining effort of all
+/// passes together, in visits of a net on a core: a measure of time that is equal on every machine.
 pub fn refine(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>) {
     for _ in 0..PASSES {
         let before = state.cost();
@@ -84,7 +82,7 @@ pub fn refine(state: &mut State, groups: &Groups, work: &mut u64, end: Option<In
     }
 }
 
-/// A move that was made.
+/// A move that was made: group, old core, new core.
 type Move = (u32, u32, u32);
 
 fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>) {
@@ -152,7 +150,7 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
     }
 }
 
-/// The core that a group would rather be on, and what that would save.
+/// The gain of a group's best move, and the core that it goes to.
 fn wish(
     state: &State,
     groups: &Groups,
@@ -166,15 +164,15 @@ fn wish(
         looked += 1;
         scores.add(core, weight);
     });
-    // Three gains are looked up besides.
+    // Computing three gains visits the nets again.
     *work = work.saturating_sub(4 * looked);
     let wanted = scores.best(from);
     let gains = wanted.into_iter().flatten().map(|to| (state.gain(groups, group, from, to), std::cmp::Reverse(to)));
     gains.max().map(|(gain, std::cmp::Reverse(to))| (gain, to))
 }
 
-/// Changes places with a group of the other core, if that saves something and fits; returns it and
-/// what was saved.
+/// Swaps the group with a group of the other core, if that saves messages and fits; returns that
+/// group and the gain.
 fn swap(
     state: &mut State,
     groups: &Groups,

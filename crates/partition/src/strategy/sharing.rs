@@ -1,17 +1,18 @@
-//! Compartments grouped core by core, each next to those with which it shares most sources.
+//! Compartments grouped core by core, each next to the compartments that share most sources with
+//! it.
 //!
 //! Input: a network whose synapses are listed, and an estimate of each compartment's output axons.
 //! Output: the compartments of each core. A core begins with the next compartment in the order of
-//! the file and takes the one that shares most sources with those it holds, until a limit would be
-//! broken; a source that reaches a core already costs no further input axon there and no further
-//! message.
+//! the file. It then takes the compartment that shares most sources with its own, until a limit
+//! would be broken. A source that reaches a core already costs no further input axon and no further
+//! message there.
 //!
-//! Candidates are those of a pool of consecutive compartments, so that compartments with k synapses
-//! in and out take k^2 * `POOL` steps in all and a look over its pool each, and pools are filled
-//! side by side. A pool of 8,192 out of 32,768 saves 7 in a hundred messages where synapses are
-//! sampled evenly; one of all would save 9 in five times the time. Pools shrink until a round keeps
-//! within the effort. Where that leaves few candidates, or synapses are sampled evenly and a pool
-//! is a small part of the network, nothing is grouped.
+//! Candidates are a pool of consecutive compartments. Compartments with k synapses in and out take
+//! k^2 * `POOL` steps in all and a pass over the pool each; pools are filled in parallel. With
+//! random connectivity, a pool of 8,192 out of 32,768 saves 7 % of the messages; a pool of all
+//! would save 9 % in five times the time. Pools shrink until a round stays within the effort.
+//! Nothing is grouped where that leaves few candidates, or where a pool is a small part of a random
+//! network.
 
 use std::ops::Range;
 
@@ -27,39 +28,38 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::Resource;
 
-/// Compartments of a pool.
+/// Compartments of a pool, unless the effort requires fewer.
 const POOL: u32 = 1 << 13;
 /// Compartments below which a pool offers too little choice.
 const LEAST_POOL: u64 = 1 << 8;
-/// Part of an evenly sampled network that a pool has to be: of a million compartments, 122 pools,
-/// grouping saved 2 in a hundred messages and took as long as all other stages of the mapping
-/// together.
+/// Most pools of a network with random connectivity. With a million compartments in 122 pools,
+/// grouping saved 2 % of the messages and took as long as all other stages of the mapping together.
 const PART: u64 = 32;
-/// Rounds of grouping: the first counts on the output axons of the order of the file, the next on
-/// what the one before sends.
+/// Rounds of grouping: the first estimates output axons by the order of the file, the next by the
+/// round before.
 const ROUNDS: u32 = 2;
-/// Part of a core's output axons that is left free, because what compartments will send is known
-/// only in the mean.
+/// Divisor for the part of a core's output axons that stays free, because output axons are known in
+/// the mean only.
 const FREE: u64 = 100;
-/// Times that compartments are taken from cores that send too much.
+/// Most times that compartments are taken from cores with too many output axons.
 const TRIMS: usize = 6;
 
-/// Whether every synapse is listed, so that sources differ in what they reach.
+/// Whether every synapse is listed, so that sources differ in their targets.
 pub fn is_listed(network: &Quantised) -> bool {
     let listed =
         |connectivity: &Connectivity| matches!(connectivity, Connectivity::Sparse { .. } | Connectivity::Random { .. });
     network.projections().iter().all(|projection| listed(&projection.connectivity))
 }
 
-/// Compartments of a pool so that a round takes no more than this work; `None` where grouping is
-/// not worth its time.
+/// Number of compartments of a pool for which a round takes at most `work`; `None` where grouping
+/// is not worth its time.
 fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
     let compartments = u64::from(network.compartments());
     let sources = (u64::from(network.channels()) + compartments).max(1);
     if is_uniform && compartments > u64::from(POOL) * PART {
         return None;
     }
-    // Each synapse that brings a core a source touches all compartments of the pool that the source
+    // Each synapse that adds a source to a core visits all compartments of the pool that the source
     // reaches.
     let synapses = u128::from(network.synapses());
     let reached =
@@ -70,7 +70,7 @@ fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
 }
 
 /// Compartments on cores, grouped by shared sources; `sequential` is the order of the file on such
-/// chips. `None` where a core cannot be held within every limit, and where grouping within this
+/// chips. `None` where a core cannot be kept within every limit, and where grouping within this
 /// work would gain little.
 pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_uniform: bool, work: u64) -> Option<Found> {
     let pool = pool_size(filler.network, is_uniform, work)?;
@@ -89,7 +89,7 @@ pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_unifor
         if best.as_ref().is_none_or(|best| found.members.len() <= best.members.len()) {
             best = Some(found);
         }
-        // Where output axons do not decide, another round finds the same.
+        // Where output axons do not decide, another round finds an equal result.
         if round == 0 && full < most / 2 {
             break;
         }
@@ -237,7 +237,7 @@ fn pool_of(
     Some(members)
 }
 
-/// The first of those that share most.
+/// Index of the first compartment with the most shared sources.
 fn most_shared(shared: &[i16]) -> Option<usize> {
     let most = shared.iter().fold(0, |most: i16, &count| most.max(count));
     shared.iter().position(|&count| count == most && most > 0)

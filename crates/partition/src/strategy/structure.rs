@@ -1,10 +1,10 @@
 //! Whether the synapses of a network have a structure that grouping compartments could follow.
 //!
-//! Input: a network. Output: whether the targets of a compartment's targets coincide more often
-//! than if sampled evenly. They do in neighbourhoods (small worlds, maps) and where some
-//! compartments are reached by many (hubs); they do not in random networks, where groups save a few
-//! cores in a hundred and cost most of the time of mapping. A sample of compartments decides, so
-//! that the answer takes milliseconds for any network.
+//! Input: a network. Output: whether the targets of a compartment's targets coincide no more often
+//! than if sampled evenly. They coincide more often in neighbourhoods (small worlds, maps) and
+//! where some compartments have many sources (hubs). In random networks they do not; there groups
+//! save a few percent of the cores and cost most of the time of mapping. A sample of compartments
+//! decides, so that the answer takes milliseconds for any network.
 
 use std::collections::HashSet;
 
@@ -13,20 +13,20 @@ use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::base::rng;
 use nsim_ir::quantised::Quantised;
 
-/// Compartments whose targets' targets are looked at.
+/// Number of compartments whose targets' targets are counted.
 const SAMPLE: u64 = 256;
-/// Targets of each, and targets of each of these, that are looked at.
+/// Most targets of each, and most targets of each of these, that are counted.
 const TARGETS: usize = 16;
 const THEIR_TARGETS: usize = 256;
-/// How much more often than by chance they coincide where there is structure, beyond this many
-/// standard deviations of chance. Hubs that are reached with a probability of 1 / sqrt(j) coincide
-/// ln(n) / 4 times as often: 2.3 times among 10,000.
+/// Ratio to the coincidences by chance above which there is structure, and standard deviations of
+/// chance that are added. Hubs that are reached with a probability of 1 / sqrt(j) coincide ln(n) /
+/// 4 times as often: 2.3 times among 10,000.
 const FACTOR: f64 = 1.25;
 const DEVIATIONS: f64 = 6.0;
 const SEED: u64 = 0x57ac;
 
-/// Whether targets of targets coincide as often as those of evenly sampled synapses do; `false`
-/// when compartments reach too few for that to be decided.
+/// Whether targets of targets coincide no more often than if sampled evenly; `false` when
+/// compartments have too few targets to decide.
 pub fn is_uniform(network: &Quantised) -> bool {
     let n = u64::from(network.compartments());
     let (mut seen, mut pairs, mut coincide, mut by_chance) = (HashSet::new(), 0u64, 0u64, 0.0);
@@ -49,8 +49,8 @@ pub fn is_uniform(network: &Quantised) -> bool {
     pairs >= SAMPLE.min(n) * TARGETS as u64 && (coincide as f64) < chance
 }
 
-/// Targets of a compartment, each once, evenly taken where there are more than this many; and the
-/// compartments of the populations that it reaches.
+/// Targets of a compartment, each once, evenly spaced where there are more than `most`; and the
+/// number of compartments of its target populations.
 fn targets(network: &Quantised, id: u32, most: usize) -> (Vec<u32>, u64) {
     let (population, index) = network.population_of(CompartmentId::new(id as usize));
     let (mut reached, mut size) = (Vec::new(), 0);
@@ -70,8 +70,8 @@ mod tests {
     use nsim_ir::quantised::connectivity::Connectivity;
     use nsim_testing::{Builder, plain_format};
 
-    /// A network in which each of `n` compartments reaches those that `target(source, synapse)`
-    /// says.
+    /// A network in which each of `n` compartments reaches the compartments
+    /// `target(source, synapse)`.
     fn network(n: u32, target: impl Fn(u32, u64) -> u32) -> Quantised {
         let mut builder = Builder::new();
         let layer = builder.loihi("n", n);

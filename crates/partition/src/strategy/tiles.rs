@@ -1,23 +1,23 @@
 //! Populations over space, cut into tiles.
 //!
 //! Input: a population of `[channels, height, width]` that convolutions or poolings reach. Output:
-//! segments, each a rectangle of positions with all or an equal share of the channels. A core that
-//! holds a rectangle needs the sources under the rectangle and its rim; a core that holds as many
-//! compartments in the order of the file, channel by channel, needs nearly all sources of the layer
-//! before. NxTF (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too; it looks for the fewest
-//! cores with a beam search over them, here every grid is counted in closed form and the first that
-//! fits, in the order of cores and then of messages, is taken; cores are tiles and those that the
-//! layer before takes more because its output axons reach many tiles. Grids whose sources or whose
-//! weights alone are too many for a core are not tried, with lists of their own or shared
-//! ([`crate::resources::axon_sharing`]), whichever are fewer.
+//! segments, each a rectangle of positions with all or an equal share of the channels. A core with
+//! a rectangle needs the sources under the rectangle and its rim. A core with as many compartments
+//! in the order of the file, channel by channel, needs nearly all sources of the layer before. NxTF
+//! (Intel, `nxsdk_modules_ncl/dnn`) cuts layers by grids too, and looks for the fewest cores by
+//! beam search. Here every grid is counted in closed form, and the first that fits is taken, in the
+//! order of cores and then of messages. Cores are tiles, plus cores that the layer before needs
+//! more because its output axons reach many tiles. Grids whose sources or weights alone exceed a
+//! core are not tried. For these bounds, lists are separate or shared
+//! ([`crate::resources::axon_sharing`]), the fewer of both.
 //!
 //! Slots of a tile are ordered position by position, channels together, so that the targets of a
-//! spike are consecutive; channel by channel where each channel only receives its own (pooling,
-//! depthwise convolution). Where a base may be any slot ([`OutputAxons::PerPosition`]), both orders
-//! are counted and the one of fewer words is taken: channel by channel a neighbour's lists are one
-//! slot further on, so all positions of a tile are within the reach of a base and share one table,
-//! whose lists have runs; position by position lists are dense, but a table is stored once for
-//! every 256 slots.
+//! spike are consecutive. They are ordered channel by channel where each channel receives only from
+//! its own (pooling, depthwise convolution). Where a base may be any slot
+//! ([`OutputAxons::PerPosition`]), both orders are counted and the order of fewer words is taken.
+//! Channel by channel, a neighbour's lists are one slot further on. So all positions of a tile are
+//! within the reach of a base and share one table, whose lists have runs. Position by position,
+//! lists are dense, but a table is stored once for every 256 slots.
 
 use std::collections::BTreeSet;
 
@@ -34,18 +34,18 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::{Limits, OutputAxons, Resource};
 
-/// Grids that are tried on a core before giving up.
+/// Most grids that are tried on a core.
 const TRIALS: usize = 60;
-/// Grids of as many cores that are tried one after the other.
+/// Most grids with an equal number of cores that are tried consecutively.
 const OF_AS_MANY: usize = 3;
 
-/// The part of a core's words, as a divisor, that tiles of fewer words have to leave.
+/// Divisor of a core's words: the least saving of tiles with fewer words.
 const LEAST_SAVED: u64 = 8;
-/// Grids of as many cores whose words are counted, and those of them that are tried.
+/// Most grids with equal cores whose words are counted, and most of them that are tried.
 const OF_FEWER_WORDS: usize = 64;
 const TRIALS_OF_FEWER_WORDS: usize = 4;
 
-/// Whether a population is one that is cut into tiles.
+/// Whether a population is cut into tiles.
 pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
     let mut into = network.incoming(population).map(|(_, p)| p).peekable();
     network.populations()[population].shape.volume().is_some()
@@ -53,11 +53,11 @@ pub fn is_spatial(network: &Quantised, population: PopulationId) -> bool {
         && into.all(|p| p.connectivity.window().is_some())
 }
 
-/// By population, the compartments that a core may hold: as many as its limits say, or fewer where
-/// their synapses are to be no more than this many.
+/// Most compartments of a core, by population: the limit, or fewer where their synapses may be no
+/// more than `most_synapses`.
 pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Option<u64>) -> IdVec<PopulationId, u32> {
     let held = limits[Resource::Compartments].min(MOST_SLOTS);
-    // The synapses of a compartment whose windows are whole.
+    // Synapses of a compartment whose windows are whole.
     let mut each: IdVec<PopulationId, u64> = vec![0; network.populations().len()].into();
     for (id, projection) in network.projections().enumerate() {
         each[projection.target] += match &projection.connectivity {
@@ -84,16 +84,16 @@ fn cuts(length: u32) -> Vec<(u32, u32)> {
     cuts
 }
 
-/// Source positions under a part of a target axis.
+/// Number of source positions under a part of a target axis.
 fn under(size: u32, kernel: u32, stride: u32, dilation: u32, source: u32) -> u64 {
     let reach = u64::from(size - 1) * u64::from(stride) + u64::from(kernel - 1) * u64::from(dilation) + 1;
-    // Where strides skip sources, only those under a kernel are reached.
+    // Where strides skip sources, only the sources under a kernel are reached.
     let seen = u64::from(size) * u64::from(kernel);
     reach.min(seen).min(u64::from(source))
 }
 
-/// What the sources of the part in the middle of an axis reach of it: targets of all sources, and
-/// of those whose targets and places in the kernel are not another's shifted.
+/// Numbers of targets within the part in the middle of an axis: over all sources, and over the
+/// distinct fields of sources up to a shift.
 fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
     let fields = axis.fields(&part(length, size, middle_of(length, size)));
     let all = fields.iter().map(|(field, sources)| field.len() as u64 * sources).sum();
@@ -101,23 +101,22 @@ fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
     (all, distinct.iter().map(|field| field.len() as u64).sum())
 }
 
-/// A grid of tiles: how many cores it takes, the messages that a spike everywhere would cost, and
-/// what a tile is.
+/// A grid of tiles: its cores, the messages of one spike of every source, and the size of a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Grid {
-    /// Tiles, and cores that the sources take beyond those of their compartments because of the
-    /// output axons to the tiles.
+    /// Number of tiles, plus the further cores that sources take because of their output axons to
+    /// the tiles.
     cores: u64,
     messages: u64,
-    /// Channels, height and width of a tile; those at the end may be smaller.
+    /// Channels, height and width of a tile; tiles at the end may be smaller.
     pub size: (u32, u32, u32),
 }
 
-/// A cut of an axis: parts, the size of one, and what sources reach of it ([`reached`]) by
+/// A cut of an axis: number of parts, size of one, and targets within it ([`reached`]) by
 /// projection.
 type Along = (u32, u32, Vec<(u64, u64)>);
 
-/// Grids that may fit a core of this many compartments, the best first.
+/// Grids that may fit a core of at most `most` compartments, the best first.
 pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Vec<Grid> {
     let (c, h, w) = layer.shape;
     let along = |length: u32, axis: fn(&Window) -> WindowAxis| -> Vec<Along> {
@@ -136,7 +135,7 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                     continue;
                 }
                 let tiles = u64::from(nc) * u64::from(nh) * u64::from(nw);
-                // Sources, input axons at least, and bits of weights at least.
+                // Number of sources, and lower bounds on input axons and on bits of weights.
                 let (mut sources, mut axons, mut bits, mut cores) = (0, 0, 0, tiles);
                 for (&Incoming { window, format, from, placed, .. }, (rows, columns)) in
                     layer.incoming.iter().zip(of_rows.iter().zip(of_columns))
@@ -149,8 +148,8 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                         * under(tw, window.kernel.1, window.stride.1, window.dilation.1, window.source.2);
                     let (all, distinct) = ((rows.0, columns.0), (rows.1, columns.1));
                     sources += channels * places;
-                    // As many targets on the same chip as on another are assumed, and all channels
-                    // of a position on a core.
+                    // Assumes half of the targets on another chip, and all channels of a position
+                    // on one core.
                     let slots = u64::from(limits.axon_out_slots) + u64::from(limits.axon_out_slots_off_chip);
                     let slots = match limits.output_axons {
                         OutputAxons::PerPosition { atoms, more_slots } if placed.is_some() => {
@@ -162,8 +161,8 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                     let anyway = from.map(|from| u64::from(from.div_ceil(limits[Resource::Compartments].max(1))));
                     cores += anyway.map_or(0, |anyway| senders.saturating_sub(anyway));
                     axons += places;
-                    // Of every group the sources reach its own channels, which are the tile's
-                    // together.
+                    // The sources of a group reach its channels only, and the channels of all
+                    // groups are the tile's.
                     let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
                     bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
@@ -179,16 +178,16 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
     grids
 }
 
-/// What is minimised among grids of as many cores.
+/// Objective among grids with an equal number of cores.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Rank {
     /// Messages.
     Messages,
-    /// Words, where that leaves room worth having; messages may then be more.
+    /// Words, where that frees enough memory; messages may then be more.
     Words,
 }
 
-/// The tiles of a population as segments, each fit for a core with at most this many compartments;
+/// The tiles of a population as segments, each fit for a core with at most `most` compartments;
 /// `None` when no such grid was found.
 pub fn tiles(
     network: &Quantised,
@@ -255,11 +254,11 @@ pub fn tiles(
     fitting.next()
 }
 
-/// The first of these grids that fits, among those tried.
+/// The first of the tried grids that fits.
 pub fn first_that_fits(all: &[Grid], trials: usize, mut fits: impl FnMut(&Grid) -> bool) -> Option<Grid> {
-    // Of as many cores some are tried, which differ in what their lists have in common; a grid that
-    // failed says that others with a few more cores are likely to fail too, so the trials thin out
-    // as they go on.
+    // Several grids with an equal number of cores are tried, because they differ in their shared
+    // lists. After a failure, grids with a few more cores are likely to fail too, so trials thin
+    // out.
     let (mut tried, mut of_as_many, mut at) = (0, 0, 0);
     while at < all.len() && tried < trials {
         let grid = all[at];
@@ -350,8 +349,8 @@ mod tests {
         let most = |synapses| most_compartments(&network, &limits(), synapses).iter().copied().collect::<Vec<u32>>();
         let all = limits()[Resource::Compartments];
         assert_eq!(most(None), [all, all, all]);
-        // 18 synapses of a position in the middle, though those at the rim have fewer; 100 of each
-        // source.
+        // 18 synapses of a middle position, though rim positions have fewer; 100 of each output
+        // compartment.
         assert_eq!(most(Some(180)), [180.min(all), 10, 1]);
         assert_eq!(most(Some(5)), [5, 1, 1]);
     }

@@ -1,19 +1,19 @@
-//! Which compartments can never spike, proved by a bound on v.
+//! Compartments that can never spike, proved by a bound on v.
 //!
 //! Input: the channels that never fire. Output: the compartments that may fire. A synapse delivers
-//! at most one spike a step, for any delay, so what arrives in a step lies between the sum of a
-//! compartment's negative scaled weights and the sum of its positive ones, each times the payload
-//! of its source's spikes, over the sources that can fire.
+//! at most one spike a step, for any delay. So the input of a step lies between the sum of a
+//! compartment's negative scaled weights and the sum of its positive ones. Each is times the
+//! payload of its source's spikes, over the sources that can fire.
 //!
 //! From that [`nsim_dynamics`] bounds the registers of each kind. A compartment is silent when the
 //! bound on v does not pass the threshold test (7). One that never spikes is never refractory.
 //!
-//! *Fixpoint.* Which compartments can fire is the least set F such that F holds every compartment
+//! *Fixpoint.* The compartments that can fire are the least set F that holds every compartment
 //! whose bound, with the living channels and F as its sources, passes the threshold. The others are
-//! silent by induction over time: a first spike outside F in step t would have arrivals of living
-//! channels and of spikes before t only, which were all from F. So a loop that nothing starts is
+//! silent by induction over time. A first spike outside F in step t would have arrivals only of
+//! living channels and of spikes before t. These were all from F. So a loop that nothing starts is
 //! silent. F grows one source at a time and each synapse is visited once; a larger F only widens
-//! the bounds, so nothing needs to be taken back.
+//! the bounds, so no step has to be undone.
 
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;
@@ -21,7 +21,7 @@ use nsim_dynamics::{Arrivals, may_spike};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
 use nsim_ir::quantised::{Neuron, Quantised};
 
-/// Which compartments can fire, when these channels do not.
+/// Whether each compartment can fire when the `dead` channels do not.
 pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<CompartmentId, bool> {
     let parts = network.parts();
     let count = network.compartments() as usize;
@@ -35,7 +35,7 @@ pub fn may_fire(network: &Quantised, dead: &IdVec<ChannelId, bool>) -> IdVec<Com
     }
     let mut arrivals = vec![Arrivals::default(); count];
     let mut fires: IdVec<CompartmentId, bool> = vec![false; count].into();
-    // Lists what a new source reaches, because its bound has changed.
+    // Adds a source to the arrivals of its targets, and lists these to be checked again.
     let connect = |population: PopulationId, index: u32, arrivals: &mut [Arrivals], reached: &mut Vec<usize>| {
         let factor = parts.populations[population].message.factor();
         for (_, projection, first) in network.targets_of(population) {

@@ -1,34 +1,33 @@
-//! Leaves out of a network what cannot change its output.
+//! Prunes the parts of a network that cannot change its output.
 //!
 //! Input: a [`Quantised`] network and a [`Plan`]. Output: a smaller one with the record
-//! ([`Pruned`]) of what was pruned and why. Every output spike of every sample is the same, and so
-//! is every spike of a compartment that is left, for every stimulus that fires no dead channel
-//! ([`check_stimulus`] refuses the others):
+//! ([`Pruned`]) of the pruned parts and the reasons. Every output spike of every sample is
+//! unchanged. So is every spike of a remaining compartment, for every stimulus that fires no dead
+//! channel ([`check_stimulus`] refuses the others):
 //!
 //! 1. *Dead inputs* are channels that a given stimulus never fires. They stay in their population,
 //!    so channels keep their numbers, but have no synapses; a channel without synapses takes no
 //!    axon.
 //! 2. *Zero synapses* add nothing (equation 1 turns small weights of negative exponents to 0 too).
 //! 3. *Silent compartments* never spike, as [`bound`] proves.
-//! 4. *Unreachable compartments* have no way to an output or a probed compartment over synapses
-//!    that are left.
-//! 5. *Loose synapses* are those of the three that go.
+//! 4. *Unreachable compartments* have no path to an output or a probed compartment over the
+//!    remaining synapses.
+//! 5. *Loose synapses* have a dead, silent or pruned source, or a pruned target.
 //!
-//! The output population, those that are to be probed, children and parents stay whole. What can
-//! fire and reaches them stays too, so also u and v of every compartment that is left are the same
-//! at every step: all that it may receive is there.
+//! The output population, probed populations, children and parents stay whole. All sources that can
+//! fire and reach them stay too. So each remaining compartment receives all its input, and its u
+//! and v are unchanged at every step.
 //!
-//! *Why a network of its own.* A mask over the whole network would have to be obeyed by the
+//! *Why a separate network.* A mask over the whole network would have to be obeyed by the
 //! partitioner, the router, the checker, the interpreter and the machine, and each could forget it.
-//! A smaller network needs none of them to know: `nsim_check::equivalence` proves the program equal
-//! to it, synapse by synapse, and the interpreter runs it as any other. What people see keeps the
-//! model's names and numbers through the record: populations keep their order and names, channels
-//! and outputs their numbers, and mappings, probes and messages count compartments as the model
-//! does.
+//! A smaller network changes none of them: `nsim_check::equivalence` proves the program equal to
+//! it, synapse by synapse, and the interpreter runs it as any other. The record keeps the model's
+//! names and numbers for the user: populations keep their order and names, channels and outputs
+//! their numbers, and mappings, probes and messages count compartments as the model does.
 //!
-//! Omitted on purpose: what the order of spikes or refractory periods would prove; and packing. A
-//! list from which a zero was taken has a gap, so a core stores it with an index for each synapse,
-//! which can take more words than the zero did.
+//! Omitted on purpose: proofs from the order of spikes or from refractory periods; and packing. A
+//! list without its zero has a gap, so a core stores it with an index for each synapse. That can
+//! take more words than the zero did.
 
 pub mod bound;
 
@@ -48,28 +47,28 @@ use nsim_ir::spikes::{Sample, Stimulus};
 /// Channels that a stimulus never fires.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Scene {
-    /// Where the stimulus came from.
+    /// Origin of the stimulus.
     pub stimulus: Vec<String>,
     /// The channels, ascending.
     pub dead: Vec<ChannelId>,
 }
 
-/// What to prune for.
+/// Assumption about the stimulus, and populations that pruning keeps whole.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Plan {
-    /// The only stimulus that the network will be shown; `None` for any.
+    /// The only stimulus that the network will receive; `None` for any.
     pub scene: Option<Scene>,
     /// Populations that stay whole besides the output, because they are probed.
     pub probed: Vec<PopulationId>,
 }
 
 impl Plan {
-    /// For every stimulus.
+    /// Returns the plan for every stimulus.
     pub fn fixed() -> Plan {
         Plan::default()
     }
 
-    /// For the channels that a stimulus fires in any of its samples.
+    /// Returns the plan for the channels that a stimulus fires in any of its samples.
     pub fn for_stimulus(network: &Quantised, stimulus: &Stimulus) -> Plan {
         let mut fired: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
         for sample in &stimulus.samples {
@@ -81,7 +80,7 @@ impl Plan {
         Plan { scene: Some(Scene { stimulus: stimulus.origin.clone(), dead }), probed: Vec::new() }
     }
 
-    /// This plan with these populations whole.
+    /// Returns this plan with these populations whole.
     #[must_use]
     pub fn probing(mut self, populations: impl IntoIterator<Item = PopulationId>) -> Plan {
         self.probed.extend(populations);
@@ -91,11 +90,10 @@ impl Plan {
     }
 }
 
-/// The network without what the plan makes superfluous.
+/// Returns the network without the parts that the plan makes superfluous.
 ///
-/// # Errors
 /// [`Inconsistent`] when the plan is of another network, or the network has been pruned already or
-/// has plastic projections: a weight that is 0 need not stay so.
+/// has plastic projections: a weight that is 0 need not stay 0.
 pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent> {
     if network.pruned().is_some() {
         return Err(Inconsistent("the network has been pruned already".to_string()));
@@ -189,15 +187,15 @@ impl Tally {
     }
 }
 
-/// Which compartments reach one of a population that stays whole, over synapses of sources that can
-/// fire.
+/// Whether each compartment reaches a population that stays whole, over synapses of sources that
+/// can fire.
 fn reaches(
     network: &Quantised,
     fires: &IdVec<CompartmentId, bool>,
     whole: &IdVec<PopulationId, bool>,
 ) -> IdVec<CompartmentId, bool> {
     let count = network.compartments() as usize;
-    // The synapses read backwards.
+    // Sources by target: the synapses transposed.
     let sources = Csr::by_row(count, |put| {
         for_each_living(network, fires, |source, target| put(target.index(), source.0));
     });
@@ -218,8 +216,8 @@ fn reaches(
     reaches
 }
 
-/// Calls `f(source, target)` for every synapse between compartments that adds something when its
-/// source can fire.
+/// Calls `f(source, target)` for every synapse between compartments with a scaled weight other than
+/// 0 and a source that can fire.
 fn for_each_living(
     network: &Quantised,
     fires: &IdVec<CompartmentId, bool>,
@@ -242,11 +240,11 @@ fn for_each_living(
     }
 }
 
-/// What stays.
+/// The remaining parts of a network.
 struct Survey {
     dead: IdVec<ChannelId, bool>,
     fires: IdVec<CompartmentId, bool>,
-    /// The new index of each compartment in its population; `None` when it goes.
+    /// New index of each compartment in its population; `None` when it is pruned.
     place: IdVec<CompartmentId, Option<u32>>,
 }
 
@@ -284,7 +282,7 @@ impl Survey {
     }
 }
 
-/// What is left, and the old indices of populations that lost compartments.
+/// The remaining network, and the remaining old indices of populations that lost compartments.
 fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, IdVec<PopulationId, Option<Vec<u32>>>) {
     let before = network.parts();
     let mut compartments = 0;
@@ -322,8 +320,8 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
     (parts, kept)
 }
 
-/// The synapses of a projection that are left, `None` when there is none; as they were when none
-/// goes.
+/// The remaining synapses of a projection, `None` when there is none; unchanged when none is
+/// pruned.
 fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally: &mut Tally) -> Option<Connectivity> {
     let (source, target) = (&network.populations()[projection.source], &network.populations()[projection.target]);
     let to = target.first_compartment()?;
@@ -365,7 +363,7 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
                     row.push((target, weight));
                 }
             });
-            // Random synapses come in no order.
+            // Random synapses are unordered.
             row.sort_by_key(|&(target, _)| target);
             targets.extend(row.iter().map(|&(target, _)| target));
             weights.extend(row.drain(..).map(|(_, weight)| weight));

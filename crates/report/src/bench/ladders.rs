@@ -13,12 +13,12 @@ pub fn json(seed: u64, environment: &Environment, rows: &[Row]) -> Value {
     json!({ "schema": "nsim.bench/1", "name": "sweep", "seed": seed, "environment": environment, "rows": rows })
 }
 
-/// A row a rung.
+/// CSV with a row for each rung.
 pub fn csv_of(json: &Value) -> String {
     csv(json["rows"].as_array().into_iter().flatten(), "ladder,at,class,synaptic_events,ns_an_event,goal_ns,cliff")
 }
 
-/// For people.
+/// The result as text.
 pub fn text(seed: u64, environment: &Environment, rows: &[Row]) -> String {
     let columns: [Column<Row>; 6] = [
         ("ladder", |row| row.ladder.to_string()),

@@ -8,22 +8,22 @@ use nsim_energy::environment::Environment;
 use nsim_files::table::{Column, csv, or_empty, table_of, three, wrapped};
 use nsim_study::mapping::MeasuredMapping;
 
-/// What is said of a mapping, in JSON and CSV.
+/// Keys of a mapping in CSV.
 const KEYS: &str = "network,strategy,placed,objective,cores,chips,cut_spikes,hops,hops_multicast,mean_link_load,\
                     max_link_load,simulated,energy_uj,step_us,seconds,peak_mib";
 
-/// The least part that a network counts in a mean of ratios, so that one that fits a tile does not
-/// make it zero.
+/// Least ratio of a network in a geometric mean, so that a network within one tile does not make
+/// the mean zero.
 const LEAST_RATIO: f64 = 0.05;
 
-/// A figure of a step; an expected one is marked.
+/// A figure of a step; expected ones are marked by `~`.
 fn of_step(value: f64, simulated: bool) -> String {
     format!("{}{}", if simulated { "" } else { "~" }, three(value))
 }
 
-/// The placed mappings of a strategy and an objective against unplaced sequential ones: networks
-/// whose spikes cross a link at all when placed sequentially, the geometric mean of multicast hops
-/// over those of sequential, and networks in which hops, or cores, are more.
+/// Compares placed mappings of a strategy and an objective with unplaced sequential ones. Returns
+/// the number of networks that have hops when sequential, the geometric mean of the ratio of
+/// multicast hops, and the number of networks with more hops, or cores.
 fn against_sequential(rows: &[MeasuredMapping], strategy: Strategy, objective: Objective) -> (usize, f64, usize) {
     let (mut sum, mut networks, mut worse) = (0.0, 0, 0);
     let plain = rows.iter().filter(|row| row.strategy == Strategy::Sequential && !row.placed);
@@ -68,12 +68,12 @@ pub fn json(environment: &Environment, rows: &[MeasuredMapping]) -> Value {
     json!({ "schema": "nsim.bench/1", "name": "map", "environment": environment, "rows": rows })
 }
 
-/// A row each.
+/// CSV with a row for each mapping.
 pub fn csv_of(json: &Value) -> String {
     csv(json["rows"].as_array().into_iter().flatten(), KEYS)
 }
 
-/// For people.
+/// The result as text.
 pub fn text(environment: &Environment, rows: &[MeasuredMapping]) -> String {
     let columns: [Column<MeasuredMapping>; 14] = [
         ("network", |row| row.network.to_string()),

@@ -1,8 +1,7 @@
 //! The result of `nsim bench paper`: grids like the paper's, tables of every figure, JSON and CSV.
 //!
-//! Input: the rows of the tables. Output: a grid has networks by senses, each cell what was
-//! measured here and, in brackets, as the paper prints it; JSON and CSV have every figure, a row
-//! each.
+//! Input: the rows of the tables. Output: grids of networks by senses; JSON and CSV with a row for
+//! each figure. A cell of a grid has the value measured here and, in brackets, the paper's.
 
 use std::collections::BTreeSet;
 
@@ -24,7 +23,7 @@ fn mean(mean: Option<f64>, deviation: Option<f64>) -> String {
     mean.map_or(String::new(), |mean| digits(mean) + &deviation)
 }
 
-/// What is said of a figure in CSV.
+/// Keys of a figure in CSV.
 const KEYS: &str =
     "table,task,modality,loss,quantity,published,published_deviation,measured,deviation,low,high,shipped,note";
 
@@ -33,7 +32,7 @@ pub fn json(rows: &[PaperRow]) -> Value {
     json!({ "schema": "nsim.bench/1", "name": "paper", "rows": rows })
 }
 
-/// A row a figure.
+/// CSV with a row for each figure.
 pub fn csv(rows: &[PaperRow]) -> String {
     nsim_files::table::csv(rows, KEYS)
 }
@@ -41,7 +40,7 @@ pub fn csv(rows: &[PaperRow]) -> String {
 /// A table like one of the paper's.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Grid {
-    /// What it shows.
+    /// Title of the grid.
     pub title: String,
     header: Vec<String>,
     rows: Vec<Vec<String>>,
@@ -58,20 +57,20 @@ impl Grid {
         (!rows.is_empty()).then(|| Grid { title: title.to_string(), header: kept(header), rows })
     }
 
-    /// For people.
+    /// The grid as text.
     pub fn text(&self) -> String {
         let header: Vec<&str> = self.header.iter().map(String::as_str).collect();
         format!("{}\n\n{}\n", self.title, table(&header, &self.rows))
     }
 
-    /// As CSV.
+    /// The grid as CSV.
     pub fn csv(&self) -> String {
         csv_text(self.header.clone(), self.rows.iter().cloned())
     }
 }
 
-/// The networks of the tables of accuracy: the name in a grid, the table, the loss, and how the
-/// note of a row begins.
+/// The networks of the tables of accuracy: the name in a grid, the table, the loss, and the prefix
+/// of a row's note.
 const NETWORKS: [(&str, &str, Option<&str>, &str); 6] = [
     ("SNN (L), chip", "accuracy", Some("count"), ""),
     ("SNN (L_w), chip", "accuracy", Some("weighted"), ""),
@@ -80,12 +79,12 @@ const NETWORKS: [(&str, &str, Option<&str>, &str); 6] = [
     ("MLP-GRU", "ann", None, "MLP-GRU"),
     ("CNN-3D", "ann", None, "CNN-3D"),
 ];
-/// Tasks, as a grid names them.
+/// Tasks, with their names in a grid.
 const TASKS: [(&str, &str); 2] = [("slip", "Slip detection"), ("container", "Containers and weights")];
-/// Senses, as a grid names them.
+/// Senses, with their names in a grid.
 const SENSES: [(&str, &str); 3] = [("tactile", "touch"), ("vision", "vision"), ("both", "both")];
 
-/// What is said in a cell of a figure: as it came out here, and as it was printed.
+/// Cell of a figure: the value measured here and, in brackets, the printed one.
 fn here_and_printed(here: Option<String>, printed: Option<String>) -> String {
     match (here, printed) {
         (here, None) => here.unwrap_or_default(),
@@ -93,7 +92,7 @@ fn here_and_printed(here: Option<String>, printed: Option<String>) -> String {
     }
 }
 
-/// The grids of what there are rows of: accuracies of each task, hardware, accuracy by time.
+/// The grids that have rows: accuracies of each task, hardware, accuracy by time.
 pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
     let header = |names: &[&str]| [""].iter().chain(names).map(|name| (*name).to_string()).collect::<Vec<_>>();
     let found = |table: &str, [task, senses, quantity]: [&str; 3], loss: Option<&str>, note: &str| {
@@ -184,7 +183,7 @@ pub fn document(rows: &[PaperRow], before: &str, of: fn(&str) -> String) -> Stri
     grids(rows).iter().map(|grid| format!("{before}{}\n\n{}\n", grid.title, of(&grid.csv()))).collect()
 }
 
-/// The grids for people, and what they leave out.
+/// The grids as text, with notes on omitted figures.
 pub fn summary(rows: &[PaperRow]) -> String {
     let mut out: String = grids(rows).iter().map(Grid::text).collect();
     out += &wrapped(
@@ -208,7 +207,7 @@ pub fn summary(rows: &[PaperRow]) -> String {
     )
 }
 
-/// The tables alone, those that have rows.
+/// The tables that have rows, as text.
 pub fn tables(rows: &[PaperRow]) -> String {
     let of = |name: &str| rows.iter().filter(|row| row.table == name).collect::<Vec<_>>();
     let all = TABLES.iter().map(|(name, title)| (title, of(name))).filter(|(_, rows)| !rows.is_empty());
@@ -243,7 +242,7 @@ fn table_with_notes(rows: &[&PaperRow]) -> String {
     out
 }
 
-/// Every figure, for people.
+/// Every figure, as text.
 pub fn text(rows: &[PaperRow]) -> String {
     let accuracies = || rows.iter().filter(|row| row.table == "accuracy");
     let have = accuracies().filter(|row| row.measured.is_some()).count();
@@ -301,7 +300,7 @@ mod tests {
         assert_eq!((&*grids[2].rows[1][2], &*grids[3].rows[0][1]), ("1.03 (0.64)", "0.223 (0.22)"));
         assert_eq!(grids[0].rows[0][4], "500, 100, 20");
         assert_eq!(grids[2].rows[3][1], format!("- ({})", gpu.published.unwrap()));
-        // Accuracy by time: of neurons of the chip, and of those that the paper's curves are of.
+        // Accuracy by time: of the chip's neurons, and of the neurons of the paper's curves.
         let early = |name: &str, by_80_ms: &str| {
             let at = grids[4].header.iter().position(|time| time == "80").unwrap();
             assert!(grids[4].rows.iter().any(|row| row[0] == name && row[at] == by_80_ms), "{name}");
@@ -309,7 +308,7 @@ mod tests {
         early("both (L), chip", "0.92");
         early("both (L), SRM", "0.75");
         assert!(summary(&rows).lines().count() <= 88, "{}", summary(&rows));
-        // Of one cell there is one column of figures.
+        // With one sense a grid has one column of figures.
         let tactile: Vec<PaperRow> = rows.into_iter().filter(|row| row.modality == "tactile").collect();
         let grids = super::grids(&tactile);
         assert_eq!((grids.len(), grids[0].header.len()), (4, 3));

@@ -8,24 +8,24 @@ use nsim_energy::environment::Environment;
 use nsim_files::table::{Column, csv, four, markdown_of, or_empty, rounded, table_of, with_rounded, wrapped};
 use nsim_study::pareto::VariantRow;
 
-/// Everything that the report says.
+/// Data of the report.
 #[derive(Debug)]
 pub struct ParetoReport<'a> {
     /// The network's name.
     pub model: &'a str,
-    /// Where the samples came from.
+    /// Sources of the samples.
     pub input: &'a [String],
     /// Their seed, when they had one.
     pub seed: Option<u64>,
     /// Number of samples.
     pub samples: usize,
-    /// Where it was measured.
+    /// Environment of the measurement.
     pub environment: &'a Environment,
     /// The variants.
     pub rows: &'a [VariantRow],
 }
 
-/// What is said of a variant in CSV.
+/// Keys of a variant in CSV.
 const KEYS: &str = "variant,us_per_timestep,spread,class_agreement,accuracy,coincidence,potential_rmse,exact,on_front";
 
 const COLUMNS: [Column<VariantRow>; 9] = [
@@ -55,7 +55,7 @@ impl ParetoReport<'_> {
         })
     }
 
-    /// A row a variant.
+    /// CSV with a row for each variant.
     pub fn csv(&self) -> String {
         csv(self.json()["rows"].as_array().into_iter().flatten(), KEYS)
     }
@@ -64,21 +64,21 @@ impl ParetoReport<'_> {
         format!("{}, {} samples of {}", self.model, self.samples, origin(self.input, self.seed))
     }
 
-    /// For people.
+    /// The result as text.
     pub fn text(&self) -> String {
         let table = table_of(self.rows, &COLUMNS);
         let said = format!("{}, against the trained network in doubles; one thread", self.what());
         format!("{}{}\n{table}", wrapped(&self.environment.to_string()), wrapped(&said))
     }
 
-    /// A section of a document, with a chart under `picture`.
+    /// A section of a Markdown document, with a chart under `picture`.
     pub fn markdown(&self, picture: &str) -> String {
         let mut out = format!("{}; {}.\n\n", self.what(), self.environment);
         out += &format!("![run time against error of {}]({picture})\n\n", self.model);
         out + &markdown_of(self.rows, &COLUMNS)
     }
 
-    /// Run time against error, with the front.
+    /// SVG of run time against error, with the front.
     pub fn svg(&self) -> String {
         results::pareto(&self.json()).unwrap_or_default()
     }

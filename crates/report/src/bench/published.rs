@@ -7,14 +7,14 @@ use crate::charts::plot::{self, Series};
 use nsim_files::table::{table, three, wrapped};
 use nsim_study::published::{PublishedRow, factors_by_work, geometric_mean};
 
-/// Above this factor a prediction is far off, and the report says why.
+/// Factor above which the report gives the cause of a deviation.
 const FAR: f64 = 1.5;
 
 fn end(row: &PublishedRow, of: fn((f64, f64)) -> f64) -> String {
     row.interval.map_or_else(|| "-".to_string(), |interval| three(of(interval)))
 }
 
-/// A table of rows, those of a workload under its name.
+/// A table of rows, grouped by workload.
 fn table_of<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
     let (mut lines, mut last) = (Vec::new(), "");
     for row in rows {
@@ -29,7 +29,7 @@ fn table_of<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
     table(&["workload", "printed", "predicted", "low", "high", "ratio"], &lines)
 }
 
-/// What is said of a figure in CSV.
+/// Keys of a figure in CSV.
 const KEYS: &str =
     "work,workload,chip,quantity,kind,unit,published,predicted,low,high,left_out,accounting,source,first_hand,cause";
 
@@ -59,7 +59,7 @@ pub fn json(rows: &[PublishedRow]) -> Value {
     json!({ "schema": "nsim.bench/1", "name": "published", "rows": rows.iter().map(row).collect::<Vec<_>>() })
 }
 
-/// A row a figure.
+/// CSV with a row for each figure.
 pub fn csv(rows: &[PublishedRow]) -> String {
     nsim_files::table::csv(json(rows)["rows"].as_array().into_iter().flatten(), KEYS)
 }
@@ -68,7 +68,7 @@ fn of_kind(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &Publi
     rows.iter().filter(move |row| row.left_out == left_out)
 }
 
-/// For people.
+/// The result as text.
 pub fn text(rows: &[PublishedRow]) -> String {
     let mut out = String::new();
     if of_kind(rows, true).next().is_some() {
@@ -78,7 +78,7 @@ pub fn text(rows: &[PublishedRow]) -> String {
     if second_hand().next().is_some() {
         out += &format!("\nknown second-hand\n\n{}", table_of(second_hand()));
     }
-    // Chips of which nothing is judged.
+    // Chips without rows that judge the model.
     let is_modelled = |chip: &str| rows.iter().all(|row| row.chip != chip || row.first_hand && !row.left_out);
     let mut chips: Vec<&str> = rows.iter().map(|row| row.chip.as_str()).filter(|chip| is_modelled(chip)).collect();
     chips.dedup();
@@ -127,7 +127,7 @@ pub fn text(rows: &[PublishedRow]) -> String {
     out
 }
 
-/// Published against predicted, with intervals and the line on which they are equal.
+/// SVG of published against predicted values, with intervals and the line of equality.
 pub fn svg(rows: &[PublishedRow]) -> String {
     let own: Vec<&PublishedRow> = of_kind(rows, true).filter(|row| row.published > 0.0).collect();
     let ends = own.iter().map(|row| row.published);

@@ -11,19 +11,19 @@ use nsim_files::table::{Column, csv, table_of, three, wrapped};
 pub struct StepRow {
     /// The standard network.
     pub network: &'static str,
-    /// Threads that its cores were shared out over.
+    /// Number of threads.
     pub threads: usize,
     /// Whether idle compartments were skipped.
     pub skip: bool,
-    /// What was measured.
+    /// Its timing.
     pub measured: StepTiming,
-    /// Bytes of the machine, state and flattened tables, divided by synapses; the program that was
-    /// mapped is not counted.
+    /// Bytes of the machine, state and flattened tables, divided by synapses; without the mapped
+    /// program.
     pub bytes_per_synapse: f64,
-    /// Milliseconds that the sums by core (messages, hops) take, once a run: the machine notes who
-    /// spiked and multiplies at the end.
+    /// Milliseconds of the sums by core (messages, hops), once a run: the machine notes who spiked
+    /// and multiplies at the end.
     pub sums_ms: f64,
-    /// Processes that ran it together.
+    /// Number of processes that ran it.
     pub ranks: u32,
 }
 
@@ -37,7 +37,7 @@ impl StepRow {
     }
 }
 
-/// Digits that a timing is good for.
+/// Rounds a timing to its five significant digits.
 pub(super) fn rounded(x: f64) -> f64 {
     format!("{x:.4e}").parse().unwrap_or(x)
 }
@@ -65,13 +65,13 @@ pub fn json(environment: &Environment, rows: &[StepRow]) -> Value {
     json!({ "schema": "nsim.bench/1", "name": "step", "environment": environment, "rows": rows })
 }
 
-/// A row each.
+/// CSV with a row for each network.
 pub fn csv_of(json: &Value) -> String {
     let columns = "network,threads,skip,us_per_timestep,spread,synaptic_events_per_step,bytes_per_synapse";
     csv(json["rows"].as_array().into_iter().flatten(), columns)
 }
 
-/// For people.
+/// The result as text.
 pub fn text(environment: &Environment, rows: &[StepRow]) -> String {
     let ns_an_event = |row: &StepRow| match row.events() {
         events if events > 0.0 => three(row.measured.us_per_timestep * 1e3 / events),
@@ -119,7 +119,7 @@ mod tests {
         let json = json(&here, &rows);
         assert_eq!(csv_of(&json).lines().nth(1), Some("vtsnn-1pct,1,true,1.25,0.02,400,7.5"));
         assert_eq!(json["rows"][1]["skip"], false);
-        // A table that is too wide goes on in another.
+        // A table that is too wide continues in another.
         let text = text(&here, &rows);
         let lines = |start: &str| text.lines().filter(|line| line.starts_with(start)).count();
         assert!(lines("network") > 0 && lines("vtsnn-1pct") == 2 * lines("network"), "{text}");

@@ -1,11 +1,10 @@
-//! A mapping as a picture: cores on their chips, what they hold, what links carry, and how full
-//! they are.
+//! A mapping as a picture: cores on their chips, their populations and use, loads of links.
 //!
 //! Input: a compiled program, its target and the load of every link. Output: one SVG text, the same
 //! for the same mapping. Chips without a core in use are omitted, row by row and column by column
-//! of chips. A core is a square filled from below by the resource that it uses most of, in the
-//! colour of the population that most of its compartments belong to; a link between tiles is as
-//! thick as it is loaded. Below, a bar a core shows the use of each resource.
+//! of chips. A core is a square, filled from below by its fullest resource, in the colour of the
+//! population with most of its compartments. The width of a link between tiles shows its load.
+//! Below, a bar a core shows the use of each resource.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -24,9 +23,9 @@ const LEFT: f64 = 20.0;
 const TOP: f64 = 56.0;
 /// Room for the legend, on the right.
 const LEGEND: f64 = 185.0;
-/// Populations that the legend names.
+/// Greatest number of populations in the legend.
 const MOST_NAMES: usize = 24;
-/// Cores that bars are drawn for; more would be thinner than a line.
+/// Greatest number of cores with bars; more would be thinner than a line.
 const MOST_BARS: usize = 512;
 const BAR_HEIGHT: f64 = 54.0;
 const BARS: [(Resource, &str); 4] = [
@@ -130,7 +129,7 @@ fn square(sheet: &mut Sheet, (x, y): (f64, f64), full: f64, colour: &str) {
     sheet.rect([x, y + inner - filled_to, inner, filled_to], &filled(colour));
 }
 
-/// How full a core is drawn, and how thick a link.
+/// Legend of the fill of cores and the width of links.
 fn scales(sheet: &mut Sheet, (x, top): (f64, f64), busiest: f64) {
     sheet.text((x, top), GREY, "of its fullest resource");
     for (index, percent) in [25, 50, 100].into_iter().enumerate() {
@@ -149,7 +148,7 @@ fn scales(sheet: &mut Sheet, (x, top): (f64, f64), busiest: f64) {
     }
 }
 
-/// A link that carries this part of what the busiest does.
+/// Style of a link by its load, as a fraction of the busiest one's.
 fn link(part: f64) -> String {
     stroked(if part > 0.66 { "#b2182b" } else { "#777" }, 0.4 + 5.0 * part, "")
 }
@@ -172,7 +171,7 @@ fn bars(sheet: &mut Sheet, compiled: &Mapping, target: &Target, top: f64, width:
     }
 }
 
-/// The population of one copy that most compartments of a core belong to.
+/// The population of one copy with most of a core's compartments.
 pub(crate) fn mostly(compiled: &Mapping, core: CoreId) -> PopulationId {
     let per_copy = compiled.one.populations().len().max(1) as u32;
     let mut counts: BTreeMap<u32, usize> = BTreeMap::new();

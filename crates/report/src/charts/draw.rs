@@ -1,9 +1,9 @@
-//! How pictures are drawn: a sheet of SVG, its palette, axes with ticks, a legend.
+//! Drawing primitives: a sheet of SVG, its palette, axes with ticks, a legend.
 //!
 //! Input: shapes and words in the units of the sheet. Output: one SVG text, the same for the same
-//! input. Styles are SVG attributes. Colours are those of Okabe and Ito ("Color universal design",
-//! 2008), then five of Tol's muted ones ("Colour schemes", SRON 2021), distinguished by people who
-//! see fewer; the page takes them too.
+//! input. Styles are SVG attributes. Colours are from Okabe and Ito ("Color universal design",
+//! 2008), then five from Tol's muted ones ("Colour schemes", SRON 2021). Colour-blind people can
+//! distinguish them; the page uses them too.
 
 use std::fmt::Write as _;
 
@@ -29,7 +29,7 @@ pub(super) const GREY: &str = r##"fill="#555""##;
 /// A line of the grid.
 const THIN: &str = r##"stroke="#ddd""##;
 
-/// The style of what is filled.
+/// Style of a filled shape.
 pub(super) fn filled(colour: &str) -> String {
     format!(r#"fill="{colour}""#)
 }
@@ -42,25 +42,25 @@ pub(super) fn stroked(colour: &str, width: f64, dashes: &str) -> String {
 /// One axis of a chart.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Axis {
-    /// What it shows, with its unit.
+    /// Its quantity, with unit.
     pub label: String,
-    /// Whether equal distances are equal factors; then only positive numbers are shown.
+    /// Whether it is logarithmic; then only positive numbers are shown.
     pub log: bool,
 }
 
 impl Axis {
-    /// Equal distances are equal differences.
+    /// A linear axis.
     pub fn linear(label: impl Into<String>) -> Axis {
         Axis { label: label.into(), log: false }
     }
 
-    /// Equal distances are equal factors.
+    /// A logarithmic axis.
     pub fn log(label: impl Into<String>) -> Axis {
         Axis { label: label.into(), log: true }
     }
 }
 
-/// How a series is drawn, for the legend.
+/// Mark of a series in the legend.
 #[derive(Debug, Clone, Copy)]
 pub(super) enum Mark {
     /// Filled.
@@ -71,7 +71,7 @@ pub(super) enum Mark {
     Dot,
 }
 
-/// An SVG text that grows.
+/// An SVG text under construction.
 pub(super) struct Sheet(String);
 
 impl Sheet {
@@ -93,7 +93,7 @@ impl Sheet {
         sheet
     }
 
-    /// Left, top, width and height.
+    /// Adds a rectangle, from left, top, width and height.
     pub fn rect(&mut self, [x, y, width, height]: [f64; 4], style: &str) {
         _ = writeln!(self.0, r#"<rect x="{x:.1}" y="{y:.1}" width="{width:.2}" height="{height:.2}" {style}/>"#);
     }
@@ -102,12 +102,12 @@ impl Sheet {
         _ = writeln!(self.0, r#"<line x1="{x1:.1}" y1="{y1:.1}" x2="{x2:.1}" y2="{y2:.1}" {style}/>"#);
     }
 
-    /// Lines by the commands of SVG.
+    /// Adds a path of SVG commands.
     pub fn path(&mut self, commands: &str, style: &str) {
         _ = writeln!(self.0, r#"<path d="{commands}" {style}/>"#);
     }
 
-    /// One line through points.
+    /// Adds one line through points.
     pub fn through(&mut self, points: &[(f64, f64)], style: &str) {
         let points = points.iter().map(|(x, y)| format!("{x:.1},{y:.1}")).collect::<Vec<_>>().join(" ");
         _ = writeln!(self.0, r#"<polyline points="{points}" {style}/>"#);
@@ -121,19 +121,19 @@ impl Sheet {
         _ = writeln!(self.0, r#"<text x="{x:.1}" y="{y:.1}" {style}>{}</text>"#, markup(words));
     }
 
-    /// Words along the left edge, around this height.
+    /// Adds vertical words along the left edge, around height `y`.
     pub fn upright(&mut self, y: f64, words: &str) {
         self.text((18.0, y), &format!(r#"{MIDDLE} transform="rotate(-90 18 {y:.1})""#), words);
     }
 
-    /// Shapes over which a pointer reads these words.
+    /// Adds shapes with a tooltip.
     pub fn titled(&mut self, words: &str, draw: impl FnOnce(&mut Sheet)) {
         _ = write!(self.0, "<g><title>{}</title>", markup(words));
         draw(self);
         self.0 += "</g>\n";
     }
 
-    /// Numbers below the chart, up to this place, and a grid where it is wanted.
+    /// Adds ticks below the chart, up to `end`, with an optional grid.
     pub fn ticks_across(&mut self, scale: &Scale, end: f64, grid: bool) {
         for (x, label) in scale.ticks().into_iter().filter(|(x, _)| *x <= end + 0.5) {
             if grid {
@@ -143,7 +143,7 @@ impl Sheet {
         }
     }
 
-    /// Numbers left of the chart and a grid.
+    /// Adds ticks left of the chart, with a grid.
     pub fn ticks_up(&mut self, scale: &Scale) {
         for (y, label) in scale.ticks() {
             self.line([LEFT, y, RIGHT, y], THIN);
@@ -151,7 +151,7 @@ impl Sheet {
         }
     }
 
-    /// The legend's entry of this number.
+    /// Adds entry `index` of the legend.
     pub fn legend(&mut self, index: usize, (colour, mark): (&str, Mark), name: &str) {
         let (x, y) = (RIGHT + 14.0, TOP + 8.0 + 18.0 * index as f64);
         match mark {
@@ -168,10 +168,10 @@ impl Sheet {
     }
 }
 
-/// Numbers to places on the paper.
+/// A map from numbers to positions on the sheet.
 pub(super) struct Scale {
     log: bool,
-    /// From tick to tick, of a linear one.
+    /// Distance of ticks, of a linear scale.
     step: f64,
     low: f64,
     high: f64,
@@ -188,7 +188,7 @@ impl Scale {
         }
         let mut between = 0.0;
         if axis.log {
-            // The smallest and the largest numbers have no rounder neighbours.
+            // Rounding the smallest and the largest numbers would leave the range of doubles.
             (low, high) = (round_below(low).max(f64::MIN_POSITIVE), round_above(high).min(f64::MAX));
             if high < 9.0 * low {
                 (low, high) = (10f64.powf(low.log10().floor()), 10f64.powf(high.log10().ceil()).min(f64::MAX));
@@ -200,7 +200,7 @@ impl Scale {
             if high / 6.0 - low / 6.0 < f64::MIN_POSITIVE {
                 (low, high) = (low - 0.5 * low.abs().max(1.0), high + 0.5 * high.abs().max(1.0));
             }
-            // The difference of the greatest numbers is none.
+            // Ends beyond the range of doubles are clamped.
             (low, high) = (low.max(f64::MIN), high.min(f64::MAX));
             between = step((high / 2.0 - low / 2.0) / 3.0);
             // A sum of shares may miss its tick by its last digit.
@@ -213,7 +213,7 @@ impl Scale {
 
     pub fn place(&self, number: f64) -> Option<f64> {
         let share = match self.log {
-            // Smaller numbers have fewer digits, and the smallest no decade.
+            // Subnormal numbers have fewer digits, and the smallest no decade.
             true if number >= f64::MIN_POSITIVE => self.above_low(number) / self.above_low(self.high),
             true => return None,
             false => (number / 2.0 - self.low / 2.0) / (self.high / 2.0 - self.low / 2.0),
@@ -222,7 +222,7 @@ impl Scale {
     }
 
     /// The logarithm of a number over the lowest; the ratio of the greatest to the smallest number
-    /// is none.
+    /// overflows.
     fn above_low(&self, number: f64) -> f64 {
         let ratio = number / self.low;
         if ratio.is_finite() { ratio.ln() } else { number.ln() - self.low.ln() }
@@ -246,7 +246,7 @@ impl Scale {
     }
 }
 
-/// Decades that have a tick each.
+/// Greatest number of decades with a tick each.
 const MOST_DECADES: usize = 40;
 
 /// First digits of the ends of a logarithmic axis, and of the steps of a linear one.
@@ -259,14 +259,14 @@ fn round_below(number: f64) -> f64 {
     digit.unwrap_or(1.0) * decade
 }
 
-/// The smallest that is at least this.
+/// The smallest 1, 2 or 5 times a power of ten that is at least this.
 fn round_above(number: f64) -> f64 {
     let decade = 10f64.powf(number.log10().floor());
     let digit = ROUND_DIGITS.into_iter().find(|digit| digit * decade >= number * 0.999_999);
     digit.unwrap_or(10.0) * decade
 }
 
-/// The round step next above this.
+/// The smallest round step that is at least this.
 fn step(rough: f64) -> f64 {
     let decade = 10f64.powf(rough.log10().floor());
     ROUND_DIGITS.into_iter().find(|digit| rough / decade <= *digit).unwrap_or(10.0) * decade

@@ -1,15 +1,15 @@
-//! Pictures as files: SVG with its font in it, PNG, PDF.
+//! Pictures as files: SVG with an embedded font, PNG, PDF.
 //!
 //! Input: an SVG text of this crate's charts. Output: the bytes of a file that looks the same on
-//! every machine. In SVG words stay words and the font (Roboto, `assets/roboto`, Apache License
-//! 2.0) is embedded; in PNG and PDF words become outlines of that font, so that no font is looked
-//! for. PNG and PDF need the feature `pictures`.
+//! every machine. SVG keeps text and embeds the font (Roboto, `assets/roboto`, Apache License 2.0).
+//! PNG and PDF have outlines of that font in place of text, so they need no installed font. PNG and
+//! PDF need the feature `pictures`.
 //!
 //! Errors: a message when a picture cannot be drawn, or when this build cannot draw it.
 
 use std::path::Path;
 
-/// What kind of file a picture is.
+/// File format of a picture.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum PictureFormat {
     /// Scalable Vector Graphics.
@@ -27,11 +27,11 @@ pub const ENDINGS: &str = if cfg!(feature = "pictures") {
     ".svg (.png and .pdf need an nsim built with --features pictures)"
 };
 
-/// What help calls the file of a picture.
+/// Name of a picture's file in help texts.
 pub const FILE: &str = if cfg!(feature = "pictures") { "FILE.svg|png|pdf" } else { "FILE.svg" };
 
 impl PictureFormat {
-    /// The kind that a file's name says; none when it says none.
+    /// The format of a file name's ending; none for another ending.
     pub fn from_name(path: &Path) -> Option<Self> {
         match path.extension()?.to_string_lossy().to_ascii_lowercase().as_str() {
             "svg" => Some(PictureFormat::Svg),
@@ -41,10 +41,10 @@ impl PictureFormat {
         }
     }
 
-    /// Whether this build can draw the picture of this name; otherwise why not.
+    /// Checks that this build can draw a picture in this format.
     ///
     /// # Errors
-    /// What to name it instead, and how to get a build that can.
+    /// A message with a name that works, and with the feature to build.
     pub fn check(self, path: &Path) -> Result<(), String> {
         match self {
             PictureFormat::Svg => Ok(()),
@@ -60,7 +60,7 @@ impl PictureFormat {
     /// The file of a picture.
     ///
     /// # Errors
-    /// When it cannot be drawn, which for the charts of this crate it can.
+    /// A message when it cannot be drawn; the charts of this crate can be.
     pub fn bytes(self, svg: &str) -> Result<Vec<u8>, String> {
         match self {
             PictureFormat::Svg => Ok(with_font(svg).into_bytes()),
@@ -77,7 +77,7 @@ impl PictureFormat {
 /// Latin and Greek of the font, as the base64 digits of a WOFF2 file.
 const FONT_DIGITS: &str = include_str!(concat!(env!("ASSETS"), "/roboto/roboto-latin.woff2.base64"));
 
-/// A picture with its font in it.
+/// A picture with an embedded font.
 pub fn with_font(svg: &str) -> String {
     let Some((head, rest)) = svg.split_once('>') else { return svg.to_string() };
     let head = head.replace("font-family=\"sans-serif\"", "font-family=\"Roboto, Arial, sans-serif\"");
@@ -121,7 +121,7 @@ mod drawn {
         Tree::from_str(&outlined(svg)?, &Options::default()).map_err(|error| error.to_string())
     }
 
-    /// The picture with outlines for words.
+    /// The picture with outlines in place of text.
     pub fn outlined(svg: &str) -> Result<String, String> {
         let document = Document::parse(svg).map_err(|error| error.to_string())?;
         let face = Face::parse(FONT, 0).map_err(|error| error.to_string())?;
@@ -139,7 +139,7 @@ mod drawn {
         node.ancestors().find_map(|node| node.attribute(name))
     }
 
-    /// A path of the glyphs of a line of text, and the width of the line.
+    /// Path of the glyphs of a line of text, with scale and position of the next glyph.
     struct Line {
         path: String,
         scale: f64,
@@ -152,7 +152,7 @@ mod drawn {
             self.path.push(command);
             for &(x, y) in points {
                 let (x, y) = (self.x + f64::from(x) * self.scale, self.y - f64::from(y) * self.scale);
-                // A String takes everything.
+                // Writing to a String does not fail.
                 let _ = write!(self.path, "{x:.2} {y:.2} ");
             }
         }

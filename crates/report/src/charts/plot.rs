@@ -13,16 +13,16 @@ use nsim_files::table::three;
 
 const DASHES: [&str; 4] = ["", "7 3", "2 3", "9 3 2 3"];
 
-/// Numbers of a chart under one name, which is in the legend.
+/// A series of a chart, under its name in the legend.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Series {
     /// A line through points (x, y) in order of x.
     Line(String, Vec<(f64, f64)>),
-    /// Single points: x, y, and the words next to them.
+    /// Single points: x, y and label.
     Points(String, Vec<(f64, f64, String)>),
-    /// Points that steps join; the best x is first.
+    /// Points joined by steps; the best x is first.
     Front(String, Vec<(f64, f64, String)>),
-    /// Upright lines: x, low and high.
+    /// Vertical lines: x, low and high.
     Intervals(String, Vec<(f64, f64, f64)>),
 }
 
@@ -35,7 +35,7 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     let mut sheet = Sheet::chart(title, &x.label, &y.label);
     sheet.ticks_across(&across, RIGHT, true);
     sheet.ticks_up(&up);
-    // A front lies above what it is the front of, and its labels are placed first.
+    // A front is drawn above the other points, and its labels are placed first.
     let is_front = |one: &Series| matches!(one, Series::Front(..));
     let mut order: Vec<(usize, &Series)> = series.iter().enumerate().collect();
     order.sort_by_key(|(_, one)| is_front(one));
@@ -79,7 +79,7 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     sheet.svg()
 }
 
-/// Points on a front, joined, and dominated ones, each with its words; the best x is first.
+/// Points on a front, joined, and dominated ones, each with its label; the best x is first.
 pub fn front_series(points: impl Iterator<Item = ((f64, f64, String), bool)>) -> Vec<Series> {
     let (front, others): (Vec<_>, Vec<_>) = points.partition(|(_, on_front)| *on_front);
     let [front, others] = [front, others].map(|points| points.into_iter().map(|(point, _)| point).collect::<Vec<_>>());
@@ -92,13 +92,12 @@ pub fn bars(title: &str, y: &str, categories: &[String], series: &[(String, Vec<
     barred(title, y, categories, series, false)
 }
 
-/// A chart of bars: one a category, its series on top of each other. Their numbers are not
-/// negative.
+/// A chart of stacked bars, one a category. Their numbers are not negative.
 pub fn stacked(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f64>)]) -> String {
     barred(title, y, categories, series, true)
 }
 
-/// A series' colour; those beyond the colours there are take them again, half through.
+/// Colour of a series; after the last one they repeat, half transparent.
 fn colour(index: usize) -> String {
     let half = if index < COLOURS.len() { "" } else { "80" };
     format!("{}{half}", COLOURS[index % COLOURS.len()])
@@ -108,7 +107,7 @@ fn colour(index: usize) -> String {
 fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
     let group = (RIGHT - LEFT) / names.len().max(1) as f64;
     let lines = || names.iter().flat_map(|name| name.lines());
-    // They stand straight if all have room.
+    // Names are horizontal if all of them fit.
     let has_room = lines().all(|line| 6.2 * line.chars().count() as f64 <= group);
     for (place, name) in names.iter().enumerate() {
         for (number, line) in name.lines().enumerate() {
@@ -120,11 +119,11 @@ fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
     group
 }
 
-/// A number, and the ends of its interval where one is known.
+/// A number, and the ends of its interval, if known.
 pub type Marked = (f64, Option<(f64, f64)>);
 
-/// A row a category and a panel a series, each with an axis of factors of its own: points with
-/// their values and intervals.
+/// A chart with a row a category and a panel a series, each with its own logarithmic axis: points
+/// with their values and intervals.
 pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<Marked>>)]) -> String {
     let (left, wide, tall, top) = (215.0, 150.0, 38.0, TOP + 24.0);
     let bottom = top + tall * categories.len() as f64;
@@ -142,7 +141,7 @@ pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<
             let (low, high) = interval.unwrap_or((value, value));
             [low, value, high]
         });
-        // The words of a point at an end stay within the panel.
+        // The label of a point at an end stays within the panel.
         let across = Scale::new(&Axis::log(""), ends, from + 18.0, from + wide - 18.0);
         sheet.rect([from, top, wide, bottom - top], &stroked("#999", 1.0, ""));
         sheet.text((from + wide / 2.0, top - 8.0), MIDDLE, name);
@@ -201,11 +200,11 @@ fn barred(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f6
     sheet.svg()
 }
 
-/// Writes words next to points, where there is room around them. Those that would lie over others
-/// or over points everywhere are omitted; a front's come first.
+/// Writes labels next to points, where there is room. A label that would overlap labels or points
+/// everywhere is omitted; a front's come first.
 fn write_labels(sheet: &mut Sheet, mut labels: Vec<(bool, f64, f64, String)>) {
     labels.sort_by_key(|(first, ..)| !first);
-    // From, to and the middle of each line of words, and of each point.
+    // Left end, right end and middle height of each label and each point.
     let mut taken: Vec<(f64, f64, f64)> = labels.iter().map(|(_, x, y, _)| (x - 4.0, x + 4.0, *y)).collect();
     for (_, x, y, text) in labels {
         let wide = 5.0 * text.chars().count() as f64;

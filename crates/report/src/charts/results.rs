@@ -1,8 +1,8 @@
 //! Pictures of results: from the JSON objects that commands print.
 //!
-//! Input: a result of `nsim energy`, `bench pareto`, `map --pareto` or `agree`.
-//! Output: an SVG text, or none when the result has not what is drawn. A command draws its own
-//! result by the same function, so that a stored one looks the same.
+//! Input: a result of `nsim energy`, `bench pareto`, `map --pareto` or `agree`. Output: an SVG
+//! text, or none when the result lacks the drawn values. A command draws its own result by the same
+//! function, so a stored one looks the same.
 
 use serde_json::Value;
 
@@ -35,8 +35,8 @@ fn parts(value: &Value) -> Vec<(String, f64)> {
         .collect()
 }
 
-/// Power, time, energy and energy-delay product of a timestep on all hardware of `nsim.energy/1`,
-/// a panel each, with their intervals; the name of hardware says where its figures come from.
+/// Power, time, energy and energy-delay product of a timestep on all hardware of `nsim.energy/1`, a
+/// panel each, with intervals; the name of hardware has the source of its figures.
 pub fn hardware(result: &Value) -> Option<String> {
     let totals: Vec<&Value> = rows(&result["rows"]).iter().filter(|row| row["unit"] == "total").collect();
     let name = |row: &&Value| {
@@ -70,8 +70,8 @@ pub fn hardware(result: &Value) -> Option<String> {
     totals.iter().any(|row| number(&row["energy_uj"]).is_some()).then(|| plot::panels(&title, &names, &columns))
 }
 
-/// Where the energy of a timestep goes, of `nsim.energy/1`: all of it, and the dynamic part of the
-/// neuron cores.
+/// Breakdown of the energy of a timestep, of `nsim.energy/1`: all of it, and the dynamic part of
+/// the neuron cores.
 pub fn energy(result: &Value) -> Option<String> {
     let chip = &rows(&result["rows"]).first()?["hardware"];
     let unit = |unit: &str| rows(&result["rows"]).iter().find(|row| row["hardware"] == *chip && row["unit"] == unit);
@@ -90,7 +90,7 @@ pub fn energy(result: &Value) -> Option<String> {
     series.extend(parts.iter().map(|(name, pj)| (name.clone(), vec![0.0, share(*pj, dynamic)])));
     let title = format!("{}: where the energy of a timestep goes", subject(result));
     let whole = format!("all: {} uJ", three(number(&total["energy_uj"])?));
-    // What events cost is little compared with static power, and less than a microjoule.
+    // Events cost little compared with static power, and less than a microjoule.
     let of_events = match dynamic / 1e6 {
         uj if uj < 0.1 => format!("neuron dynamic: {} nJ", three(uj * 1e3)),
         uj => format!("neuron dynamic: {} uJ", three(uj)),
@@ -98,7 +98,7 @@ pub fn energy(result: &Value) -> Option<String> {
     Some(plot::stacked(&title, "share (%)", &[whole, of_events], &series))
 }
 
-/// Where the time of a timestep goes, of `nsim.energy/1`: a bar for each part.
+/// Breakdown of the time of a timestep, of `nsim.energy/1`: a bar for each part.
 pub fn time(result: &Value) -> Option<String> {
     let parts = parts(&result["time_us_per_timestep"]);
     let total: f64 = parts.iter().map(|(_, us)| us).sum();
@@ -150,8 +150,8 @@ pub fn pareto(result: &Value) -> Option<String> {
     Some(plot::chart(&title, &x, &y, &plot::front_series(points.into_iter())))
 }
 
-/// Causes of disagreement of `nsim agree`, forward and reversed; without them, how far each layer
-/// agrees.
+/// Causes of disagreement of `nsim agree`, forward and reversed; without them, the coincidence of
+/// each layer.
 pub fn agreement(result: &Value) -> Option<String> {
     let model = words(&result["model"]);
     let shares = rows(&result["attribution"]);

@@ -2,8 +2,8 @@
 //! and messages of compartments.
 //!
 //! Input: a recording, or a [`Timeline`] of a network. Output: one SVG text, the same for the same
-//! input. What a timeline omits is said in the picture. Dots of one kind are one path, so that
-//! ten thousand of them stay a file of some hundred kilobytes.
+//! input. The picture states the omissions of a timeline. Dots of one kind are one path, so that
+//! ten thousand of them take some hundred kilobytes.
 
 use std::fmt::Write as _;
 
@@ -15,16 +15,16 @@ use nsim_ir::quantised::Quantised;
 use nsim_session::Quantity;
 use nsim_session::timeline::Timeline;
 
-/// Between two panels.
+/// Space between two panels.
 const GAP: f64 = 12.0;
-/// Points of a curve; a longer one shows the largest potential of each group of steps.
+/// Greatest number of points of a curve; a longer one has the maximum of each group of steps.
 const MOST_POINTS: usize = 1_500;
-/// A panel is as high as this many times the lowest at most.
+/// Greatest ratio of the heights of two rasters.
 const MOST_SHARE: f64 = 3.0;
-/// Panels of a raster; more would be thinner than their names.
+/// Greatest number of panels of a raster; more would be thinner than their names.
 const MOST_PANELS: usize = 24;
 
-/// What a panel shows.
+/// Content of a panel.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
     /// Spikes of `n` channels as (step, channel), under the name of their kind; channel 0 is at
@@ -37,11 +37,11 @@ pub enum Content {
 /// A sense, a population or a compartment.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panel {
-    /// What it is.
+    /// Name of the sense, population or compartment.
     pub label: String,
     /// Its share of the height.
     pub share: f64,
-    /// What is drawn.
+    /// Its content.
     pub content: Content,
 }
 
@@ -50,15 +50,15 @@ pub struct Panel {
 pub struct Panels {
     /// The title.
     pub title: String,
-    /// What all panels show, where they do not say it.
+    /// Common quantity of all panels; empty where panels name their own.
     pub what: String,
     /// Timesteps.
     pub steps: u32,
     /// Milliseconds of a timestep.
     pub timestep_ms: f64,
-    /// When what decides the class begins, in ms from the start.
+    /// Time of the event that decides the class, ms from the start.
     pub onset_ms: Option<f64>,
-    /// From top to bottom.
+    /// Panels, from top to bottom.
     pub panels: Vec<Panel>,
 }
 
@@ -120,7 +120,7 @@ impl Panels {
     }
 }
 
-/// Spikes of the first of these populations, each in a panel of its own.
+/// SVG of the spikes of the first of these populations, each in its own panel.
 pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[PopulationId]) -> String {
     let panel = |&id: &PopulationId| {
         let raster = &timeline.rasters[id.0 as usize];
@@ -149,9 +149,9 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
     Panels { title, what: String::new(), steps, timestep_ms, onset_ms: None, panels }.svg()
 }
 
-/// Potentials over time in parts of their thresholds, or messages in parts of the greatest, which a
-/// label gives: a panel for each compartment; the timeline holds those of `traced`, in this order.
-/// No message is 0.
+/// SVG with a panel for each compartment: potentials as fractions of their thresholds, or messages
+/// as fractions of the greatest, which a label gives. The timeline has the traces of `traced`, in
+/// this order. 0 represents no message.
 pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced], quantity: Quantity) -> String {
     let is_message = quantity == Quantity::Message;
     let steps = timeline.steps.0;
@@ -169,7 +169,7 @@ pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[T
             }
             false => (of.name.clone(), of.threshold),
         };
-        // A point stands at the end of its steps.
+        // A point is at the end of its steps.
         let end = |point: usize| ((point + 1) * group).min(steps as usize);
         let points = trace.chunks(group).filter_map(largest).enumerate();
         let points = points.map(|(point, value)| (end(point), f64::from(value) / whole)).collect();
@@ -190,8 +190,8 @@ pub struct Traced {
     pub threshold: f64,
 }
 
-/// The compartments to draw, at most `most`: of each population the unit that is named, or as many
-/// units as are given, those that spike most.
+/// At most `most` compartments to draw: of each population the named unit, or the given number of
+/// units that spike most.
 pub fn traced(
     network: &Quantised,
     populations: impl IntoIterator<Item = (PopulationId, Option<u32>, usize)>,

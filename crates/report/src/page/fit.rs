@@ -1,5 +1,4 @@
-//! A mapping as rows of numbers: where its cores lie, how full they are, what links carry. For a
-//! page.
+//! A mapping as JSON for a page: sites of its cores, their use, loads of links.
 
 use serde_json::{Value, json};
 

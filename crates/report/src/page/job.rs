@@ -1,8 +1,8 @@
-//! What the page of a run shows (`nsim report`).
+//! Contents of the page of a run (`nsim report`).
 //!
-//! Input: a priced run, the network as its file says. Output: [`Sections`], which `report::page`
-//! makes a page of. Of the first sample every step is shown; a network in real numbers is compared
-//! with itself as it was trained. Omitted on purpose: files.
+//! Input: a priced run, and the network of its file. Output: [`Sections`] for `report::page`. The
+//! first sample is shown step by step. A network in real numbers is compared with its trained form.
+//! Omitted on purpose: files.
 
 use serde_json::Value;
 
@@ -27,11 +27,11 @@ use nsim_session::obtain::mapped_as_usual;
 use nsim_session::samples::Progress;
 use nsim_train::convert::staged::is_real;
 
-/// Samples of which the trained and the deployed network are compared.
+/// Greatest number of samples on which the trained and the deployed network are compared.
 const COMPARED: usize = 40;
-/// Compartments of a population whose potentials are drawn.
+/// Compartments of a population, except the output, whose potentials are drawn, at most.
 const WATCHED_OF_EACH: usize = 3;
-/// Compartments whose potentials are drawn.
+/// Greatest number of compartments whose potentials are drawn.
 const WATCHED: usize = 12;
 /// A network with more synapses is not compared with its trained form.
 const MOST_COMPARED: u64 = 4_000_000;
@@ -39,7 +39,7 @@ const MOST_COMPARED: u64 = 4_000_000;
 /// The sections of a page, but for the comparison with the network as it was trained.
 ///
 /// # Errors
-/// Those of running the first sample again, step by step.
+/// The errors of a second run of the first sample, step by step.
 pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Transport) -> Result<Sections, Error> {
     let Evaluated { energy, run, deployment } = evaluated;
     let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
@@ -62,8 +62,8 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Trans
     Ok(sections)
 }
 
-/// The network as it was trained and its integers, from its file, where it has real numbers and is
-/// small enough to be compared.
+/// The trained network and its integers, from its file, if it has real numbers and is small enough
+/// to be compared.
 ///
 /// # Errors
 /// As [`real_and_integers`].
@@ -72,14 +72,14 @@ pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<(Graph,
     Ok(Some(both).filter(|(graph, _)| is_real(graph) && workload.compiled.one.synapses() <= MOST_COMPARED))
 }
 
-/// Samples of which the trained and the deployed network are compared.
+/// Number of samples on which the trained and the deployed network are compared.
 pub fn compared(workload: &Workload<'_>) -> usize {
     workload.samples().len().min(COMPARED)
 }
 
-/// How the network in integers agrees with the trained one, as [`Sections`] has it; `progress` is
-/// called after each sample. Relays and pruning are omitted: neither changes a decision, and the
-/// trained network has no such populations.
+/// Agreement of the integer network with the trained one, for [`Sections`]. Calls `progress` after
+/// each sample. Relays and pruning are omitted: neither changes a decision, and the trained network
+/// has no such populations.
 ///
 /// # Errors
 /// As [`mapped_as_usual`] and [`compare_models`].
@@ -97,8 +97,8 @@ pub fn agreement(
     Ok(report.json())
 }
 
-/// The compartments whose potentials are drawn: of the output, then of each population, those that
-/// spike most.
+/// The compartments whose potentials are drawn: the most active ones of the output, then of each
+/// other population.
 fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Traced>) {
     let output = network.parts().output;
     let others = network.populations().ids().filter(|&id| id != output);

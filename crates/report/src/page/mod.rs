@@ -1,9 +1,9 @@
 //! A run as one page that opens in any browser without a network: `nsim report`.
 //!
-//! Input: what a run did and cost, as JSON; its network, mapping and first sample. Output: HTML
-//! with everything in it: the data, the program that draws them (`page.js`), and Apache ECharts
-//! (`assets/echarts`, Apache License 2.0), unchanged. What is drawn is reduced where it would be
-//! too much to look at; the page says by how much.
+//! Input: counts and costs of a run, as JSON; its network, mapping and first sample. Output: HTML
+//! that includes the data, the program that draws them (`page.js`), and Apache ECharts
+//! (`assets/echarts`, Apache License 2.0), unchanged. Large data are reduced for drawing; the page
+//! states by how much.
 
 pub mod fit;
 pub mod job;
@@ -26,7 +26,7 @@ const CHARTS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/echarts.min.js.d
 /// A file or source that a page was made from.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
 pub struct Origin {
-    /// What it is: model, target, input, mapping.
+    /// Its kind: model, target, input, mapping.
     pub what: &'static str,
     /// Its path or name.
     pub name: String,
@@ -34,16 +34,16 @@ pub struct Origin {
     pub sha256: String,
 }
 
-/// Where a page comes from.
+/// Provenance of a page.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Provenance {
     /// The command as it was typed.
     pub command: String,
-    /// What it read.
+    /// Files and sources that it read.
     pub origins: Vec<Origin>,
 }
 
-/// Sections of a page; what is null is omitted.
+/// Sections of a page; a null section is omitted.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Sections {
     /// `nsim.energy/1` or `nsim.run/1`; two where two are compared.
@@ -77,8 +77,8 @@ pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String
         "confusion": confusion,
         "agreement": agreement,
     });
-    // Within a script `</script` ends it, and `<!--<script` hides its end. `<` stands in strings
-    // only, which may escape it.
+    // `</script` would end the script, and `<!--<script` would hide its end. `<` occurs in strings
+    // only, where it can be escaped.
     let data = data.to_string().replace('<', "\\u003c");
     let parts = [("title", markup(title)), ("style", STYLE.to_string()), ("charts", charts())];
     let parts = parts.into_iter().chain([("data", data), ("script", SCRIPT.to_string())]);
@@ -95,10 +95,10 @@ pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String
     page + rest
 }
 
-/// The program of the charts.
+/// Source text of the chart library.
 fn charts() -> String {
     let mut text = String::new();
-    // What the build deflated comes out whole; a test compares it with the file.
+    // Inflating the build's output does not fail; a test compares it with the file.
     let _ = flate2::read::DeflateDecoder::new(CHARTS).read_to_string(&mut text);
     text
 }

@@ -1,4 +1,4 @@
-//! A network as a graph with what its layers and projections are: for a page.
+//! A network as JSON for a page: its graph, layers and projections.
 
 use serde_json::{Value, json};
 
@@ -7,12 +7,12 @@ use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Population, Projection, Quantised};
 
-/// Bars of a histogram of weights.
+/// Greatest number of bars of a histogram of weights.
 const BARS: i32 = 32;
 
-/// Populations that a page draws: a browser takes 8 s for 150 of them, 23 s for 400.
+/// Greatest number of drawn populations: a browser takes 8 s for 150 of them, 23 s for 400.
 const MOST_POPULATIONS: usize = 40;
-/// Projections that a page draws.
+/// Greatest number of drawn projections.
 const MOST_PROJECTIONS: usize = 200;
 
 /// The populations that a page draws: the first of the file, and the output.
@@ -94,7 +94,7 @@ fn population_json(population: &Population) -> Value {
     object["kind"] = kind.map_or("", NeuronKind::name).into();
     let table = kind.unwrap_or_default().table();
     let own: Vec<&str> = table.parameters.iter().map(|parameter| parameter.name).collect();
-    // Of a compartment of Loihi 1 the most telling ones.
+    // Loihi 1 compartments have many parameters: the most informative ones.
     let telling = ["du", "dv", "vth_mant", "bias_mant", "refractory"];
     for &name in if table.registers { &telling[..] } else { &own } {
         let range = population.each_neuron().fold(None, |range: Option<(i64, i64)>, neuron| {
@@ -116,8 +116,8 @@ fn kind(connectivity: &Connectivity) -> &'static str {
     }
 }
 
-/// How often weights of each size are stored: of a kernel those of the kernel. None for weights
-/// that are generated from a seed.
+/// Histogram of the stored weights; of a convolution, of its kernel. Null for weights that are
+/// generated from a seed.
 fn histogram(connectivity: &Connectivity) -> Value {
     let weights: &[i16] = match connectivity {
         Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => weights,

@@ -1,4 +1,4 @@
-//! What a page shows of samples: one step by step, and all by class.
+//! Samples as JSON for a page: one step by step, and all by class.
 
 use std::collections::HashSet;
 
@@ -12,11 +12,11 @@ use nsim_ir::spikes::Sample;
 use nsim_session::Outcome;
 use nsim_session::timeline::{Raster, Timeline};
 
-/// Points of a curve over steps; a longer one is reduced.
+/// Greatest number of points of a curve; a longer one is reduced.
 const MOST_POINTS: usize = 1_500;
 
-/// A sample over its steps: means of this many steps in a row of everything that is counted, the
-/// largest potential of each such group, every stored spike of the populations that are [`drawn`].
+/// A sample over its steps: means of all counts over groups of consecutive steps, the largest
+/// potential of each group, and every stored spike of the [`drawn`] populations.
 pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample: &Sample, outcome: &Outcome) -> Value {
     let (kept, all) = timeline.steps;
     let group = (kept as usize).div_ceil(MOST_POINTS).max(1);
@@ -72,7 +72,7 @@ pub fn confusion(network: &Quantised, samples: &[&Sample], outcomes: &[Outcome])
     let labels = samples.iter().filter_map(|sample| sample.label());
     let Some(most) = labels.max() else { return Value::Null };
     let classes = outputs.max(most as usize + 1);
-    // A page that no one could read is not made.
+    // A larger table would be unreadable.
     if classes > 200 {
         return Value::Null;
     }

@@ -1,4 +1,4 @@
-//! A run by population, input and core, and what its user is warned of, as text and JSON.
+//! Details of a run by population, input and core, and its warnings, as text and JSON.
 
 use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
@@ -9,24 +9,24 @@ use crate::ranks::RankRow;
 use crate::warnings::Warning;
 use nsim_files::table::{Column, table_of, three};
 
-/// What a run did in its parts.
+/// Counts of a run by population, input and core, and its warnings.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct Detail {
-    /// By population and input.
+    /// Counts by population and input.
     #[serde(flatten)]
     pub sums: ByPopulation,
-    /// By core; empty for engines without cores.
+    /// Counts by core; empty for engines without cores.
     #[serde(serialize_with = "core_rows")]
     pub cores: Vec<CoreRow>,
-    /// What to look at.
+    /// Warnings to the user.
     pub warnings: Vec<Warning>,
-    /// The processes that ran it together; empty where it was one alone.
+    /// The processes that ran the program together; empty for a single process.
     #[serde(serialize_with = "rank_rows", skip_serializing_if = "Vec::is_empty")]
     pub ranks: Vec<RankRow>,
 }
 
 impl Detail {
-    /// A table of the populations, for this many timesteps.
+    /// Returns a table of the populations, for a run of `timesteps` timesteps.
     pub fn populations_text(&self, timesteps: u64) -> String {
         if self.sums.populations.is_empty() {
             return String::new();
@@ -47,7 +47,7 @@ impl Detail {
         table_of(&rows, &columns) + "\n"
     }
 
-    /// A line for each process that ran a part.
+    /// Returns a line for each process that ran a part.
     pub fn ranks_text(&self) -> String {
         let line = |row: &RankRow| {
             let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
@@ -57,8 +57,8 @@ impl Detail {
         self.ranks.iter().map(line).collect()
     }
 
-    /// A table of the cores that were the slowest in most steps, at most this many. Of cores that
-    /// take as long in every step the first is listed, with their number.
+    /// Returns a table of the cores that were slowest in most steps, at most `most` of them. Of
+    /// cores with equal times in every step, only the first is listed, with their number.
     pub fn slowest_text(&self, most: usize) -> String {
         let spent = |row: &CoreRow| row.spent.map_or(0, |spent| spent.slowest_steps);
         let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| spent(row) > 0).collect();

@@ -34,7 +34,7 @@ impl Builder {
         Builder { parts, channels: 0, compartments: 0 }
     }
 
-    /// Compartments that fire at a set rate: each has a driving channel over one strong synapse.
+    /// Compartments that fire at a set rate, each driven by a channel over one strong synapse.
     pub(crate) fn driven(name: &str, compartments: u32) -> Result<(Self, PopulationId, PopulationId), OutOfRange> {
         let mut net = Builder::new(name);
         let drive = net.input("drive", compartments);
@@ -59,7 +59,7 @@ impl Builder {
         })
     }
 
-    /// Gives the last population a shape over space with as many units.
+    /// Gives the last population a volume shape with the same number of units.
     pub(crate) fn over_space(&mut self, channels: u32, height: u32, width: u32) {
         let shape = Shape::Volume(channels, height, width);
         if let Some(last) = self.parts.populations.iter_mut().last().filter(|last| last.shape.len() == shape.len()) {
@@ -67,7 +67,7 @@ impl Builder {
         }
     }
 
-    /// Compartments with the decays of the published visual-tactile network.
+    /// Adds compartments with the decays of the published visual-tactile network.
     pub(crate) fn loihi(
         &mut self,
         name: &str,
@@ -85,7 +85,7 @@ impl Builder {
         Ok(self.compartments(name, compartments, neurons))
     }
 
-    /// Compartments with these neurons; the last population is the output.
+    /// Adds compartments with these neurons; the last population is the output.
     pub(crate) fn compartments(&mut self, name: &str, count: u32, neurons: PerCompartment<Neuron>) -> PopulationId {
         let units = Units::Compartments { first: CompartmentId(self.compartments), neurons, start_step: 0 };
         self.compartments += count;
@@ -134,7 +134,7 @@ impl Builder {
         Ok(())
     }
 
-    /// All to all with even weights in `low..=high`.
+    /// Adds a dense projection with random even weights in `low..=high`.
     pub(crate) fn dense(
         &mut self,
         ends: (PopulationId, PopulationId),

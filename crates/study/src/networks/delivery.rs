@@ -1,9 +1,9 @@
-//! Networks whose steps deliver mostly synapses of one form: on them the table is measured by which
-//! the machine chooses forms.
+//! Networks whose steps deliver mostly synapses of one form. On them the cost table is measured by
+//! which the machine chooses forms.
 //!
-//! Output: for each a network that never fires, and which channels spike in a step. The first half
-//! of those are another step of it: the difference is what the deliveries of the others take,
-//! without the update of compartments. All but [`lists_beyond_caches`] fit a second-level cache.
+//! Output: networks that never fire, each with the channels that spike in a step. The first half of
+//! the channels is another step. The difference of both steps is the time of the other half's
+//! deliveries, without updates. All but [`lists_beyond_caches`] fit a second-level cache.
 
 use crate::networks::builder::Builder;
 use crate::networks::layers::Layers;
@@ -14,22 +14,22 @@ use nsim_ir::quantised::{Neuron, Quantised};
 
 /// A network and its spikes.
 pub struct DeliveryNetwork {
-    /// What its synapses are.
+    /// Description of its synapses.
     pub name: String,
     /// The network.
     pub network: Quantised,
     /// Channels that spike in a step, ascending, an even number.
     pub spikes: Vec<ChannelId>,
-    /// Steps until the same channels spike again; in each the next ones do.
+    /// Steps until the same channels spike again; in each step between, the next ones do.
     pub period: u32,
 }
 
 /// The greatest threshold mantissa.
 pub(crate) const NEVER: i64 = 131_071;
-/// Sources of a group that reach the same compartments.
+/// Sources of a group; they reach the same compartments.
 const TOGETHER: u32 = 8;
 
-/// Compartments that forget immediately and never fire.
+/// Adds compartments without memory that never fire.
 pub(crate) fn silent(net: &mut Builder, name: &str, compartments: u32) -> PopulationId {
     net.compartments(name, compartments, PerCompartment::Same(Neuron::PLAIN))
 }
@@ -38,12 +38,12 @@ fn every(stride: u32, spikes: u32) -> Vec<ChannelId> {
     (0..spikes).map(|k| ChannelId(k * stride)).collect()
 }
 
-/// Lists of this many synapses each.
+/// A network of lists of `synapses` synapses each.
 fn lists(synapses: u32) -> Result<DeliveryNetwork, BuildError> {
     lists_over(format!("lists of {synapses}"), synapses, (8_192, 16_384), (8, 1))
 }
 
-/// Lists of 64 synapses of which no second-level cache holds a tenth.
+/// A network of lists of 64 synapses; a second-level cache holds less than a tenth of them.
 ///
 /// # Errors
 /// As [`delivery_networks`].
@@ -63,7 +63,7 @@ fn lists_over(
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(stride, 1_024), period })
 }
 
-/// All to all.
+/// A network of one dense projection.
 fn dense(compartments: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("dense to {compartments}");
     let mut net = Builder::new(&name);
@@ -72,7 +72,7 @@ fn dense(compartments: u32) -> Result<DeliveryNetwork, BuildError> {
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(2, 256), period: 1 })
 }
 
-/// Groups of sources with compartments of their own, which lie in this many places.
+/// A network of groups of sources, each with compartments of its own in `places` populations.
 fn groups(groups: u32, places: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("{groups} groups to {places} x 16");
     let mut net = Builder::new(&name);
@@ -80,14 +80,14 @@ fn groups(groups: u32, places: u32) -> Result<DeliveryNetwork, BuildError> {
     for place in 0..places {
         for (group, &source) in sources.iter().enumerate() {
             let target = silent(&mut net, &format!("out{group}.{place}"), 16);
-            // Weights of their own: what groups had in common would be stored as rows.
+            // Groups differ in weights, since common weights would be stored as rows.
             net.dense((source, target), (-8, 8), u64::from(place) << 32 | group as u64)?;
         }
     }
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(TOGETHER, groups), period: 1 })
 }
 
-/// A convolution of 3 x 3 to this many channels.
+/// A network of one 3 x 3 convolution to `channels` channels.
 fn convolution(channels: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("convolution to {channels}");
     let mut layers = Layers::new(&name, (2, 24, 24));
@@ -97,7 +97,7 @@ fn convolution(channels: u32) -> Result<DeliveryNetwork, BuildError> {
     Ok(DeliveryNetwork { name, network: layers.net.build()?, spikes: every(9, 128), period: 1 })
 }
 
-/// Those that the table is fitted to.
+/// The networks to which the cost table is fitted.
 ///
 /// # Errors
 /// [`BuildError`] never in practice; a test builds all.
@@ -116,7 +116,7 @@ mod tests {
     use nsim_files::target::load_target;
     use nsim_machine::Image;
 
-    /// Each form of synapses is held by some network, and nearly alone.
+    /// Each network has nearly only one form of synapses, and each form has a network.
     #[test]
     fn each_network_delivers_the_form_that_it_is_for() {
         let target = load_target("nahuku-32").unwrap();

@@ -1,8 +1,8 @@
-//! Networks of layers, as the benches need them.
+//! Builds layered networks for the benches.
 //!
-//! Input: the size of an input, then layer after layer. Output: a [`Builder`] with a population for
-//! each. Weights are random (`base::rng`); more of them are positive than negative, so that every
-//! layer goes on firing.
+//! Input: the size of an input, then the layers in order. Output: a [`Builder`] with a population
+//! for each. Weights are random (`base::rng`); more of them are positive than negative, so that
+//! every layer keeps firing.
 
 use crate::networks::builder::Builder;
 use nsim_ir::base::fixed::OutOfRange;
@@ -11,19 +11,19 @@ use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
 use nsim_ir::quantised::connectivity::Connectivity;
 
-/// Layers that grow one by one.
+/// A network that is built layer by layer.
 pub(crate) struct Layers {
     /// The network so far.
     pub net: Builder,
     last: PopulationId,
     size: (u32, u32, u32),
     seed: u64,
-    /// Threshold mantissa of the layers to come.
+    /// Threshold mantissa of the next layers.
     pub threshold: i64,
 }
 
 impl Layers {
-    /// An input of this many channels, rows and columns.
+    /// An input of `size`: channels, rows, columns.
     pub fn new(name: &str, size: (u32, u32, u32)) -> Self {
         let mut net = Builder::new(name);
         let last = net.input("input", size.0 * size.1 * size.2);
@@ -31,7 +31,7 @@ impl Layers {
         Layers { net, last, size, seed: 10, threshold: 60 }
     }
 
-    /// Adds a layer of this size; the one before and it are the ends of what joins them.
+    /// Adds a layer of this size; returns the previous layer and the new one.
     fn next(&mut self, size: (u32, u32, u32)) -> Result<(PopulationId, PopulationId), OutOfRange> {
         self.seed += 1;
         let name = format!("layer{}", self.seed - 10);
@@ -57,15 +57,15 @@ impl Layers {
         }
     }
 
-    /// Convolutions with random weights, each of the layer before: channels, kernel, stride,
-    /// padding.
+    /// Adds convolutions with random weights, each of the previous layer: (channels, kernel,
+    /// stride, padding).
     pub fn convolve(&mut self, layers: &[(u32, u32, u32, u32)]) -> Result<(), OutOfRange> {
         layers.iter().try_for_each(|&(channels, kernel, stride, padding)| {
             self.convolve_window(self.window(channels, kernel, stride, padding, 1))
         })
     }
 
-    /// A convolution of each channel to its own.
+    /// Adds a depthwise convolution.
     pub fn convolve_each(&mut self, kernel: u32, padding: u32) -> Result<(), OutOfRange> {
         self.convolve_window(self.window(self.size.0, kernel, 1, padding, self.size.0))
     }
@@ -74,20 +74,20 @@ impl Layers {
         let ends = self.next(window.target)?;
         let weights =
             u64::from(window.target.0 * (window.source.0 / window.groups) * window.kernel.0 * window.kernel.1);
-        // Half as many positive as negative steps more: layers keep firing.
+        // 20 positive and 12 negative levels, so that layers keep firing.
         let weight = |index| -24 + 2 * rng::below(33, self.seed, index, 0) as i16;
         let kernel = (0..weights).map(weight).collect();
         self.net.connect(ends, 0, Connectivity::Conv2d { window, kernel })
     }
 
-    /// Sums of windows without overlap.
+    /// Adds a layer of sums of windows without overlap.
     pub fn pool(&mut self, side: u32) -> Result<(), OutOfRange> {
         let window = self.window(self.size.0, side, side, 0, self.size.0);
         let ends = self.next(window.target)?;
         self.net.connect(ends, 0, Connectivity::SumPool2d { window, weight: 80 })
     }
 
-    /// Layers of these sizes, each all to all from the one before.
+    /// Adds layers of these sizes, each dense from the previous one.
     pub fn dense(&mut self, sizes: &[u32]) -> Result<(), OutOfRange> {
         sizes.iter().try_for_each(|&units| {
             let ends = self.next((units, 1, 1))?;

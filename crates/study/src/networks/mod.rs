@@ -1,21 +1,21 @@
 //! The standard networks on which speed is measured, as code: no file can change them unnoticed.
 //!
 //! Input: a name. Output: the network in integers, its input for a period of steps (repeated for as
-//! long as a measurement takes) and the board that it is mapped onto. The same on every machine:
-//! all randomness is `base::rng`.
+//! long as a measurement takes) and the board that it is mapped onto. Results are equal on every
+//! machine: all randomness is `base::rng`.
 //!
 //! - `vtsnn-1pct`, `vtsnn-5pct`: the layers of the shipped `vtsnn-slip`, 156 / 3,150 -> 50 / 10 ->
 //!   2, every channel spiking independently in 1 % and 5 % of the steps: about 400 and 2,000
 //!   synaptic events a step.
-//! - `random-32k`, `random-1m`: 32,768 and 1,000,000 compartments with 64 random synapses each. The
-//!   neurons are the usual ones with decaying current and voltage, so every compartment moves in
-//!   almost every step and nothing is saved by skipping. They fire at a set rate because a *drive*
-//!   makes them: an input channel for each compartment, over one strong synapse. A driven
-//!   compartment fires immediately and is refractory until too little of that current is left to
-//!   fire again; recurrent weights of both signs sum to nothing and keep the voltage more than five
-//!   standard deviations below the threshold (their sum has sd 95 of 1,400). So the rate follows
-//!   the input alone and cannot run away. `random-32k` has four weak random synapses a channel
-//!   besides, for the input events that published runs of such a network count.
+//! - `random-32k`, `random-1m`: 32,768 and 1,000,000 compartments with 64 random synapses each.
+//!   Current and voltage decay, so every compartment is active in almost every step and skipping
+//!   saves nothing. A *drive* sets the firing rate: an input channel for each compartment, over one
+//!   strong synapse. A driven compartment fires immediately. It is refractory until the rest of
+//!   that current is too small to fire again. Recurrent weights have both signs and mean 0; they
+//!   keep the voltage more than five standard deviations below the threshold (their sum has sd 95
+//!   of 1,400). So the rate depends on the input alone and cannot run away. `random-32k` also has
+//!   four weak random synapses a channel, for the input events that published runs of such a
+//!   network count.
 //! - `silent-1m`: the compartments and synapses of `random-1m`, and an input that never fires.
 //! - `pilotnet`: lava-dl's PilotNet: 3 @ 33 x 100, 3 x 3 convolutions with stride 2 to 24 @ 16 x
 //!   49, 36 @ 7 x 24 and 64 @ 3 x 11, one more to 64 @ 1 x 9, then 200, 100, 50, 10, 1.
@@ -25,16 +25,16 @@
 //!   98,304 compartments.
 //! - `conv-10m`: 2 @ 512 x 512, 3 x 3 convolutions to 16 @ 512 x 512, 32 @ 256 x 256 (stride 2), 32
 //!   @ 256 x 256, 64 @ 128 x 128 (stride 2), 64 @ 128 x 128, 128 @ 64 x 64 (stride 2), pooled 16 x
-//!   16, 11: 11,012,107 compartments, whose 2.2 thousand million synapses are never written out
-//!   ([`nsim_compile::is_large`]); made up, to be as large.
-//! - `delays-32k`: the neurons and the drive of `random-32k`, whose 64 synapses each have eight
-//!   delays: eight with each of 0, 3, 9, 17, 25, 38, 50 and 62.
-//! - `delays-busy`: 32,768 channels, of which 70 % spike in each step, with 64 synapses of those
-//!   delays to as many compartments that never fire.
+//!   16, 11: 11,012,107 compartments, whose 2.2 thousand million synapses are never listed
+//!   ([`nsim_compile::is_large`]); a synthetic network.
+//! - `delays-32k`: the neurons and the drive of `random-32k`. The 64 synapses of a compartment have
+//!   eight delays: eight synapses each with 0, 3, 9, 17, 25, 38, 50 and 62.
+//! - `delays-busy`: 32,768 channels, of which 70 % spike in each step, with 64 synapses of the same
+//!   delays each to 32,768 compartments that never fire.
 //!
 //! Channels of the convolutions spike independently: 5 % a step, in `conv-10m` 1 %, in `conv-98k` 8
-//! %, whose compartments have thirteen times the threshold of the others, so that about 4 % of them
-//! fire.
+//! %. `conv-98k` has thirteen times the threshold of PilotNet, so that about 4 % of its
+//! compartments fire.
 
 pub(super) mod builder;
 pub mod delivery;
@@ -75,12 +75,12 @@ named_variants! {
         Conv10m = "conv-10m",
         /// 32,768 compartments, 64 synapses each over eight delays, 2.1 % firing.
         Delays32k = "delays-32k",
-        /// The same delays from channels of which 70 % spike.
+        /// The delays of `delays-32k`, from channels of which 70 % spike in a step.
         DelaysBusy = "delays-busy",
     }
 }
 
-/// Why a network could not be built: a wrong constant of this module.
+/// Error of building a network: a wrong constant of this module.
 #[derive(Debug, thiserror::Error)]
 pub enum BuildError {
     /// A value does not fit its field.
@@ -94,7 +94,7 @@ pub enum BuildError {
     Input(#[from] SampleError),
 }
 
-/// A network with what drives it.
+/// A network with its input.
 #[derive(Debug, Clone)]
 pub struct BenchNetwork {
     /// The network.
@@ -106,7 +106,7 @@ pub struct BenchNetwork {
 }
 
 impl StandardNetwork {
-    /// Whether a step has so much to do that sharing it out over threads can pay.
+    /// Whether a step is large enough to gain from several threads.
     pub fn wants_threads(self) -> bool {
         matches!(self, StandardNetwork::Random32k | StandardNetwork::Random1m | StandardNetwork::Conv10m)
     }
@@ -146,7 +146,7 @@ impl StandardNetwork {
 /// Steps of input of the visual-tactile network: 20 samples of the slip task's 150 steps.
 const VTSNN_STEPS: u32 = 20 * 150;
 
-/// As `models/vtsnn-slip.ron`, without its file: a retrained model would change the measurement.
+/// The layers of `models/vtsnn-slip.ron`, as code: retraining would change the measurement.
 pub(super) fn vtsnn(name: &str) -> Result<Builder, OutOfRange> {
     let mut net = Builder::new(name);
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
@@ -159,7 +159,7 @@ pub(super) fn vtsnn(name: &str) -> Result<Builder, OutOfRange> {
     Ok(net)
 }
 
-/// A network of which every channel spikes independently in this many of this many steps.
+/// A network whose channels spike independently with a probability of `spiking / all` a step.
 pub(super) fn with_spikes(
     net: Builder,
     steps: u32,
@@ -179,7 +179,7 @@ const FAN_OUT: u32 = 64;
 /// The sizes of a random network.
 #[derive(Debug, Clone, Copy)]
 pub struct Random {
-    /// Compartments, and channels that drive one each.
+    /// Number of compartments, and of channels that drive one each.
     pub compartments: u32,
     /// Weak random synapses of a channel besides the driving one.
     pub background: u32,
@@ -189,7 +189,7 @@ pub struct Random {
     pub period: u32,
 }
 
-/// This many synapses of each source to random targets, with small weights of both signs.
+/// `fan_out` synapses of each source to random targets, with small weights of both signs.
 pub(super) fn random_synapses(targets: u32, fan_out: u32, seed: u64) -> Connectivity {
     Connectivity::Random { targets, fan_out, low: -8, high: 8, step: 2, seed, first_source: 0 }
 }
@@ -197,7 +197,7 @@ pub(super) fn random_synapses(targets: u32, fan_out: u32, seed: u64) -> Connecti
 /// The delays of `delays-32k`.
 const DELAYS: [i64; 8] = [0, 3, 9, 17, 25, 38, 50, 62];
 
-/// Random synapses, shared out evenly over delays.
+/// Adds random synapses, divided evenly among delays.
 fn spread(
     (net, ends): (&mut Builder, (PopulationId, PopulationId)),
     targets: u32,
@@ -249,7 +249,7 @@ fn conv_98k(name: &str) -> Result<Builder, OutOfRange> {
 
 /// A random network: see the module.
 ///
-/// The recurrent synapses are shared out evenly over these delay fields.
+/// The recurrent synapses are divided evenly among these delay fields.
 ///
 /// # Errors
 /// [`BuildError`] when there is no compartment, or a delay does not fit its field.
@@ -270,8 +270,8 @@ pub fn random(name: &str, sizes: Random, delays: &[i64]) -> Result<BenchNetwork,
     Ok(BenchNetwork { network: net.build()?, period, target })
 }
 
-/// A network whose steps have any number of synaptic events and nothing else: channels with 64
-/// random synapses each, onto compartments that never fire; `driven` channels spike in a step.
+/// A network whose steps have synaptic events only: channels with 64 random synapses each, onto
+/// compartments that never fire; `driven` channels spike in a step.
 ///
 /// # Errors
 /// [`BuildError`] when there is no compartment.
@@ -291,7 +291,7 @@ fn events_over(
     // Without memory, and with the greatest threshold.
     let neurons = net.compartments("neurons", compartments, PerCompartment::Same(Neuron::PLAIN));
     spread((&mut net, (drive, neurons)), compartments, delays)?;
-    // A stride that shares no factor with the number of channels visits each before any again.
+    // A stride coprime to the number of channels visits every channel before it repeats one.
     let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);
     let channel = |k: u64| ChannelId((k * stride % u64::from(compartments)) as u32);
     let events: Vec<_> = (0..u64::from(period) * u64::from(driven))
@@ -315,7 +315,7 @@ mod tests {
     use nsim_ir::activity::Totals;
     use nsim_ir::spikes::Engine;
 
-    /// What a step does on average once the network has settled, by the interpreter.
+    /// Mean spikes, events and active updates of a settled network's step, by the interpreter.
     fn settled(bench: &BenchNetwork, steps: u32) -> (f64, f64, f64) {
         let mut engine = Golden::new(&bench.network);
         engine.begin(u32::MAX);

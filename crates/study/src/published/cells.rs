@@ -1,9 +1,8 @@
-//! The cells of the paper's tables of accuracy: the training file of each, the loss, and what its
-//! folds came to.
+//! Cells of the paper's accuracy tables: training file, loss, and results by fold.
 //!
 //! Input: trained networks on the samples that their training excluded ([`Trial`]), with the chip's
-//! neurons or spike-response neurons. Output: rows of accuracy and of early decisions;
-//! which sense leads when. Omitted on purpose: training and simulating, which need a folder and a
+//! neurons or spike-response neurons. Output: rows of accuracy and of early decisions; the times at
+//! which each sense leads. Omitted on purpose: training and simulating, which need a folder and a
 //! target.
 
 use crate::early::Trial;
@@ -15,7 +14,7 @@ use nsim_ir::base::names::named_variants;
 use nsim_ir::base::stats::{mean_sd, wilson};
 use nsim_session::error::{Error, Result};
 
-/// How names of training files of the tables begin.
+/// Prefix of the names of the tables' training files.
 const PAPER: &str = "paper-";
 
 /// The losses of the tables, by name.
@@ -32,11 +31,11 @@ pub struct Cell {
     pub task: &'static str,
     /// `tactile`, `vision` or `both`.
     pub modality: &'static str,
-    /// Trains its networks.
+    /// Training file of its networks.
     pub training: &'static Shipped,
 }
 
-/// The cells, those of a task together.
+/// The cells, grouped by task.
 pub fn cells() -> impl Iterator<Item = Cell> {
     TRAININGS.iter().filter_map(|training| {
         let (task, modality) = training.name.strip_prefix(PAPER)?.split_once('-')?;
@@ -68,7 +67,7 @@ impl Cell {
         Ok([format!("SpikeCount(right: {right:?}, wrong: {wrong:?})"), weighted])
     }
 
-    /// When decisions are read, in ms from the beginning of a sample.
+    /// Times at which decisions are read, ms from the beginning of a sample.
     pub fn times_ms(&self) -> &'static [u32] {
         match self.task {
             "slip" => &[20, 30, 40, 50, 60, 80, 100, 150],
@@ -80,17 +79,17 @@ impl Cell {
 /// The neurons of a cell's networks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Neurons {
-    /// Those of the chip, as the training files have them.
+    /// The chip's neurons, as in the training files.
     Loihi,
-    /// Spike-response neurons, which the tables of the paper rest on.
+    /// Spike-response neurons, as in the paper's tables.
     Srm,
 }
 
 named_variants!(Neurons { Loihi = "loihi", Srm = "srm" });
 
 impl Neurons {
-    /// The field `neuron` of a training file with these; none: as the file has it. Time constants
-    /// are the paper's 10 and 1 bins (clear-nus/VT_SNN, network parameters).
+    /// Value of the field `neuron` of a training file; `None` keeps the file's. Time constants are
+    /// the paper's 10 and 1 bins (clear-nus/VT_SNN, network parameters).
     pub fn field(self, file: &TrainingFile) -> Option<String> {
         let bin_ms = *file.timestep_ms;
         let srm = || {
@@ -100,7 +99,7 @@ impl Neurons {
     }
 }
 
-/// Whether a row is of one of these cells and neurons; of any where none is named.
+/// Whether a row is of one of these cells and neurons; an empty list allows any.
 pub fn is_among(row: &PaperRow, cells: &[&str], neurons: &[Neurons]) -> bool {
     let of_row = match &*row.table {
         "srm" => Some(Neurons::Srm),
@@ -112,7 +111,7 @@ pub fn is_among(row: &PaperRow, cells: &[&str], neurons: &[Neurons]) -> bool {
         && (neurons.is_empty() || of_row.is_some_and(|kind| neurons.contains(&kind)))
 }
 
-/// The networks of a cell that were tested, a fold each.
+/// Tested networks of a cell, one for each fold.
 #[derive(Debug)]
 pub struct Tested<'a> {
     /// The cell.
@@ -125,13 +124,12 @@ pub struct Tested<'a> {
     pub folds: u32,
     /// Epochs of each training.
     pub epochs: u32,
-    /// The results of each on the samples that its training excluded.
+    /// Results of each network on the samples that its training excluded.
     pub trials: &'a [Trial],
 }
 
 impl Tested<'_> {
-    /// A figure of each fold, and the share that they are of all tested samples where they are
-    /// shares.
+    /// A row with the figure of each fold, their mean and their standard deviation.
     fn row(&self, table: &str, quantity: &str, note: String, figures: Vec<f64>) -> PaperRow {
         let (mean, deviation) = mean_sd(&figures);
         PaperRow {
@@ -153,7 +151,7 @@ impl Tested<'_> {
         PaperRow { low: Some(low), high: Some(high), ..self.row(table, quantity, note, figures) }
     }
 
-    /// Accuracy, decisions by time, since when right for good.
+    /// Rows of accuracy, of accuracy by time, and of the time since which decisions stay right.
     pub fn rows(&self) -> Vec<PaperRow> {
         let Tested { folds, epochs, trials, .. } = self;
         let tested = trials.len();
@@ -196,15 +194,15 @@ struct At {
     high: f64,
 }
 
-/// The share that naming any one class of a task gets right.
+/// Accuracy of always naming the same class of a task, 0..=1.
 pub fn chance(task: &str) -> f64 {
     if task == "slip" { 1.0 / 2.0 } else { 1.0 / 20.0 }
 }
 
-/// Which sense leads when: a sentence for each task, loss and neuron kind with both senses.
+/// Times at which each sense leads: a sentence for each task, loss and neurons with both senses.
 ///
-/// A sense leads at a time when the whole interval of its accuracy is above that of the other, and
-/// above what naming any one class reaches.
+/// A sense leads at a time when the whole interval of its accuracy is above the other's interval
+/// and above [`chance`].
 pub fn leads(rows: &[PaperRow]) -> Vec<String> {
     let mut said = Vec::new();
     let cells = ["slip", "container"].iter().flat_map(|task| LOSSES.map(|loss| (*task, loss)));

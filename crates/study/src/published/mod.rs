@@ -1,8 +1,8 @@
-//! Published measurements compared with what nsim predicts for them.
+//! Published measurements compared with nsim's predictions.
 //!
 //! Input: workload files and constants with the findings of each group of authors. Output: a row
-//! for each printed figure: predicted by all findings, and without those of the work's own group.
-//! Omitted on purpose: sums and products of figures of a table (total power, energy-delay
+//! for each printed figure: predicted by all findings, and without the findings of the work's own
+//! group. Omitted on purpose: sums and products of figures of a table (total power, energy-delay
 //! product), which would count twice.
 
 pub mod cells;
@@ -29,11 +29,11 @@ pub struct PublishedRow {
     pub workload: String,
     /// The chip's name.
     pub chip: String,
-    /// What was measured.
+    /// Measured quantity.
     pub quantity: Quantity,
     /// The printed value, in the quantity's unit.
     pub published: f64,
-    /// What nsim says.
+    /// The predicted value, in the quantity's unit.
     pub predicted: f64,
     /// The interval by the class of the figure and assumed rates; `None` without a class.
     pub interval: Option<(f64, f64)>,
@@ -43,22 +43,22 @@ pub struct PublishedRow {
     pub first_hand: bool,
     /// Whether firing rates are published.
     pub activity: Status,
-    /// What had to be assumed of the workload.
+    /// Assumptions about the workload.
     pub assumed: Vec<String>,
-    /// Where it is printed.
+    /// Source of the published value.
     pub source: String,
-    /// Why the prediction is far off, where that is known.
+    /// Known cause of a large deviation.
     pub cause: Option<String>,
 }
 
 impl PublishedRow {
-    /// How far the prediction is off, as a factor of at least 1.
+    /// Deviation of the prediction, as a factor of at least 1.
     pub fn factor(&self) -> f64 {
         (self.predicted / self.published).max(self.published / self.predicted)
     }
 }
 
-/// Constants without what a group of authors found.
+/// Constants without the findings of a group of authors.
 fn without(constants: &Constants, group: &str) -> Constants {
     let mut others = constants.clone();
     for (name, constant) in constants.list() {
@@ -69,10 +69,9 @@ fn without(constants: &Constants, group: &str) -> Constants {
     others
 }
 
-/// The rows of these workloads, in their order: each figure by all findings, then without those of
-/// its authors, by which the model is judged. Figures that are known second-hand judge nothing, so
-/// that they have no such row; nor have figures of hardware that the constants are not of, which
-/// are predicted by the first preset of their target.
+/// Rows of these workloads, in order: each figure by all findings, then without the findings of its
+/// authors. The second row judges the model. Figures known second-hand have no second row. Nor have
+/// figures of hardware other than the constants'; the first preset of their target predicts them.
 ///
 /// # Errors
 /// [`Error`] where a workload cannot be compiled or run.
@@ -134,7 +133,7 @@ pub fn rows(
     Ok(rows)
 }
 
-/// The median factor of each work's figures of some kinds, its authors' findings excluded.
+/// Median factor of each work's figures of time, or of other kinds, without its own findings.
 pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64> {
     let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     let counted = |row: &&PublishedRow| row.left_out;
@@ -144,7 +143,7 @@ pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64>
     by_work.into_iter().filter_map(|(work, factors)| Some((work, median(factors)?))).collect()
 }
 
-/// The geometric mean.
+/// Geometric mean; `None` without factors.
 pub fn geometric_mean(factors: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let count = factors.len();
     (count > 0).then(|| (factors.map(f64::ln).sum::<f64>() / count as f64).exp())

@@ -1,10 +1,10 @@
 //! A published workload as a network that fires at its rates.
 //!
-//! Input: a workload file, and which end of each rate's range. Output: a network in integers and
-//! its input. What a compartment receives does not make it fire: a random bias of its own does,
-//! between half of what its rate needs and one and a half, so that compartments do not fire
-//! together; weights of +2 and -2 are too small to change when. Synapses, axons and messages are
-//! those of the workload, so that counts are too.
+//! Input: a workload file, and the choice of a number from each rate's range. Output: a network in
+//! integers and its input. A random bias makes each compartment fire, not its input. The bias is
+//! 0.5 to 1.5 times the need of its rate, so that compartments do not fire together. Weights of +2
+//! and -2 are too small to change the times. Synapses, axons and messages equal the workload's,
+//! hence also all counts.
 
 use crate::networks::BuildError;
 use crate::networks::builder::Builder;
@@ -20,10 +20,10 @@ use nsim_quantise::relays::{RELAY, one_to_one};
 
 /// Steps that are counted.
 pub const COUNTED: u32 = 128;
-/// Steps before anything is counted at most.
+/// Greatest number of steps before counting.
 const MOST_WARM_UP: u32 = 4_096;
 
-/// The number that is taken of the range of each rate: the rate itself, or an end.
+/// Choice of a number from the range of a rate: the rate itself, or an end.
 pub type Taken = fn(Between) -> f64;
 
 /// Steps before counting: twice the wait of the slowest compartment for its first spike.

@@ -1,16 +1,15 @@
 //! The tables of the paper on visual and tactile sensing (Taunyazov et al., RSS 2020) next to
 //! stored results.
 //!
-//! Input: files of rows that trainings left, `{"rows": [..]}` each. Output: one row for each
-//! printed figure and for each stored one, in the order of the tables. A figure that nothing was
-//! measured for has none, and its note says why. Errors: `paper.results` for a file that cannot be
-//! read as rows.
+//! Input: files of rows from trainings, `{"rows": [..]}` each. Output: one row for each printed
+//! figure and for each stored one, in the order of the tables. A printed figure without a
+//! measurement has a note about it. Errors: `paper.results` for a file that cannot be read as rows.
 
 use serde::{Deserialize, Serialize};
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The results that the program carries: name, text.
+/// Embedded results: name, text.
 const STORED: &[(&str, &str)] = include!(concat!(env!("OUT_DIR"), "/paper_results.rs"));
 
 /// One figure of a table.
@@ -24,26 +23,26 @@ pub struct PaperRow {
     pub modality: String,
     /// `count`, `weighted`, or none where no loss of spike counts is meant.
     pub loss: Option<String>,
-    /// What the figure is, with its unit last.
+    /// Name of the quantity, with its unit last.
     pub quantity: String,
-    /// As the paper prints it.
+    /// Value in the paper.
     pub published: Option<f64>,
-    /// As it came out here.
+    /// Value measured with nsim.
     pub measured: Option<f64>,
-    /// Standard deviation of what was measured, over the folds.
+    /// Standard deviation of the measured value over the folds.
     pub deviation: Option<f64>,
-    /// The 95 % interval of the measured share, over all samples tested: its lower end.
+    /// Lower end of the 95 % interval of the measured share, over all tested samples.
     pub low: Option<f64>,
-    /// Its upper end.
+    /// Upper end of this interval.
     pub high: Option<f64>,
-    /// What was measured, fold by fold.
+    /// Measured values, fold by fold.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub folds: Vec<f64>,
-    /// What the shipped network of the first fold came to when it was run now.
+    /// Result of the shipped network of the first fold, run now.
     pub shipped: Option<f64>,
     /// Standard deviation that the paper prints.
     pub published_deviation: Option<f64>,
-    /// The network of a comparison, what the figure rests on, or why there is none.
+    /// Network of a comparison, basis of the figure, or reason for its absence.
     #[serde(default)]
     pub note: String,
 }
@@ -68,7 +67,7 @@ pub fn stored(provenance: &serde_json::Value, rows: &[PaperRow]) -> String {
     format!("{{\n\"provenance\": {provenance:#},\n\"rows\": [\n{}\n]\n}}\n", lines.join(",\n"))
 }
 
-/// Printed and stored figures, joined.
+/// Printed figures joined with the given and the stored ones.
 ///
 /// # Errors
 /// `paper.results` for a stored file that cannot be read.
@@ -76,7 +75,7 @@ pub fn rows(more: Vec<PaperRow>) -> Result<Vec<PaperRow>> {
     let (mut printed, mut measured) = (Vec::new(), more);
     for (name, text) in STORED {
         for row in parse(name, text)? {
-            // What is given is newer than what is stored.
+            // Given rows are newer than stored ones.
             if row.published.is_some() {
                 printed.push(row);
             } else if !measured.iter().any(|given| same(given, &row)) {
@@ -116,7 +115,7 @@ fn same(a: &PaperRow, b: &PaperRow) -> bool {
     figure(a) == figure(b) && a.quantity == b.quantity && (a.table != "ann" || network(a) == network(b))
 }
 
-/// The tables in the order in which they are shown, and what each shows.
+/// The tables in order of display, with their titles.
 pub const TABLES: [(&str, &str); 6] = [
     ("accuracy", "Accuracy over the whole sample, neurons of the chip"),
     ("srm", "Accuracy with spike-response neurons, whole and by time"),

@@ -29,7 +29,7 @@ use nsim_ir::spikes::Engine;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_session::error::Error;
 
-/// A workload that cannot be predicted.
+/// Error of a workload that cannot be predicted.
 fn failed(file: &WorkloadFile, problem: impl std::fmt::Display) -> Error {
     Error::Fault(format!("{}: {problem}", file.name))
 }
@@ -60,7 +60,7 @@ fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<Compar
     cores.into()
 }
 
-/// One copy on the cores of its layout, in the order of the file.
+/// Maps one copy onto the cores of its layout, in the order of the file.
 fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Mapping, Error> {
     let failed = |error: CompileError| failed(file, format!("does not compile: {error}"));
     let members = members(file, &network);
@@ -68,7 +68,7 @@ fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Ma
     let sites: Option<IdVec<CoreId, Site>> = (0..members.len() as u32).map(|core| mesh.site(core)).collect();
     let sites = sites.ok_or_else(|| failed(CompileError::fault("more cores than the target has")))?;
     seats(network.compartments(), &members).map_err(|error| failed(CompileError::fault(error)))?;
-    // What a source put on a core fits it, regardless of what nsim counts there.
+    // The published layout fits its cores, regardless of nsim's counts.
     let mut limits = target.limits().clone();
     for resource in Resource::ALL.into_iter().filter(|&resource| target.limits().is_limited(resource)) {
         limits = limits.with(resource, u32::from(u16::MAX));
@@ -153,7 +153,7 @@ pub fn predict(
     let compiled = mapped(file, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
-    // Biases keep every compartment active; the cost of that is linear in the share of steps.
+    // Biases keep every compartment active; the cost is linear in the share of active steps.
     let share = taken(file.active_share);
     let table = |table: &CostTable| {
         let mut table = table.clone();

@@ -7,7 +7,7 @@ use serde::{Deserialize, Deserializer};
 
 use nsim_ir::spanned::Spanned;
 
-/// A value as `--set PATH=VALUE` would take it.
+/// A value in the syntax of `--set PATH=VALUE`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ValueText(pub String);
 
@@ -78,18 +78,18 @@ pub struct AxisDesc {
     /// The column's name; the path when there is one.
     #[serde(default)]
     pub name: Option<String>,
-    /// What is changed.
+    /// Changed paths.
     pub paths: Vec<String>,
     /// The values.
     #[serde(default)]
     pub values: Vec<ValueText>,
-    /// In place of `values`: the first one.
+    /// The first value, in place of `values`.
     #[serde(default)]
     pub from: Option<f64>,
-    /// The last one.
+    /// The last value.
     #[serde(default)]
     pub to: Option<f64>,
-    /// The distance of neighbours.
+    /// The distance of neighbouring values.
     #[serde(default)]
     pub step: Option<f64>,
 }
@@ -115,10 +115,10 @@ pub struct SweepFile {
     /// A target file or the name of a shipped target.
     #[serde(default = "target")]
     pub target: String,
-    /// Where spikes come from, as `--input`; the model's scene when omitted.
+    /// Sources of spikes, as `--input`; the model's scene when omitted.
     #[serde(default)]
     pub input: Vec<String>,
-    /// Only these samples, such as `0..20`.
+    /// Range of samples, such as `0..20`; all when omitted.
     #[serde(default)]
     pub samples: Option<String>,
     /// Seed of a scene.

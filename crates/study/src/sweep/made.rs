@@ -1,20 +1,20 @@
-//! What variants share, made by the first that needs it.
+//! Cache of values that variants share.
 //!
-//! Input: a key, and how to make its value. Output: the value, made once however many threads ask
-//! for it. What could not be made is made again for the next that asks. At most `MOST` values are
-//! stored.
+//! Input: a key, and a function that makes its value. Output: the value, made once for any number
+//! of threads that request it. Errors are not stored: the next request makes the value again. At
+//! most `MOST` values are stored.
 
 use std::collections::HashMap;
 use std::hash::Hash;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// Values that are stored.
+/// Greatest number of stored values.
 const MOST: usize = 64;
 
 /// A value that one thread makes and others wait for.
 type Place<V> = Arc<Mutex<Option<Arc<V>>>>;
 
-/// Values by what they are made from.
+/// Values by key; each is made once.
 #[derive(Debug)]
 pub struct MadeOnce<K, V>(Mutex<HashMap<K, Place<V>>>);
 
@@ -24,7 +24,7 @@ impl<K, V> Default for MadeOnce<K, V> {
     }
 }
 
-/// What a mutex holds. A thread that panicked has changed nothing half.
+/// Locks a mutex, also after a panic: a thread that panicked has left nothing half changed.
 pub fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
@@ -33,7 +33,7 @@ impl<K: Hash + Eq, V> MadeOnce<K, V> {
     /// The value of a key.
     ///
     /// # Errors
-    /// Those of `make`.
+    /// The errors of `make`.
     pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<V, E>) -> Result<Arc<V>, E> {
         let place = {
             let mut places = held(&self.0);

@@ -1,11 +1,11 @@
-//! Many runs of networks that differ in a few values: each variant a row of one table.
+//! Many runs of networks that differ in a few values: each variant is a row of one table.
 //!
-//! Input: a [`file::SweepFile`], which says what varies. Output: a [`table::Table`] with a row for
-//! each variant, the same for any number of threads and however often the work was ended on its
-//! way. [`variants`] counts the variants and says what each changes, [`made`] stores what they
-//! share, [`row`] runs any, [`work`] runs all on several threads, [`table`] is the result,
-//! `report::sweep` draws two of its columns. Each row holds what the single commands print under
-//! the same values. Errors: `sweep.*`; a variant that cannot be run has a row that says why.
+//! Input: a [`file::SweepFile`], which lists the varied values. Output: a [`table::Table`] with a
+//! row for each variant. It does not depend on the number of threads or on interruptions.
+//! [`variants`] numbers the variants and lists their changes, [`made`] caches shared values,
+//! [`row`] runs one variant, [`work`] runs all on several threads, [`table`] is the result.
+//! `report::sweep` plots two columns. A row equals the output of the single commands with the same
+//! values. Errors: `sweep.*`; a variant that cannot be run has a row with the reason.
 
 pub mod file;
 pub mod made;

@@ -1,14 +1,13 @@
-//! Runs one variant: what `nsim run` and `nsim energy --baseline` print of it, in a row.
+//! Runs one variant; its row has the figures that `nsim run` and `nsim energy --baseline` print.
 //!
-//! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; a figure that is not known is empty.
-//! Energies, power and latency are the total of one copy. The ends of accuracy are those of its
-//! Wilson interval of 95 %. The tightest resource is the one of which
-//! some core uses most of its limit, or of which a variant that does not fit needs too much. What
-//! variants have in common is made once: models and their arrays, targets and their constants,
-//! samples, and mappings.
+//! Input: a [`Job`]. Output: a cell for each of [`FIGURES`]; an unknown figure is empty. Energies,
+//! power and latency are the total of one copy. The ends of accuracy are its 95 % Wilson interval.
+//! The tightest resource has the greatest use of its limit on any core; for a variant that does not
+//! fit, it is the first exceeded one. Data shared by variants is made once: models and their
+//! arrays, targets and their constants, samples, and mappings.
 //!
-//! Errors: anything with which no variant could be run, such as a path without a field. What is
-//! wrong with one variant stands in its row under `error`, in words under `reason`.
+//! Errors: problems of every variant, such as a path without a field. The error of one variant is
+//! in its row, as a code under `error`, in words under `reason`.
 
 use std::sync::Arc;
 
@@ -45,7 +44,7 @@ use nsim_train::job::{Part, training_text, with_fields};
 /// The cells of a variant.
 pub type Cells = [String; FIGURES.len()];
 
-/// What a variant trained, and where its test samples come from.
+/// Trained network of a variant, and the sources of its test samples.
 #[derive(Debug)]
 struct Trained {
     network: Network,
@@ -69,7 +68,7 @@ impl Trained {
     }
 }
 
-/// What variants have in common that share a mapping.
+/// Key of a mapping; variants with the same key share it.
 fn shared_by(job: &Job) -> String {
     let of_model = (&job.model, &job.training, &job.of_model, job.dt_ms);
     let of_mapping = (&job.options, job.relays, &job.prune, job.delayed_copies);
@@ -82,13 +81,13 @@ pub struct Runner {
     models: MadeOnce<String, Option<Unchanged>>,
     trained: MadeOnce<String, Trained>,
     converted: MadeOnce<String, Front>,
-    /// Those that variants are priced by come first among a target's constants.
+    /// The preset that prices a variant comes first among its target's constants.
     targets: MadeOnce<(String, Vec<Change>, Option<String>), Target>,
     mappings: MadeOnce<String, Mapping>,
     stimuli: MadeOnce<String, Stimulus>,
 }
 
-/// Whether an error is of the whole sweep and not of a variant.
+/// Whether an error concerns the whole sweep and not one variant.
 fn ends_all(error: &Error) -> bool {
     let code = error.code();
     matches!(error, Error::Usage(_) | Error::Fault(_))
@@ -102,8 +101,8 @@ pub fn place(figure: &str) -> usize {
     FIGURES.iter().position(|name| *name == figure).unwrap_or_default()
 }
 
-/// The cells of a resource with its use, such as `synapse words 81.3 %`, and of this use alone:
-/// what is needed of its limit, in per cent with one decimal.
+/// Two cells: a resource with its use, such as `synapse words 81.3 %`, and its use alone, the need
+/// in per cent of the limit with one decimal.
 fn share(of: Option<(&Capacity, u64, u64)>) -> [String; 2] {
     of.map_or_else(Default::default, |(resource, need, limit)| {
         let percent = (1e3 * need as f64 / limit.max(1) as f64).round() / 10.0;
@@ -111,7 +110,7 @@ fn share(of: Option<(&Capacity, u64, u64)>) -> [String; 2] {
     })
 }
 
-/// The resource of which a core uses most of its limit, of all cores: what it uses, and the limit.
+/// The resource with the greatest use of its limit on any core, with use and limit.
 fn tightest(compiled: &Mapping, target: &Target) -> Option<(Capacity, u64, u64)> {
     let cores = compiled.partition.usage().iter().flat_map(|used| target.limits().against(used.of));
     let of_cores = cores.filter(|(resource, ..)| resource.heading().is_some());
@@ -122,7 +121,7 @@ impl Runner {
     /// The cells of a variant.
     ///
     /// # Errors
-    /// [`Error`] that is not of this variant alone.
+    /// [`Error`] that concerns the whole sweep.
     pub fn row(&self, job: &Job) -> Result<Cells, Error> {
         match self.figures(job) {
             Err(error) if ends_all(&error) => Err(error),
@@ -147,7 +146,7 @@ impl Runner {
         }
     }
 
-    /// How long a variant runs, compared with others: its model's numbers times its copies.
+    /// Relative run time of a variant: the elements of its model's arrays times its copies.
     pub fn size(&self, job: &Job) -> u64 {
         let Ok(model) = self.model(&job.model) else { return 0 };
         model.as_ref().as_ref().map_or(0, Unchanged::numbers) * u64::from(job.options.copies)
@@ -182,7 +181,7 @@ impl Runner {
         })
     }
 
-    /// The network of a variant on its cores.
+    /// The mapping of a variant's network.
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Mapping>, Error> {
         let as_integers = |network: &Network| {
             if !has_srm(network) {

@@ -1,13 +1,13 @@
-//! The table of a sweep: a row for each variant, and how it lies on the disk.
+//! The table of a sweep: a row for each variant, and its file format.
 //!
 //! Input: rows by number of variant, as they were run, read from a journal or from the tables of
-//! shards. Output: CSV, sorted by variant, the same bytes regardless of the order in which rows
-//! came. Columns: `variant`, what varies, [`FIGURES`]; where a front is asked for, whether a row is
-//! on it. The table of a shard has one more, a checksum of each row, whose name says of which files
-//! the rows are.
+//! shards. Output: CSV, sorted by variant, with the same bytes for any order of input. Columns:
+//! `variant`, the varied values, [`FIGURES`]; where a front is requested, whether a row is on it.
+//! The table of a shard has one more, a checksum of each row. The name of this column has a digest
+//! of the rows' source files.
 //!
-//! Errors: `sweep.shard` for a table of other work, one that was cut or changed, a variant that is
-//! missing or there twice.
+//! Errors: `sweep.shard` for a table of another sweep, a truncated or changed one, a variant that
+//! is missing or repeated.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -27,7 +27,7 @@ pub struct Table<'s> {
     pub rows: BTreeMap<u64, Cells>,
     /// The variants on the front, where one is asked for.
     pub front: Option<BTreeSet<u64>>,
-    /// The checksum column of the added shards, if any; none of a version without checksums.
+    /// Checksum column of the added shards; the inner `None`: a version without checksums.
     column: Option<Option<String>>,
 }
 
@@ -72,7 +72,7 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("sweep.shard", message).help(help)
 }
 
-/// A row as a journal keeps it: a record of CSV.
+/// A row for a journal: one record of CSV.
 pub fn line(variant: u64, cells: &Cells) -> String {
     let record = std::iter::once(variant.to_string()).chain(cells.iter().cloned()).collect();
     csv_text(record, std::iter::empty()).trim_end().to_string()
@@ -92,7 +92,7 @@ impl<'s> Table<'s> {
         Table { sweep, rows: BTreeMap::new(), front: None, column: None }
     }
 
-    /// The sweep that it is of.
+    /// The sweep of the table.
     pub fn sweep(&self) -> &'s Sweep {
         self.sweep
     }
@@ -110,7 +110,7 @@ impl<'s> Table<'s> {
         })
     }
 
-    /// The values of each row, in order, with its number and whether it is on the front.
+    /// Number and values of each row, in order, and whether it is on the front.
     pub fn places(&self) -> impl Iterator<Item = (u64, String, bool)> {
         self.rows.keys().map(|&variant| {
             let on_front = self.front.as_ref().is_some_and(|front| front.contains(&variant));
@@ -118,7 +118,7 @@ impl<'s> Table<'s> {
         })
     }
 
-    /// The table as CSV; of a shard with its column of checksums.
+    /// The table as CSV, with a column of checksums if one is named.
     pub fn csv(&self, checksums: Option<&str>) -> String {
         let front = self.front.as_ref().map(|_| FRONT);
         let header = self.columns().into_iter().chain(front).chain(checksums).map(str::to_string).collect();
@@ -133,8 +133,8 @@ impl<'s> Table<'s> {
     /// Adds the rows of a shard's table; returns whether they have checksums.
     ///
     /// # Errors
-    /// `sweep.shard` when it is of another sweep or of other files than the shards before, was cut
-    /// or changed, or has a variant that is here already.
+    /// `sweep.shard` for a table of another sweep or of other files than earlier shards, a
+    /// truncated or changed one, or a repeated variant.
     pub fn add_csv(&mut self, text: &str) -> Result<bool> {
         if !text.ends_with('\n') {
             return Err(wrong("the part is cut: its last line has no end"));
@@ -145,7 +145,7 @@ impl<'s> Table<'s> {
         let columns: Vec<String> = self.columns().into_iter().map(str::to_string).collect();
         let head: Vec<String> = next()?.iter().flatten().map(str::to_string).collect();
         let column = head.last().filter(|name| head.len() > columns.len() && name.starts_with(CHECKSUM)).cloned();
-        // A whole table was drawn; its front is found again.
+        // A whole table has a front column, which is computed again.
         let drawn = head.get(columns.len()).is_some_and(|name| name == FRONT);
         let others = usize::from(column.is_some()) + usize::from(drawn);
         if head.len() != columns.len() + others || !head.starts_with(&columns) {
@@ -186,7 +186,7 @@ impl<'s> Table<'s> {
         Ok(column.is_some())
     }
 
-    /// Whether every variant has a row.
+    /// Checks that every variant has a row.
     ///
     /// # Errors
     /// `sweep.shard` with the first that is missing.
@@ -197,7 +197,7 @@ impl<'s> Table<'s> {
         Err(wrong(format!("variant {variant} has no row, and {left} in all have none")))
     }
 
-    /// Adds the table to the files that are to be written, as [`Self::csv`] has it.
+    /// Adds the table, as by [`Self::csv`], to a batch of files.
     ///
     /// # Errors
     /// `write.*`.

@@ -1,8 +1,8 @@
 //! From a sweep file to its variants, by number.
 //!
-//! Input: a [`SweepFile`]. Output: a [`Sweep`], which gives the number of variants, the columns of
-//! what varies, and the [`Job`] of each. Variants are numbered from 0: the list's entries in order,
-//! of each the combinations of the grid, the last axis changing fastest. Errors: `sweep.axis`,
+//! Input: a [`SweepFile`]. Output: a [`Sweep`], with the number of variants, the varied columns,
+//! and the [`Job`] of each variant. Variants are numbered from 0: by entry of the list, then by
+//! combination of the grid, with the last axis changing fastest. Errors: `sweep.axis`,
 //! `sweep.path`, `sweep.value`, `sweep.size`.
 
 use std::collections::BTreeSet;
@@ -19,7 +19,7 @@ use nsim_ir::base::names::did_you_mean;
 use nsim_ir::spanned::parse;
 use nsim_train::convert::copies::USUAL;
 
-/// The columns after those of what varies.
+/// The columns after the varied values.
 pub const FIGURES: [&str; 22] = [
     "error",
     "fits",
@@ -45,12 +45,12 @@ pub const FIGURES: [&str; 22] = [
     "accuracy_high",
 ];
 
-/// The column after those, where a front is asked for.
+/// The last column, where a front is requested.
 pub const FRONT: &str = "front";
 
-/// The most variants of a sweep.
+/// Greatest number of variants of a sweep.
 const MOST_VARIANTS: u64 = 10_000_000;
-/// The most values of an axis that are said by a step.
+/// Greatest number of values of an axis with `step`.
 const MOST_STEPS: u64 = 1_000_000;
 /// Options that a path can name, after `options.`.
 const OPTIONS: [&str; 12] = [
@@ -70,49 +70,49 @@ const OPTIONS: [&str; 12] = [
 /// Fields of the input that a path can name, after `input.`.
 const INPUTS: [&str; 2] = ["samples", "seed"];
 
-/// What a variant trains before it runs.
+/// Training of a variant's network before its run.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Training {
     /// A training file or the name of a shipped one.
     pub config: String,
-    /// Fields of it and their values, as `nsim train --set` takes them.
+    /// Changed fields of it with values, as `nsim train --set` takes them.
     pub fields: Vec<(String, String)>,
 }
 
-/// What one variant runs.
+/// Settings of one variant.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Job {
     /// A model file or the name of a shipped model; empty where the variant trains its own.
     pub model: String,
-    /// What is trained instead.
+    /// Training in place of a model.
     pub training: Option<Training>,
-    /// Milliseconds of a timestep, where the model's file does not say.
+    /// Milliseconds of a timestep, for a model file without it.
     pub dt_ms: Option<f64>,
     /// A target file or the name of a shipped target.
     pub target: String,
-    /// Where spikes come from; the model's scene when empty.
+    /// Sources of spikes; the model's scene when empty.
     pub input: Vec<String>,
-    /// Which samples; all when `None`.
+    /// Range of samples; all when `None`.
     pub samples: Option<Range<usize>>,
     /// Seed of a scene.
     pub seed: Option<u64>,
-    /// How it is mapped.
+    /// Options of the mapping.
     pub options: Options,
     /// Whether relays are added.
     pub relays: bool,
-    /// What is pruned, as `--prune` takes it.
+    /// Arguments of `--prune`.
     pub prune: Vec<String>,
-    /// Delayed copies of what leads to a spike response population, at most.
+    /// Greatest number of delayed copies of projections to a spike response population.
     pub delayed_copies: usize,
     /// A preset of constants; the target's first when `None`.
     pub constants: Option<String>,
-    /// What feeds its spikes; an x86 core of each chip that has one when `None`.
+    /// Host of its input spikes; an x86 core of each chip that has one when `None`.
     pub host: Option<Host>,
-    /// As fast as possible, or held to the model's timestep.
+    /// Mode: as fast as possible, or paced by the model's timestep.
     pub mode: Mode,
-    /// How energy is computed.
+    /// Convention of the energy.
     pub convention: Convention,
-    /// Which power counts.
+    /// Power that counts: neuron and x86 cores, or the rails of the board.
     pub accounting: Accounting,
     /// Changes of the model.
     pub of_model: Vec<Change>,
@@ -129,8 +129,8 @@ fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
     value.parse().map_err(|_| "no number of this kind".to_string())
 }
 
-/// `A..B` of samples, either end of which may be missing; `None` for what is no range or an empty
-/// one.
+/// Range `A..B` of samples; either end may be missing. `None` for text that is no range, or an
+/// empty one.
 pub fn sample_range(text: &str) -> Option<Range<usize>> {
     let (from, to) = text.split_once("..")?;
     let from = if from.is_empty() { 0 } else { from.parse().ok()? };
@@ -156,7 +156,7 @@ impl Job {
         }
     }
 
-    /// Gives a path a value.
+    /// Sets the value of a path.
     ///
     /// # Errors
     /// `sweep.path`, `sweep.value`.
@@ -194,8 +194,8 @@ impl Job {
         Ok(())
     }
 
-    /// Gives a field of the job a value; whether there is one of this path. Errors: what the value
-    /// is.
+    /// Sets a field of the job; returns whether the path is one of its fields. The error completes
+    /// the sentence "VALUE is ..".
     fn assign_own(&mut self, path: (&str, &str), value: &str) -> Result<bool, String> {
         match path {
             ("model", "") => self.model = value.to_string(),
@@ -236,7 +236,7 @@ struct Axis {
     values: Vec<String>,
 }
 
-/// A sweep that can be run.
+/// A checked sweep.
 #[derive(Debug, Clone)]
 pub struct Sweep {
     base: Job,
@@ -318,7 +318,7 @@ impl Sweep {
         if count > MOST_VARIANTS {
             return Err(in_file(Diagnostic::new("sweep.size", format!("more than {MOST_VARIANTS} variants"))));
         }
-        // Every value of every column once, so that a wrong one is found before the work.
+        // Assigns every value of every column once, so that errors appear before the runs.
         let mut scratch = sweep.base.clone();
         for axis in &sweep.axes {
             for (path, value) in axis.values.iter().flat_map(|value| axis.paths.iter().map(move |path| (path, value))) {
@@ -332,9 +332,8 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// The sweep with the milliseconds of a timestep, for models whose files do not say, and with
-    /// relays, pruning and delayed copies as `nsim map` takes them, for variants that do not say
-    /// otherwise.
+    /// The sweep with defaults: the milliseconds of a timestep, for model files without it; relays,
+    /// pruning and delayed copies as `nsim map` takes them, for variants without their own.
     pub fn with(mut self, dt_ms: Option<f64>, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
         self.base.dt_ms = dt_ms;
         self.base.relays |= relays;
@@ -350,17 +349,17 @@ impl Sweep {
         self.list.len() as u64 * self.axes.iter().map(|axis| axis.values.len() as u64).product::<u64>()
     }
 
-    /// Whether there is none.
+    /// Whether there is no variant.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
 
-    /// Names of what varies.
+    /// Names of the varied columns.
     pub fn columns(&self) -> Vec<&str> {
         self.listed.iter().map(String::as_str).chain(self.axes.iter().map(|axis| axis.name.as_str())).collect()
     }
 
-    /// Whether a column is of limits and sizes of the chip alone.
+    /// Whether a column changes only limits and sizes of the chip.
     pub fn is_of_chip(&self, column: &str) -> bool {
         let of_chip = |path: &String| path.starts_with("target.");
         let axis = self.axes.iter().find(|axis| axis.name == column);
@@ -386,10 +385,10 @@ impl Sweep {
         listed.chain(self.axes.iter().zip(on_axes).map(|(axis, place)| axis.values[place].as_str())).collect()
     }
 
-    /// What a variant runs.
+    /// Settings of a variant.
     ///
     /// # Errors
-    /// `sweep.value`, which [`Self::parse`] has found before.
+    /// `sweep.value`, which [`Self::parse`] reports before.
     pub fn job(&self, variant: u64) -> Result<Job> {
         let (entry, on_axes) = self.place(variant);
         let mut job = self.base.clone();
@@ -402,7 +401,7 @@ impl Sweep {
         Ok(job)
     }
 
-    /// Models, targets, inputs, spikes to prune by and constants that variants name.
+    /// Models, targets, inputs, spikes for pruning, and constants that variants name.
     pub fn names(&self) -> Vec<String> {
         let Job { model, training, target, input, prune, constants, .. } = &self.base;
         let training = training.as_ref().map(|training| &training.config);
@@ -419,19 +418,19 @@ impl Sweep {
         names
     }
 
-    /// Whether variants may differ in how long they run before what they change is looked at.
+    /// Whether variants may differ in model or number of copies, hence in run time.
     pub fn has_sizes(&self) -> bool {
         let paths = self.axes.iter().flat_map(|axis| &axis.paths).chain(&self.listed);
         paths.into_iter().any(|path| ["model", "options.copies"].contains(&path.as_str()))
     }
 
-    /// The text that it was read from.
+    /// Source text of the sweep.
     pub fn text(&self) -> &str {
         &self.text
     }
 }
 
-/// The first that was there before.
+/// The first repeated item.
 fn repeated<T: Ord + Clone>(all: impl Iterator<Item = T>) -> Option<T> {
     let mut seen = BTreeSet::new();
     all.into_iter().find(|one| !seen.insert(one.clone()))

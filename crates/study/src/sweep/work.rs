@@ -1,8 +1,8 @@
 //! Runs many variants on several threads, the largest first.
 //!
-//! Input: a sweep, the numbers of its variants that are to be run. Output: their cells, passed on
-//! one by one as they are finished, in any order. Each variant has one thread. The first error ends
-//! the work once the variants that run are finished.
+//! Input: a sweep, and the numbers of the variants to run. Output: their cells, passed on one by
+//! one as they are finished, in any order. Each variant has one thread. After the first error no
+//! variant starts, and the running ones are finished.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
@@ -12,13 +12,13 @@ use crate::sweep::row::{Cells, Runner};
 use crate::sweep::variants::Sweep;
 use nsim_session::error::Error;
 
-/// Stack of a thread: mapping recurses as it does in the main one.
+/// Stack of a thread, bytes: mapping recurses as on the main thread.
 const STACK: usize = 16 << 20;
 
 /// Runs these variants; `take` is called by one thread at a time.
 ///
 /// # Errors
-/// The first of a variant or of `take`.
+/// The first error of a variant or of `take`.
 pub fn run(
     sweep: &Sweep,
     mut numbers: Vec<u64>,
@@ -45,7 +45,7 @@ pub fn run(
         }
     };
     let alone = || {
-        // What a variant does in parallel stays on its thread.
+        // Parallel work of a variant stays on its thread.
         match rayon::ThreadPoolBuilder::new().num_threads(1).use_current_thread().build() {
             Ok(pool) => pool.install(work),
             Err(_) => work(),
@@ -54,7 +54,7 @@ pub fn run(
     std::thread::scope(|scope| {
         for _ in 0..threads.clamp(1, numbers.len().max(1)) {
             let started = std::thread::Builder::new().stack_size(STACK).spawn_scoped(scope, alone);
-            // Where the system allows fewer threads, those that it allows.
+            // Where the system refuses a thread, the started ones do the work.
             if started.is_err() {
                 break;
             }

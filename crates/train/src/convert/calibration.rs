@@ -9,7 +9,7 @@ use nsim_session::inputs;
 /// The distance between the seeds of calibration and of the run.
 const CALIBRATION_SEED: u64 = 1_000_003;
 
-/// What is known of the samples that a run shows.
+/// Input of a run, as far as it determines the samples.
 #[derive(Debug, Clone, Copy)]
 pub struct RunInput<'a> {
     /// Its sources.
@@ -20,11 +20,11 @@ pub struct RunInput<'a> {
     pub scene: Option<&'a str>,
 }
 
-/// This many samples to search on: of the named sources, or else of the run's scene with another
-/// seed; `None` when the run shows no scene, so that only its own samples are left.
+/// Samples for a search: of the named sources, or else `wanted` ones of the run's scene with
+/// another seed. `None` if the run presents no scene, so that only its own samples are left.
 ///
 /// # Errors
-/// When a source cannot be used.
+/// A source that cannot be used.
 pub fn stimulus(network: &Quantised, named: &[String], run: RunInput<'_>, wanted: usize) -> Result<Option<Stimulus>> {
     if !named.is_empty() {
         return inputs::stimulus(network, named, None, None).map(Some);

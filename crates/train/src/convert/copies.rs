@@ -1,19 +1,16 @@
-//! Current and voltage with delayed copies of what comes in, as near to a spike response as they
-//! can be.
+//! Current and voltage with delayed copies of the input, as near to a spike response as possible.
 //!
-//! Input: what arrives at a population on calibration samples, and its spike response parameters.
-//! Output: decays of current and voltage with the delays and factors of the copies, from which the
-//! search chooses.
+//! Input: a population's arrivals on calibration samples, and its spike response parameters.
+//! Output: decays of current and voltage with the delays and factors of the copies, for the search.
 //!
-//! A hard reset takes the voltage and leaves the current. So the faster the voltage forgets, the
-//! less a reset takes: with dv = 4096 the voltage is the current, and nothing is taken. What is
-//! lost is the alpha kernel, which has two equal decays. With F(t) the response of such a
-//! compartment to what arrives, without resets, and P(t) the potential of the trained neuron, the
-//! factors a of the copies with delays d are those of least squares,
-//! `sum over t of w(t) (P(t) - sum_i a_i F(t - d_i))^2`. The delays are chosen one after the other,
-//! each the one that leaves the least. What arrives in the calibration samples weighs: a population
-//! with thousands of sources needs the slow part of the kernel, one with few also its shape. Steps
-//! count by [`relevance`].
+//! A hard reset clears the voltage and leaves the current. So the faster the voltage forgets, the
+//! less a reset takes: with dv = 4096 the voltage is the current, and nothing is taken. This loses
+//! the alpha kernel, which has two equal decays. F(t) is the response of such a compartment to its
+//! arrivals, without resets, and P(t) the potential of the trained neuron. The factors a of the
+//! copies with delays d minimise `sum over t of w(t) (P(t) - sum_i a_i F(t - d_i))^2`, where w is
+//! [`relevance`]. The delays are chosen sequentially, each for the least error. The arrivals of the
+//! calibration samples matter: a population with thousands of sources needs the slow part of the
+//! kernel, one with few also its shape.
 
 use rayon::prelude::*;
 
@@ -21,35 +18,35 @@ use nsim_ir::base::fixed::DECAY_ONE;
 use nsim_ir::graph::SrmParameters;
 use nsim_quantise::analytic;
 
-/// The most copies that can be asked for.
+/// Greatest number of copies that an option can set.
 pub const MOST: usize = 32;
-/// The most copies where nothing is asked: the synapses of a source onto one compartment, delayed
-/// by up to 62 steps, then take 310 bits, which are five words of a Loihi core's memory.
+/// Greatest number of copies by default. The synapses of a source onto one compartment, delayed by
+/// up to 62 steps, then take 310 bits, five words of a Loihi core's memory.
 pub const USUAL: usize = 15;
 
-/// Time constants of the current relative to the response's; share of the voltage left by a step.
+/// Time constants of the current relative to the response's; fractions of v kept by a step.
 const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
 const VOLTAGES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
-/// The latest copy in time constants, and the number of delays tried up to there.
+/// Latest delay in time constants, and number of delays tried up to it.
 const LATEST: f64 = 4.5;
 const DELAYS: u32 = 45;
 /// Numbers of copies that are tried.
 const COUNTS: [usize; 12] = [1, 2, 3, 4, 5, 7, 9, 12, 15, 20, 24, 32];
-/// Steps of neurons on which least squares are taken.
+/// Approximate number of neuron-steps of the least squares.
 const POINTS: usize = 12_000;
-/// Times that every copy may give its place to another delay.
+/// Rounds in which every copy may move to another delay.
 const SWAPS: usize = 3;
 
-/// What arrives at a population.
+/// Arrivals at a population.
 #[derive(Debug, Clone, Copy)]
 pub struct Arrivals<'a> {
-    /// Its compartments.
+    /// Number of compartments.
     pub neurons: usize,
     /// Weighted input of each sample, `[neuron][step]`.
     pub samples: &'a [Vec<f64>],
 }
 
-/// Delays and factors of the copies of what comes in.
+/// Delays and factors of the copies of a population's input.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Copies {
     each: [(u32, f64); MOST],
@@ -57,12 +54,12 @@ pub struct Copies {
 }
 
 impl Copies {
-    /// Those that there are.
+    /// (delay, factor) of each copy.
     pub fn as_slice(&self) -> &[(u32, f64)] {
         &self.each[..self.count]
     }
 
-    /// With all factors times one.
+    /// The copies with all factors multiplied by one number.
     #[must_use]
     pub fn scaled(mut self, by: f64) -> Copies {
         self.each.iter_mut().for_each(|copy| copy.1 *= by);
@@ -70,14 +67,14 @@ impl Copies {
     }
 }
 
-/// What an error counts where the potential is this many thresholds: less, the further it is from
-/// where spikes are decided. A neuron that spikes in every step has about six.
+/// Weight of an error at a potential in thresholds, 0..=1. It falls with the distance from the
+/// potentials where spikes are decided. A neuron that spikes in every step has about six.
 pub fn relevance(potential: f64) -> f64 {
     let away = (potential - 2.0) / 3.0;
     1.0 / (1.0 + away * away)
 }
 
-/// The solution of `matrix x = right`, positive definite; none where it is not.
+/// The solution of `matrix x = right`, positive definite; none for a singular matrix.
 fn solved(matrix: &[Vec<f64>], right: &[f64]) -> Option<Vec<f64>> {
     let n = right.len();
     let mut rows: Vec<Vec<f64>> =
@@ -95,14 +92,14 @@ fn solved(matrix: &[Vec<f64>], right: &[f64]) -> Option<Vec<f64>> {
     Some((0..n).map(|i| rows[i][n] / rows[i][i]).collect())
 }
 
-/// A decay that the chip has.
+/// The nearest decay of the chip, as the fraction kept by a step.
 fn kept(keep: f64) -> f64 {
     1.0 - libm::rint(DECAY_ONE as f64 * (1.0 - keep)).clamp(1.0, DECAY_ONE as f64) / DECAY_ONE as f64
 }
 
-/// Decays and copies to choose from: (current left by a step, voltage left, copies), for each
-/// number of copies up to `most` those that leave the least error: with each decay of the current
-/// where the voltage forgets all, with the best elsewhere. Delays up to `room`.
+/// Candidates: (current kept by a step, voltage kept, copies), the copies of least error for each
+/// number up to `most`, with delays up to `room`. Where the voltage forgets everything, each decay
+/// of the current is one; elsewhere only the best is.
 pub fn candidates(
     task: Arrivals<'_>,
     srm: &SrmParameters,
@@ -140,7 +137,7 @@ pub fn candidates(
     each.into_iter().flatten().collect()
 }
 
-/// Potential of the trained neurons without own spikes, in thresholds, `[neuron][step]` a sample.
+/// Potentials of the trained neurons without own spikes, in thresholds, `[neuron][step]` a sample.
 pub fn potentials(task: Arrivals<'_>, srm: &SrmParameters, timestep_ms: f64) -> Vec<Vec<f64>> {
     let (tau, r) = (srm.tau_sr_ms / timestep_ms, analytic::real_keep(srm, timestep_ms));
     let gain = std::f64::consts::E * r / tau / srm.theta;
@@ -153,7 +150,7 @@ pub fn potentials(task: Arrivals<'_>, srm: &SrmParameters, timestep_ms: f64) -> 
     task.samples.par_iter().map(filtered).collect()
 }
 
-/// What passes current and voltage of a neuron, by steps.
+/// Appends the response of a neuron's current and voltage to a row of inputs.
 fn filtered_row(row: &[f64], (keep_u, keep_v): (f64, f64), gain: f64, out: &mut Vec<f64>) {
     let (mut u, mut v) = (0.0, 0.0);
     out.extend(row.iter().map(|x| {
@@ -176,17 +173,17 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
 
 /// Sums of products of delayed responses and wanted potentials, weighted by relevance.
 struct Products {
-    /// Row by row, those of a delay with itself a trifle greater.
+    /// Products of each pair of delays; the diagonal is raised by a factor of 1 + 1e-9.
     between: Vec<Vec<f64>>,
     right: Vec<f64>,
 }
 
-/// What is left of each delay once some are chosen.
+/// Residuals of each delay's response after some delays are chosen.
 struct Left {
-    /// Its square and its product with what is left of the potentials.
+    /// Squared length, and product with the residual of the potentials.
     squares: Vec<f64>,
     right: Vec<f64>,
-    /// What the chosen ones took from the error.
+    /// Reduction of the error by the chosen delays.
     taken: f64,
 }
 
@@ -198,7 +195,7 @@ impl Products {
         let (mut response, mut relevant, mut mine) = (Vec::new(), Vec::new(), Vec::new());
         for (place, (arrivals, wanted)) in task.samples.iter().zip(wanted).enumerate() {
             let steps = (arrivals.len() / task.neurons.max(1)).max(1);
-            // Other neurons in each sample.
+            // Each sample contributes other neurons.
             let rows = arrivals.chunks(steps).zip(wanted.chunks(steps)).skip(place % every).step_by(every);
             for (row, wanted) in rows {
                 response.clear();
@@ -219,7 +216,7 @@ impl Products {
                 }
             }
         }
-        // Computed below the diagonal.
+        // Only the lower triangle was computed.
         for i in 0..n {
             let (above, rest) = between.split_at_mut(i);
             let Some(row) = rest.first_mut() else { break };
@@ -229,7 +226,7 @@ impl Products {
         Products { between, right }
     }
 
-    /// What is left when these delays are chosen: each is made orthogonal to those before it.
+    /// Residuals after these delays are chosen; each is orthogonalised to those before it.
     fn left(&self, chosen: &[usize]) -> Left {
         let mut left = Left {
             squares: (0..self.right.len()).map(|j| self.between[j][j]).collect(),
@@ -256,7 +253,7 @@ impl Products {
         left
     }
 
-    /// The delay that takes most in addition to those chosen, and what all take then.
+    /// The delay that, added to the chosen ones, reduces the error most, and the total reduction.
     fn next(&self, chosen: &[usize]) -> Option<(f64, usize)> {
         let left = self.left(chosen);
         let each = (0..self.right.len()).filter(|j| !chosen.contains(j)).filter_map(|j| {
@@ -272,7 +269,7 @@ impl Products {
     }
 }
 
-/// What the copies take from the error, for each number of them up to `most` that is tried.
+/// Reduction of the error and the copies, for each number in `COUNTS` up to `most`.
 fn of_pair(
     task: Arrivals<'_>,
     wanted: &[Vec<f64>],
@@ -287,7 +284,7 @@ fn of_pair(
         if !COUNTS.contains(&chosen.len()) {
             continue;
         }
-        // Each gives its place to a better one, one after another, while that helps.
+        // Each delay is exchanged for a better one while that helps.
         for _ in 0..SWAPS {
             let before = taken;
             for member in 0..chosen.len() {
@@ -324,7 +321,7 @@ mod tests {
         assert_eq!(solved(&[vec![1.0, 2.0], vec![2.0, 4.0]], &[1.0, 2.0]), None);
     }
 
-    /// A potential that is made of two delayed responses is decomposed into them.
+    /// A potential that is the sum of two delayed responses is decomposed into them.
     #[test]
     fn planted_copies_are_found() {
         let (steps, keeps, planted) = (200, (0.8, 0.3), [(2, 0.7), (9, -0.25)]);

@@ -1,8 +1,8 @@
-//! The integers of a network and the trained network: the two that `nsim agree` compares.
+//! A network's integers and the trained network, for the comparison by `nsim agree`.
 //!
-//! Input: a network with its analytic integers, how better ones are searched for, samples. Output:
-//! [`Integers`], whose stages lead from the trained network to the machine. Omitted on purpose:
-//! the comparison itself (`agree`).
+//! Input: a network with its analytic integers, the settings of a search for better ones, samples.
+//! Output: [`Integers`], whose stages lead from the trained network to the machine. Omitted on
+//! purpose: the comparison itself (`agree`).
 
 use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::{self, SearchResult};
@@ -25,18 +25,18 @@ pub enum Conversion {
 
 named_variants!(Conversion { Search = "search", Analytic = "analytic" });
 
-/// How integers are found.
+/// Settings of a conversion.
 #[derive(Debug, Clone, Copy)]
 pub struct Choice<'a> {
-    /// With a search or without.
+    /// The conversion, with a search or without.
     pub conversion: Conversion,
-    /// Samples to search on; those that [`calibration::stimulus`] chooses when empty.
+    /// Samples for the search; [`calibration::stimulus`] chooses them if empty.
     pub calibrate: &'a [String],
-    /// What the run itself shows.
+    /// Input of the compared run.
     pub run: RunInput<'a>,
-    /// Number of samples to search on.
+    /// Number of samples for the search.
     pub wanted: usize,
-    /// The most delayed copies of what comes in.
+    /// Most delayed copies of a population's input.
     pub most_copies: usize,
 }
 
@@ -45,16 +45,16 @@ pub struct Choice<'a> {
 pub struct Integers {
     /// The converted form of each spike response population.
     pub fits: Vec<Option<Fit>>,
-    /// The search, if there was one.
+    /// Result of the search, if there was one.
     pub found: Option<SearchResult>,
 }
 
 impl Integers {
-    /// Finds integers for a network. `searching` gets the populations one by one, and `None`
-    /// first where it has to be searched on the samples that are compared.
+    /// Finds integers for a network. `searching` receives the name of each population, and first
+    /// `None` if the search has to use the compared samples.
     ///
     /// # Errors
-    /// When a source cannot be used.
+    /// A source that cannot be used.
     pub fn find(
         (graph, network): (&Graph, &Quantised),
         choice: Choice<'_>,
@@ -76,7 +76,7 @@ impl Integers {
         Ok(Integers { fits: found.conversion.fits.clone(), found: Some(found) })
     }
 
-    /// From the trained network to these integers.
+    /// The comparison stages from the trained network to these integers.
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.

@@ -2,20 +2,20 @@
 //!
 //! Input: a network of spike response neurons, the converted form of each population, a training
 //! plan and labelled training samples. Output: the trained weights whose integers decide best, and
-//! how well they do. Invariants: in every minibatch the weights become integers as `quantise` makes
-//! them, and the samples run through exactly these (`agree::ladder`, whose last stage equals the
-//! golden interpreter bit for bit). The gradient is that of the trained neurons at the integers'
-//! potentials, in thresholds, and at their spikes; rounding is passed straight through, and so are
-//! the reset and the delayed copies. The selected epoch is the one that does best on the
-//! training samples as they are, the start included: most right, then least loss. Held-out samples
-//! are only counted, at the start and at the end. Errors: networks that the plan does not describe.
+//! their scores. Invariants: in every minibatch `quantise` makes the weights integers, and exactly
+//! these run the samples (`agree::ladder`, whose last stage equals the golden interpreter bit for
+//! bit). The gradient is the trained neurons' at the integers' potentials, in thresholds, and at
+//! their spikes. Rounding, reset and delayed copies have a derivative of 1. The selected epoch does
+//! best on the unvaried training samples, the start included: most right, then least loss. Held-out
+//! samples are only counted, at the start and at the end. Errors: networks that the plan does not
+//! describe.
 //!
-//! No part of the training samples is set aside to choose the epoch: the network was trained on all
-//! of them, so the start would be judged by what it knows.
+//! No training samples are set aside to choose the epoch: the network was trained on all of them,
+//! so the start would be judged on known samples.
 //!
-//! A converted layer answers one step earlier than the trained one (`docs/semantics.md`, 18). So
-//! samples get one more, empty step, the integers run without it, and what they do is read one step
-//! later.
+//! A converted layer responds one step earlier than the trained one (`docs/semantics.md`, 18). So
+//! samples get one more, empty step, the integers run without it, and their spikes and potentials
+//! are read one step later.
 
 use std::sync::Arc;
 
@@ -45,7 +45,7 @@ use nsim_ir::tensor::{Numbers, Tensor};
 use nsim_quantise::analytic::Fit;
 use nsim_quantise::exponents::Detail;
 
-/// What is fine-tuned.
+/// A network to fine-tune, its integers and the plan.
 #[derive(Debug)]
 pub struct Task {
     graph: Graph,
@@ -54,7 +54,7 @@ pub struct Task {
     plan: Plan,
     /// For each projection of the graph, its target layer and the place of its first source.
     places: Vec<Place>,
-    /// The plan's layers as the integers number their compartments.
+    /// The plan's layers, with the integers' numbering of compartments.
     layers: Vec<Layer>,
 }
 
@@ -66,51 +66,51 @@ struct Place {
     first_column: usize,
 }
 
-/// Share of samples that are right, and the mean loss.
+/// Accuracy and loss of integers.
 #[derive(Debug, Clone, Copy, Default, PartialEq, serde::Serialize)]
 pub struct TaskScore {
-    /// Share of samples that are right.
+    /// Fraction of samples with the right class, 0..=1.
     pub accuracy: f64,
     /// Mean loss.
     pub loss: f64,
 }
 
-/// An epoch.
+/// Score of an epoch.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct FineTuneRow {
-    /// Its integers on the training samples, not varied.
+    /// Score of its integers on the unvaried training samples.
     #[serde(flatten)]
     pub score: TaskScore,
     /// The epoch, 0 before the first.
     pub epoch: u32,
 }
 
-/// Samples that were not trained on.
+/// Scores on samples that were not trained on.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
 pub struct HeldOut {
     /// Number of samples.
     pub samples: usize,
-    /// Share that the trained network has right.
+    /// Fraction with the right class in the trained network.
     #[serde(rename = "trained_accuracy")]
     pub trained: f64,
-    /// The integers before.
+    /// Score of the integers before.
     pub before: TaskScore,
-    /// The selected integers.
+    /// Score of the selected integers.
     pub after: TaskScore,
 }
 
-/// What came out.
+/// Result of a fine-tuning.
 #[derive(Debug, Clone)]
 pub struct FineTuned {
     /// The selected weights.
     pub weights: Weights,
-    /// The epoch that they are of; 0 when no epoch was better than the start.
+    /// The epoch of these weights; 0 if no epoch was better than the start.
     pub kept: u32,
-    /// Before the first epoch and after each.
+    /// One row before the first epoch, and one after each.
     pub rows: Vec<FineTuneRow>,
-    /// Samples trained on.
+    /// Number of training samples.
     pub samples: usize,
-    /// Scores on samples that were not trained on; none where there are none with labels.
+    /// Scores on samples that were not trained on; none without labelled ones.
     pub held_out: Option<HeldOut>,
     /// The seed of the order of samples.
     pub seed: u64,
@@ -119,7 +119,7 @@ pub struct FineTuned {
 }
 
 impl FineTuned {
-    /// Scores of the integers before and of the selected ones, on the training samples.
+    /// Scores of the first and of the selected integers, on the training samples.
     pub fn scores(&self) -> (TaskScore, TaskScore) {
         let of =
             |epoch: u32| self.rows.iter().find(|row| row.epoch == epoch).map_or_else(TaskScore::default, |r| r.score);
@@ -127,23 +127,23 @@ impl FineTuned {
     }
 }
 
-/// Integers that were trained further.
+/// Fine-tuned integers.
 #[derive(Debug)]
 pub struct Tuned {
     /// The epochs and their scores.
     pub tuned: FineTuned,
-    /// Epochs that were asked for.
+    /// Requested number of epochs.
     pub epochs: u32,
     /// The selected integers.
     pub integers: Ladder,
-    /// Where the training samples came from.
+    /// Sources of the training samples.
     pub samples: Vec<String>,
-    /// How near the integers still are to the trained network on samples that no stage saw.
+    /// Distance from the trained network on samples that no stage used.
     pub held_out: Option<Measured>,
 }
 
 impl Tuned {
-    /// For a model's provenance.
+    /// A sentence for a model's provenance.
     pub fn sentence(&self) -> String {
         let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
         let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
@@ -170,7 +170,7 @@ pub struct BestEpoch {
     pub weights: Weights,
     /// Its number.
     pub epoch: u32,
-    /// On the training samples.
+    /// Score on the training samples.
     pub score: TaskScore,
 }
 
@@ -182,7 +182,7 @@ fn unlike(graph: &Graph, message: &str) -> Diagnostic {
 /// Checks that a network has dense layers of spike response neurons without loops or delays.
 ///
 /// # Errors
-/// `convert.fine-tune` with what it does not take.
+/// `convert.fine-tune` with the unsupported property.
 pub fn trainable(graph: &Graph) -> Result<()> {
     if graph.facts().decision != ReadOut::Spikes {
         let message = "its potentials decide, and fine-tuning is by the spikes of the output";
@@ -214,10 +214,10 @@ pub fn trainable(graph: &Graph) -> Result<()> {
 }
 
 impl Task {
-    /// A network, the fits of its populations, and the training file with its plan.
+    /// A task from a network, the fits of its populations, and the training file with its plan.
     ///
     /// # Errors
-    /// `convert.fine-tune` where the training file describes another network.
+    /// `convert.fine-tune` if the training file describes another network.
     pub fn new(
         graph: &Graph,
         (fits, detail): (&[Option<Fit>], Detail),
@@ -292,7 +292,7 @@ impl Task {
         Ok(Task { graph: graph.clone(), fits: fits.to_vec(), detail, plan, places, layers })
     }
 
-    /// The weights as the plan orders them.
+    /// The weights in the plan's order.
     fn weights(&self) -> Weights {
         let mut all = self.plan.topology.zeros();
         for ((_, _, _, projection), place) in self.graph.projections().zip(&self.places) {
@@ -304,7 +304,7 @@ impl Task {
         all
     }
 
-    /// Where each weight of a projection is among all declared with it, and in the plan's layer.
+    /// Indices of each weight of a projection: among all declared with it, and in the plan's layer.
     fn pairs(&self, place: Place, declared: usize) -> impl Iterator<Item = (usize, usize)> {
         let Place { layer, offset, sources, first_column } = place;
         let targets = self.plan.topology.layers[layer].cells.count();
@@ -315,7 +315,7 @@ impl Task {
         })
     }
 
-    /// The network with other weights; projections declared as one share an array.
+    /// The network with other weights; projections of one declaration share an array.
     pub fn with_weights(&self, weights: &Weights) -> Graph {
         let mut declared: Vec<(Arc<Tensor>, Vec<f64>)> = Vec::new();
         let mut at = Vec::new();
@@ -356,7 +356,7 @@ impl Task {
         Ladder::with_exponents(&self.with_weights(weights), &self.fits, self.detail)
     }
 
-    /// How well integers do.
+    /// The score of integers on examples.
     fn score(&self, ladder: &Ladder, examples: &[Example], step: &(impl Fn() + Sync)) -> TaskScore {
         let output = output_layer(ladder.deployed());
         let one = |example: &Example| {
@@ -378,7 +378,7 @@ impl Task {
     /// Trains; `shown` is called after each sample, `after` with each new best epoch.
     ///
     /// # Errors
-    /// As [`Task::integers`], where weights grow beyond what the integers hold.
+    /// As [`Task::integers`], if weights exceed the range of the integers.
     pub fn run(
         &self,
         (examples, held_out): (&[Example], &[Example]),
@@ -389,7 +389,7 @@ impl Task {
         let fingerprint = checkpoint::fingerprint(&self.plan, examples);
         let train: Vec<Example> = examples.iter().map(padded).collect();
         let unseen: Vec<Example> = held_out.iter().map(padded).collect();
-        // It goes on where the training ended; what runs forward leaves nothing out.
+        // The rate is that of the training's end; dropout is off, as the integers run whole.
         let mut plan = Plan { epochs, dropout: 0.0, ..self.plan.clone() };
         plan.rates.iter_mut().for_each(|rate| *rate *= self.plan.last_rate);
         let mut state = plan.start_from(self.weights());
@@ -419,7 +419,7 @@ impl Task {
     }
 }
 
-/// The integers as what runs forward in training.
+/// The integers as the forward pass of a training.
 #[derive(Debug)]
 struct Integers<'a, F> {
     task: &'a Task,
@@ -439,7 +439,7 @@ impl<F: Fn() + Sync> Forward for Integers<'_, F> {
         let each = self.task.layers.iter().zip(&self.task.plan.topology.layers).zip(&mut work.traces);
         for ((layer, trained), kept) in each {
             let theta = trained.cells.theta();
-            // Credit of spike response neurons does not depend on what a neuron did.
+            // Credit of spike response neurons does not depend on the state of a neuron.
             let (potential, spikes) = (potentials(&trace, layer, theta), raster(&trace, layer));
             *kept = TrainedTrace { potential, spikes, ..TrainedTrace::default() };
         }
@@ -453,7 +453,7 @@ fn padded(example: &Example) -> Example {
     Example { inputs: example.inputs.iter().map(longer).collect(), label: example.label }
 }
 
-/// What a network in integers sees of a sample: all but the last, empty step.
+/// A sample for the network in integers: all but the last, empty step.
 fn sample(inputs: &[Raster]) -> Sample {
     let steps = inputs.first().map_or(0, Raster::steps).saturating_sub(1) as u32;
     let mut first = 0;
@@ -463,7 +463,7 @@ fn sample(inputs: &[Raster]) -> Sample {
         events.extend(all.map(|(step, unit)| (step, ChannelId(first + unit))));
         first += raster.units() as u32;
     }
-    // All events are within; a raster counts its events in 32 bits, as a sample does.
+    // All events are in range; a raster counts its events in 32 bits, as a sample does.
     Sample::new(steps, &events, None).unwrap_or_else(|_| Sample::silent(steps))
 }
 

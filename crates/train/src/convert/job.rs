@@ -1,9 +1,9 @@
-//! A conversion from a network to integers that can be stored, with samples to search on and others
-//! to judge by.
+//! A conversion from a network to integers that can be stored, with samples for the search and
+//! others to judge the result.
 //!
-//! Input: a network with real numbers, what it is for, samples. Output: [`Converted`] with its
-//! measures, fine-tuned where that is asked for; the model of the integers, and the sentence that
-//! says how they were made. Errors: `convert.*`, `train.label`.
+//! Input: a network with real numbers, its target, samples. Output: [`Converted`] with its
+//! measures, fine-tuned if requested; the model of the integers, and a sentence on their origin.
+//! Errors: `convert.*`, `train.label`.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -27,32 +27,32 @@ use nsim_session::error::Result;
 use nsim_session::front::real_and_integers;
 use nsim_session::inputs;
 
-/// A network whose real numbers are to become integers.
+/// A network whose real numbers become integers.
 #[derive(Debug)]
 pub struct Job {
-    /// As it was trained.
+    /// The network as it was trained.
     pub graph: Graph,
-    /// With the integers of the analytic start.
+    /// The integers of the analytic start.
     pub integers: Quantised,
-    /// SHA-256 of the text of its file.
+    /// SHA-256 of the text of the model file.
     pub hash: String,
     soft_reset: bool,
 }
 
-/// Samples that integers are searched on, and samples by which they are judged.
+/// Samples for the search, and samples that judge its integers.
 #[derive(Debug)]
 pub struct Split<'s> {
-    /// Where the first come from.
+    /// Sources of the calibration samples.
     pub origin: &'s [String],
-    /// Searched on.
+    /// Samples for the search.
     pub calibration: Vec<&'s Sample>,
-    /// Judged by.
+    /// Samples that judge the result.
     pub held_out: Vec<&'s Sample>,
 }
 
 impl<'s> Split<'s> {
-    /// All that is shown is held out where there are separate samples for the search; otherwise the
-    /// first half of it is searched on.
+    /// Splits samples. With separate samples for the search (`apart`), all of `shown` is held out;
+    /// otherwise the search takes its first half.
     pub fn new((origin, shown): (&'s [String], &[&'s Sample]), apart: Option<&'s Stimulus>, wanted: usize) -> Self {
         match apart {
             Some(apart) => Split {
@@ -68,18 +68,18 @@ impl<'s> Split<'s> {
     }
 }
 
-/// Integers and how near they are.
+/// Converted integers and their distances.
 #[derive(Debug)]
 pub struct Done {
-    /// Stage by stage.
+    /// The conversion, by stages.
     pub converted: Converted,
-    /// On samples that no stage saw; none where there are none.
+    /// Measures on samples that no stage used; none without such samples.
     pub held_out: Option<Measured>,
-    /// Seconds that the search took.
+    /// Seconds of the search.
     pub seconds: f64,
 }
 
-/// How near integers are, in words.
+/// The distance of integers in words.
 pub fn sentence(measured: &Measured) -> String {
     let layers = measured.layers.iter().map(|(name, coincidence, _)| match coincidence {
         Some(coincidence) => format!("{name} {coincidence:.3}"),
@@ -94,10 +94,10 @@ pub fn sentence(measured: &Measured) -> String {
 }
 
 impl Job {
-    /// A network for a target: one without resets by subtraction makes them resets to zero.
+    /// A network to convert for a target; without resets by subtraction they become resets to zero.
     ///
     /// # Errors
-    /// `convert.integers` where nothing is to be converted; `model.*`.
+    /// `convert.integers` if there is nothing to convert; `model.*`.
     pub fn new(network: &Network, target: &Target) -> Result<Self> {
         let (graph, integers) = real_and_integers(network)?;
         let soft_reset = target.chip().neuron_kinds.contains(&NeuronKind::SoftReset.family());
@@ -109,12 +109,12 @@ impl Job {
         Ok(Job { graph, integers, hash: sha256(network.source().text().as_bytes()), soft_reset })
     }
 
-    /// Whether the target lacks resets that the network has.
+    /// Whether the network has resets by subtraction that the target lacks.
     pub fn resets_are_replaced(&self) -> bool {
         !self.soft_reset && resets::has_soft_reset(&self.graph)
     }
 
-    /// Searches for integers; `searching` gets the populations one by one.
+    /// Searches for integers; `searching` receives the name of each population.
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
@@ -127,7 +127,7 @@ impl Job {
         Ok(Done { converted, held_out, seconds })
     }
 
-    /// How the integers were made, as their model file says; `model` is the network's file or name.
+    /// The origin of the integers for their model file; `model` is the network's file or name.
     pub fn provenance(&self, model: &str, samples: &Split<'_>, done: &Done) -> String {
         let Done { converted, held_out, .. } = done;
         let kept: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();
@@ -148,10 +148,10 @@ impl Job {
         provenance
     }
 
-    /// The model of the integers, of the fine-tuned ones where there are any.
+    /// The model of the integers, or of the fine-tuned ones if there are any.
     ///
     /// # Errors
-    /// `convert.*` for integers that a model file does not hold.
+    /// `convert.*` for integers that a model file cannot have.
     pub fn model(&self, done: &Done, tuned: Option<&Tuned>, provenance: &str) -> Result<NetworkFile> {
         let (integers, provenance) = match tuned {
             Some(tuned) => (tuned.integers.deployed(), format!("{provenance}; {}", tuned.sentence())),
@@ -161,10 +161,10 @@ impl Job {
     }
 }
 
-/// Training that goes on with the integers in the forward pass.
+/// Continued training with the integers in the forward pass.
 #[derive(Debug)]
 pub struct FineTuning {
-    /// What is trained.
+    /// The network to train, its integers and its plan.
     pub task: Arc<Task>,
     epochs: u32,
     origin: Vec<String>,
@@ -173,10 +173,10 @@ pub struct FineTuning {
 }
 
 impl FineTuning {
-    /// Epochs as a training file says, on the samples that it names or those of `sources`.
+    /// Fine-tuning as a training file says, on the samples of `sources`, by default the file's.
     ///
     /// # Errors
-    /// `convert.fine-tune` for the file of another network, `train.sources` without samples,
+    /// `convert.fine-tune` for a file of another network, `train.sources` without samples,
     /// `train.label`.
     pub fn new(
         job: &Job,
@@ -208,7 +208,7 @@ impl FineTuning {
         Ok(FineTuning { task: Arc::new(task), epochs, origin: stimulus.origin, examples, unseen })
     }
 
-    /// Samples that are shown in all: for a progress bar.
+    /// Number of samples to run, for a progress bar.
     pub fn work(&self) -> u64 {
         let (all, held_out) = (self.examples.len() as u64, self.unseen.len() as u64);
         all + 2 * u64::from(self.epochs) * all + 2 * held_out

@@ -1,8 +1,8 @@
-//! A network in integers -> the model file that holds them.
+//! A network in integers -> its model file.
 //!
-//! Input: a network as `quantise` left it. Output: a model whose quantisation is that network
-//! again, number by number. Errors: synapses generated from a seed, and spikes with a payload,
-//! which a written model does not hold.
+//! Input: a network as `quantise` made it. Output: a model whose quantisation is this network,
+//! number by number. Errors: synapses generated from a seed, and spikes with a payload, which a
+//! written model cannot have.
 
 use nsim_dynamics::synapses::Enumerate;
 use nsim_files::network::{
@@ -23,7 +23,7 @@ fn unsupported(what: &str) -> Diagnostic {
         .help("give it as an array")
 }
 
-/// The model of a network in integers; `graph` is what it was made from.
+/// The model of a network in integers; `graph` is the network before quantisation.
 ///
 /// # Errors
 /// `convert.unsupported`.

@@ -1,8 +1,8 @@
-//! The one command that `nsim agree` and `nsim convert` print: what to type next.
+//! The command that `nsim agree` and `nsim convert` suggest as the next one.
 //!
-//! Input: what was typed, the network, and to what causes it loses. Output: a command that changes
-//! what can be changed about the cause that costs most, or that looks closer where nothing can. A
-//! change of the model is tried on the samples, and printed only where the integers come nearer.
+//! Input: the command line, the network, and the causes of its losses. Output: a command that
+//! changes something about the costliest cause, or that looks closer if nothing can be changed. A
+//! change of the model is tried on the samples, and printed only if the integers come nearer.
 
 use crate::convert::copies;
 use crate::convert::deployed::Conversion;
@@ -20,30 +20,30 @@ use nsim_quantise::analytic;
 
 /// Coincidence or classes that a change has to gain.
 const WORTH: f64 = 0.005;
-/// Thresholds are doubled at most so often.
+/// Most doublings of the thresholds.
 const DOUBLINGS: i64 = 3;
 
-/// What to type next.
+/// The suggested command.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Next {
-    /// The cause that it changes; none where it looks closer.
+    /// The cause that it reduces; none if it looks closer.
     pub cause: Option<Cause>,
-    /// What it does.
+    /// Its effect.
     pub what: String,
     /// The command.
     pub command: String,
 }
 
-/// What was typed.
+/// Command-line arguments.
 #[derive(Debug, Clone)]
 pub struct Typed<'a> {
     /// The words after `nsim`.
     pub words: Vec<String>,
-    /// Among them the model.
+    /// The model among them.
     pub model: &'a str,
     /// How a spike response network becomes integers, and the number of delayed copies.
     pub conversion: (Conversion, usize),
-    /// The words after `nsim` that look closer.
+    /// The words after `nsim` of a command that looks closer.
     pub closer: Option<Vec<String>>,
 }
 
@@ -63,7 +63,7 @@ fn command(words: &[String]) -> String {
 }
 
 impl Typed<'_> {
-    /// What was typed with an option of one value. Files that it wrote are replaced.
+    /// The command line with options replaced or added. Files that it wrote are replaced.
     fn with(&self, options: &[(&str, &str)]) -> String {
         let mut words = self.words.clone();
         for &(name, value) in options {
@@ -84,7 +84,7 @@ impl Typed<'_> {
     }
 }
 
-/// Changes of the model's file that may make a cause cost less, with what they do.
+/// Changes of the model's file that may reduce a cause, with their effects.
 fn candidates(cause: Cause, graph: &Graph) -> Vec<(&'static str, Vec<String>)> {
     let greater = "makes thresholds and weights greater, so that what rounds away weighs less";
     let all = (1..=DOUBLINGS).filter_map(|times| Some((greater, doubled(graph, times)?)));
@@ -99,8 +99,8 @@ fn candidates(cause: Cause, graph: &Graph) -> Vec<(&'static str, Vec<String>)> {
     }
 }
 
-/// Thresholds, biases and weights of populations in the chip's integers, doubled so often: what
-/// rounds away of current and voltage then weighs less. `None` where a field does not hold them.
+/// Thresholds, biases and weights of populations in the chip's integers, doubled `times` times. The
+/// rounding of current and voltage then weighs less. `None` if a field cannot represent a value.
 fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
     let same = |p: &NeuronParameters, name: &str| match p.get(name).map(|values| &values.each) {
         None => Some(p.value(name, 0) as i64),
@@ -141,7 +141,7 @@ fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
     (!changes.is_empty()).then_some(changes)
 }
 
-/// How near the integers of the model are to the network as its tool runs it once it is changed.
+/// Distance of the changed model's integers from this model as its tool runs it.
 fn tried(model: &str, changes: &[String], samples: &[&Sample]) -> Option<Distance> {
     let changes: Vec<Change> = changes.iter().map(|change| Change::parse(change)).collect::<Result<_, _>>().ok()?;
     let graph = lower(&within(&changes, || load_model(model)).ok()?).ok()?;
@@ -156,7 +156,7 @@ fn figures(distance: &Distance) -> String {
     format!("{classes}coincidence {:.3}", distance.coincidence)
 }
 
-/// What to type next; `None` where next to nothing is lost, or nothing is left to try.
+/// The next command; `None` if almost nothing is lost, or nothing is left to try.
 pub fn next(
     typed: &Typed<'_>,
     (graph, ladder): (&Graph, &Ladder),
@@ -177,8 +177,8 @@ pub fn next(
     })
 }
 
-/// What to call next in Python, where a change of the model's file is no answer; `None` where next
-/// to nothing is lost. `target` is the one to name.
+/// The next call in Python, where the model's file cannot be changed; `None` if almost nothing is
+/// lost. `target` names the target.
 pub fn in_python(attribution: &Attribution, target: Option<&str>) -> Option<Next> {
     attribution.worst().filter(|_| attribution.layers.iter().any(LayerLoss::is_lossy))?;
     let target = target.map_or(String::new(), |target| format!(", target='{target}'"));
@@ -227,7 +227,7 @@ fn remedy(
     spelled(&changes, format!("{what}: {} (now {})", figures(&after), figures(before)))
 }
 
-/// A search for better integers of a spike response network, where less of one was asked for.
+/// A better search for the integers of a spike response network, unless this one was full.
 fn search(typed: &Typed<'_>) -> Option<(&'static str, String)> {
     let (conversion, most_copies) = typed.conversion;
     match conversion {

@@ -1,10 +1,10 @@
-//! A model file as a network that is ready to be mapped: what every command and the Python module
-//! start from.
+//! A model file -> a network that is ready to be mapped: the start of every command and of the
+//! Python module.
 //!
-//! Input: a network as its file says. Output: the same in integers. Spike response neurons become
-//! Loihi compartments as `nsim convert` makes them, on samples of the model's own scene, or by
-//! analysis where it has none. Deterministic, so that a saved mapping fits the same network again.
-//! Errors: a network that cannot be converted.
+//! Input: a network as its file says. Output: its integers. Spike response neurons become Loihi
+//! compartments as by `nsim convert`, on samples of the model's own scene, or by analysis if it has
+//! none. The result is deterministic, so a saved mapping fits the network again. Errors: a network
+//! that cannot be converted.
 
 use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::search;
@@ -14,7 +14,7 @@ use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_session::front::{has_srm, real_and_integers};
 
-/// Samples that a model is converted on where no number is given.
+/// Number of calibration samples by default.
 const CALIBRATION_SAMPLES: usize = 60;
 
 /// A network in integers, with at most this many delayed input copies a population.

@@ -1,8 +1,7 @@
 //! Reset by subtraction -> reset to zero, for targets whose compartments only clear the voltage.
 //!
-//! Input: a network with `SoftReset` populations. Output: the same with `Loihi` populations, all
-//! parameters as they were, refractory period 1. What that loses, the stages of the conversion
-//! measure.
+//! Input: a network with `SoftReset` populations. Output: this network with `Loihi` populations of
+//! equal parameters, refractory period 1. The stages of the conversion measure the loss.
 
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
 use nsim_ir::neurons::NeuronKind;

@@ -1,23 +1,22 @@
-//! The integers with which a spike response network is best deployed, by a deterministic search
-//! over calibration samples.
+//! The best integers for a spike response network, by a deterministic search over calibration
+//! samples.
 //!
-//! Input: the graph and calibration samples. Output: a [`Fit`] for each population, and how near
-//! each stage comes. From the analytic start (`nsim_quantise::analytic`) each stage goes
-//! through the populations from the input on. A population gets the spikes that its converted
-//! sources send, and is to send those that the trained population sends, step by step:
+//! Input: the graph and calibration samples. Output: a [`Fit`] for each population, and the
+//! distance of each stage. From the analytic start (`nsim_quantise::analytic`) each stage goes
+//! through the populations from the input on. A population receives the spikes of its converted
+//! sources, and is to send the spikes of the trained population, step by step:
 //!
-//! 1. [`Stage::Shape`]: du, dv, and delayed copies of all that comes in (`super::copies`), with
-//!    synapses of each compartment onto itself for the refractory response; then threshold and
-//!    those synapses in finer steps while they help. A voltage that forgets everything in a step
-//!    loses nothing at a reset, and the copies make the current's single exponential an alpha
-//!    kernel again.
-//! 2. [`Stage::Rounding`]: what rounding a copy leaves goes to the next one
+//! 1. [`Stage::Shape`]: du, dv, and delayed copies of the input (`super::copies`), with synapses of
+//!    each compartment onto itself for the refractory response. Then threshold and these synapses
+//!    are refined in finer steps while they help. A voltage that forgets everything in a step loses
+//!    nothing at a reset, and the copies turn the current's exponential into an alpha kernel.
+//! 2. [`Stage::Rounding`]: the rounding error of a copy is carried to the next one
 //!    (`nsim_quantise::carry`).
 //!
-//! What is minimised is 1 minus the coincidence factor, and a share of the difference of spike
-//! counts (a greater one for the output, whose counts are classes). The start and every stage are
-//! run as integers; what is nearest to the trained network is returned: the search never makes
-//! things worse on the calibration samples. No randomness; ties go to the first.
+//! The objective is 1 minus the coincidence factor, plus a share of the difference of spike counts
+//! (greater for the output, whose counts are classes). The start and every stage are run as
+//! integers. The nearest to the trained network is returned, so a search never does harm on the
+//! calibration samples. Nothing is random; ties go to the first.
 
 use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
@@ -43,37 +42,37 @@ use nsim_reference::synapses::Synapses;
 
 use super::copies::{self, Arrivals, Copies, MOST};
 
-/// Most neuron-steps that a candidate is tried on; calibration samples beyond are skipped.
+/// Most neuron-steps on which a candidate is tried; further calibration samples are skipped.
 const MOST_WORK: u64 = 2_000_000;
 
-/// Neuron-steps that shapes are first tried on, and the most that the best is improved on.
+/// Neuron-steps of the first trial of shapes, and most neuron-steps of the refinement.
 const SKETCH: usize = 40_000;
 const DRAWING: usize = 240_000;
-/// The least number of samples of either.
+/// Least number of samples of a first trial and of a refinement.
 const LEAST: usize = 8;
 
-/// Synapses of a compartment onto itself: the paper's refractory response is below 0.001 thresholds
-/// after this many steps. With 10 the rest costs 0.01 to 0.03 in coincidence.
+/// Synapses of a compartment onto itself. After this many steps the paper's refractory response is
+/// below 0.001 thresholds. With 10, its tail costs 0.01 to 0.03 in coincidence.
 const OWN: usize = 12;
 
-/// How much more than on the calibration samples may arrive before a register wraps.
+/// Factor on the greatest input of the calibration samples up to which no register wraps.
 const FORESEEN: f64 = 2.0;
 
-/// Distance that one more copy must gain, and the part of it for each synapse.
+/// Distance that one more copy must gain: a constant, and a part for each synapse.
 const COPY_PRICE: f64 = 0.0005;
 const SYNAPSE_PRICE: f64 = 5e-8;
 
-/// The most synapses of the copies of a compartment's input: a core at 20 bits a synapse.
+/// Most synapses of the copies of a compartment's input: a core's memory at 20 bits a synapse.
 const MOST_SYNAPSES: usize = 49_152;
 
-/// A population with at most this many copied synapses, half a core, gets twice the copies.
+/// Most copied synapses, half a core, of a population that gets twice the copies.
 const FEW_SYNAPSES: f64 = 24_576.0;
 
-/// The most compartments whose synapses onto themselves are listed one by one.
+/// Most compartments of a searched population, whose synapses onto themselves are listed.
 const MOST_OWN: u32 = 1 << 16;
 
 named_variants! {
-    /// What of the search is done, each stage on top of the last.
+    /// Stages of the search, each added to the previous one.
     #[derive(Debug, Clone, Copy, PartialEq, Eq)]
     pub enum Stage {
         /// The analytic start.
@@ -85,21 +84,21 @@ named_variants! {
     }
 }
 
-/// How near a conversion is on the calibration samples.
+/// Distance of a conversion on the calibration samples.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct ConversionScore {
-    /// The classes of the trained network and of the converted one.
+    /// Agreement of the classes of the trained and the converted network.
     pub classes: ClassTally,
     /// Coincidence factor over all layers.
     pub coincidence: f64,
     /// The mean of the layers' coincidence factors.
     pub mean_coincidence: f64,
-    /// Differences of the output's spike counts relative to all of its spikes.
+    /// Differences of the output's spike counts, relative to all of its spikes.
     pub count_error: f64,
 }
 
 impl ConversionScore {
-    /// What is minimised: wrong classes, wrong counts of the output, spikes that do not coincide.
+    /// The objective: wrong classes, wrong counts of the output, spikes that do not coincide.
     fn distance(&self) -> f64 {
         2.0 * (1.0 - self.classes.kept()) + self.count_error + (1.0 - self.mean_coincidence)
     }
@@ -108,14 +107,14 @@ impl ConversionScore {
 /// The converted form of a network of spike response neurons.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Conversion {
-    /// In the order of the populations.
+    /// The fit of each population, in the order of the populations.
     pub fits: Vec<Option<Fit>>,
-    /// How finely exponents and weights are chosen.
+    /// Detail at which exponents and weights are chosen.
     pub detail: Detail,
 }
 
 impl Conversion {
-    /// The steps from the network to these integers.
+    /// The comparison stages from the network to these integers.
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
@@ -132,29 +131,29 @@ impl Conversion {
     }
 }
 
-/// What a search found.
+/// Result of a search.
 #[derive(Debug, Clone, PartialEq)]
 pub struct SearchResult {
-    /// What is nearest to the trained network.
+    /// The conversion that is nearest to the trained network.
     pub conversion: Conversion,
-    /// The analytic start.
+    /// Score of the analytic start.
     pub start: ConversionScore,
-    /// What is left.
+    /// Score of the returned conversion.
     pub end: ConversionScore,
-    /// Every stage, the start first.
+    /// Conversions of all stages, the start first.
     pub stages: Vec<(Stage, Conversion)>,
-    /// Candidates that were tried.
+    /// Number of candidates tried.
     pub tried: u64,
-    /// Calibration samples.
+    /// Number of calibration samples.
     pub samples: usize,
 }
 
-/// A population's inputs and what it should do with them.
+/// A population's inputs and its wanted spikes.
 struct Task {
     neurons: usize,
     /// Weighted input of each sample, `[neuron][step]`.
     arrivals: Vec<Vec<f64>>,
-    /// The steps in which each neuron of each sample should spike.
+    /// Wanted spike steps of each neuron, by sample.
     wanted: Vec<Vec<Vec<u32>>>,
     /// Weight of a difference of counts relative to coincidence.
     count_weight: f64,
@@ -171,11 +170,11 @@ struct Candidate {
 }
 
 impl Candidate {
-    /// What it spikes; `see` gets what arrives in each step and the current after it.
+    /// Simulates its spikes; `see` receives the input of each step and the current after it.
     fn spikes(&self, copied: &[f64], spikes: &mut Vec<u32>, mut see: impl FnMut(f64, f64)) {
         spikes.clear();
         let (mut u, mut v) = (0.0, 0.0);
-        // What its own spikes bring in this step and those to come.
+        // Arrivals from its own spikes, in this step and the next ones.
         let (mut coming, mut at) = ([0.0; OWN], 0);
         for (step, x) in copied.iter().enumerate() {
             let x = x + coming[at];
@@ -195,7 +194,7 @@ impl Candidate {
     }
 }
 
-/// How far spikes are from those wanted, in sums that add up over neurons.
+/// Distance of spikes from the wanted ones, in sums that add up over neurons.
 #[derive(Debug, Clone, Copy, Default)]
 struct Gap {
     beyond_chance: f64,
@@ -225,7 +224,7 @@ impl Task {
         Arrivals { neurons: self.neurons, samples: &self.arrivals }
     }
 
-    /// What all copies together bring, as [`Task::arrivals`].
+    /// The summed input through all copies, laid out as [`Task::arrivals`].
     fn copied(&self, copies: &Copies) -> Vec<Vec<f64>> {
         let of_sample = |arrivals: &Vec<f64>| {
             let steps = (arrivals.len() / self.neurons.max(1)).max(1);
@@ -257,8 +256,8 @@ impl Task {
         gap
     }
 
-    /// The greatest input of a step to foresee: some times that of these samples, or what, held for
-    /// ever, brings the current there.
+    /// The greatest input of a step to plan for: `FORESEEN` times the greatest of these samples, or
+    /// times the constant input that holds the current at its greatest value.
     fn greatest_input(&self, c: &Candidate) -> f64 {
         let of_sample = |copied: &Vec<f64>| {
             let (mut most, mut spikes) = (0.0, Vec::new());
@@ -276,7 +275,7 @@ impl Task {
         gaps.fold(Gap::default(), Gap::add).distance(self.count_weight)
     }
 
-    /// The task over some of the samples, evenly taken: enough to distinguish shapes.
+    /// The task over evenly chosen samples, enough to distinguish shapes.
     fn part(&self, neuron_steps: usize) -> Task {
         let all: usize = self.arrivals.iter().map(Vec::len).sum();
         let every = all.div_ceil(neuron_steps).clamp(1, self.arrivals.len().div_ceil(LEAST).max(1));
@@ -289,14 +288,14 @@ impl Task {
     }
 }
 
-/// What the compartments of a population share.
+/// Parameters shared by the compartments of a population.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Shape {
     keep_u: f64,
     keep_v: f64,
     copies: Copies,
     threshold: f64,
-    /// The voltage at a spike, and the refractory response, in those of the trained neuron.
+    /// Voltage at a spike in thresholds, and factor on the trained neuron's refractory response.
     given_back: f64,
     refractory: f64,
 }
@@ -313,13 +312,13 @@ impl Shape {
         Candidate { keep_u, keep_v, threshold, copies, own }
     }
 
-    /// What its copies have to gain.
+    /// Distance that its copies have to gain.
     fn price(&self, synapses: f64) -> f64 {
         (COPY_PRICE + SYNAPSE_PRICE * synapses) * self.copies.as_slice().len() as f64
     }
 }
 
-/// Searches.
+/// Searches for the integers of a network.
 ///
 /// # Errors
 /// As `nsim_quantise::quantise`.
@@ -353,7 +352,7 @@ pub fn search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl Fn
     Ok(SearchResult { conversion, start, end, stages, tried, samples: samples.len() })
 }
 
-/// Goes through the populations from the input on; returns the replacements of their first fits,
+/// Goes through the populations from the input on. Returns the fits that replace the first ones,
 /// and the number of candidates tried.
 fn pipeline(
     graph: &Graph,
@@ -371,7 +370,7 @@ fn pipeline(
         let PopulationKind::Srm(srm) = &population.kind else { continue };
         let Some(layer) = layers.iter().find(|layer| layer.name == population.name) else { continue };
         if layer.count > MOST_OWN {
-            // It stays as it is by analysis.
+            // It keeps its analytic fit.
             continue;
         }
         progress(&population.name);
@@ -390,7 +389,7 @@ fn pipeline(
     (fits, tried)
 }
 
-/// A trace one step earlier, as a converted layer answers.
+/// A trace one step earlier, as a converted layer responds.
 fn earlier(trace: &Trace) -> Trace {
     let train = |train: &Vec<u32>| train.iter().filter_map(|&t| t.checked_sub(1)).collect();
     Trace { trains: trace.trains.iter().map(train).collect(), ..trace.clone() }
@@ -428,7 +427,7 @@ pub(super) fn firsts(graph: &Graph) -> Vec<u32> {
     graph.populations().map(first).collect()
 }
 
-/// What arrives at a population and what it should send, in the converted network's time.
+/// A population's input and wanted spikes, in the converted network's time.
 fn task(
     graph: &Graph,
     node: NodeIndex,
@@ -476,7 +475,7 @@ fn task(
     Task { neurons, arrivals, wanted, count_weight }
 }
 
-/// The shape that comes closest to the trained spikes; `None` where no spikes arrive to compare by.
+/// The shape nearest to the trained spikes; `None` where no spikes arrive.
 fn best_shape(
     task: &Task,
     graph: &Graph,
@@ -489,16 +488,16 @@ fn best_shape(
     let into = || graph.incoming(node).map(|(_, projection)| projection);
     let latest = into().map(|projection| u32::from(projection.delay.get())).max().unwrap_or(0);
     let room = u32::from(Delay::MAX.get()) - latest;
-    // All to all: windows have fewer, which then cost more.
+    // The number for all-to-all connections; windows have fewer, so it overrates their price.
     let sources = graph.incoming(node).map(|(source, _)| f64::from(graph.population(source).shape.len()));
     let synapses = sources.sum::<f64>() * task.neurons as f64;
     let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { most };
     let fan_in = (synapses / task.neurons.max(1) as f64) as usize;
-    // With few synapses, copies cost next to nothing.
+    // With few synapses, copies are almost free.
     let most = if 2.0 * most as f64 * synapses <= FEW_SYNAPSES { (2 * most).min(MOST) } else { most };
     let most = most.min(MOST_SYNAPSES / fan_in.max(1)).max(1);
     let shape = |(keep_u, keep_v, copies): (f64, f64, Copies)| {
-        // Random weights have no factor: the threshold takes its place.
+        // Random weights have no factor, so the threshold is scaled.
         let unit = if most == 1 { copies.as_slice().first().map_or(1.0, |copy| copy.1) } else { 1.0 };
         let threshold = srm.theta / unit;
         Shape { keep_u, keep_v, copies: copies.scaled(1.0 / unit), threshold, given_back: 1.15, refractory: 1.0 }
@@ -520,7 +519,7 @@ fn best_shape(
         let mut best = from;
         let copied = task.copied(&from.0.copies);
         for &step in steps {
-            // Few enough rounds to end, more than enough to get anywhere in range.
+            // A bound on the rounds, with room to reach any value in range.
             for _ in 0..12 {
                 let near = near(&best.0, step);
                 *tried += near.len() as u64;

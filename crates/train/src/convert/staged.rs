@@ -1,11 +1,11 @@
-//! Conversion stage by stage: what each stage gains, what is left, and what to change about it.
+//! Conversion by stages: gain of each stage, remaining loss by cause, and possible remedies.
 //!
-//! Input: a network with real numbers and calibration samples. Output: the network in integers, how
-//! near it is after each stage, and for each layer what it lost. Spike response networks go through
-//! [`super::search`], all others through the choice of exponents (`nsim_quantise::exponents`).
-//! Where the target cannot reset by subtraction, that becomes a reset to zero first, a stage of its
-//! own. What the rest costs is found by putting the real number in the place of each kind of
-//! integer, all others staying (`agree::ladder`).
+//! Input: a network with real numbers and calibration samples. Output: the network in integers, its
+//! distance after each stage, and the loss of each layer. Spike response networks go through
+//! [`super::search`], all others through the choice of exponents (`nsim_quantise::exponents`). If
+//! the target cannot reset by subtraction, a first stage replaces this by a reset to zero. The cost
+//! of each kind of integer is found by replacing it with its real numbers, while all other integers
+//! stay (`agree::ladder`).
 
 use crate::convert::resets;
 use crate::convert::search::{self, Conversion, SearchResult};
@@ -24,82 +24,82 @@ use nsim_session::populations::ByPopulation;
 use nsim_session::samples::golden;
 use nsim_session::warnings::widen;
 
-/// Samples on which overflows are counted, with the slow interpreter.
+/// Samples on which the slow interpreter counts overflows.
 const COUNTED: usize = 4;
 
 /// Calibration samples on which the loss is attributed to kinds of integers.
 const ATTRIBUTED: usize = 20;
 
-/// A stage and how near the network is after it.
+/// A stage and the network's distance after it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct StageRow {
-    /// How near it is, on the calibration samples.
+    /// Distance on the calibration samples.
     #[serde(flatten)]
     pub distance: Distance,
-    /// What was done.
+    /// Description of the stage.
     pub name: String,
-    /// Whether the result has it.
+    /// Whether the result includes it.
     pub kept: bool,
-    /// Coincidence beyond the stage before; none for the first.
+    /// Coincidence gained over the previous stage; none for the first.
     pub gain: Option<f64>,
-    /// Coincidence that real numbers would add in place of the stage's; none for the start.
+    /// Coincidence that real numbers would add in place of its integers; none for the start.
     pub left: Option<f64>,
 }
 
 /// A layer of the integers.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
 pub struct LayerRow {
-    /// The population.
+    /// Name of the population.
     pub name: String,
-    /// Coincidence factor; none where neither network spikes, as there is nothing to compare.
+    /// Coincidence factor; none where neither network spikes.
     pub coincidence: Option<f64>,
     /// Exponent of each projection into it.
     pub weight_exp: Vec<i64>,
-    /// Voltages that were clipped and are missed (`LeftField::cut`), counted on a few samples.
+    /// Voltages clipped at the upper end without a reset (`OverflowCounts::cut`), on a few samples.
     pub clipped: u64,
-    /// What keeps it from being compared, or is wrong with it.
+    /// A fault of the layer, or the reason for which it cannot be compared.
     pub problem: Option<String>,
 }
 
-/// How far integers are from the network that they represent.
+/// Distance of integers from the network that they represent.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Measured {
-    /// Over all layers.
+    /// Distance over all layers.
     pub distance: Distance,
-    /// Layer by layer: name, coincidence (none where nothing spikes), spikes of the integers.
+    /// Name of each layer, coincidence (none where nothing spikes), spikes of the integers.
     pub layers: Vec<(String, Option<f64>, u64)>,
-    /// Samples.
+    /// Number of samples.
     pub samples: usize,
-    /// Shares of right classes of that network and of the integers, where all samples have labels.
+    /// Fractions of right classes of that network and of the integers, if all samples have labels.
     pub accuracy: Option<(f64, f64)>,
 }
 
-/// A network in integers and how it got there.
+/// A network in integers and the record of its conversion.
 #[derive(Debug)]
 pub struct Converted {
     /// The integers.
     pub network: Quantised,
     /// The converted form of each spike response population.
     pub fits: Vec<Option<Fit>>,
-    /// Every stage that was tried.
+    /// Every stage tried.
     pub stages: Vec<StageRow>,
-    /// Layer by layer.
+    /// Each layer of the integers.
     pub layers: Vec<LayerRow>,
-    /// What each kind of integer still costs, on some of the calibration samples.
+    /// Remaining cost of each kind of integer, on some of the calibration samples.
     pub left: Vec<Share>,
-    /// To what causes the layers lose their coincidence, on the same samples.
+    /// Loss of coincidence by cause and layer, on these samples.
     pub attribution: Attribution,
-    /// On the calibration samples.
+    /// Measures on the calibration samples.
     pub calibration: Measured,
-    /// The steps between the network and its integers.
+    /// The comparison stages between the network and its integers.
     pub ladder: Ladder,
     /// The network as its tool runs it.
     pub trained: Rung,
-    /// How finely their exponents and weights were chosen.
+    /// Detail at which exponents and weights were chosen.
     pub detail: Detail,
 }
 
-/// Whether a network has real numbers that are to become integers.
+/// Whether a network has real numbers that become integers.
 pub fn is_real(graph: &Graph) -> bool {
     let real = |kind: &PopulationKind| match kind {
         PopulationKind::Input => false,
@@ -121,7 +121,7 @@ fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) ->
 }
 
 impl Converted {
-    /// How far these integers, or others of the same populations, are from the trained network.
+    /// Distance of these integers, or others of these populations, from the trained network.
     pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
         let from = (&self.ladder, self.trained);
         let output = output_layer(self.ladder.deployed());
@@ -130,16 +130,16 @@ impl Converted {
     }
 }
 
-/// What a conversion may use.
+/// Limits of a conversion.
 #[derive(Debug, Clone, Copy)]
 pub struct Choices {
-    /// The most delayed copies of what comes in.
+    /// Most delayed copies of a population's input.
     pub most_copies: usize,
     /// Whether compartments can reset by subtraction.
     pub soft_reset: bool,
 }
 
-/// Converts.
+/// Converts a network, and measures each stage.
 ///
 /// # Errors
 /// As `nsim_quantise::quantise`.
@@ -205,7 +205,7 @@ struct Steps {
 /// A stage before it is measured.
 struct StageIntegers {
     name: String,
-    /// Whether the result has it.
+    /// Whether the result includes it.
     kept: bool,
     /// Its integers; none where they are the result.
     ladder: Option<Ladder>,
@@ -247,7 +247,7 @@ fn by_exponents(graph: &Graph) -> Result<Steps> {
     Ok(Steps { fits, detail: Detail::default(), stages, ladder })
 }
 
-/// Each layer of the integers, and what is wrong with it.
+/// Each layer of the integers, with its problem.
 fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<LayerRow> {
     let some = &samples[..samples.len().min(COUNTED)];
     let sums = ByPopulation::new(network, &golden(network, some, &Keep::new(network.output()), &|| ()).counts);

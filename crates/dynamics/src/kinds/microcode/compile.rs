@@ -1,21 +1,21 @@
-//! A tree as instructions.
+//! Compilation of a microcode tree to instructions.
 //!
-//! Input: a checked tree. Output: instructions of two lists, of what depends on parameters alone
-//! and of every step. Each instruction writes a register of its own, of registers before it. Equal
-//! instructions are one. A register has 32 bits where the interval of its value fits.
+//! Input: a checked tree. Output: two lists of instructions, for values that depend on parameters
+//! alone and for every step. Each instruction writes its own register and reads registers before
+//! it. Equal instructions are merged. A register has 32 bits where the interval of its value fits.
 
 use nsim_ir::microcode::{Assignment, Expression, Interval, Microcode, Node, Operation, Overflow, Variable, Word};
 
-/// What an instruction does with its operands a, b and c.
+/// Operation of an instruction on its operands a, b and c.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Action {
     /// A number.
     Constant(i64),
-    /// 64 bits of 32.
+    /// a, extended from 32 to 64 bits.
     Widen,
-    /// 32 bits of 64, which fit.
+    /// The low 32 bits of a, which has 64.
     Narrow,
-    /// 64 bits of the product of two of 32.
+    /// The product of two operands of 32 bits, in 64 bits.
     Product,
     /// An operation whose result is as wide as its operands.
     Arithmetic(Operation),
@@ -25,18 +25,18 @@ pub(super) enum Action {
     Outside,
     /// b where a is not 0, else c.
     Select,
-    /// `a + b` in 32 bits, which is reported where it wraps and c holds.
+    /// `a + b` in 32 bits, reported where it wraps and the guard c, if any, is not 0.
     AddWord,
-    /// `a - b` so.
+    /// `a - b` in 32 bits, reported likewise.
     SubtractWord,
-    /// `a << b` so; b is at most 31.
+    /// `a << b` in 32 bits, reported likewise; b is at most 31.
     ShiftWord,
-    /// Reports where a is not b and c holds; it writes nothing.
+    /// Reports where a is not b and the guard c, if any, is not 0; it writes nothing.
     Report(Overflow),
 }
 
 impl Action {
-    /// Whether it says that a word leaves its bits.
+    /// Whether it reports overflows of a word.
     pub(super) fn reports(self) -> bool {
         matches!(self, Action::AddWord | Action::SubtractWord | Action::ShiftWord | Action::Report(_))
     }
@@ -45,22 +45,22 @@ impl Action {
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Instruction {
     pub action: Action,
-    /// Whether its operands have 64 bits, but the condition of a selection.
+    /// Whether its operands have 64 bits; conditions and guards always have 32.
     pub wide: bool,
     pub operands: [Place; 3],
     /// The register that it writes.
     pub out: Place,
 }
 
-/// A register of 32 or of 64 bits by its number; with [`FIXED`] one that depends on parameters
+/// Number of a register of 32 or 64 bits. A register with the bit [`FIXED`] depends on parameters
 /// alone.
 pub(super) type Place = u16;
 /// Marks registers that depend on parameters alone.
 pub(super) const FIXED: Place = 0x8000;
-/// No operand.
+/// An absent operand.
 pub(super) const NONE: Place = Place::MAX;
 
-/// Instructions that follow each other, and the numbers of registers that they need.
+/// A sequence of instructions, and the numbers of registers that they need.
 #[derive(Debug, Default)]
 pub(super) struct Section {
     pub instructions: Vec<Instruction>,
@@ -71,21 +71,21 @@ pub(super) struct Section {
 /// The instructions of a kind.
 #[derive(Debug)]
 pub(super) struct Code {
-    /// Parameters, the first registers of `fixed`.
+    /// Number of parameters, which are the first registers of `fixed`.
     pub parameters: usize,
-    /// Words of state, the registers of `step` from [`WORDS`] on.
+    /// Number of words of state, which are the registers of `step` from [`WORDS`] on.
     pub words: usize,
-    /// Sums of arrivals, the first registers of `step`.
+    /// Number of sums of arrivals, which are the first registers of `step`.
     pub ports: usize,
-    /// What depends on parameters alone.
+    /// Instructions for values that depend on parameters alone.
     pub fixed: Section,
-    /// What every step does.
+    /// Instructions of every step.
     pub step: Section,
-    /// The next words of state.
+    /// Registers of the next words of state.
     pub state: Vec<Place>,
-    /// Not 0 where something is sent.
+    /// Register that is not 0 where a message is sent.
     pub sent: Place,
-    /// The integer that is sent.
+    /// Register of the integer that a message carries.
     pub message: Option<Place>,
 }
 
@@ -111,7 +111,7 @@ fn is_narrow(interval: Interval) -> bool {
     interval.bits() <= 32
 }
 
-/// What is compiled, and where the variables are.
+/// The tree under compilation, and the registers of its variables.
 struct Compiler<'c> {
     code: &'c Microcode,
     fixed: Section,
@@ -123,7 +123,7 @@ struct Compiler<'c> {
 }
 
 impl Code {
-    /// The instructions of a tree.
+    /// Compiles a tree.
     pub(super) fn new(code: &Microcode) -> Code {
         let declaration = code.declaration();
         let given = |fixed: bool| {
@@ -166,7 +166,7 @@ impl Code {
 }
 
 impl Compiler<'_> {
-    /// Adds an instruction, unless an equal one is there.
+    /// Adds an instruction unless an equal one exists; returns its result.
     fn emit(&mut self, action: Action, wide: bool, operands: &[Value], interval: Interval) -> Value {
         let fixed = !action.reports() && operands.iter().all(|operand| operand.fixed);
         let mut places = [NONE; 3];
@@ -209,7 +209,7 @@ impl Compiler<'_> {
         }
     }
 
-    /// 1 where a value is not 0, else 0.
+    /// Returns 1 where a value is not 0, else 0.
     fn truth(&mut self, value: Value) -> Value {
         if value.interval.low >= 0 && value.interval.high <= 1 {
             return value;
@@ -238,7 +238,7 @@ impl Compiler<'_> {
             Node::Apply(operation, of) => (*operation, of),
         };
         let interval = expression.interval;
-        // What changes no value is no instruction.
+        // A clip or wrap that changes no value needs no instruction.
         match operation {
             Operation::Clip(bits) if Interval::symmetric(bits).holds(of[0].interval) => return self.value(&of[0]),
             Operation::Wrap(bits) if Interval::of_bits(bits).holds(of[0].interval) => return self.value(&of[0]),
@@ -285,8 +285,8 @@ impl Compiler<'_> {
         }
     }
 
-    /// The low 32 bits of a value. Those of sums, products and shifts follow from those of their
-    /// operands.
+    /// Returns the low 32 bits of a value. For sums, products and left shifts they follow from the
+    /// low bits of the operands.
     fn low_bits(&mut self, expression: &Expression) -> Value {
         let all = Interval::of_bits(32);
         match &expression.node {
@@ -314,7 +314,7 @@ impl Compiler<'_> {
         self.emit(Action::Select, wide, &[condition, of[0], of[1]], interval)
     }
 
-    /// An assignment; what a guard does not hold for keeps its state, and reports nothing.
+    /// Compiles an assignment. Lanes whose guard is 0 keep their state and report nothing.
     fn assign(&mut self, Assignment { target, value }: &Assignment, guard: Option<Value>) {
         let mut found = match self.code.width(*target).filter(|word| !word.interval().holds(value.interval)) {
             Some(word) => self.stored(value, word, guard),
@@ -333,7 +333,7 @@ impl Compiler<'_> {
         }
     }
 
-    /// A value as a word holds it, which it may leave.
+    /// Compiles the wrap or clip of a value that may overflow its word, and its report.
     fn stored(&mut self, value: &Expression, word: &Word, guard: Option<Value>) -> Value {
         let action = match &value.node {
             Node::Apply(Operation::Add, of) => Some((Action::AddWord, of)),

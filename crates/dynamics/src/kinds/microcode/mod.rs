@@ -1,13 +1,13 @@
-//! Neurons whose rule a model file states: their tree as instructions for registers of 64 lanes.
+//! Neurons whose rule a model file states, compiled to instructions for registers of 64 lanes.
 //!
 //! Input: a checked tree ([`Microcode`]) and the parameters of at most 64 neurons. Output: an
-//! [`Updater`]. `compile` makes the instructions, once for each kind; `specialise` omits those
-//! that the parameters make copies; `run` executes them.
+//! [`Updater`]. `compile` makes the instructions, once for each kind. `specialise` removes the
+//! instructions that these parameters make redundant. `run` executes the others.
 //!
 //! A register holds one value for each lane, in 32 bits where the interval of the value fits, in 64
-//! otherwise. What depends on parameters alone is computed when the updater is made. An update
-//! that changes, sends and reports nothing without arrivals would do so again, so that the update
-//! itself reports whether a neuron was idle.
+//! otherwise. Values that depend on parameters alone are computed when the updater is made. If an
+//! update without arrivals changes, sends and reports nothing, so does the next. The update itself
+//! therefore reports whether a neuron was idle.
 
 mod compile;
 mod run;
@@ -29,9 +29,9 @@ use super::neuron::CHUNK;
 struct Programmed {
     code: Code,
     lanes: usize,
-    /// Whether messages carry what the rule computes.
+    /// Whether messages carry a value that the rule computes.
     computes: bool,
-    /// What depends on parameters alone.
+    /// Registers that depend on parameters alone.
     fixed: Registers,
 }
 
@@ -39,7 +39,7 @@ thread_local! {
     static REGISTERS: RefCell<Registers> = RefCell::default();
 }
 
-/// The instructions of a kind.
+/// Returns the instructions of a kind, compiled once per process.
 fn code(kind: MicrocodeKind) -> Arc<Code> {
     static COMPILED: LazyLock<Mutex<HashMap<MicrocodeKind, Arc<Code>>>> = LazyLock::new(Mutex::default);
     let mut compiled = COMPILED.lock().unwrap_or_else(PoisonError::into_inner);

@@ -1,8 +1,7 @@
-//! The execution of instructions, 64 lanes at a time.
+//! Execution of instructions, 64 lanes at a time.
 //!
-//! Loops over a register have no branches and no other names for what they write, so that
-//! compilers turn them into vectors. Lanes after the last neuron hold anything; nothing panics on
-//! them.
+//! Loops over a register have no branches, and their output has no alias, so that compilers
+//! vectorise them. Lanes after the last neuron hold arbitrary values, on which no operation panics.
 
 use nsim_ir::microcode::{Operation, Overflow};
 
@@ -10,9 +9,9 @@ use super::super::block::{Effects, Flags, MOST_LANES};
 use super::super::neuron::{CHUNK, mask};
 use super::compile::{Action, Code, FIXED, Instruction, NONE, Place, Section, WORDS};
 
-/// Chunks of a register.
+/// Number of chunks of a register.
 pub(super) const CHUNKS: usize = MOST_LANES / CHUNK;
-/// Those of neurons with two sums.
+/// Number of chunks of a block of neurons with two sums.
 const HALF: usize = CHUNKS / 2;
 
 /// A value for each lane.
@@ -26,7 +25,7 @@ pub(super) struct Registers {
 }
 
 impl Registers {
-    /// Holds at least the registers of a section.
+    /// Grows to at least the number of registers of a section.
     pub(super) fn make_room(&mut self, section: &Section) {
         let grow = |length: usize, to: Place| length.max(to.into());
         self.narrow.resize(grow(self.narrow.len(), section.narrow), Default::default());
@@ -34,7 +33,7 @@ impl Registers {
     }
 }
 
-/// A register, of those that are fixed or of the others.
+/// Returns a register from `fixed` or from `others`.
 #[inline(always)]
 fn at<'r, T>(fixed: &'r [Register<T>], others: &'r [Register<T>], place: Place) -> &'r Register<T> {
     match place & FIXED {
@@ -43,15 +42,15 @@ fn at<'r, T>(fixed: &'r [Register<T>], others: &'r [Register<T>], place: Place) 
     }
 }
 
-/// The registers before one, and that one.
+/// Returns the registers before `out`, and `out`.
 #[inline(always)]
 fn split<T>(registers: &mut [Register<T>], out: Place) -> (&[Register<T>], &mut Register<T>) {
     let (before, from) = registers.split_at_mut(out.into());
     (before, &mut from[0])
 }
 
-/// Values of a chunk, computed aside so that no loop reads what it writes. An iterator over them
-/// takes a third longer: 3.2 against 2.2 ns a neuron of one word.
+/// Values of a chunk in a temporary, so that no loop reads the array that it writes. An iterator
+/// over them is slower: 3.2 against 2.2 ns a neuron of one word.
 #[allow(clippy::needless_range_loop)]
 #[inline(always)]
 fn chunk_of<U: Copy + Default>(f: impl Fn(usize) -> U) -> [U; CHUNK] {
@@ -82,7 +81,7 @@ fn both<T: Copy, U: Copy + Default, const N: usize>(
     }
 }
 
-/// Marks lanes by the sign of what `f` says of their values, where a guard holds.
+/// Marks lanes by the sign of `f` of their values, where the guard, if any, is not 0.
 #[inline(always)]
 fn report<T: Copy, const N: usize>(
     left: &mut Register<i32>,
@@ -102,8 +101,8 @@ fn report<T: Copy, const N: usize>(
     }
 }
 
-/// A result in 32 bits; marks lanes where it wraps, by the sign of what `leaves` says of the
-/// operands and the result, and a guard holds.
+/// Computes a result in 32 bits. Marks lanes where it wraps, by the sign of `leaves` of the
+/// operands and the result, if the guard, if any, is not 0.
 #[inline(always)]
 fn word<const N: usize>(
     out: &mut Register<i32>,
@@ -127,8 +126,8 @@ fn word<const N: usize>(
     }
 }
 
-/// Defines the operations of this width whose result is as wide as their operands. Results fit;
-/// what is in no lane of a neuron wraps.
+/// Defines the operations of one width whose result is as wide as their operands. Results wrap
+/// where only their low bits count, and in padding lanes.
 macro_rules! arithmetic {
     ($name:ident, $lane:ty) => {
         #[inline(always)]
@@ -161,13 +160,13 @@ macro_rules! arithmetic {
                 Operation::ShiftLeft => both::<T, T, N>(out, of, |a, b| a.wrapping_shl(b as u32)),
                 Operation::ShiftRight => both::<T, T, N>(out, of, |a, b| a.wrapping_shr(b as u32)),
                 Operation::TowardZero => both::<T, T, N>(out, of, |a, b| {
-                    // Below zero as much is added as rounding down would take too much.
+                    // Adds 2^b - 1 to negative numbers, so that the shift rounds toward zero.
                     let low = (1 as T).wrapping_shl(b as u32).wrapping_sub(1);
                     a.wrapping_add(a.wrapping_shr(T::BITS - 1) & low).wrapping_shr(b as u32)
                 }),
                 Operation::Minimum => both::<T, T, N>(out, of, T::min),
                 Operation::Maximum => both::<T, T, N>(out, of, T::max),
-                // Of 0 and 1.
+                // Operands are 0 or 1.
                 Operation::And => both::<T, T, N>(out, of, |a, b| a & b),
                 Operation::Or => both::<T, T, N>(out, of, |a, b| a | b),
                 _ => unreachable!("it has an action of its own"),
@@ -214,8 +213,8 @@ fn select<T: Copy + Default, const N: usize>(
     }
 }
 
-/// Executes instructions in the first N chunks; lanes whose words wrap or are clipped get a sign in
-/// `left`.
+/// Executes instructions in the first N chunks. Lanes whose words wrap or clip become negative in
+/// `overflows`.
 #[inline(always)]
 fn execute<const N: usize>(
     instructions: &[Instruction],
@@ -293,13 +292,13 @@ fn execute<const N: usize>(
     }
 }
 
-/// Computes what depends on parameters alone, which are the first registers.
+/// Computes the registers that depend on parameters alone; the first are the parameters.
 pub(super) fn fix(code: &Code, registers: &mut Registers) {
     let mut left = Default::default();
     execute::<CHUNKS>(&code.fixed.instructions, &Registers::default(), registers, &mut left);
 }
 
-/// A step of a block, in the form in which `pulp` runs it with the processor's vectors.
+/// A step of a block, in the form that `pulp` runs with the processor's vectors.
 pub(super) struct Step<'s> {
     pub code: &'s Code,
     pub lanes: usize,
@@ -325,7 +324,7 @@ impl pulp::NullaryFnOnce for Step<'_> {
 }
 
 impl Step<'_> {
-    /// As [`Step::run`], of fewer chunks.
+    /// Runs [`Step::run`] on fewer than N chunks, padded to N.
     #[inline(always)]
     fn padded<const N: usize>(self) -> Effects {
         let Step { columns, arrived, sent, .. } = self;
@@ -348,7 +347,7 @@ impl Step<'_> {
         effects
     }
 
-    /// A step of N chunks: one length for all loops, which have no calls then.
+    /// Runs a step of N chunks. The constant length avoids calls in the loops.
     #[inline(always)]
     fn run<const N: usize>(self) -> Effects {
         let Step { code, lanes, fixed, registers, columns, arrived, sent } = self;
@@ -365,7 +364,7 @@ impl Step<'_> {
         execute::<N>(&code.step.instructions, fixed, registers, &mut left);
         let register = |place: Place| at(&fixed.narrow, &registers.narrow, place);
         let (sends, message) = (register(code.sent), code.message.map(register));
-        // Loop after loop over registers, since a chunk that lives across loops is no vector.
+        // Separate loops over registers, since a chunk that lives across loops is not vectorised.
         let mut moved = Register::<i32>::default();
         for (moved, (sends, arrived)) in moved.iter_mut().zip(sends.iter().zip(&registers.narrow[0])).take(N) {
             *moved = chunk_of(|lane| sends[lane] | arrived[lane]);
@@ -401,7 +400,7 @@ impl Step<'_> {
             flags[chunk] = chunk_of(|lane| of_chunk[lane] as u8);
         }
         let effects = Effects::new(lanes, &flags);
-        // What moved may move again; the next update shows.
+        // A lane that changed may change again; the next update decides.
         Effects { busy: effects.active, ..effects }
     }
 }

@@ -1,9 +1,9 @@
-//! Instructions for neurons whose parameters are known.
+//! Specialisation of instructions to neurons whose parameters are known.
 //!
 //! Input: the instructions of a kind, and the registers that depend on parameters alone. Output:
-//! the instructions without those that copy a register to another, since a condition is the same
-//! for all neurons or a number is 0, without those whose result nothing reads, and with fewer where
-//! one does what several did: each takes as long as storing a register and reading it again.
+//! fewer instructions. Copies (by a condition equal for all neurons, or an operand of 0) and unread
+//! results are removed, and some comparisons are merged. Each removed instruction saves a store and
+//! a load of a register.
 
 use nsim_ir::microcode::Operation;
 
@@ -27,7 +27,7 @@ impl Instruction {
         wide.into_iter().zip(self.operands).filter(|&(_, place)| place != NONE)
     }
 
-    /// The register that it writes, if it does.
+    /// The register that it writes, if any.
     fn writes(&self) -> Option<Register> {
         match self.action {
             Action::Report(_) => None,
@@ -37,7 +37,7 @@ impl Instruction {
         }
     }
 
-    /// Its operand of which only matters whether it is 0, if it has one.
+    /// The operand that is only tested for 0, if any.
     fn condition(&mut self) -> Option<&mut Place> {
         let [a, _, c] = &mut self.operands;
         match self.action {
@@ -47,7 +47,7 @@ impl Instruction {
         }
     }
 
-    /// As one instruction, if it joins two comparisons of a number with limits on both sides.
+    /// Merges an `Or` of two comparisons of one number with a lower and an upper limit.
     fn outside(&self, before: &[Instruction]) -> Option<Instruction> {
         let compares = |place: Place| {
             let is = |other: &&Instruction| {
@@ -67,7 +67,7 @@ impl Instruction {
         Some(Instruction { action: Action::Outside, operands, ..*self })
     }
 
-    /// The register of 32 bits that it copies, if it does no more.
+    /// The register of 32 bits that it copies, if it only copies.
     fn copies(&self, value: impl Fn(Place) -> Option<i32>) -> Option<Place> {
         let [a, b, c] = self.operands;
         if self.wide {
@@ -79,7 +79,7 @@ impl Instruction {
                 Some(_) => Some(b),
                 None => Some(b).filter(|_| b == c),
             },
-            // 0 and 1 are all that these have.
+            // Operands are 0 or 1.
             Action::Arithmetic(Operation::Or) => match (value(a), value(b)) {
                 (Some(0), _) | (_, Some(1)) => Some(b),
                 (_, Some(0)) | (Some(1), _) => Some(a),
@@ -90,7 +90,7 @@ impl Instruction {
                 (_, Some(1)) | (Some(0), _) => Some(a),
                 _ => None,
             },
-            // Without a change nothing wraps.
+            // An operand of 0 changes nothing, hence nothing wraps.
             Action::AddWord | Action::Arithmetic(Operation::Add) => match (value(a), value(b)) {
                 (_, Some(0)) => Some(a),
                 (Some(0), _) => Some(b),
@@ -107,14 +107,14 @@ impl Instruction {
 }
 
 impl Code {
-    /// The instructions for neurons with these registers of what depends on parameters alone.
+    /// Specialises the code to these values of the registers that depend on parameters alone.
     pub(super) fn specialised(&self, fixed: &[[[i32; CHUNK]; CHUNKS]], lanes: usize) -> Code {
         let value = |place: Place| {
             let register = fixed.get(usize::from(place & !FIXED)).filter(|_| place != NONE && place & FIXED != 0)?;
             let (first, others) = register.as_flattened()[..lanes].split_first()?;
             Some(*first).filter(|first| others.iter().all(|other| other == first))
         };
-        // What each register of 32 bits is the same as, and what is 0 where it is.
+        // For each register of 32 bits: one that is 0 where it is 0, and one that equals it.
         let mut tested: Vec<Place> = (0..self.step.narrow).collect();
         let mut same: Vec<Place> = (0..self.step.narrow).collect();
         let found = |same: &[Place], place: Place| if place & FIXED == 0 { same[usize::from(place)] } else { place };

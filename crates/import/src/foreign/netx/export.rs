@@ -1,12 +1,12 @@
 //! A model as a netx file of lava-dl, and back without loss.
 //!
-//! Input: a model of one input whose populations follow each other, as the layers of netx do.
-//! Output: the tree of a `.net` file, and what other tools will not see of the model. Weights are
-//! mantissas times `2^weight_exp`. As in NIR, what netx has no word for stands in a group of nsim's
-//! own, as the text of the model and its arrays; `restore` takes the model from there, provided
-//! that exporting it again gives the layers that it was found with.
+//! Input: a model with one input whose populations form a chain, like the layers of netx. Output:
+//! the tree of a `.net` file, and notes on properties of the model that netx lacks. Weights are
+//! mantissas times `2^weight_exp`. As in NIR, a group of nsim's own has the text of the model and
+//! its arrays. `restore` reads the model from it, provided that exporting this model gives the
+//! layers of the file.
 //!
-//! Errors: `export.unsupported` for what has no form in netx.
+//! Errors: `export.unsupported` for a model without a form in netx.
 
 use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::nir::export::{MOST_MATRIX, text_of};
@@ -18,15 +18,15 @@ use nsim_ir::neurons::{NeuronKind, Port};
 /// The group of the model's text.
 pub(super) const GROUP: &str = "nsim";
 
-/// How a kind is written.
+/// The netx form of a neuron kind.
 pub(super) struct Form {
     /// Its type in netx.
     pub(super) kind: &'static str,
-    /// Fields: the parameter here, the name there, and what the field's unit counts here.
+    /// Fields: nsim's parameter, netx's field, and the parameter's value for 1 in netx.
     pub(super) fields: &'static [(&'static str, &'static str, f64)],
-    /// Parameters that netx fixes; others, and those of its bias, have their defaults.
+    /// Parameters that netx fixes; others without a field are lost unless default or a bias.
     pub(super) fixed: &'static [(&'static str, f64)],
-    /// What a bias of 1 counts in units of the mantissa, if it has a bias.
+    /// A bias of 1 in units of the mantissa; `None` for kinds without a bias.
     bias: Option<f64>,
 }
 
@@ -51,7 +51,7 @@ const TURNS_ADAPTIVE: &[(&str, &str, f64)] = &[
     ("threshold", "vThMant", 64.0),
     ("threshold_step", "vThStep", 64.0),
 ];
-/// Bits of the fraction of a resonator's state: lava-dl's weights count 64ths, its states 4096ths.
+/// Fractional bits of a resonator's state: lava-dl's weights are in 64ths, its states in 4096ths.
 const RESONATING: &[(&str, f64)] = &[("state_exp", 6.0)];
 const EXPONENTS: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0)];
 const RECTIFIED: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0), ("relu", 1.0)];
@@ -78,11 +78,11 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
         .help("netx holds an input and layers of integers in a row; a .nir file holds other networks")
 }
 
-/// The tree of a file, and what other tools will not see of the model.
+/// The tree of a file, and notes on properties of the model that netx lacks.
 ///
 /// # Errors
-/// `export.unsupported` for populations that do not follow each other, real parameters, kinds of
-/// neurons or of projections that netx has none of, weights that are not whole.
+/// `export.unsupported` for populations that do not form a chain, real parameters, kinds of neurons
+/// or projections that netx lacks, weights that are not whole.
 pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     let mut notes = Vec::new();
     let mut layers = Group::default();
@@ -139,7 +139,7 @@ fn ints(numbers: &[u64]) -> Numbers {
     Numbers::i64(&[numbers.len()], &numbers.iter().map(|&x| x as i64).collect::<Vec<_>>())
 }
 
-/// One number, or one a unit.
+/// One number for all units, or one for each.
 fn numbers(parameter: &Parameter) -> Numbers {
     match parameter {
         Parameter::Same(number) => Numbers::f64(&[], &[*number]),

@@ -1,8 +1,7 @@
-//! The kinds of layers that have weights.
+//! Layers with weights, by kind, and averages.
 //!
-//! Input: a layer and what reaches it. Output: a population and the projection to it. Kernels are
-//! cross-correlated as stored; shapes and counts of weights are checked before anything is made of
-//! them.
+//! Input: a layer and the layer before it. Output: a population and the projection to it. Kernels
+//! are cross-correlated as stored. Shapes and numbers of weights are checked before their use.
 
 use super::layer::{Layer, geometry, input_of_window, volume};
 use super::reader::{Last, Reader, units};
@@ -55,8 +54,8 @@ impl Reader<'_> {
             if layer.numbers("weight_rec")?.len() as u64 != shape[0].saturating_mul(shape[0]) {
                 return Err(layer.wrong("'weight_rec' is not square"));
             }
-            // What SLAYER feeds back are the spikes of the step before, which is what a delay field
-            // of 0 means here. The layer's own delay is for what follows it.
+            // SLAYER feeds back the spikes of the previous step, so the delay field is 0. The
+            // layer's own delay applies to the next layer only.
             let undelayed = Last { delays: Vec::new(), ..recurrent };
             let dense = |weights| ProjectionKind::Dense(tensor(square, weights));
             self.project(layer, &undelayed, &name, "weight_rec", dense)?;
@@ -100,8 +99,8 @@ impl Reader<'_> {
             return Err(layer.wrong(format!("a pool from {:?} to {shape:?} changes the channels", source.shape)));
         }
         let name = self.neurons(layer, &shape)?;
-        // SLAYER's pool puts (size mod window) silent rows and columns after an image that windows
-        // do not fill; whether the file's network did so is in the layer's shape.
+        // SLAYER's pool appends (size mod window) silent rows and columns to an image that windows
+        // do not fill. The layer's shape shows whether the network did so.
         let after = |axis: usize, window: u64, stride: u64, padding: u64, dilation: u64| {
             let size = source.shape[axis];
             let reach = dilation * (window - 1) + 1;
@@ -191,8 +190,8 @@ impl Reader<'_> {
         self.delays(layer)
     }
 
-    /// The mean over groups of equal size is a read-out: integrators whose voltage counts what its
-    /// group spiked.
+    /// The mean over groups of equal size is a read-out: integrators whose voltage counts the
+    /// spikes of a group.
     pub(super) fn average(&mut self, layer: &Layer<'_>) -> Result<()> {
         let source = self.last.clone().ok_or_else(|| layer.wrong("there is nothing before it"))?;
         let outputs = units(&layer.shape()?).unwrap_or(0);

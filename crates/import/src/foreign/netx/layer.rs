@@ -9,7 +9,7 @@ use crate::foreign::imported::wrong_option;
 use crate::foreign::window::Step;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// A layer while it is being read.
+/// A layer of the file.
 pub(super) struct Layer<'a> {
     pub(super) number: u32,
     pub(super) kind: String,
@@ -34,7 +34,7 @@ impl Layer<'_> {
         self.group.numbers(key).ok_or_else(|| self.wrong(format!("it has no array '{key}'")))
     }
 
-    /// Finite numbers.
+    /// The array `key`, whose numbers have to be finite.
     pub(super) fn reals(&self, key: &str) -> Result<Vec<f64>> {
         let reals: Vec<f64> = self.numbers(key)?.reals().collect();
         match reals.iter().find(|x| !x.is_finite()) {
@@ -43,7 +43,7 @@ impl Layer<'_> {
         }
     }
 
-    /// A pair (y, x): two numbers, or one for both.
+    /// A pair (y, x): two numbers, or one for both, from `least` to 65,535.
     pub(super) fn pair(&self, key: &str, default: (u64, u64), least: u64) -> Result<(u64, u64)> {
         if self.group.get(key).is_none() {
             return Ok(default);
@@ -69,13 +69,13 @@ impl Layer<'_> {
         }
         match shape.len() {
             1 | 3 => Ok(shape),
-            // A line of channels.
+            // Channels and width; the height is 1.
             2 => Ok(vec![shape[0], 1, shape[1]]),
             axes => Err(self.wrong(format!("its shape {shape:?} has {axes} axes"))),
         }
     }
 
-    /// The axes of an array without trailing ones of length 1, down to `axes`.
+    /// The axes of an array, without trailing axes of length 1 beyond the first `axes`.
     pub(super) fn axes(&self, key: &str, axes: usize) -> Result<Vec<u64>> {
         let mut shape: Vec<u64> = self.numbers(key)?.shape().iter().map(|&axis| axis as u64).collect();
         while shape.len() > axes && shape.last() == Some(&1) {
@@ -91,12 +91,12 @@ pub(super) fn volume(layer: &Layer<'_>) -> Result<Vec<u64>> {
     if shape.len() == 3 { Ok(shape) } else { Err(layer.wrong(format!("a shape {shape:?} without height and width"))) }
 }
 
-/// The geometry of a layer's window, with this stride unless the layer says another.
+/// The geometry of a layer's window; `stride` is the default.
 pub(super) fn geometry(layer: &Layer<'_>, stride: (u64, u64)) -> Result<Step> {
     Ok([layer.pair("stride", stride, 1)?, layer.pair("padding", (0, 0), 0)?, layer.pair("dilation", (1, 1), 1)?])
 }
 
-/// The input that a first layer with a window must have: given, or implied by a window of stride 1.
+/// The input shape of a first layer with a window: given, or implied by a stride of 1.
 pub(super) fn input_of_window(
     layer: &Layer<'_>,
     given: Option<Vec<u64>>,

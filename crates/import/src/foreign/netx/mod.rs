@@ -1,14 +1,13 @@
 //! Networks that lava-dl exports for its netx (`.net`, HDF5).
 //!
-//! Input: the tree of a file. Output: a model with one population a layer. Layers are taken in the
-//! order of their numbers. `iDecay` is the effective decay of the current, the threshold is
-//! `vThMant` times 64, a bias is a mantissa with exponent 6 (lava-dl d825ac5, `netx/hdf5.py`,
-//! `netx/blocks/models.py`). Kernels are cross-correlated as stored; what is flattened is flattened
-//! in the order C, H, W. A network of chip time has one step between layers; one with the older
-//! neuron type `LOIHI` has SLAYER's time, in which layer k starts at step k + 1.
+//! Input: the tree of a file. Output: a model with one population per layer, in the order of the
+//! layers' numbers. `iDecay` is the effective decay of the current, the threshold is `vThMant`
+//! times 64, a bias is a mantissa with exponent 6 (lava-dl d825ac5, `netx/hdf5.py`,
+//! `netx/blocks/models.py`). Kernels are cross-correlated as stored; volumes are flattened in the
+//! order C, H, W. A network in chip time has one step between layers. A network with the older
+//! neuron type `LOIHI` is in SLAYER's time, in which layer k starts at step k + 1.
 //!
-//! Omitted on purpose: neurons with another dynamics, graded spikes before the last layer,
-//! concatenation.
+//! Not imported: neurons with other dynamics, graded spikes before the last layer, concatenation.
 
 pub mod export;
 mod kinds;
@@ -85,8 +84,8 @@ fn layers(root: &Group) -> Result<Vec<(u32, &Group)>> {
     }
 }
 
-/// The fields of a type of layers (`docs/import.md` says what is done with each); none for a type
-/// that is not imported.
+/// The fields of a layer type (`docs/import.md` describes each); empty for a type that is not
+/// imported.
 fn fields(kind: &str) -> Vec<&'static str> {
     let own = match kind {
         "flatten" | "average" => "",
@@ -183,8 +182,7 @@ impl Reader<'_> {
                          with an image give --image FILE.npy",
                         layer.number
                     ));
-                    // Its spikes are given, as recorded; the layers after it start as if it were
-                    // there.
+                    // Its recorded spikes are the input, and the layer after it is layer 0.
                 }
                 self.push("input", shape, None);
             }
@@ -192,11 +190,11 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// An input whose channels carry numbers, and the neurons that send their changes.
+    /// Adds an input whose channels carry numbers, and the neurons that send their changes.
     fn encoder(&mut self, shape: Vec<u64>, neurons: Neurons) {
         self.push("input", shape.clone(), None);
         if let Some(input) = self.model.populations.last_mut() {
-            // What is counted as 1 are the encoder's messages, not the numbers of the input.
+            // `message_bits` of 0 counts the encoder's messages as 1, not the numbers of the input.
             input.message_bits = neurons.message_bits.map(|bits| if bits == 0 { DEFAULT_BITS } else { bits });
         }
         let (one, none) = ((1, 1), (0, 0));
@@ -211,7 +209,7 @@ impl Reader<'_> {
         self.model.projections.push(own);
     }
 
-    /// Holds the sizes that a file repeats to those that its arrays have.
+    /// Checks the sizes that a file repeats against its arrays.
     fn check_sizes(&self, layer: &Layer<'_>) -> Result<()> {
         let shape = layer.reals("shape").unwrap_or_default();
         let all: f64 = shape.iter().product();
@@ -264,15 +262,15 @@ impl Reader<'_> {
         if self.model.threshold == ThresholdTest::Inclusive {
             self.notes.push("a neuron spikes at v >= threshold, as in SLAYER 2; the chip compares with >".to_string());
         }
-        // Layer k receives the spikes of layer k - 1 a step later; in SLAYER's time all begin
-        // together at step 1.
+        // Layer k receives the spikes of layer k - 1 a step later; in SLAYER's time all layers
+        // begin at step 1.
         let first = self.options.first_step.or_else(|| {
             let staggered = self.slayer_time || self.options.reset_interval.is_some() || self.options.image.is_some();
             staggered.then_some(u32::from(self.slayer_time || self.options.image.is_some()))
         });
         match first {
             Some(first) => {
-                // Layers answer in one step there, and one after the other here.
+                // In SLAYER all layers respond in one step; here each takes a step.
                 self.model.drain = self.depth - 1;
                 for population in self.model.populations.iter_mut().filter(|p| p.loihi.is_some()) {
                     population.start_step += first;
@@ -309,9 +307,9 @@ impl Reader<'_> {
     }
 }
 
-/// An image as one number from 0 to 1 for each unit of `[channels, height, width]`: an array
-/// `[height, width]`, `[height, width, channels]` or `[channels, height, width]`; 8-bit unsigned
-/// integers count 255ths, other numbers are from 0 to 1.
+/// An image as a number from 0 to 1 for each unit of `[channels, height, width]`. The file is an
+/// array `[height, width]`, `[height, width, channels]` or `[channels, height, width]`. 8-bit
+/// unsigned integers are 255ths, other numbers are from 0 to 1.
 fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>> {
     let array = npy::open(path)?;
     let scale = if array.dtype().ends_with("u1") { 255.0 } else { 1.0 };

@@ -1,7 +1,7 @@
-//! Neurons of a layer as parameters of compartments.
+//! Neuron parameters of a layer.
 //!
-//! Input: a layer with a group `neuron`, or none. Output: a kind and its parameters, one for all or
-//! one a unit.
+//! Input: a layer with a group `neuron`, or none. Output: a kind and its parameters, each one for
+//! all units or one per unit.
 
 use super::export::{Form, form};
 use super::layer::Layer;
@@ -11,14 +11,14 @@ use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::neurons::NeuronKind;
 
-/// The fields of a neuron; tauRho and scaleRho shape the gradient of a training.
+/// The fields of a neuron; tauRho and scaleRho shape the surrogate gradient of training.
 const FIELDS: &str = "type iDecay vDecay vThMant refDelay gradedSpike wgtExp weight_exp theta tauRho scaleRho";
-/// The kinds that are read by the table of their fields, [`form`].
+/// The kinds whose fields are read by a table, [`form`].
 const TABLED: [NeuronKind; 5] =
     [NeuronKind::Rf, NeuronKind::RfIz, NeuronKind::Alif, NeuronKind::Adrf, NeuronKind::AdrfIz];
 
 impl Reader<'_> {
-    /// Neuron parameters of a layer of compartments, its bias included.
+    /// Neuron parameters of a layer, its bias included.
     pub(super) fn parameters(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Neurons> {
         let mut neurons = match layer.group.group("neuron") {
             Some(_) => self.neuron(layer, shape)?,
@@ -51,7 +51,7 @@ impl Reader<'_> {
         Ok(neurons)
     }
 
-    /// One number for all, one a channel or one a unit.
+    /// Expands numbers that are one for all units, one per channel or one per unit.
     pub(super) fn each(&self, layer: &Layer<'_>, key: &str, numbers: Vec<f64>, shape: &[u64]) -> Result<Parameter> {
         let count = numbers.len() as u64;
         let all = units(shape).unwrap_or(u64::MAX);
@@ -131,9 +131,9 @@ impl Reader<'_> {
         Ok(parameters.into())
     }
 
-    /// Resonate-and-fire neurons, with the rotation that the file has, and neurons with an adaptive
-    /// threshold. (netx computes the rotation again from its period, which lowers some by one; it
-    /// imports no adaptive neurons: it drops the layer or the adaptation.)
+    /// Resonate-and-fire neurons, with the rotation of the file, and neurons with an adaptive
+    /// threshold. (netx recomputes the rotation from its period, which lowers some by one. It does
+    /// not import adaptive neurons: it drops the layer or the adaptation.)
     fn tabled(&self, layer: &Layer<'_>, shape: &[u64], kind: NeuronKind, form: &Form) -> Result<Neurons> {
         let leaky = kind == NeuronKind::Alif;
         let own: String = form.fields.iter().map(|(_, theirs, _)| format!(" {theirs}")).collect();
@@ -152,8 +152,8 @@ impl Reader<'_> {
         Ok(Neurons { kind, parameters, message_bits: None })
     }
 
-    /// Sigma-delta neurons as netx makes them: with 6 bits of a spike and 6 of the state unless the
-    /// options give others, and a rectification, regardless of the field `activation`.
+    /// Sigma-delta neurons as in netx, always with a rectification. Messages have 6 fractional bits
+    /// and the state 6 more, unless the options give others.
     fn sigma_delta(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Neurons> {
         check_binary(layer, "SDNN")?;
         check_fields(layer, "SDNN", "type activation vThMant sigma_output tauRho scaleRho")?;
@@ -182,7 +182,7 @@ fn is_graded(layer: &Layer<'_>) -> bool {
     layer.group.number("neuron/gradedSpike").is_some_and(|graded| graded != 0.0)
 }
 
-/// Refuses graded spikes of neurons that send none here.
+/// Refuses graded spikes of kinds that do not send them here.
 fn check_binary(layer: &Layer<'_>, kind: &str) -> Result<()> {
     match is_graded(layer) {
         true => Err(layer.unsupported(
@@ -193,7 +193,7 @@ fn check_binary(layer: &Layer<'_>, kind: &str) -> Result<()> {
     }
 }
 
-/// Refuses fields of a neuron that are not known.
+/// Refuses unknown fields of a neuron.
 fn check_fields(layer: &Layer<'_>, kind: &str, known: &str) -> Result<()> {
     let mut keys = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
     match keys.find(|key| !known.split(' ').any(|known| known == *key)) {

@@ -1,7 +1,7 @@
 //! Weights and delays of a layer as projections.
 //!
 //! Input: weights of any range, delays of synapses, channels or units. Output: a projection in a
-//! synapse format, or one for each delay, listed synapse by synapse where delays differ.
+//! synapse format; where delays differ, a list of synapses for each delay.
 
 use super::layer::Layer;
 use super::reader::{Last, Reader};
@@ -14,7 +14,7 @@ use nsim_ir::base::fixed::SignMode;
 use nsim_ir::neurons::NeuronKind;
 
 impl Reader<'_> {
-    /// The projection from the layer before, with its weights in a format that holds them.
+    /// Adds the projection from `source`, with its weights in a format that represents them.
     pub(super) fn project(
         &mut self,
         layer: &Layer<'_>,
@@ -68,7 +68,7 @@ impl Reader<'_> {
         self.connect(layer, source, to, kind, exponent, encoded.sign)
     }
 
-    /// Adds a projection, or one for each delay that its sources or synapses have.
+    /// Adds a projection, or one for each delay of its sources or synapses.
     pub(super) fn connect(
         &mut self,
         layer: &Layer<'_>,
@@ -107,7 +107,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Whole delays of the file, each at most 62.
+    /// The file's delays, rounded down; each is 0 to 62.
     pub(super) fn delay_numbers(&self, layer: &Layer<'_>) -> Result<Option<Vec<u32>>> {
         if layer.group.get("delay").is_none() {
             return Ok(None);
@@ -122,7 +122,7 @@ impl Reader<'_> {
         }
     }
 
-    /// Delays of the layer's own synapses: `[target][source]`, or of its inputs.
+    /// Delays of the layer's own synapses, `[target][source]`; delays of its inputs are expanded.
     pub(super) fn synaptic_delays(&self, layer: &Layer<'_>, source: &Last) -> Result<Option<Vec<u32>>> {
         let Some(delays) = self.delay_numbers(layer)? else { return Ok(None) };
         let (targets, sources) = (self.last.as_ref().map_or(0, Last::units), source.units());
@@ -139,12 +139,12 @@ impl Reader<'_> {
         Err(layer.wrong(format!("{count} delays for {sources} sources and {targets} targets")))
     }
 
-    /// Whether this many delays are those of the layer's own spikes: one a channel or a unit.
+    /// Whether `count` delays are of the layer's own spikes: one per channel or per unit.
     pub(super) fn is_axonal(&self, count: u64) -> bool {
         self.last.as_ref().is_some_and(|last| count == last.shape[0] || count == last.units())
     }
 
-    /// Keeps the delays of the layer's spikes for the layer that follows.
+    /// Stores the delays of the layer's spikes for the next layer.
     pub(super) fn delays(&mut self, layer: &Layer<'_>) -> Result<()> {
         let (Some(delays), Some(mut last)) = (self.delay_numbers(layer)?, self.last.clone()) else { return Ok(()) };
         let count = delays.len() as u64;

@@ -1,4 +1,4 @@
-//! The state of reading a netx file: the model so far and what reaches the next layer.
+//! State of reading a netx file: the model so far and the source of the next layer.
 
 use std::cell::Cell;
 
@@ -7,13 +7,12 @@ use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::neurons::NeuronKind;
 
-/// Parameters that are given for each channel are expanded to at most this many numbers, all layers
-/// together.
+/// The most numbers to which parameters per channel are expanded, over all layers.
 pub(super) const MOST_EXPANDED: u64 = 1 << 22;
 /// The exponent of a bias (netx, `bias_exp`).
 pub(super) const BIAS_EXP: f64 = 6.0;
-/// Bits of the fraction of a message, and of the neuron's state (netx, `spike_exp` and `state_exp`
-/// of its sigma-delta blocks).
+/// Fractional bits of a message, and of the neuron's state (netx, `spike_exp` and `state_exp` of
+/// its sigma-delta blocks).
 pub(super) const SDNN_EXP: f64 = 6.0;
 /// Bits of a message of sigma-delta neurons (netx, `num_message_bits`).
 pub(super) const DEFAULT_BITS: i64 = 16;
@@ -22,13 +21,13 @@ pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.netx", message)
 }
 
-/// What spikes reach the next layer.
+/// The population whose spikes reach the next layer.
 #[derive(Debug, Clone)]
 pub(super) struct Last {
-    /// The population.
+    /// Its name.
     pub(super) name: String,
     pub(super) shape: Vec<u64>,
-    /// Delay field of each of its units; empty for none.
+    /// Delay field of each of its units; empty without delays.
     pub(super) delays: Vec<u32>,
 }
 
@@ -61,18 +60,18 @@ pub(super) struct Reader<'a> {
     pub(super) options: &'a Options,
     pub(super) model: NetworkFile,
     pub(super) notes: Vec<String>,
-    /// Of the notes, those of numbers that were changed.
+    /// The notes about changed numbers.
     pub(super) lost: Vec<String>,
     pub(super) layers: Vec<LayerWeights>,
     pub(super) last: Option<Last>,
     pub(super) expanded: Cell<u64>,
     pub(super) slayer_time: bool,
-    /// Populations of compartments so far, which decides when the next one starts.
+    /// Number of populations of compartments so far, which is the start step of the next one.
     pub(super) depth: u32,
 }
 
 impl Reader<'_> {
-    /// Notes that numbers of the file were changed.
+    /// Adds a note about changed numbers of the file.
     pub(super) fn lose(&mut self, note: String) {
         self.lost.push(note.clone());
         self.notes.push(note);
@@ -95,7 +94,7 @@ impl Reader<'_> {
         self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });
     }
 
-    /// The layer before, or an input of this shape when there is none.
+    /// The previous layer; without one, adds an input of this shape.
     pub(super) fn source(&mut self, shape: impl FnOnce() -> Result<Vec<u64>>) -> Result<Last> {
         if self.last.is_none() {
             let shape = shape()?;

@@ -1,4 +1,4 @@
-//! What stands between two populations as one linear map.
+//! The nodes between two populations as one linear map.
 //!
 //! Input: the nodes on a connection. Output: its shape, linear part, bias and delays.
 
@@ -18,7 +18,7 @@ const JOINED: &str = "put a neuron between them, or join them into one layer: a 
                       without padding behind it are read as one convolution, with kernels of k + (p - 1) s places";
 
 impl Reader<'_> {
-    /// The linear map of these nodes after a population of this shape.
+    /// The linear map of `nodes` after a population of the shape `source`.
     pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
         let (linear, bias) = (Linear::Diagonal(vec![1.0]), None);
         let mut connection =
@@ -37,14 +37,14 @@ impl Reader<'_> {
         match node.kind.as_str() {
             "Pass" | "Output" => {
                 self.check_shape(name, units)?;
-                // Units in the axes that windows slide over.
+                // Windows slide over these axes.
                 let axes =
                     group.numbers("shape").map(|axes| axes.reals().map(|axis| axis as usize).collect::<Vec<_>>());
                 if let Some(volume) = axes.map(|axes| Self::volume(&axes)).filter(|volume| volume.len() == 3) {
                     connection.shape = volume;
                 }
             }
-            // Every population is flattened in C order; the batch axis is not in a file.
+            // Populations are flattened in C order; files have no batch axis.
             "Flatten" => {
                 let dim = |key: &str, default: f64| group.number(key).unwrap_or(default);
                 let (start, end, axes) = (dim("start_dim", 1.0), dim("end_dim", -1.0), connection.shape.len() as f64);
@@ -85,7 +85,7 @@ impl Reader<'_> {
             }
             "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
                 let window = self.window(&connection.shape, name)?;
-                // A pool without padding gives each unit of a channel as much of its bias.
+                // A pool without padding gives all units of a channel one bias.
                 let pools = node.kind.ends_with("Pool2d") && window.sliding.padding == (0, 0);
                 let (size, mean) = (window.sliding.size, node.kind == "AvgPool2d");
                 let counted = if mean { 1.0 } else { (size.0 * size.1) as f64 };
@@ -126,7 +126,7 @@ impl Reader<'_> {
         Ok(connection)
     }
 
-    /// Notes delays that are no whole number of steps.
+    /// Adds notes about delays that are not a whole number of steps.
     pub(super) fn note_rounded_delays(&mut self) -> Result<()> {
         for (name, node) in self.flat.nodes.iter().filter(|(_, node)| node.kind == "Delay") {
             let steps: Vec<f64> = reals(node.group, name, "delay")?.iter().map(|delay| delay / self.dt).collect();
@@ -145,7 +145,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Makes the delays so far those of the sources, before weights that mix units.
+    /// Converts the delays so far to delays of the sources, before weights that mix units.
     fn before_weights(&self, connection: &mut Connection, name: &str) -> Result<()> {
         if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {
             let pool = self.flat.nodes[name].kind.ends_with("Pool2d");
@@ -249,7 +249,7 @@ impl Reader<'_> {
                         "give the padding as numbers",
                     ));
                 }
-                // As torch pads: where the window has no middle, the greater half is at the end.
+                // As in torch: for an even window, the greater half is at the end.
                 let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
                 let before = (reach.0 / 2, reach.1 / 2);
                 (before, (reach.0 - before.0, reach.1 - before.1))
@@ -278,7 +278,7 @@ impl Reader<'_> {
         Ok(Window { sliding: Sliding { source, target, size, stride, padding, dilation, groups }, kernel })
     }
 
-    /// Refuses a shape of the file that is not what arrives.
+    /// Refuses a shape of the file that disagrees with the number of units that arrive.
     pub(super) fn check_shape(&self, name: &str, units: usize) -> Result<()> {
         let Some(shape) = self.flat.nodes[name].group.numbers("shape") else { return Ok(()) };
         let shape: Vec<f64> = shape.reals().collect();
@@ -363,7 +363,7 @@ impl Reader<'_> {
         }
     }
 
-    /// A linear part synapse by synapse; a diagonal has no size of its own, but these units.
+    /// A linear part as a list of synapses; `units` is the size of a diagonal.
     pub(super) fn listed(&self, linear: Linear, units: usize, name: &str) -> Result<Synapses> {
         match linear {
             Linear::List(list) => Ok(list),

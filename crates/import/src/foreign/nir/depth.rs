@@ -1,14 +1,13 @@
 //! The layer of each population: the number of layers of neurons that its input has passed.
 //!
-//! Input: populations and what leads from which to which. Output: depths, 0 for what only inputs
-//! reach, else one more than the deepest population before it; and the delay that keeps ways of
-//! different lengths together.
+//! Input: populations and the paths between them. Output: the depth of each, 0 where only inputs
+//! reach it, else one more than the deepest population before it. Delays align paths of different
+//! lengths.
 //!
-//! The tools that train such networks let a spike pass all layers in one step, and a loop in one
-//! more. A compartment's spike arrives a step later, so a population of depth k does in step t + k
-//! what the tool's does in step t: `start_step` is k, an input waits k steps, and a spike that
-//! skips layers one step for each. A loop over several layers takes as many steps, which no delay
-//! shortens.
+//! In the tools that train such networks, a spike passes all layers in one step, and a loop in one
+//! more. Here a compartment's spike arrives a step later, so step t + k of a population of depth k
+//! corresponds to step t of the tool. Its `start_step` is k, an input is delayed by k steps, and a
+//! spike that skips layers by one step for each. A loop over n layers takes n steps.
 
 use std::collections::BTreeMap;
 
@@ -34,8 +33,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Steps by which spikes between two populations have to be delayed to meet those of longer
-    /// ways.
+    /// Steps by which spikes between two populations are delayed to align with longer paths.
     pub(super) fn waits(&mut self, from: &str, to: &str) -> u32 {
         let depth = |name: &str| self.depths.get(name).copied().unwrap_or(0);
         if self.flat.nodes[from].kind == "Input" {

@@ -1,12 +1,12 @@
 //! A model as a NIR file, and back without loss.
 //!
 //! Input: a model. Output: the tree of a `.nir` file that any tool of NIR reads: `CubaLIF` neurons
-//! with time constants `4096 dt / du` in seconds, weights, thresholds and biases in units of the
-//! register divided by 64 for models in integers and in their own units for models in real numbers,
-//! `w_in` and `r` such that a weight counts 1. What NIR has no word for (weight exponents,
-//! refractory periods, clips, resets, semantics) stands in the graph's metadata, as the whole text
-//! of the model and its arrays. `restore` takes the model from there, provided that exporting it
-//! again gives the file that it was found in: a file that somebody changed is read like any other.
+//! with time constants `4096 dt / du` in seconds. Weights, thresholds and biases are in units of
+//! the register divided by 64 for integer models, in their own units for real-valued models. `w_in`
+//! and `r` cancel the time constants. The graph's metadata has the text of the model and its
+//! arrays, since NIR lacks weight exponents, refractory periods, clips, resets and semantics.
+//! `restore` reads the model from there, provided that exporting it gives the file. A changed file
+//! is read like any other.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -19,23 +19,23 @@ use nsim_ir::neurons::NeuronKind;
 use nsim_ir::tensor;
 use nsim_ir::tensor::Tensor;
 
-/// The version of NIR whose layout is written.
+/// The version of NIR of the written layout.
 const VERSION: &str = "1.0.8";
 /// The key of the model's text in the metadata.
 const TEXT: &str = "nsim_model";
-/// What the text calls the file of its arrays.
+/// The file name of the arrays in the text.
 const ARRAYS: &str = "arrays";
-/// What a decay of zero is written as: a time constant, in steps, at which `4096 dt / tau` is 0
-/// though `dt / tau` is not.
+/// Time constant, in steps, that represents a decay of zero: `4096 dt / tau` rounds to 0, but `dt /
+/// tau` is not 0.
 pub(in crate::foreign) const ENDLESS: f64 = 4_503_599_627_370_496.0;
-/// The most numbers that a list of synapses may take as a matrix.
+/// The most elements of a matrix that is written for a list of synapses.
 pub(in crate::foreign) const MOST_MATRIX: u64 = 1 << 24;
 
 fn unsupported(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("export.unsupported", message)
 }
 
-/// The tree of a file, and what other tools will not see of the model.
+/// Refuses a model with spike response neurons, whose kernels no format of other tools holds.
 ///
 /// # Errors
 /// `export.unsupported` for what has no form in NIR: spike response neurons, messages that carry
@@ -85,9 +85,8 @@ pub(in crate::foreign) fn text_of(model: &NetworkFile) -> Result<Group> {
     Ok(Group::default().with(TEXT, text.as_str()).with("nsim_arrays", stored))
 }
 
-/// The model that nsim wrote into a file, whose metadata have its text, or why it is not to be
-/// trusted: these parts are other `what` than those that `export` writes; nothing when nsim did not
-/// write it.
+/// The model in the group `metadata` of a file that nsim wrote; `None` for other files. An error
+/// when it is not valid, or when `parts` of the file (in messages: `what`) differ from its export.
 pub(in crate::foreign) fn restore(
     root: &Group,
     metadata: &str,
@@ -96,7 +95,7 @@ pub(in crate::foreign) fn restore(
 ) -> Option<Result<NetworkFile, String>> {
     let metadata = root.group(metadata)?;
     Some(restored(metadata, metadata.text(TEXT)?).and_then(|model| match export(&model) {
-        // The text may be that of another version, which writes the same model otherwise.
+        // Another version of nsim may write this model differently.
         Ok((again, _)) if parts.iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
         Ok(_) => Err(format!("its {what} are not those that it was written with")),
         Err(problem) => Err(problem.to_string()),
@@ -128,12 +127,12 @@ fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
     network.resolved().map_err(|problem| problem.to_string())
 }
 
-/// A node of a type.
+/// A node of the type `kind`.
 pub(in crate::foreign) fn node(kind: &str) -> Group {
     Group::default().with("type", kind)
 }
 
-/// A graph of nodes and the edges from one to another.
+/// A graph of nodes and the edges between them.
 pub(in crate::foreign) fn nir_graph(nodes: Group, edges: Vec<(String, String)>) -> Group {
     let count = edges.len();
     let ends = edges.into_iter().flat_map(|(from, to)| [from, to]).collect();
@@ -145,12 +144,12 @@ fn shape(axes: &[u64]) -> Numbers {
     Numbers::i64(&[axes.len()], &axes)
 }
 
-/// A shape as that of an array.
+/// A shape with the integer type of arrays.
 fn sides(shape: &[u64]) -> Vec<usize> {
     shape.iter().map(|&axis| axis as usize).collect()
 }
 
-/// A tensor in a type that holds its numbers.
+/// A tensor as 64-bit integers or reals.
 fn array(tensor: &Tensor) -> Numbers {
     match tensor.numbers() {
         tensor::Numbers::Integers(x) => {
@@ -201,14 +200,14 @@ struct Graph {
     edges: Vec<(String, String)>,
     notes: Vec<String>,
     dt: f64,
-    /// Biases of currents with memory that a compartment brings in every step, by population, until
-    /// a node takes them.
+    /// Biases of currents with memory, by target, until a node takes them. In the model, a
+    /// compartment that spikes in every step adds them.
     biases: BTreeMap<String, Vec<f64>>,
 }
 
 impl Graph {
-    /// Whether a population is what an import makes of biases of a current: a compartment that
-    /// spikes in every step. Then these are stored: its projections become biases of nodes again.
+    /// Whether a population is the compartment that an import makes for biases of a current, which
+    /// spikes in every step. If so, stores these biases, which become biases of nodes again.
     fn takes_biases_of(&mut self, wires: &Wires<'_>, population: &PopulationDesc) -> bool {
         let is_made = population.units() == 1
             && population.loihi == Some(every_step())
@@ -298,7 +297,7 @@ impl Graph {
             let fraction = fraction.get(unit);
             if fraction > 0.0 { dt / fraction } else { dt * ENDLESS }
         };
-        // What import makes of an integrator: a threshold that nothing reaches.
+        // Import gives an integrator the greatest threshold, which is never reached.
         let integrates = get("vth_mant") == Some(&Parameter::Same(NEVER));
         let neuron = node(if integrates { "CubaLI" } else { "CubaLIF" })
             .with("tau_syn", each(&|unit| tau(&synapse, unit)))
@@ -366,8 +365,7 @@ impl Graph {
         Ok(())
     }
 
-    /// The bias that is still to be brought to a target, where the node of this projection holds
-    /// it.
+    /// Removes and returns the bias of a target, if the node of this projection can have it.
     fn bias_for(&mut self, projection: &ProjectionDesc, target: &PopulationDesc) -> Option<Vec<f64>> {
         let bias = self.biases.get(&target.name)?;
         let held = match projection.kind {
@@ -439,7 +437,7 @@ impl Graph {
             ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight }
                 if padding != padding_after =>
             {
-                // NIR's pools have one padding an axis; a kernel can have zeros.
+                // NIR's pools have one padding per axis, but a kernel can have zeros.
                 let channels = source.shape.first().copied().unwrap_or(1);
                 let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize);
                 let weights = vec![weight * unit; axes.iter().product()];
@@ -461,7 +459,7 @@ impl Graph {
             }
         }
         let delay = written_delay(projection, source, target);
-        // The target's own shape, where weights make a line of it.
+        // The shape after the weights, which flatten it where they are a matrix.
         if delay > 0 {
             let seconds = vec![f64::from(delay) * self.dt; rows as usize];
             let axes = if is_matrix { vec![rows as usize] } else { sides(&target.shape) };
@@ -470,9 +468,9 @@ impl Graph {
         Ok(chain)
     }
 
-    /// A convolution as NIR has it: one padding for both ends of an axis, and square, since
-    /// `nir.read` of Python takes the height of a kernel for its width. Rows and columns of zeros
-    /// before and after a kernel do both: with F before and B after it, of a dilation d, a padding
+    /// A convolution in NIR's form: one padding for both ends of an axis, and a square kernel,
+    /// since `nir.read` of Python uses the height of a kernel as its width. Rows and columns of
+    /// zeros around the kernel achieve both. With F before and B after it, at dilation d, a padding
     /// of `before + F d` on both sides acts like `before + d (F - B)` at the end of the axis.
     fn convolution(
         &mut self,
@@ -508,8 +506,8 @@ impl Graph {
             }
         };
         let (height, width) = (rows.size as usize, columns.size as usize);
-        // `nir.read` takes the channels of a kernel for those of its input, so groups become zeros
-        // too where they fit.
+        // `nir.read` uses a kernel's channels as its input's, so groups become zeros too where the
+        // kernel stays small.
         let all = inner * groups as usize;
         let in_one = groups > 1 && (out * all * height * width) as u64 <= MOST_MATRIX;
         if groups > 1 && !in_one {
@@ -549,7 +547,7 @@ struct Axis {
     dilation: u64,
 }
 
-/// The same window with zeros around its kernel and one padding for both ends.
+/// A window with zeros around its kernel and one padding for both ends.
 struct Widened {
     size: u64,
     /// Zeros before the kernel.
@@ -559,11 +557,11 @@ struct Widened {
 }
 
 impl Axis {
-    /// The window with a kernel of this size, if it then gives the same outputs.
+    /// The window with a kernel of `size` places, if its number of outputs is unchanged.
     fn widened(&self, size: u64) -> Option<Widened> {
         let zeros = size.checked_sub(self.kernel)?;
         let reach = self.dilation * (size - 1) + 1;
-        // One output needs no stride: a large one leaves room at the end.
+        // One output needs no stride, and a large stride prevents a second output.
         let stride = if self.to == 1 && zeros > 0 { self.from + reach + self.before } else { self.stride };
         (0..=zeros).find_map(|first| {
             let padding = self.before + first * self.dilation;
@@ -573,8 +571,8 @@ impl Axis {
     }
 }
 
-/// What a weight of 1 of a projection counts, in units of the register divided by 64, as the
-/// threshold mantissa is, or in those of a real threshold.
+/// A projection's weight of 1 in units of the threshold mantissa, the register divided by 64, or of
+/// a real threshold.
 fn counts(wires: &Wires<'_>, projection: &ProjectionDesc) -> f64 {
     let real = wires.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
     match (real, projection.weight_scale) {
@@ -583,7 +581,7 @@ fn counts(wires: &Wires<'_>, projection: &ProjectionDesc) -> f64 {
     }
 }
 
-/// The delay of a projection without the wait for a layer that starts later, which import adds.
+/// The delay of a projection, without the steps that import adds for a target that starts later.
 fn written_delay(projection: &ProjectionDesc, source: &PopulationDesc, target: &PopulationDesc) -> u32 {
     let wait = match &source.loihi {
         None => target.start_step,
@@ -592,7 +590,7 @@ fn written_delay(projection: &ProjectionDesc, source: &PopulationDesc, target: &
     projection.delay.saturating_sub(wait)
 }
 
-/// One bias a channel, where all units of a channel have the same.
+/// One bias per channel, if all units of each channel have equal biases.
 pub(in crate::foreign) fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Vec<f64>> {
     let &[channels, height, width] = shape else { return None };
     let plane = (height * width) as usize;
@@ -601,5 +599,5 @@ pub(in crate::foreign) fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Ve
     if equal { biases.chunks(plane).map(channel).collect() } else { None }
 }
 
-/// A threshold that nothing has.
+/// The threshold that is written for neurons without one.
 const NOTHING: f64 = 1.0;

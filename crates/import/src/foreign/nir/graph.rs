@@ -1,8 +1,7 @@
-//! The graph of a file: graphs within graphs unfolded, populations named and given shapes, the
-//! paths between them.
+//! The graph of a file: inlines nested graphs, names populations and finds their shapes and paths.
 //!
-//! Input: groups of the file. Output: nodes and edges without nesting, and what leads from which
-//! population to which.
+//! Input: groups of the file. Output: nodes and edges without nesting, and the paths between
+//! populations.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,8 +12,8 @@ use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::population_name;
 use nsim_ir::base::diagnostic::Result;
 
-/// Adds a graph's nodes under a prefix; edges that end at a graph end at its inputs, those that
-/// leave it leave its outputs.
+/// Adds a graph's nodes under a prefix. Edges to a nested graph end at its inputs, edges from it
+/// leave its outputs.
 pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mut Flat<'a>) -> Result<()> {
     if depth > DEEPEST {
         return Err(wrong(format!("graphs are nested deeper than {DEEPEST}")));
@@ -88,7 +87,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// `[n]` or `[channels, height, width]` of an array's axes.
+    /// An array's axes as `[n]` or `[channels, height, width]`.
     pub(super) fn volume(shape: &[usize]) -> Vec<usize> {
         let mut shape = shape.to_vec();
         while shape.len() > 3 && shape[0] == 1 {
@@ -97,13 +96,14 @@ impl Reader<'_> {
         match shape.as_slice() {
             [] => vec![1],
             [_] | [_, _, _] => shape,
-            // Channels of a line.
+            // Channels and width; the height is 1.
             [channels, length] => vec![*channels, 1, *length],
             _ => vec![product(&shape).unwrap_or(usize::MAX)],
         }
     }
 
-    /// Shapes of populations: what inputs say, what parameters have, what arrives.
+    /// Finds the shapes of populations: stated for inputs, else from parameters, else the shape
+    /// that arrives.
     pub(super) fn find_shapes(&mut self, populations: &[String]) -> Result<()> {
         for name in populations {
             let node = &self.flat.nodes[name];
@@ -130,7 +130,7 @@ impl Reader<'_> {
                 self.shapes.insert(name.clone(), shape);
             }
         }
-        // Parameters of one number fit any shape: the one that arrives.
+        // Parameters of one number fit any shape, so the shape that arrives is used.
         let mut changed = true;
         while std::mem::take(&mut changed) {
             let missing: Vec<&String> = populations.iter().filter(|name| !self.shapes.contains_key(*name)).collect();
@@ -149,7 +149,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Every path that ends at a node: the population that it leaves, then the nodes on it.
+    /// Every path to a node: the source population, then the nodes in between.
     pub(super) fn paths(&self, to: &str) -> Result<Vec<Vec<String>>> {
         let mut paths = Vec::new();
         let mut open: Vec<Vec<String>> = vec![vec![to.to_string()]];
@@ -162,7 +162,7 @@ impl Reader<'_> {
                 }
                 longer.push(from.clone());
                 if is_population(&self.flat.nodes[from].kind) {
-                    // Without the end, from the source on.
+                    // From the source, without the end.
                     let mut whole = longer[1..].to_vec();
                     whole.reverse();
                     paths.push(whole);

@@ -1,7 +1,7 @@
-//! Linear maps from one population to another, as far as they can stay what they are: one factor a
-//! unit, a matrix, a window, a list of synapses.
+//! Linear maps between populations in their most compact form: a factor per unit, a matrix, a
+//! window, or a list of synapses.
 //!
-//! Input: the arrays of nodes. Output: products and scaled copies; nothing where a product has too
+//! Input: the arrays of nodes. Output: products and scaled maps; `None` where a product has too
 //! many synapses.
 
 use super::reader::product;
@@ -13,20 +13,20 @@ pub(super) struct Connection {
     /// The shape that arrives.
     pub(super) shape: Vec<usize>,
     pub(super) linear: Linear,
-    /// Added to what arrives in each step, one for each unit.
+    /// Number that is added to each unit's arrivals in each step.
     pub(super) bias: Option<Vec<f64>>,
-    /// Delay in steps of each unit of the source, before the linear part; empty for none.
+    /// Delay in steps of each unit of the source, before the linear part; empty without delays.
     pub(super) source_delay: Vec<u32>,
-    /// Delay in steps of each unit that arrives, after the linear part; empty for none.
+    /// Delay in steps of each unit that arrives, after the linear part; empty without delays.
     pub(super) delay: Vec<u32>,
 }
 
 /// The linear part of a connection.
 #[derive(Clone)]
 pub(super) enum Linear {
-    /// Each unit, scaled by itself or by one number.
+    /// A factor for each unit, or one for all.
     Diagonal(Vec<f64>),
-    /// `[target][source]`.
+    /// Weights `[target][source]`, and the number of sources.
     Dense(Vec<f64>, usize),
     /// A window from one volume to another.
     Window(Window),
@@ -47,12 +47,12 @@ impl Window {
         self.kernel.as_ref().map_or_else(|&weight| weight, |kernel| kernel[index])
     }
 
-    /// Synapses one by one.
+    /// Its list of synapses; `None` for too many.
     pub(super) fn list(&self) -> Option<Synapses> {
         Some(self.sliding.synapses()?.map(|(from, to, index)| (from, to, self.weight(index))).collect())
     }
 
-    /// This window and, after it, another, as one: a pool without overlap or remainder before a
+    /// This window and a next one as a single window: a pool without overlap or remainder before a
     /// convolution, or a convolution before a pool without padding.
     pub(super) fn then(&self, next: &Window) -> Option<Window> {
         let Err(weight) = self.kernel else { return self.pooled(next) };
@@ -120,12 +120,12 @@ impl Window {
     }
 }
 
-/// The greatest number that divides both.
+/// The greatest common divisor.
 fn gcd(a: usize, b: usize) -> usize {
     if b == 0 { a } else { gcd(b, a % b) }
 }
 
-/// A delay of a list, of which one number counts for all and an empty list for nothing.
+/// The delay at an index: a single entry applies to all units, an empty list is 0.
 pub(super) fn delay_at(delays: &[u32], index: usize) -> u32 {
     delays.get(if delays.len() == 1 { 0 } else { index }).copied().unwrap_or(0)
 }
@@ -135,7 +135,7 @@ pub(super) fn sum_of_delays(a: &[u32], b: &[u32]) -> Vec<u32> {
     (0..a.len().max(b.len())).map(|index| delay_at(a, index) + delay_at(b, index)).collect()
 }
 
-/// One number for all, for each channel or for each unit, as one for all or one for each.
+/// Expands numbers per channel to one per unit; one for all and one per unit are unchanged.
 pub(super) fn spread(numbers: Vec<f64>, shape: &[usize]) -> Option<Vec<f64>> {
     let units = product(shape)?;
     match numbers.len() {
@@ -149,12 +149,12 @@ pub(super) fn spread(numbers: Vec<f64>, shape: &[usize]) -> Option<Vec<f64>> {
     }
 }
 
-/// A number of a list that may hold one for all.
+/// The number at an index; a single entry applies to all units.
 pub(super) fn at(numbers: &[f64], index: usize) -> f64 {
     if numbers.len() == 1 { numbers[0] } else { numbers[index] }
 }
 
-/// A linear part with each target scaled; nothing when that has too many synapses.
+/// A linear part with each target scaled; `None` for too many synapses.
 pub(super) fn scaled(linear: Linear, scale: &[f64], shape: &[usize]) -> Option<Linear> {
     if scale.iter().all(|&s| s == 1.0) {
         return Some(linear);
@@ -174,7 +174,7 @@ pub(super) fn scaled(linear: Linear, scale: &[f64], shape: &[usize]) -> Option<L
             let plane = shape.iter().skip(1).product::<usize>().max(1);
             let channel_wise = scale.len() == 1 || scale.chunks(plane).all(|c| c.iter().all(|s| *s == c[0]));
             if !channel_wise {
-                // Scales that differ within a channel: no kernel holds them.
+                // No kernel represents scales that differ within a channel.
                 return scaled(Linear::List(window.list()?), scale, shape);
             }
             let kernel = match window.kernel {
@@ -203,7 +203,7 @@ mod tests {
         (n - reach) / stride + 1
     }
 
-    /// A convolution with a pool after it, against the product of their synapses.
+    /// Compares a convolution joined with a pool with the product of their synapses.
     #[test]
     fn a_convolution_and_its_pool_are_one_convolution() {
         let mut joined = 0;
@@ -248,7 +248,7 @@ mod tests {
                 made.retain(|_, weight| *weight != 0.0);
                 assert_eq!(made, right, "{k} {dilation} {stride} {padding}, pool {p} {step}");
                 joined += made.len();
-                // A pool that pads counts zeros that the convolution does not see.
+                // The zeros of a padded pool are not outputs of the convolution.
                 let padded = Sliding { padding: (1, 1), ..pool.sliding };
                 assert!(first.then(&Window { sliding: padded, ..pool }).is_none());
             }

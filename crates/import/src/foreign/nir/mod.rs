@@ -2,34 +2,33 @@
 //!
 //! Input: the tree of a file. Output: a model with one population for each node that has a state.
 //! The nodes between two populations (`Linear`, `Affine`, `Scale`, `Conv1d`, `Conv2d`, `SumPool2d`,
-//! `AvgPool2d`, `Flatten`, `Delay`) become one projection; graphs within graphs are unfolded; edges
-//! may form cycles.
+//! `AvgPool2d`, `Flatten`, `Delay`) become one projection. Nested graphs are inlined; edges may
+//! form cycles.
 //!
-//! - `graph`: graphs within graphs unfolded, and the paths between populations; `depth`: layers.
-//! - `neuron`: a node with a state; `connection` and `linear`: the nodes of a path, one by one.
+//! - `graph`: inlining of nested graphs, and the paths between populations; `depth`: layers.
+//! - `neuron`: a node with a state; `connection` and `linear`: the nodes of a path.
 //! - `projections`: the projections of a path.
 //! - `node`: types of nodes and their fields; `reader`: the model so far, limits and errors.
-//! - `export`: the other way, a model as a NIR file.
+//! - `export`: a model as a NIR file.
 //!
-//! The equations are of continuous time (NIR 7232ada, `docs/source/primitives.md`); they are
-//! discretised as their exporters do, by Euler's rule with the new current: `I <- (1 - dt /
+//! The equations are in continuous time (NIR 7232ada, `docs/source/primitives.md`). They are
+//! discretised like in their exporters, by Euler's rule with the new current: `I <- (1 - dt /
 //! tau_syn) I + (dt / tau_syn) w_in x`, `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I +
-//! v_leak)`. So the effective decays are `4096 dt / tau`: as they are in the model, where a time
-//! constant of `-dt / ln(1 - dt / tau)` gives them, rounded on the chip. And a weight counts
-//! `(dt / tau_syn) w_in (dt / tau_mem) R` in the units of the threshold. The timestep is not in a
-//! file: it is `tau_mem / R` where that agrees with `tau_syn / w_in` in every node, or it has to be
-//! said. A bias goes to v where the current has no memory; where it has one, a compartment that
-//! spikes in every step delivers it, from step 1 on. A model that nsim exported is recognised and
-//! restored as it was ([`export`]).
+//! v_leak)`. So the effective decays are `4096 dt / tau`: exact in the model, as a time constant of
+//! `-dt / ln(1 - dt / tau)`, and rounded on the chip. A weight of 1 is `(dt / tau_syn) w_in (dt /
+//! tau_mem) R` in units of the threshold. Files have no timestep: it is `tau_mem / R` if `tau_syn /
+//! w_in` agrees in every node, else an option. A bias is added to v where the current has no
+//! memory; otherwise a compartment that spikes in every step delivers it, from step 1 on. A model
+//! that nsim exported is recognised and restored ([`export`]).
 //!
-//! A reset by subtraction is asked for, since the format does not have it (`--reset subtract`).
-//! snnTorch subtracts in the step after the spike: `v <- b v + I - theta`, b the share that stays.
-//! SoftReset subtracts at the spike, so that `v <- b (v - theta) + I`; a synapse of `-(1 - b)
-//! theta` from each neuron to itself makes the two equal (`--reset subtract-later`). Where the
-//! current has a memory of share a, a second one, a step later, of `a (1 - b) theta` takes away
-//! what the current keeps of the first.
+//! A reset by subtraction needs an option, since the format lacks it (`--reset subtract`). snnTorch
+//! subtracts in the step after the spike: `v <- b v + I - theta`, where b is the share that a step
+//! keeps. SoftReset subtracts at the spike: `v <- b (v - theta) + I`. A synapse of `-(1 - b) theta`
+//! from each neuron to itself makes the two equal (`--reset subtract-later`). If a step keeps the
+//! share a of the current, a second synapse of `a (1 - b) theta`, a step later, cancels the
+//! remainder of the first.
 //!
-//! Omitted on purpose: resets to other values than zero, for which a core has no circuit.
+//! Not imported: resets to values other than zero, for which a core has no circuit.
 
 mod connection;
 mod depth;
@@ -95,8 +94,8 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     Ok(imported)
 }
 
-/// The model that nsim wrote into a file, which no option may contradict; nothing, with a note,
-/// where it is not what was written, or nsim did not write it.
+/// The model that nsim wrote into a file, which no option may contradict. `None` if nsim did not
+/// write the file, or, with a note, if it was changed.
 pub(super) fn restored(
     kind: &'static str,
     written: Option<Result<NetworkFile, String>>,
@@ -143,7 +142,6 @@ impl Reader<'_> {
             .collect();
         self.name_populations(&populations)?;
         self.find_shapes(&populations)?;
-        // Inputs first, then the others in the order in which spikes reach them.
         let order = self.order(&populations);
         self.find_depths(&order)?;
         let mut discrete = BTreeMap::new();
@@ -153,7 +151,7 @@ impl Reader<'_> {
         }
         self.note_rounded_delays()?;
         self.wait_for_biases(&order, &discrete)?;
-        // Neurons whose file does not say to what value they reset.
+        // Whether a neuron resets and its node has no `v_reset`.
         let mut unsaid = false;
         for name in &order {
             let shape: Vec<u64> = self.shapes[name].iter().map(|&axis| axis as u64).collect();

@@ -1,4 +1,4 @@
-//! Neurons in continuous time as compartments in steps.
+//! Discretisation of neurons in continuous time.
 //!
 //! Input: time constants, resistances, thresholds of a node. Output: the timestep of the file, and
 //! decays, gain, threshold and bias in that step.
@@ -13,23 +13,23 @@ use crate::foreign::imported::{DecayRule, decimal, wrong_option};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
 
-/// What a neuron is once it is discretised.
+/// A discretised neuron.
 pub(super) struct Discrete {
     pub(super) du: Parameter,
     pub(super) dv: Parameter,
-    /// Time constants in ms of the current and of the voltage, where 4096ths do not hold the decays
-    /// as they are.
+    /// Time constants in ms of the current and of the voltage, where 4096ths do not represent the
+    /// decays exactly.
     pub(super) taus: [Option<Parameter>; 2],
-    /// What a weight of 1 counts in the units of the threshold.
+    /// A weight of 1 in units of the threshold.
     pub(super) gain: Parameter,
-    /// None for what never spikes.
+    /// None for neurons that never spike.
     pub(super) threshold: Option<Parameter>,
-    /// Added to v in each step.
+    /// Number that is added to v in each step.
     pub(super) bias: Parameter,
 }
 
 impl Discrete {
-    /// A neuron that shows what its weights sum in each step.
+    /// A neuron whose v is the sum of its inputs in each step.
     pub(super) fn memoryless(threshold: Option<Parameter>) -> Discrete {
         Discrete {
             du: Parameter::Same(4096.0),
@@ -42,11 +42,10 @@ impl Discrete {
     }
 }
 
-/// A decay that is nearer to a whole number of 4096ths is that number: time constants have single
-/// precision.
+/// Distance in 4096ths below which a decay is rounded, since time constants have single precision.
 const EXACT: f64 = 1e-3;
 
-/// Finite numbers of a field.
+/// The numbers of a field, which have to be finite.
 pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
     let numbers = node.numbers(key).ok_or_else(|| wrong(format!("node '{name}' has no array '{key}'")))?;
     let single = numbers.dtype().ends_with("f4");
@@ -58,7 +57,7 @@ pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
     }
 }
 
-/// A field that may be absent.
+/// The parameter in a field, or its default.
 pub(super) fn optional(node: &Group, name: &str, key: &str, default: f64) -> Result<Parameter> {
     match node.get(key) {
         Some(_) => Ok(Parameter::from_values(reals(node, name, key)?)),
@@ -70,7 +69,7 @@ pub(super) fn parameter(node: &Group, name: &str, key: &str) -> Result<Parameter
     Ok(Parameter::from_values(reals(node, name, key)?))
 }
 
-/// Entry by entry, where one number counts for all.
+/// Applies `f` to pairs of entries; a single number is paired with all.
 pub(super) fn zip(a: &Parameter, b: &Parameter, f: impl Fn(f64, f64) -> f64) -> Parameter {
     match (a, b) {
         (Parameter::Same(a), b) => b.map(|b| f(*a, b)),
@@ -84,7 +83,7 @@ pub(super) fn all(value: &Parameter, f: impl Fn(f64) -> bool) -> bool {
 }
 
 impl Reader<'_> {
-    /// The timestep in seconds: said, or the one that all nodes agree on.
+    /// The timestep in seconds: given by option, or implied by all nodes.
     pub(super) fn timestep(&mut self) -> Result<f64> {
         if let Some(dt) = self.options.dt_ms {
             self.notes.push(format!("timestep {dt} ms, as --dt says"));
@@ -107,7 +106,7 @@ impl Reader<'_> {
                 }
                 "LIF" | "LI" => {
                     timed = true;
-                    // A resistance of 1 is how nothing is said.
+                    // A resistance of 1 implies nothing.
                     if !all(&optional(node.group, name, "r", 1.0)?, |r| r == 1.0) {
                         found.extend(ratio("tau", "r")?.into_iter().map(|x| (name.clone(), x)));
                     }
@@ -142,14 +141,15 @@ impl Reader<'_> {
         if !(first > 0.0 && first <= 1e3) {
             return Err(ask(format!("the nodes imply a timestep of {first} s")));
         }
-        // Many exporters computed in single precision: a timestep has few digits.
+        // Many exporters compute in single precision, so a timestep of few digits is rounded to
+        // them.
         let digits: f64 = format!("{first:.4e}").parse().unwrap_or(first);
         let dt = if (digits / first - 1.0).abs() < 1e-5 { digits } else { first };
         self.notes.push(format!("timestep {:.6} ms: {implied_by}", dt * 1e3));
         Ok(dt)
     }
 
-    /// A node's neuron in steps; nothing for an input.
+    /// The discretised neuron of a node; `None` for an input.
     pub(super) fn discretise(&mut self, name: &str) -> Result<Option<Discrete>> {
         let node = &self.flat.nodes[name];
         let (group, dt) = (node.group, self.dt);
@@ -193,18 +193,18 @@ impl Reader<'_> {
             }
             Ok(tau.map(|tau| (dt / tau).min(1.0)))
         };
-        // What is left after a step, 1 - fraction, as exp(-dt / tau).
+        // Solves 1 - fraction = exp(-dt / tau) for tau.
         let tau = |fraction: &Parameter| {
             let exact = |fraction: f64| (4096.0 * fraction - (4096.0 * fraction).round()).abs() < EXACT;
             let none = all(fraction, exact) || !all(fraction, |fraction| fraction < 1.0);
             (!none).then(|| fraction.map(|fraction| -dt * 1e3 / (-fraction).ln_1p()))
         };
-        // In 4096ths; whole numbers of them where these hold the decays.
+        // In 4096ths; whole numbers where `taus` is not needed.
         let decay = |fraction: &Parameter| match tau(fraction) {
             None => fraction.map(|fraction| (4096.0 * fraction).round_ties_even()),
             Some(_) => fraction.map(|fraction| 4096.0 * fraction),
         };
-        // `dt / tau * (tau / dt)`, which exporters write for "no scaling", is 1 but for rounding.
+        // Exporters write `dt / tau * (tau / dt)` for no scaling, which is 1 up to rounding.
         let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
         let spiking = resets(&node.kind);
         if spiking && !all(&get("v_reset", Some(0.0))?, |v| v == 0.0) {
@@ -218,7 +218,7 @@ impl Reader<'_> {
             _ if spiking => Some(get("v_threshold", None)?),
             _ => None,
         };
-        // One of 0 is a mantissa of 0; where others are not 0, weights have no scale.
+        // Thresholds of 0 are mantissas of 0; next to others, weights would have no scale.
         if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0) && !all(threshold, |x| x == 0.0)) {
             return Err(unsupported(
                 format!("node '{name}' has a threshold below 0, or one of 0 beside others"),
@@ -248,8 +248,7 @@ impl Reader<'_> {
                 }
             }
             "IF" | "I" => {
-                // Where nothing else has a timestep, exporters mean sums: a spike counts its
-                // weight.
+                // Without a timestep, exporters mean sums: a spike adds its weight.
                 let said = self.options.dt_ms.is_some();
                 let r = get("r", Some(1.0))?;
                 let gain = if said && !all(&r, |r| r == 1.0) { r.map(|r| r * dt) } else { r };
@@ -269,7 +268,7 @@ impl Reader<'_> {
             shown(&neuron.dv),
             shown(&neuron.gain)
         ));
-        // One node represents all.
+        // One warning represents all nodes.
         if self.assumed.is_empty() {
             self.assumed.extend(long.into_inner().into_iter().next());
         }

@@ -1,7 +1,7 @@
 //! Paths and neurons as projections and populations of a model.
 //!
-//! Input: paths that end at a population. Output: its projections, biases, and the population that
-//! decides.
+//! Input: paths that end at a population. Output: its projections and biases, and the output
+//! population.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use crate::foreign::window::{MOST_LISTED, by_delay, listed};
 use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The problem of synapses that are too many to be listed.
+/// The diagnostic for too many listed synapses.
 fn beyond_listed() -> Diagnostic {
     unsupported(
         format!("more than {MOST_LISTED} synapses would be listed one by one"),
@@ -23,8 +23,8 @@ fn beyond_listed() -> Diagnostic {
 }
 
 impl Reader<'_> {
-    /// Makes all layers start a step later where a bias of a current is to reach the first of them
-    /// in its first step: the compartment that brings biases spikes in step 0 for the first time.
+    /// Makes all layers start a step later if a bias of a current enters the first layer. The
+    /// compartment that delivers biases first spikes in step 0, so they arrive from step 1 on.
     pub(super) fn wait_for_biases(
         &mut self,
         order: &[String],
@@ -49,7 +49,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// All input of a population: projections, and its bias.
+    /// Adds all input of a population: projections, and its bias.
     pub(super) fn incoming(&mut self, name: &str, neuron: &Discrete) -> Result<()> {
         let shape = self.shapes[name].clone();
         let units = product(&shape).unwrap_or(0);
@@ -66,7 +66,7 @@ impl Reader<'_> {
                     arrived.shape
                 )));
             }
-            // Ways that share a node with a bias bring it once.
+            // The bias of a node on several paths counts once.
             let biased = |&at: &usize| self.flat.nodes[&path[at]].group.get("bias").is_some();
             let mut places = (0..path.len()).rev().filter(biased);
             let new = brought.insert(path[places.next().unwrap_or(0)..].to_vec());
@@ -102,8 +102,8 @@ impl Reader<'_> {
         }
         let mut parameters = Vec::new();
         if matches!(neuron.threshold, None | Some(Parameter::Same(0.0))) {
-            // Without a threshold above 0 it is in integers: the largest weight takes the whole
-            // mantissa, unless all are mantissas.
+            // Without a threshold above 0 the scale is free: the largest weight becomes 254, unless
+            // all are mantissas already.
             let every: Vec<f64> = projections.iter().flat_map(|projection| weights(&projection.kind)).collect();
             let most = every.iter().fold(0.0, |most: f64, weight| most.max(weight.abs()));
             let mantissas =
@@ -135,7 +135,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The synapses of each neuron to itself that move a subtraction of the threshold to the step
+    /// Synapses from each neuron to itself that move the subtraction of the threshold to the step
     /// after the spike.
     fn later_subtraction(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionDesc>> {
         let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
@@ -155,8 +155,7 @@ impl Reader<'_> {
         Ok(synapses)
     }
 
-    /// A name that no population has: the one that is asked for, with underscores after it where
-    /// that is taken.
+    /// An unused name: `wanted`, followed by underscores if it is taken.
     fn free_name(&self, wanted: &str) -> String {
         let mut name = wanted.to_string();
         while self.names.values().any(|taken| *taken == name) {
@@ -165,7 +164,7 @@ impl Reader<'_> {
         name
     }
 
-    /// The compartment that spikes in every step.
+    /// The name of the compartment that spikes in every step, which is added if absent.
     pub(super) fn always(&mut self) -> String {
         let name = self.free_name("always");
         if self.model.population(&name).is_none() {
@@ -174,7 +173,7 @@ impl Reader<'_> {
         name
     }
 
-    /// A connection as projections: one, or one for each delay.
+    /// A connection as one projection, or one for each delay.
     pub(super) fn projections(
         &mut self,
         from: &str,
@@ -191,7 +190,7 @@ impl Reader<'_> {
         let own_delays = !equal(&before) || !equal(&behind);
         let kind = match linear {
             Linear::Dense(mut weights, sources) => {
-                // A product may not reach the last sources.
+                // The product may lack columns for the last sources.
                 if sources < source_units {
                     let mut wide = vec![0.0; units * source_units];
                     for (row, old) in wide.chunks_exact_mut(source_units).zip(weights.chunks_exact(sources)) {
@@ -247,14 +246,13 @@ impl Reader<'_> {
         })
     }
 
-    /// Counts synapses that are listed one by one.
+    /// Adds to the number of listed synapses, which is limited.
     pub(super) fn count(&mut self, synapses: usize) -> Result<()> {
         self.listed += synapses;
         if self.listed > MOST_LISTED { Err(beyond_listed()) } else { Ok(()) }
     }
 
-    /// The population that decides: the one that leads to the output, or integrators that show what
-    /// does.
+    /// Sets the output population: the one before the output node, or, after weights, integrators.
     pub(super) fn output(&mut self, order: &[String]) -> Result<()> {
         let outputs: Vec<String> =
             self.flat.nodes.iter().filter(|(_, node)| node.kind == "Output").map(|(name, _)| name.clone()).collect();
@@ -282,7 +280,7 @@ impl Reader<'_> {
             self.drain(&path[0].clone());
             return Ok(());
         }
-        // Weights without a neuron after them: v shows what they sum in each step.
+        // Weights without a neuron after them: v is their sum in each step.
         let output = output.clone();
         let name = self.free_name("output");
         self.names.insert(output.clone(), name.clone());
@@ -300,7 +298,7 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// The steps that the output answers later.
+    /// Sets the drain to the output's depth, by which it responds later.
     fn drain(&mut self, output: &str) {
         let depth = self.depths[output];
         self.model.drain = depth;

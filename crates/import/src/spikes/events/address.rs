@@ -1,10 +1,10 @@
-//! Formats of fixed-size events: an address and a time each.
+//! Formats of fixed-size events, each with an address and a time.
 //!
 //! N-MNIST and SLAYER: five bytes, the last three a polarity bit and 23 bits of microseconds,
 //! big-endian (Orchard et al. 2015; slayerPytorch 01beeeb, `src/spikeFileIO.py`). SLAYER's own
-//! writer of `.bs1` loses the high byte of a channel, so channels above 255 come back from its
-//! files as others. N-MNIST's `.bin` marks each turn of its clock by an entry. Prophesee `.dat`: a
-//! text header, then eight bytes each: 32 bits of microseconds, 14 of x, 14 of y, 4 of polarity,
+//! writer of `.bs1` loses the high byte of a channel, so channels above 255 are wrong in its files.
+//! N-MNIST's `.bin` marks each overflow of its clock by an entry. Prophesee `.dat`: a text header,
+//! then eight bytes per event: 32 bits of microseconds, 14 of x, 14 of y, 4 of polarity,
 //! little-endian (Metavision SDK, file format DAT).
 
 use std::io::{BufRead, Read};
@@ -12,15 +12,14 @@ use std::io::{BufRead, Read};
 use super::event::{Event, Sink, fill, unreadable, wrong};
 use nsim_ir::base::diagnostic::Result;
 
-/// The longest line of a header, and the most lines.
+/// The most bytes of a header line.
 const MOST_HEADER: usize = 1 << 12;
-/// The row of N-MNIST's entries that are no events but turns of its clock, and the time that each
-/// adds.
+/// The row of N-MNIST's entries that mark overflows of its clock, and the time that each adds.
 pub(super) const OVERFLOW_ROW: u32 = 240;
 const OVERFLOW_US: i64 = 1 << 13;
 
-/// Records of two bytes of address, which are a column and a row, and three of polarity and time;
-/// one of the row `turn` is a turn of the clock and no event.
+/// Reads records of two bytes of address, which `place` converts to a column and a row, and three
+/// of polarity and time. A record of the row `turn` marks an overflow of the clock.
 fn addressed(
     input: &mut dyn BufRead,
     sink: &mut dyn Sink,
@@ -46,8 +45,7 @@ pub fn bs2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     addressed(input, sink, |[x, y]| (x.into(), y.into()), None)
 }
 
-/// `.bin` of N-MNIST and N-Caltech101, in which an entry of row 240 is a turn of the clock and no
-/// event.
+/// `.bin` of N-MNIST and N-Caltech101, in which an entry of row 240 marks an overflow of the clock.
 pub fn bin(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     addressed(input, sink, |[x, y]| (x.into(), y.into()), Some(OVERFLOW_ROW))
 }
@@ -57,8 +55,8 @@ pub fn bs1(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     addressed(input, sink, |channel| (u16::from_be_bytes(channel).into(), 0), None)
 }
 
-/// The lines of a header, each beginning with '%' and a space, without these; and a byte that was
-/// read after them.
+/// The lines of a header, without the '%' and the space at the start of each, and a byte of data
+/// that was read.
 pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [u8])> {
     let mut lines = Vec::new();
     while lines.len() < 256 {
@@ -68,7 +66,7 @@ pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [
         if !begins(input, b'%')? {
             return Ok((lines, b""));
         }
-        // Data may begin with the same sign: the space after it makes it a line.
+        // Data may begin with '%' too; only a space after it makes it a header line.
         input.consume(1);
         if !begins(input, b' ')? {
             return Ok((lines, b"%"));
@@ -89,7 +87,7 @@ pub(super) fn header(input: &mut dyn BufRead) -> Result<(Vec<String>, &'static [
     Err(wrong("the header has more than 256 lines"))
 }
 
-/// Prophesee `.dat` with events of type 0, 12 or 40, which are all addresses.
+/// Prophesee `.dat` with events of type 0, 12 or 40, which have addresses.
 pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (lines, begun) = header(input)?;
     let input = &mut begun.chain(input);
@@ -114,7 +112,7 @@ pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         return Err(wrong(message).help("the types 0, 12 and 40 of 8 bytes are read"));
     }
     let mut bytes = [0; 8];
-    // 32 bits of microseconds last for 71 minutes.
+    // 32 bits of microseconds overflow after 71 minutes.
     let (mut turns, mut before, mut index) = (0i64, 0u32, 0u64);
     while fill(input, &mut bytes, sink)? {
         let time = u32::from_le_bytes([bytes[0], bytes[1], bytes[2], bytes[3]]);
@@ -123,7 +121,7 @@ pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
             turns += 1;
             sink.counts().clock_turns += 1;
         } else if before < u32::MAX / 4 && time > u32::MAX / 4 * 3 && turns > 0 {
-            // A step back over the turn.
+            // A late event from before the overflow.
             turns -= 1;
         }
         before = time;

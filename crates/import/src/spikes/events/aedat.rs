@@ -1,11 +1,11 @@
 //! AEDAT4, the files of iniVation's DV.
 //!
-//! A line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then packets: a
-//! stream's number and a size in bytes, and a body that holds, plain or compressed by LZ4 or
-//! Zstandard, a flatbuffer with a vector of events of 16 bytes: microseconds, x, y, polarity
-//! (iniVation, AEDAT file format 4.0; `dv/data/event.fbs`). Packets whose identifier is not `EVTS`
-//! are skipped. The description names the streams; events of two streams are never read as one. A
-//! packet is read whole: it and what it decompresses to take at most 64 MiB each.
+//! A file has a line `#!AER-DAT4.0`, a flatbuffer with the compression and a description, then
+//! packets. A packet has a stream's number, a size in bytes, and a body, plain or compressed by LZ4
+//! or Zstandard. The body is a flatbuffer with a vector of events of 16 bytes: microseconds, x, y,
+//! polarity (iniVation, AEDAT 4.0; `dv/data/event.fbs`). Packets whose identifier is not `EVTS` are
+//! skipped. The description names the streams; events of two streams are never merged. A packet is
+//! read whole: packed and unpacked, it has at most 64 MiB.
 //!
 //! Flatbuffers are read with `planus`, which checks each access: the accessors of the crate
 //! `flatbuffers` are unsafe.
@@ -21,15 +21,15 @@ use super::event::{Event, Sink, fill, unreadable, wrong};
 use nsim_files::budget::Budget;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// What every version of AEDAT begins with, and the one that is read.
+/// The first bytes of every version of AEDAT, then of the version that is read.
 pub const AEDAT: &[u8] = b"#!AER-DAT";
 const MAGIC: &[u8; 14] = b"#!AER-DAT4.0\r\n";
-/// The most bytes of a packet, and of what it decompresses to.
+/// The most bytes of a packet, packed or unpacked.
 const MOST_PACKET: usize = 64 << 20;
 /// Bytes of an event.
 const EVENT: usize = 16;
 
-/// What the description says of a stream.
+/// Description of a stream.
 #[derive(Debug, Default)]
 struct Stream<'a> {
     kind: Option<&'a str>,
@@ -48,7 +48,7 @@ impl Stream<'_> {
     }
 }
 
-/// The streams of a description in XML, `outInfo/NUMBER` and below, by their numbers.
+/// The streams of a description in XML, `outInfo/NUMBER` and below, by number.
 fn streams(text: &str) -> BTreeMap<i32, Stream<'_>> {
     let mut streams: BTreeMap<i32, Stream<'_>> = BTreeMap::new();
     let mut path = Vec::new();
@@ -75,7 +75,7 @@ fn streams(text: &str) -> BTreeMap<i32, Stream<'_>> {
     streams
 }
 
-/// The problem of events of several streams.
+/// The diagnostic for events of several streams.
 fn several(streams: &BTreeMap<i32, Stream<'_>>, found: &[i32]) -> Diagnostic {
     let describe = |number: &i32| match streams.get(number) {
         Some(stream) => {
@@ -91,7 +91,7 @@ fn several(streams: &BTreeMap<i32, Stream<'_>>, found: &[i32]) -> Diagnostic {
         .help(format!("choose one as the source: {}", all.join(" or ")))
 }
 
-/// Reads one stream of a file: the chosen one, or the only one with events.
+/// Reads one stream of a file: `chosen`, or the only one with events.
 pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut magic = [0; 14];
     let there = fill(input, &mut magic, sink)?;
@@ -134,7 +134,7 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
     if let Some((columns, rows)) = stream.and_then(|number| streams.get(&number)?.size()) {
         sink.size(columns, rows);
     }
-    // The table of packets at the end is no packet.
+    // The table of packets at the end of the file is not a packet.
     let mut budget = Budget::for_packets();
     let mut earned = 0;
     while end < 0 || at < end as u64 {
@@ -155,7 +155,7 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
         if let Err(exceeded) = budget.bytes(packet.len() as u64) {
             return Err(wrong(format!("its packets decompress to more than recordings of events do: {exceeded}")));
         }
-        // The size comes before the root's offset and the identifier.
+        // The size precedes the root's offset and the identifier.
         let events = packet.get(4..).filter(|buffer| buffer.get(4..8) == Some(b"EVTS"));
         let described = streams.get(&number);
         if !streams.is_empty() && described.is_none() {
@@ -216,7 +216,7 @@ fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>> {
     Ok(plain)
 }
 
-/// The next bytes, allocated as they come; none when the input ends within them, which is reported.
+/// The next bytes, allocated as they are read; `None`, with a count, when the input ends early.
 fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
     if size > MOST_PACKET {
         return Err(wrong(format!("a packet at byte {at} claims {size} bytes, more than {MOST_PACKET}")));
@@ -231,7 +231,7 @@ fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Si
     Ok(Some(bytes))
 }
 
-/// A flatbuffer after its size; none when the input ends before its end.
+/// A flatbuffer after its size; `None` when the input ends early.
 fn sized(input: &mut dyn BufRead, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
     let mut size = [0; 4];
     if !fill(input, &mut size, sink)? {
@@ -260,7 +260,7 @@ fn root(buffer: &[u8]) -> Option<Table<'_>> {
     Table::from_buffer(SliceWithStartOffset { buffer, offset_from_start: 0 }, 0).ok()
 }
 
-/// A vector of structs of [`EVENT`] bytes, which `planus` reads by unsafe generated code only.
+/// A vector of structs of [`EVENT`] bytes, which `planus` reads only by unsafe generated code.
 struct Events<'a>(&'a [[u8; EVENT]]);
 
 impl<'a> TableRead<'a> for Events<'a> {

@@ -1,7 +1,7 @@
-//! Sorts events into bins of time and space, which become spikes.
+//! Binning of events in time and space; bins become spikes.
 //!
-//! Input: events one by one. Output: the spikes of a sample. Only occupied bins are stored, each
-//! with its number of events; new events are sorted into them in batches.
+//! Input: a stream of events. Output: the spikes of a sample. Only occupied bins are stored, each
+//! with its number of events; new events are merged in batches.
 
 use super::event::{Counts, Event, Sink, wrong};
 use super::text::unit_unknown;
@@ -10,10 +10,10 @@ use crate::spikes::population::{Expected, PopulationSpikes, too_many};
 use nsim_files::budget::{MOST_EVENTS, MOST_STEPS};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// Events of a batch, at least.
+/// The least number of events of a batch.
 const BATCH: usize = 1 << 16;
 
-/// The part of the sensor that is used and its pooled columns and rows, once the size is known.
+/// The used part of the sensor, and its pooled columns and rows.
 #[derive(Debug, Clone, Copy)]
 struct Grid {
     left: u32,
@@ -25,12 +25,12 @@ struct Grid {
     rows: u32,
 }
 
-/// The bins of a recording, in the window in space and time that is used.
+/// The bins of a recording, within a window in space and time.
 pub struct Bins {
     options: EventOptions,
     bin_us: f64,
     start: Origin,
-    /// The size that is assumed when nothing else says it.
+    /// The default size of the format's sensor.
     assumed: Option<(u32, u32)>,
     /// Whether the polarities of a place are adjacent channels instead of separate planes.
     interleaved: bool,
@@ -40,9 +40,9 @@ pub struct Bins {
     start_us: Option<i64>,
     last_step: u32,
     counts: Counts,
-    /// (step, channel) as one number.
+    /// New events: the step in the high 32 bits, the channel in the low 32 bits.
     recent: Vec<u64>,
-    /// Sorted, each with its number of events.
+    /// Occupied bins, sorted, each with its number of events.
     settled: Vec<(u64, u32)>,
 }
 
@@ -76,8 +76,8 @@ impl Bins {
         })
     }
 
-    /// The grid, from the options, the file, the population or the format's usual sensor, in this
-    /// order.
+    /// The grid, from the options, the file, the population or the format's usual sensor, by
+    /// priority.
     fn grid(&mut self) -> Result<Grid> {
         if let Some(grid) = self.grid {
             return Ok(grid);
@@ -137,7 +137,7 @@ impl Bins {
         Ok(())
     }
 
-    /// The step of a time; none before the start or after the end.
+    /// The step of a time; `None` before the start or after the end.
     fn step(&mut self, t_us: i64) -> Result<Option<u32>> {
         let start = *self.start_us.get_or_insert(match self.start {
             Origin::First => t_us,
@@ -161,9 +161,8 @@ impl Bins {
         }
     }
 
-    /// Asks for the unit of times that nothing names and that are hardly microseconds: a camera has
-    /// from one event a second to a thousand a microsecond, and a recording is longer than a
-    /// timestep.
+    /// Refuses times without a unit that are implausible as microseconds. A camera has from one
+    /// event per second to a thousand per microsecond. A recording is longer than a timestep.
     fn check_unit(&self) -> Result<()> {
         let Counts { events, span_us: Some((first, last)), unit_assumed: true, .. } = self.counts else {
             return Ok(());
@@ -181,7 +180,7 @@ impl Bins {
         Ok(())
     }
 
-    /// The sample, and what was counted.
+    /// The sample, and the counts.
     pub fn finish(mut self, name: &str) -> Result<(PopulationSpikes, Counts)> {
         self.grid()?;
         self.settle()?;
@@ -242,7 +241,7 @@ impl Sink for Bins {
         };
         self.last_step = self.last_step.max(step);
         self.recent.push(u64::from(step) << 32 | u64::from(channel));
-        // Batches that grow with the table keep the total work near that of one sort.
+        // Batches that grow with the table keep the total work near the cost of a single sort.
         if self.recent.len() >= BATCH.max(self.settled.len()) {
             self.settle()?;
         }

@@ -1,5 +1,5 @@
-//! What decoders and their receivers share: an event, the receiver's trait, counts, and reading by
-//! fixed sizes.
+//! Shared by decoders and sinks: an event, the sink's trait, counts, and reading of rows and
+//! records.
 
 use std::io::BufRead;
 
@@ -8,7 +8,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 /// One event of a sensor.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Event {
-    /// Microseconds on the clock of the recording.
+    /// Time in microseconds on the clock of the recording.
     pub t_us: i64,
     /// Column, or the number of a taxel.
     pub x: u32,
@@ -18,7 +18,7 @@ pub struct Event {
     pub on: bool,
 }
 
-/// Counts of what was read, and of what was dropped.
+/// Counts of events, and of irregularities.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Counts {
     /// Events of the file.
@@ -27,24 +27,24 @@ pub struct Counts {
     pub span_us: Option<(i64, i64)>,
     /// Events outside the window in space, time or polarity.
     pub dropped: u64,
-    /// Events earlier than one before them.
+    /// Events with a time before the latest one so far.
     pub disordered: u64,
     /// Events that fell into a bin with another.
     pub merged: u64,
-    /// Bins that had events, but fewer than a spike needs.
+    /// Bins with fewer events than a spike needs.
     pub faint: u64,
-    /// Turns of the recording's clock, by which later times were moved on.
+    /// Overflows of the recording's clock, which were added to later times.
     pub clock_turns: u64,
-    /// Records that are no events of pixels, such as triggers and frames.
+    /// Records other than events of pixels, such as triggers and frames.
     pub not_events: u64,
     /// Bytes after the last whole record of a file that ends early.
     pub cut_bytes: Option<u64>,
-    /// Whether the times are taken for microseconds because nothing says their unit.
+    /// Whether microseconds are assumed, because the unit of the times is unknown.
     pub unit_assumed: bool,
 }
 
 impl Counts {
-    /// Counts an event of this time.
+    /// Counts an event at a time.
     pub fn event(&mut self, t_us: i64) {
         self.events += 1;
         let (earliest, latest) = self.span_us.unwrap_or((t_us, t_us));
@@ -52,7 +52,7 @@ impl Counts {
         self.span_us = Some((earliest.min(t_us), latest.max(t_us)));
     }
 
-    /// Counts an event before the first record that says when it was.
+    /// Counts an event before the first record of a time.
     pub fn untimed(&mut self) {
         self.events += 1;
         self.dropped += 1;
@@ -61,23 +61,23 @@ impl Counts {
 
 /// Receives the events of a decoder.
 pub trait Sink {
-    /// The file says that the sensor has this many columns and rows.
+    /// Receives the sensor's columns and rows, as the file states them.
     fn size(&mut self, columns: u32, rows: u32);
-    /// An event.
+    /// Receives an event.
     ///
     /// # Errors
     /// When there are more than can be stored.
     fn event(&mut self, event: Event) -> Result<()>;
-    /// Where the decoder counts what it meets besides events.
+    /// The counts, in which the decoder adds irregularities.
     fn counts(&mut self) -> &mut Counts;
 }
 
-/// What is wrong with a recording.
+/// The diagnostic for a malformed recording.
 pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("input.events", message)
 }
 
-/// The problem of a stream that is chosen in a format without streams.
+/// The diagnostic for a choice of stream in a format without streams.
 pub(super) fn no_streams(format: &str) -> Diagnostic {
     Diagnostic::new("input.option", format!("{format} has one stream: stream=N is for AEDAT4 and EVT3"))
 }
@@ -86,11 +86,11 @@ pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("io.read", format!("cannot be read: {error}"))
 }
 
-/// Passes each row of a text that is neither empty nor a comment, without spaces around it. A last
-/// row that cannot be read is one that the end cuts off, which is reported.
+/// Passes each trimmed row that is neither empty nor a comment to `row`. A malformed last row
+/// without a line end counts as truncated.
 ///
 /// # Errors
-/// `io.read`; those of a row, with its number.
+/// `io.read`; errors of a row, with its number.
 pub(super) fn rows(
     input: &mut dyn BufRead,
     longest: usize,
@@ -129,8 +129,8 @@ pub(super) fn rows(
     }
 }
 
-/// Fills a buffer with the next record; false at the end of the input. A record that the end cuts
-/// off is reported.
+/// Fills a buffer with the next record; returns false at the end of the input. A truncated record
+/// is counted.
 ///
 /// # Errors
 /// `io.read`.

@@ -1,10 +1,10 @@
 //! Prophesee's EVT2 and EVT3 streams in `.raw` files.
 //!
-//! EVT2: words of 32 bits, little-endian: 4 bits of type (0 and 1 an event that falls or rises, 8
-//! the time's high 28 bits), 6 of the time's low bits, 11 of x, 11 of y. EVT3: words of 16 bits
-//! with a state: a row and its camera, the time in two halves of 12 bits, single events, and
-//! vectors of 12 and 8 events from a base column on (Metavision SDK, encodings EVT 2.0 and 3.0).
-//! EVT2.1 is refused: sensors differ in its byte order.
+//! EVT2: words of 32 bits, little-endian: 4 bits of type (0 and 1 a falling or rising event, 8 the
+//! time's high 28 bits), 6 low bits of the time, 11 of x, 11 of y. EVT3: words of 16 bits with a
+//! state: a row and its camera, the time in two halves of 12 bits, single events, and vectors of 12
+//! and 8 events from a base column on (Metavision SDK, encodings EVT 2.0 and 3.0). EVT2.1 is
+//! refused, since sensors differ in its byte order.
 
 use std::io::{BufRead, Read};
 
@@ -12,7 +12,7 @@ use super::address::header;
 use super::event::{Event, Sink, fill, no_streams, wrong};
 use nsim_ir::base::diagnostic::Result;
 
-/// A `.raw` file; its header says which encoding it has.
+/// Reads a `.raw` file in the encoding that its header names.
 pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let (lines, begun) = header(input)?;
     let input = &mut begun.chain(input);
@@ -59,7 +59,7 @@ pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) ->
     }
 }
 
-/// Takes what a header says, which may say it twice but not in two ways.
+/// Stores a value of the header, which must not contradict an earlier one.
 fn agreed<T: PartialEq>(known: &mut Option<T>, said: T, what: &str) -> Result<()> {
     match known.as_ref().is_some_and(|known| *known != said) {
         true => Err(wrong(format!("its header names two {what}"))),
@@ -77,7 +77,7 @@ fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         let word = u32::from_le_bytes(bytes);
         match word >> 28 {
             kind @ (0 | 1) => {
-                // Before the first high part nothing says when it was.
+                // The time is unknown before the first high part.
                 let Some(high) = high else {
                     sink.counts().untimed();
                     continue;
@@ -92,13 +92,13 @@ fn evt2(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
                         turns += 1;
                         sink.counts().clock_turns += 1;
                     }
-                    // A step back over the turn.
+                    // A late event from before the overflow.
                     rise if rise > 1 << 27 && turns > 0 => turns -= 1,
                     _ => {}
                 }
                 high = Some(new);
             }
-            // Triggers, others, continued words.
+            // Triggers, other types, continued words.
             _ => sink.counts().not_events += 1,
         }
     }
@@ -115,7 +115,7 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
         let t_us = (turns << 24) + (high << 12) + low;
         let mut event = |x: u32, on: bool| match timed {
             true => sink.event(Event { t_us, x, y, on }),
-            // Before the first high half nothing says when it was.
+            // The time is unknown before the first high half.
             false => {
                 sink.counts().untimed();
                 Ok(())
@@ -142,8 +142,8 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
             }
             0x6 => {
                 let new = i64::from(word & 0xfff);
-                // Some writers leave a high half out that only counts one more. A smaller step back
-                // is one of the camera's clock, and stays as it is.
+                // Some writers omit a high half that is only one more. A smaller step back comes
+                // from the camera's clock and is kept.
                 if timed && low - new > 1 << 11 {
                     high += 1;
                     sink.counts().clock_turns += 1;
@@ -156,16 +156,16 @@ fn evt3(mut camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -
                     turns += 1;
                     sink.counts().clock_turns += 1;
                 } else if new - high > 1 << 11 && turns > 0 {
-                    // A step back over the turn.
+                    // A late event from before the overflow.
                     turns -= 1;
                 }
-                // The low half begins anew with the high one.
+                // A new high half resets the low half.
                 if new != high {
                     low = 0;
                 }
                 (high, timed) = (new, true);
             }
-            // The other camera's events; triggers, others, continued words.
+            // The other camera's events; triggers, other types, continued words.
             _ => sink.counts().not_events += 1,
         }
     }

@@ -1,9 +1,9 @@
 //! NIR's data files: events, or values on a grid of time.
 //!
 //! Input: the tree of a file that `nir.write_data` made (NIR 1.0.8, `data_ir`). Output: the spikes
-//! of its samples. Of several observables the one named `spikes` of the population's node is read,
-//! else the only one. Times are in seconds; a grid's own step is a timestep unless bins are asked
-//! for. Also makes such trees, for spikes (as events) and for other registers (on a grid).
+//! of its samples. It reads the only observable of the population's node, its `spikes`, or else the
+//! file's only one. Times are in seconds; a grid's step has to equal a timestep. The module also
+//! makes such trees, of spikes as events and other registers on a grid.
 
 use std::path::Path;
 
@@ -31,7 +31,7 @@ fn number(group: &Group, key: &str) -> Option<f64> {
     }
 }
 
-/// Whether a tree is one of data.
+/// Whether a tree is of NIR data.
 pub fn is_data(root: &Group) -> bool {
     kind(root) == Some("NIRGraphData")
 }
@@ -110,7 +110,7 @@ pub fn read(
         Some("TimeGriddedData") => {
             let data = array("data", 3)?;
             let &[samples, steps, units] = data.shape() else { return Err(wrong("'data' is empty")) };
-            // Each step of the grid is a timestep, so that both have one length.
+            // Each step of the grid is a timestep, so their lengths must agree.
             let (grid_us, step_us) = (number(group, "dt").unwrap_or(0.0) * 1e6, bin_us.unwrap_or(expected.dt_ms * 1e3));
             if (grid_us - step_us).abs() > step_us * 1e-6 {
                 let (grid, step) = (grid_us / 1e3, step_us / 1e3);
@@ -141,7 +141,7 @@ pub fn read(
             let values: Option<Vec<f64>> = group.numbers("value").map(|values| values.reals().collect());
             let bin_s = options.bin_us.map_or(expected.dt_ms / 1e3, |us| us / 1e6);
             let end = number(group, "t_max").unwrap_or(0.0);
-            // t_max / dt may fall a little short of the number that it means.
+            // Rounding may make t_max / dt slightly less than the whole number of steps.
             let steps = match options.steps {
                 Some(steps) => steps,
                 None => bound((end / bin_s + 1e-6).floor())?,
@@ -149,7 +149,7 @@ pub fn read(
             let (samples, each) = (idx.shape()[0], idx.shape()[1]);
             let mut recordings = silent(samples, steps)?;
             for (at, (unit, seconds)) in idx.reals().zip(time.reals()).enumerate() {
-                // An index of -1 and an endless time fill up the shorter samples.
+                // An index of -1 and an infinite time pad shorter samples.
                 if unit < 0.0 || !seconds.is_finite() {
                     continue;
                 }
@@ -171,7 +171,7 @@ pub fn read(
     }
 }
 
-/// A tree with spikes of samples, each (step, unit), as events of a node.
+/// An observable with the spikes of samples, each (step, unit), as events.
 pub fn events(samples: &[Vec<(u32, u32)>], units: u32, steps: u32, dt_s: f64) -> Group {
     let most = samples.iter().map(Vec::len).max().unwrap_or(0).max(1);
     let (mut idx, mut time) = (Vec::new(), Vec::new());
@@ -190,12 +190,12 @@ pub fn events(samples: &[Vec<(u32, u32)>], units: u32, steps: u32, dt_s: f64) ->
     )
 }
 
-/// A tree with numbers `[samples][steps][units]` on a grid of time.
+/// An observable with numbers `[samples][steps][units]` on a grid of time.
 pub fn gridded(numbers: &[f64], shape: [usize; 3], dt_s: f64) -> Group {
     attributed(Group::default().with("data", Numbers::f64(&shape, numbers)), "TimeGriddedData", &[("dt", dt_s)])
 }
 
-/// A whole file with one observable of one node.
+/// The tree of a file with one observable of one node.
 pub fn file(node: &str, observable: &str, data: Group) -> Group {
     let node_group =
         attributed(Group::default().with("observables", Group::default().with(observable, data)), "NIRNodeData", &[]);

@@ -1,4 +1,4 @@
-//! From a file of events to a sink, or to the spikes of one sample.
+//! Decoding of event files to a sink, or to the spikes of one sample.
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
@@ -13,15 +13,15 @@ use nsim_files::disk::Input;
 use nsim_files::text;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// What the log calls the lines of recordings.
+/// The target of log lines about recordings.
 pub const RECORDING: &str = "recording";
 
-/// Passes every event of a recording to a sink. Of the options, the stream, the unit of times and
-/// the size say how it is to be read.
+/// Passes every event of a recording to a sink. Decoding uses the options `stream`, `unit` and
+/// `size`.
 ///
 /// # Errors
-/// `input.events` for what is malformed, `input.option` for an option that the format does not
-/// have, those of the sink.
+/// `input.events` for malformed input, `input.option` for an option that the format does not have,
+/// errors of the sink.
 pub fn decode(format: EventFormat, options: &EventOptions, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let &EventOptions { stream, unit, size, .. } = options;
     if stream.is_some() && !matches!(format, EventFormat::Aedat4 | EventFormat::Raw) {
@@ -31,7 +31,7 @@ pub fn decode(format: EventFormat, options: &EventOptions, input: &mut dyn BufRe
         return Err(Diagnostic::new("input.option", "the format says the unit of its times: unit= is for text"));
     }
     match format {
-        // On a taller sensor, row 240 is one of pixels.
+        // On a taller sensor, row 240 has pixels.
         EventFormat::Bin if size.is_some_and(|(_, rows)| rows > address::OVERFLOW_ROW) => address::bs2(input, sink),
         EventFormat::Bin => address::bin(input, sink),
         EventFormat::Bs2 => address::bs2(input, sink),
@@ -52,7 +52,7 @@ pub fn decode_file(path: &Path, format: EventFormat, options: &EventOptions, sin
     decode(format, options, &mut open(path)?, sink).map_err(|problem| problem.or_in_file(path))
 }
 
-/// Opens a recording, with the same errors as any other file.
+/// Opens a recording, with the errors of other files.
 fn open(path: &Path) -> Result<BufReader<Input>> {
     let mut input = BufReader::with_capacity(1 << 16, text::open(path)?.0);
     text::refuse_pointer(path, input.fill_buf().map_err(|error| unreadable(&error).in_file(path))?)?;
@@ -76,7 +76,7 @@ pub fn read_file(
 /// Reads a recording from any input.
 ///
 /// # Errors
-/// As [`read_file`], without the file.
+/// As [`read_file`], without the name of the file.
 pub fn read_input(
     input: &mut dyn BufRead,
     name: &str,
@@ -85,7 +85,7 @@ pub fn read_input(
     options: &EventOptions,
 ) -> Result<(PopulationSpikes, Counts)> {
     let default_size = match format {
-        // N-MNIST's, and SLAYER's examples (Orchard et al. 2015).
+        // The size of N-MNIST and of SLAYER's examples (Orchard et al. 2015).
         EventFormat::Bin | EventFormat::Bs2 => Some((34, 34)),
         EventFormat::Tact => Some((tact::TAXELS, 1)),
         _ => None,
@@ -96,8 +96,8 @@ pub fn read_input(
     bins.finish(name)
 }
 
-/// The moment that is step 0 unless the options say otherwise. Clocks of cameras run since they
-/// were switched on.
+/// The default start of step 0. Clocks of cameras run since they were switched on, so their
+/// recordings start at the first event.
 fn default_origin(format: EventFormat) -> Origin {
     match format {
         EventFormat::Bin | EventFormat::Bs1 | EventFormat::Bs2 | EventFormat::Tact => Origin::At(0),
@@ -105,8 +105,7 @@ fn default_origin(format: EventFormat) -> Origin {
     }
 }
 
-/// Logs the span of a recording and what was made of its events; as a warning where some were
-/// dropped or moved.
+/// Logs the span and the counts of a recording, as a warning where events were dropped or moved.
 pub fn report(path: &Path, counts: &Counts) {
     let Counts { events, span_us, dropped, disordered, merged, faint, clock_turns, not_events, cut_bytes, .. } =
         *counts;

@@ -1,16 +1,16 @@
 //! VT_SNN's recordings of the NeuTouch fingertips, `.tact`.
 //!
 //! Rows of text: polarity, cell from 1 to 80 and seconds; an older variant has whole seconds and
-//! nanoseconds (VT_SNN 9215087, `preprocess.py`; facts only). Cells 17 and 49 are no taxels: 78
-//! remain, 39 of each finger. A channel is `2 taxel + polarity`, the order in which VT_SNN flattens
-//! its arrays `[78, 2, T]`.
+//! nanoseconds (VT_SNN 9215087, `preprocess.py`; facts only). Cells 17 and 49 are not taxels: 78
+//! remain, 39 of each finger. A channel is `2 taxel + polarity`, VT_SNN's order of its arrays `[78,
+//! 2, T]`.
 
 use std::io::BufRead;
 
 use super::event::{Event, Sink, rows, wrong};
 use nsim_ir::base::diagnostic::Result;
 
-/// Columns that an event's x may have: a taxel and its polarity.
+/// Number of taxels; an event's x is a taxel.
 pub const TAXELS: u32 = 78;
 /// The longest row.
 const MOST_ROW: usize = 256;

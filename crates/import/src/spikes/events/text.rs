@@ -1,10 +1,10 @@
-//! Events in text: a header that names the columns, then a row an event.
+//! Events in text: a header that names the columns, then a row for each event.
 //!
 //! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and
-//! a time: `t`, `ts`, `time` or `timestamp`, with the unit after it (`t_s`, `t_ms`, `t_us`,
-//! `t_ns`). They stand in any order, separated by commas; others are left alone, and so are lines
-//! that begin with `#`. A time without a unit is in microseconds, which the sink records: a
-//! fraction of one, or a time beyond all clocks, is asked about.
+//! a time: `t`, `ts`, `time` or `timestamp`, with a unit as suffix (`t_s`, `t_ms`, `t_us`, `t_ns`).
+//! Their order is free, separated by commas; other columns and lines that begin with `#` are
+//! ignored. A time without a unit is in microseconds, which the sink records; a fraction of one, or
+//! a time beyond 285 years, is refused.
 
 use std::io::BufRead;
 
@@ -17,23 +17,23 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 const MOST_ROW: usize = 4096;
 /// The latest time, about 285 years.
 const MOST_US: i64 = 9_000_000_000_000_000;
-/// The names of columns that distinguish recordings, which would be read as one.
+/// Names of columns that distinguish recordings; such recordings would be merged.
 const SEVERAL: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
 
-/// Where each field stands.
+/// The column index of each field.
 #[derive(Debug, Clone, PartialEq)]
 struct Columns {
     x: usize,
     y: Option<usize>,
     polarity: Option<usize>,
     time: usize,
-    /// The unit that the name of the times says.
+    /// The unit of the times, from the name of their column.
     unit: Option<TimeUnit>,
-    /// Why the rows are not one recording.
+    /// The reason for which the columns are refused, if any.
     refused: Option<String>,
 }
 
-/// The problem of times of which nothing says the unit, and which are hardly microseconds.
+/// The diagnostic for times of unknown unit that are implausible as microseconds.
 pub(super) fn unit_unknown(message: String) -> Diagnostic {
     Diagnostic::new("input.unit", message)
         .help("name the times t_s, t_ms, t_us or t_ns, or say their unit in the source: FILE?unit=s (or ms, us, ns)")
@@ -64,7 +64,7 @@ impl Columns {
         Some(Columns { x: find(&["x"])?, y: find(&["y"]), polarity, time, unit, refused })
     }
 
-    /// The event of a row; what is wrong with it without its number.
+    /// Parses the event of a row; errors do not have the row's number.
     fn event(&self, text: &str) -> Result<Event> {
         let fields: Vec<&str> = text.split(',').map(str::trim).collect();
         let number = |column: usize, name: &str| -> Result<f64> {
@@ -117,11 +117,11 @@ pub fn is_header(line: &str) -> bool {
     Columns::from_header(line).is_some()
 }
 
-/// Reads a file, whose times are of this unit where their name says none.
+/// Reads a file; `said` is the unit of times whose column names none.
 ///
 /// # Errors
-/// `input.events` with the row; `input.unit` for times that are hardly microseconds and of which
-/// nothing says the unit; `input.option` for another unit than the file's own.
+/// `input.events` with the row; `input.unit` for times of unknown unit that are implausible as
+/// microseconds; `input.option` for a unit that contradicts the file.
 pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut columns: Option<Columns> = None;
     rows(input, MOST_ROW, sink, |text, sink| {
