@@ -8,7 +8,7 @@ from . import _nsim
 
 
 def _part(path, text, number, parts):
-    """Runs a part on one thread, wherever this is called."""
+    """Runs a part on one thread, in the calling process."""
     return _nsim.sweep_part(path, text, number, parts, 1)
 
 
@@ -17,7 +17,7 @@ class Table:
 
     def __init__(self, text):
         self.csv = text
-        """The bytes that `nsim sweep -o` writes, as text."""
+        """The text that `nsim sweep -o` writes."""
 
     @property
     def columns(self):
@@ -26,7 +26,7 @@ class Table:
 
     @property
     def rows(self):
-        """A dictionary for each variant; cells are text as in the file, empty where a figure is not known."""
+        """A dictionary for each variant; cells are text as in the file, empty where a figure is unknown."""
         return list(csv.DictReader(io.StringIO(self.csv)))
 
     def table(self):
@@ -38,7 +38,7 @@ class Table:
             try:
                 import polars
             except ImportError:
-                raise ImportError("a table is a data frame of pandas: pip install pandas") from None
+                raise ImportError("tables are data frames of pandas: pip install pandas") from None
             return polars.read_csv(file, infer_schema_length=None)
         return pandas.read_csv(file)
 
@@ -55,22 +55,22 @@ class Table:
 def _on_client(client, path, text, parts):
     arguments = [(path, text, number, parts) for number in range(parts)]
     if hasattr(client, "gather"):
-        # Dask: a part is run again when it is asked for again, as its files may have changed.
+        # Dask: every call runs its parts again, as their files may have changed.
         return client.gather([client.submit(_part, *part, pure=False) for part in arguments])
     if hasattr(client, "remote") and hasattr(client, "get"):
         part = client.remote(_part)
         return client.get([part.remote(*argument) for argument in arguments])
     if hasattr(client, "submit"):
         return [future.result() for future in [client.submit(_part, *part) for part in arguments]]
-    raise TypeError("client is a Dask client, the module ray, or an executor of concurrent.futures")
+    raise TypeError("client must be a Dask client, the module ray, or an executor of concurrent.futures")
 
 
 def sweep(sweep, *, threads=None, client=None, parts=None):
     """Runs every variant of a sweep: `nsim sweep`.
 
     `sweep` is the path of a sweep file, or its text, which begins with `Sweep(`. Without `client` it runs on `threads` threads of this
-    process (all cores). A `client` is a Dask client, the module `ray`, or an executor; it is given `parts` parts (64, or as many as there
-    are variants), each of which runs on one thread. The workers read the files that the sweep names under the same paths.
+    process (all cores). A `client` is a Dask client, the module `ray`, or an executor; it runs `parts` parts (64, or the number of
+    variants if fewer), each on one thread. The workers read the files that the sweep names under the same paths.
     """
     text, path = os.fspath(sweep), "sweep"
     if not text.lstrip().startswith("Sweep("):

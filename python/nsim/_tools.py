@@ -1,7 +1,7 @@
 """Networks of other tools, in memory.
 
-A graph is written as the bytes of its own format and read by the importer of files, so that one in memory gives the network that its
-file gives.
+A graph is written as the bytes of its own format and read by the importer of files, so a graph in memory and its file give equal
+networks.
 """
 
 import io
@@ -13,12 +13,12 @@ def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, thres
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file.
 
     `dt_ms` is the timestep in ms, `reset` 'zero', 'subtract' or 'subtract-later', `decay` 'euler' or 'exponential' (sinabs), `threshold`
-    'strict' or 'inclusive', `decision` 'Spikes', 'GreatestV', 'SumOfV' or 'LastV'. `Network.notes` says by which conventions it was read. snnTorch
+    'strict' or 'inclusive', `decision` 'Spikes', 'GreatestV', 'SumOfV' or 'LastV'. `Network.notes` has the conventions of its import. snnTorch
     (`snntorch.export_nir.export_to_nir`) and Norse (`norse.torch.to_nir`) make such graphs of their networks.
     """
     if not hasattr(graph, "to_dict"):
-        message = f"from_nir takes a nir.NIRGraph, and this is a {type(graph).__name__}"
-        raise _torch.refusal(message, "a file is read by nsim.load(path), an object of the package nir by from_nir", "usage")
+        message = f"from_nir needs a nir.NIRGraph, but graph is a {type(graph).__name__}"
+        raise _torch.refusal(message, "read a file with nsim.load(path), and an object of the package nir with from_nir", "usage")
     import nir
 
     file = io.BytesIO()
@@ -30,11 +30,11 @@ def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, thres
 def from_torch(module, sample, *, export=None, **options):
     """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`.
 
-    A network of snnTorch or Norse is read from its modules and compared with them on random samples: what would differ is refused.
-    `check` are spikes `[samples, channels.., T]` to compare on too, `output` names the layer that decides, by default the first that
-    forward() returns. The timestep is that of Norse's cells, of snnTorch 0.1 ms as in its own exporter, and the reset is the modules',
-    unless options say otherwise. `export` is a function from (module, sample) to a graph of NIR, for another tool, which no comparison
-    follows. `options` are those of `from_nir`.
+    A network of snnTorch or Norse is read from its modules and compared with them on random samples: a network that differs is
+    refused. `check` are spikes `[samples, channels.., T]` for one more comparison, `output` names the layer that decides, by default
+    the first that forward() returns. Options replace the timestep (of Norse's cells; for snnTorch 0.1 ms, as in its own exporter) and the
+    reset of the modules. `export` is a function from (module, sample) to a graph of NIR, for another tool, without a comparison.
+    `options` are as in `from_nir`.
     """
     module = _torch.read(module, sample)
     kinds = {type(part).__module__.split(".")[0] for part in module.modules()}
@@ -42,7 +42,7 @@ def from_torch(module, sample, *, export=None, **options):
         return _torch.network_of(module, sample, **options)
     if export is None:
         message = f"the module ({_torch.kind_of(module)}) has no neurons of snnTorch or Norse"
-        help = "put neurons behind its layers, such as snntorch.Leaky; a network of sinabs is written by its own exporter " \
+        help = "put neurons after its layers, such as snntorch.Leaky; a network of sinabs is written by its own exporter " \
             "(docs/tutorials/from-pytorch.md); for another tool, give its exporter: export="
         raise _torch.refusal(message, help)
     try:
@@ -51,16 +51,16 @@ def from_torch(module, sample, *, export=None, **options):
         raise
     except Exception as error:
         message = f"the exporter to NIR stopped: {type(error).__name__}: {error}"
-        raise _torch.refusal(message, f"installed are {_versions()}; {WITHOUT_EXPORTER}") from error
+        raise _torch.refusal(message, f"installed versions: {_versions()}; {WITHOUT_EXPORTER}") from error
     return from_nir(graph, **options)
 
 
 WITHOUT_EXPORTER = "save the weights, torch.save(net.state_dict(), 'net.pt'), for nsim.load('net.pt', neuron=FILE), or build a " \
-    "nir.NIRGraph for nsim.from_nir; docs/tutorials/from-pytorch.md says which versions go together"
+    "nir.NIRGraph for nsim.from_nir; docs/tutorials/from-pytorch.md lists the versions that work together"
 
 
 def _versions():
-    """What is installed of the packages that take part in an export."""
+    """Installed versions of the packages of an export."""
     from importlib.metadata import PackageNotFoundError, version
 
     def one(name):

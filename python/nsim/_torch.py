@@ -1,10 +1,10 @@
-"""Networks of snnTorch and Norse: what each module means on a chip, and the proof that what was read is what runs.
+"""Networks of snnTorch and Norse: the meaning of each module on a chip, and the check that the network spikes as the module.
 
 Input: a module and one timestep of input. It is called once; every module that runs becomes nodes of a NIR graph with the equations of
 snnTorch 1.0.0 and Norse 1.1.0. Output: a network whose spikes in real numbers are those of the module, layer by layer, on random samples.
 
-A module, a value of a parameter or a computation that is not in the tables below is refused by its name, as is a network whose spikes
-differ.
+A module, a value of a parameter or a computation that is not in the tables below is refused by its name. A network whose spikes differ
+is refused too.
 """
 
 import contextlib
@@ -19,16 +19,16 @@ TIMESTEP_MS = 0.1
 """The timestep of snnTorch's own exporter."""
 
 ENDLESS = 2.0**52
-"""Steps of a time constant that leaves everything."""
+"""Steps of a time constant without decay."""
 
 SAMPLES, STEPS, SEED = 4, 30, 1
 """Random input with which both networks are compared; the rate grows from sample to sample."""
 
 ROUNDED = 0.01
-"""Share of a layer's spikes that may differ, as sums in another order round otherwise."""
+"""Share of a layer's spikes that may differ, as sums in another order round differently."""
 
 PASSED = {"Identity", "Dropout", "Dropout1d", "Dropout2d", "Dropout3d", "AlphaDropout", "Flatten", "Unflatten"}
-"""Modules that change no number of a trained network, or its shape alone."""
+"""Modules that change no number of a trained network, or only its shape."""
 
 AXES = {"Linear": 2, "Conv1d": 3, "Conv2d": 4, "AvgPool2d": 4, "BatchNorm1d": None, "BatchNorm2d": 4}
 """Layers between neurons, with the axes of their input, the batch included."""
@@ -36,19 +36,19 @@ AXES = {"Linear": 2, "Conv1d": 3, "Conv2d": 4, "AvgPool2d": 4, "BatchNorm1d": No
 ONE_STEP = "write forward() for one timestep: neurons with init_hidden=True, no init_leaky(), no loop over time, a sample [batch, channels..] " \
     "(docs/tutorials/from-pytorch.md#one-timestep)"
 
-OUTSIDE = "between modules, a sum of layers and a change of shape are read: what else forward() computes belongs into weights and biases"
+OUTSIDE = "between modules, only sums of layers and changes of shape are supported: put other computations of forward() into weights and biases"
 
 OF_TIME = {"getitem", "select", "unbind", "index_select", "narrow", "split", "chunk", "stack", "cat"}
-"""Functions that take timesteps out of a tensor or put them together."""
+"""Functions that extract timesteps from a tensor or join them."""
 
 STATE = "the state of "
-"""How what is known of a neuron's state begins."""
+"""Prefix of the description of a neuron's state."""
 
 VIEWS = {"flatten", "unflatten", "view", "reshape", "squeeze", "unsqueeze", "detach", "clone", "contiguous", "float", "double", "to"}
-"""Functions that change the shape or the type of a tensor and no number, where the batch stays its first axis."""
+"""Functions that change only the shape or type of a tensor, if the batch stays its first axis."""
 
 WRAPPERS = {"OptimizedModule": "_orig_mod", "DataParallel": "module", "DistributedDataParallel": "module"}
-"""Classes that run another module, with its name in them."""
+"""Classes that wrap another module, with the name of its attribute."""
 
 OF_SNNTORCH = {"Lapicque", "Leaky", "Synaptic", "RLeaky", "RSynaptic"}
 
@@ -57,7 +57,7 @@ SPIKING = " ".join(sorted(OF_SNNTORCH))
 OF_NORSE = {"LIFCell", "LIFRecurrentCell", "LIFBoxCell", "IAFCell"}
 
 OF_POTENTIAL = {"LICell", "LIBoxCell"}
-"""Neurons of Norse that never spike: their potential is what they give."""
+"""Neurons of Norse that never spike: they return their potential."""
 
 NEURONS = OF_SNNTORCH | OF_NORSE | OF_POTENTIAL
 
@@ -65,31 +65,31 @@ CARRIED = [
     ("Conv1d Conv2d", "padding_mode", ("zeros",), "pad with zeros: beyond the edge there are no neurons"),
     ("AvgPool2d", "ceil_mode", (False,), "choose a size that divides the plane, or padding="),
     ("AvgPool2d", "divisor_override", (None,), "scale the weights of the next layer instead"),
-    ("BatchNorm1d BatchNorm2d", "track_running_stats", (True,), "without a mean and a variance of its own, it depends on the batch"),
-    (SPIKING, "inhibition", (False,), "train without inhibition: a core has no circuit that lets one neuron win"),
+    ("BatchNorm1d BatchNorm2d", "track_running_stats", (True,), "train with track_running_stats=True: otherwise its result depends on the batch"),
+    (SPIKING, "inhibition", (False,), "train without inhibition: a core does not support winner-take-all"),
     (SPIKING, "state_quant", (False,), "train without state_quant: nsim rounds states as the chip does"),
-    (SPIKING, "graded_spikes_factor", (1,), "train with 1: spikes of a Loihi 1 core carry no value"),
+    (SPIKING, "graded_spikes_factor", (1,), "train with 1: a Loihi 1 core does not support graded spikes"),
     (SPIKING, "reset_mechanism", ("zero", "subtract"), "train with reset_mechanism='zero'; where the potential of the last layer decides, "
      "decision='GreatestV' (or 'SumOfV', 'LastV') reads it"),
 ]
-"""Classes, a parameter of theirs, the values that are carried, and what to do about others."""
+"""Classes, one of their parameters, its supported values, and the remedy for others."""
 
 INSTEAD = {
-    "MaxPool": "a core takes no maximum of sums: put the neurons in front of it, which changes the network, or train with torch.nn.AvgPool2d",
+    "MaxPool": "a core does not support a maximum of sums: put the neurons before it, which changes the network, or train with torch.nn.AvgPool2d",
     "ReLU": "put a spiking neuron in its place, such as snntorch.Leaky: a core sends spikes",
     "LayerNorm": "use torch.nn.BatchNorm1d or BatchNorm2d, whose numbers are constants once trained",
     "Alpha": "train with snntorch.Synaptic, whose current decays too",
     "BatchNormTT": "use torch.nn.BatchNorm1d or BatchNorm2d: weights are the same in every timestep",
 }
-"""What to use instead of a class, by the beginning of its name."""
+"""Replacements of classes, by the beginning of their names."""
 
-OF_SPIKES = "of spikes, AvgPool2d(k) and behind it snntorch.Leaky(beta=0, threshold=0.5 / k**2, reset_mechanism='zero', init_hidden=True) " \
-    "are the same without training"
-"""What to use instead of a maximum of spikes."""
+OF_SPIKES = "for spikes, AvgPool2d(k) followed by snntorch.Leaky(beta=0, threshold=0.5 / k**2, reset_mechanism='zero', init_hidden=True) " \
+    "is equivalent without training"
+"""Replacement of a maximum of spikes."""
 
 
 def refusal(message, help, code="import.torch"):
-    """The exception for what is not read, with what to change."""
+    """The exception for an unsupported module or value, with its remedy."""
     error = _nsim.Error(f"{message}\n  help: {help}")
     error.code, error.place, error.help = code, None, help
     error.reasons = [{"code": code, "message": message, "place": None, "help": help}]
@@ -97,7 +97,7 @@ def refusal(message, help, code="import.torch"):
 
 
 def kind_of(module):
-    """The name of a module's class; of a class that is not of torch, snnTorch or Norse, with its module."""
+    """The name of a module's class, with its package's name if it is not of torch, snnTorch or Norse."""
     kind = type(module)
     if hasattr(module, "parametrizations"):
         kind = kind.__mro__[1]
@@ -106,7 +106,7 @@ def kind_of(module):
 
 
 def check(module, name, by_potential=False):
-    """Refuses a value of a parameter that is not carried; without reset are neurons whose potential decides."""
+    """Refuses an unsupported value of a parameter; only neurons whose potential decides may have no reset."""
     kind = kind_of(module)
     for kinds, key, values, remedy in CARRIED:
         value = getattr(module, key, values[0])
@@ -115,10 +115,10 @@ def check(module, name, by_potential=False):
             continue
         if kind in kinds.split() and not any(value is one or (isinstance(value, (int, float, str)) and value == one) for one in values):
             said = " or ".join(map(repr, values))
-            raise refusal(f"'{name}' ({kind}): {key} is {value!r}, and only {said} is carried to a chip", remedy)
+            raise refusal(f"'{name}' ({kind}): {key} is {value!r}, but only {said} is supported", remedy)
     if kind == "AvgPool2d" and not module.count_include_pad and np.any(np.array(module.padding)):
         message = f"'{name}' (AvgPool2d): count_include_pad is False, and its padding is not 0"
-        raise refusal(message, "leave count_include_pad at True: every window then has the same weights")
+        raise refusal(message, "set count_include_pad=True: every window then has the same weights")
 
 
 def leaves(module, name=""):
@@ -134,7 +134,7 @@ def leaves(module, name=""):
 
 
 def reals(tensor, shape=None):
-    """Numbers of a tensor; those of single precision as the shortest decimals that they represent, as files are read."""
+    """Numbers of a tensor; single precision becomes its shortest decimals, as in files."""
     array = tensor.detach().cpu().numpy()
     array = array.astype(str).astype(np.float64) if array.dtype == np.float32 else array.astype(np.float64)
     return array if shape is None else np.broadcast_to(array, shape).copy()
@@ -154,34 +154,34 @@ def weights(module):
 
 
 def lapicque(module, shape, name):
-    """What a step takes of the voltage, and what an input counts: `U <- (1 - T / (R C)) U + T / C I`, T the `time_step`."""
+    """Share of the voltage that a step removes, and factor of an input: `U <- (1 - T / (R C)) U + T / C I`, T the `time_step`."""
     step, resistance, capacity = (reals(getattr(module, key), shape) for key in ("time_step", "R", "C"))
     taken = step / (resistance * capacity)
     if np.any((taken < 0) | (taken > 1)):
-        message = f"'{name}' (Lapicque): a step takes time_step / (R C) = {taken.max():.4g} of the voltage, which is not within 0 to 1"
-        raise refusal(message, "give it R C of at least time_step: with beta alone that is a beta of at least 0.3679")
+        message = f"'{name}' (Lapicque): a step removes time_step / (R C) = {taken.max():.4g} of the voltage, which is outside 0 to 1"
+        raise refusal(message, "give R C of at least time_step, or, with beta only, a beta of at least 0.3679")
     return taken, step / capacity
 
 
 def norse(module, shape, name):
-    """What a step takes of the current and of the voltage: `v <- v + dt tau_mem_inv (i - v)` and `i <- i - dt tau_syn_inv i`."""
+    """Shares of the current and of the voltage that a step removes: `v <- v + dt tau_mem_inv (i - v)` and `i <- i - dt tau_syn_inv i`."""
     kind, parameters = kind_of(module), module.p
     for key in ("v_leak", "v_reset"):
         value = reals(torch_of(getattr(parameters, key, 0.0)))
         if np.any(value != 0):
-            raise refusal(f"'{name}' ({kind}): {key} is {value.max():g}, and only 0 is carried to a chip", f"train with {key} 0")
+            raise refusal(f"'{name}' ({kind}): {key} is {value.max():g}, but only 0 is supported", f"train with {key} 0")
     taken = {}
     for state, key in (("alpha", "tau_syn_inv"), ("beta", "tau_mem_inv")):
         if hasattr(parameters, key):
             taken[state] = module.dt * reals(torch_of(getattr(parameters, key)), shape)
             if np.any((taken[state] < 0) | (taken[state] > 1)):
-                message = f"'{name}' ({kind}): a step takes dt {key} = {taken[state].max():.4g} of its state, which is not within 0 to 1"
+                message = f"'{name}' ({kind}): a step removes dt {key} = {taken[state].max():.4g} of its state, which is outside 0 to 1"
                 raise refusal(message, f"train with {key} of at most 1 / dt = {1 / module.dt:g}")
     return taken
 
 
 def is_head(module):
-    """Whether neurons are read by their potential alone: snnTorch's never return from a spike where nothing resets them."""
+    """Whether only the potential of neurons is read: without a reset, snnTorch's neurons never return from a spike."""
     return kind_of(module) in OF_POTENTIAL or getattr(module, "reset_mechanism", None) == "none"
 
 
@@ -197,7 +197,7 @@ def neuron(module, shape, dt, name):
     kind = kind_of(module)
     if kind not in OF_SNNTORCH:
         taken = norse(module, shape, name)
-        # A current counts what a step takes of the voltage; where nothing decays it is added as it is.
+        # A current is multiplied by the share of the voltage that a step removes; without decay by 1.
         counts = taken.setdefault("beta", np.zeros(shape))
         return node_of(taken, np.where(counts > 0, counts, 1.0), None if is_head(module) else reals(torch_of(module.p.v_th), shape), dt)
     taken = {key: 1 - np.clip(reals(getattr(module, key), shape), 0, 1) for key in ("alpha", "beta") if hasattr(module, key)}
@@ -208,7 +208,7 @@ def neuron(module, shape, dt, name):
 
 
 def node_of(taken, counts, threshold, dt):
-    """The node of neurons of which a step takes these shares, times what an input counts; without a threshold they never spike."""
+    """The node of neurons with shares of decay `taken` and factor of inputs `counts`; without a threshold they never spike."""
     steps = {key: np.where(share > 0, 1 / np.maximum(share, 1 / ENDLESS), ENDLESS) for key, share in taken.items()}
     node = {"r": steps["beta"] * counts, "v_leak": np.zeros_like(taken["beta"])}
     kind = "LI" if threshold is None else "LIF"
@@ -220,7 +220,7 @@ def node_of(taken, counts, threshold, dt):
 
 
 def cleared(module):
-    """Forgets the states of all neurons."""
+    """Clears the states of all neurons."""
     import torch
 
     for part in module.modules():
@@ -230,13 +230,13 @@ def cleared(module):
 
 
 def read(module, sample):
-    """The module that is to be read, out of what wraps it; refuses what is none, and a sample that is no tensor."""
+    """The module to read, without its wrappers; refuses other objects, and a sample that is no tensor."""
     if not hasattr(module, "named_modules"):
-        message = f"module is a {type(module).__name__}, and a torch.nn.Module is read"
-        help = "give the network itself; weights alone are read from a file: torch.save(net.state_dict(), 'net.pt'), nsim.load('net.pt')"
+        message = f"module is a {type(module).__name__}, expected a torch.nn.Module"
+        help = "give the network itself; to load only weights, use a file: torch.save(net.state_dict(), 'net.pt'), nsim.load('net.pt')"
         raise refusal(message, help)
     if not hasattr(sample, "detach"):
-        message = f"sample is a {type(sample).__name__}, and a tensor shows one timestep of the input"
+        message = f"sample is a {type(sample).__name__}, expected a tensor with one timestep of input"
         raise refusal(message, "give torch.zeros(1, channels..); a network of several inputs is built with nir for nsim.from_nir")
     while type(module).__name__ in WRAPPERS:
         module = module._modules[WRAPPERS[type(module).__name__]]
@@ -244,7 +244,7 @@ def read(module, sample):
 
 
 def casting(module, dtype):
-    """Makes each part of a module take its input in the type of its parameters: spikes of snnTorch have single precision always."""
+    """Casts the input of each part of a module to `dtype`, as spikes of snnTorch always have single precision; returns the hooks."""
     import torch
 
     cast = lambda one: one.to(dtype) if isinstance(one, torch.Tensor) and one.is_floating_point() else one
@@ -252,7 +252,7 @@ def casting(module, dtype):
 
 
 def called(module, given):
-    """What a module makes of its input."""
+    """The result of a module for an input."""
     try:
         return module(given)
     except _nsim.Error:
@@ -278,7 +278,7 @@ def copied(module):
 
 @contextlib.contextmanager
 def listed(module):
-    """For its time snnTorch's lists of neurons hold those of a module: `reset_hidden()` and `utils.reset` go over them."""
+    """Limits snnTorch's lists of neurons to a module's neurons: `reset_hidden()` and `utils.reset` iterate over them."""
     parts = list(module.modules())
     owners = {owner for part in parts for owner in type(part).__mro__ if isinstance(vars(owner).get("instances"), list)}
     kept = [(owner, owner.instances) for owner in owners]
@@ -292,9 +292,9 @@ def listed(module):
 
 
 def remedy(what):
-    """What to change where a tensor is, in words, this."""
+    """The remedy for a tensor with this description."""
     if what.startswith(STATE):
-        return "pass on the spikes, the first of what a neuron gives: its state stays on its core"
+        return "pass on the spikes, the first result of a neuron: its state stays on its core"
     if any(f"'{name}'" in what for name in OF_TIME):
         return ONE_STEP
     return OUTSIDE
@@ -310,9 +310,9 @@ class Trace:
         self.nodes = {"input": {"type": "Input", "shape": np.array(sample.shape[1:])}}
         self.shapes = {"input": sample.shape[1:]}
         self.edges, self.neurons, self.dt, self.inside, self.by_potential = [], {}, dt, 0, by_potential
-        # Of each node its module, and of neurons the modules before them.
+        # The module of each node, and the modules before each layer of neurons.
         self.modules, self.before = {}, {}
-        # Of each tensor the nodes whose sum it is, or in words what it is; tensors are kept, as numbers of freed ones are used again.
+        # For each tensor the nodes whose sum it is, or a description; tensors are stored, as Python reuses the ids of freed ones.
         self.known, self.kept = {}, []
         self.learn(sample, {"input"})
         hooks = [part.register_forward_pre_hook(self.enter, with_kwargs=True) for part in self.names]
@@ -327,7 +327,7 @@ class Trace:
         self.decide(out if isinstance(out, (tuple, list)) and len(out) > 0 else [out], output)
 
     def watching(self):
-        """Sees what is computed outside of modules: a sum adds edges, another shape changes nothing, else the result is no node's."""
+        """Watches computations outside of modules: a sum adds edges, a change of shape nothing; any other result belongs to no node."""
         import torch
         from torch.overrides import TorchFunctionMode
 
@@ -347,7 +347,7 @@ class Trace:
                     if not isinstance(one, torch.Tensor) or not one.is_floating_point():
                         continue
                     if name.strip("_") in ("add", "radd", "iadd") and whole and len({tuple(part.shape) for part in given}) == 1:
-                        # A sum of a tensor with itself counts twice, which one edge does not.
+                        # A sum of a tensor with itself counts twice, but one edge counts once.
                         doubled = sum(map(len, sources)) > len(set().union(*sources))
                         trace.learn(one, "a sum that counts a layer twice" if doubled else set().union(*sources))
                     elif name in VIEWS and same:
@@ -363,28 +363,28 @@ class Trace:
         self.kept.append(tensor)
 
     def connect(self, tensor, to, what):
-        """Edges to a node from what a tensor is the sum of."""
+        """Adds edges to a node from the nodes whose sum a tensor is."""
         sources = self.known.get(id(tensor), "no output of a module of the network")
         if isinstance(sources, str):
-            message = f"{what} is {sources}, which a network on a chip does not compute"
+            message = f"{what} is {sources}, which is not supported on a chip"
             raise refusal(message, remedy(sources))
         for head in [self.modules[source] for source in sources if to != "output" and is_head(self.modules.get(source))]:
-            message = f"{what} is the potential of '{self.names[head]}' ({kind_of(head)}), and a core sends spikes"
-            raise refusal(message, "put a spiking neuron in its place: without a reset, the last layer alone is read")
+            message = f"{what} is the potential of '{self.names[head]}' ({kind_of(head)}), but a core sends spikes"
+            raise refusal(message, "put a spiking neuron in its place: only the last layer may have no reset")
         self.edges += [(source, to) for source in sorted(sources)]
 
     def decide(self, outs, wanted):
-        """The edge to the output: from the layer that is wanted, else from the first of what forward() returns."""
+        """Adds the edge to the output: from the layer `wanted`, else from the first result of forward()."""
         layers = {self.names[module]: node for module, node in self.neurons.items()}
         if wanted is not None:
             if wanted not in layers:
-                raise refusal(f"output is {wanted!r}, and no layer of neurons has that name", f"output= is one of {', '.join(layers)}")
+                raise refusal(f"output is {wanted!r}, but no layer of neurons has that name", f"output= is one of {', '.join(layers)}")
             self.edges.append((layers[wanted], "output"))
             return
         first = self.known.get(id(outs[0]), "")
         if isinstance(first, str) and first.startswith(STATE):
-            message = f"forward() returns first {first}, and the spikes of a layer are the output"
-            help = "return spikes first; decision='GreatestV' (or 'SumOfV', 'LastV') lets the potential of that layer decide all the same"
+            message = f"the first result of forward() is {first}, expected the spikes of a layer"
+            help = "return spikes first; with decision='GreatestV' (or 'SumOfV', 'LastV') the potential of that layer still decides"
             raise refusal(message, help)
         self.connect(outs[0], "output", "the network's output")
         before = {"output"}
@@ -395,7 +395,7 @@ class Trace:
             for node in [] if isinstance(sources, str) else sources - before:
                 first = ", ".join(f"'{name}'" for name, known in layers.items() if known in self.known[id(outs[0])])
                 name = next((name for name, known in layers.items() if known == node), node)
-                message = f"forward() returns first what {first or 'no neuron'} gives, then what '{name}' gives, and the first is the output"
+                message = f"forward() returns first the result of {first or 'no neuron'}, then of '{name}', and the first is used as the output"
                 raise refusal(message, f"return the layer that decides first, or name it: output='{name}'")
 
     def enter(self, module, args, kwargs):
@@ -407,18 +407,18 @@ class Trace:
             if kind.startswith("MaxPool") and not isinstance(sources, str) and sources <= {"input", *self.neurons.values()}:
                 instead = OF_SPIKES
             if f"{kind}Cell" in NEURONS:
-                instead = f"use norse.torch.{kind}Cell: forward() is of one timestep"
-            others = "carried are " + ", ".join(sorted(PASSED | set(AXES) | NEURONS)) + ", and modules made of these"
-            raise refusal(f"'{name}' ({kind}) has no counterpart on a chip that nsim knows", instead or others)
+                instead = f"use norse.torch.{kind}Cell: forward() computes one timestep"
+            others = "supported are " + ", ".join(sorted(PASSED | set(AXES) | NEURONS)) + ", and modules made of these"
+            raise refusal(f"'{name}' ({kind}) is not supported on the chips of nsim", instead or others)
         check(module, name, self.by_potential)
         given = (*args, *kwargs.values())[0]
         if not hasattr(given, "dim"):
-            message = f"'{name}' ({kind}) receives a {type(given).__name__}, and spikes are a tensor"
-            raise refusal(message, "of neurons, those with init_hidden=True and without output=True give their spikes alone")
+            message = f"'{name}' ({kind}) receives a {type(given).__name__}, expected a tensor of spikes"
+            raise refusal(message, "use neurons with init_hidden=True and without output=True, which return only their spikes")
         axes = AXES.get(kind) or (given.dim() if given.dim() > 1 else 2)
         if given.dim() != axes:
             wanted = ", ".join(["batch", "channels", "height", "width"][: 4 if axes == 4 else 2] + ["length"] * (axes == 3))
-            message = f"'{name}' ({kind}) receives {list(given.shape)}, and [{wanted}] is expected"
+            message = f"'{name}' ({kind}) receives shape {list(given.shape)}, expected [{wanted}]"
             if isinstance(self.known.get(id(given)), str):
                 help = remedy(self.known[id(given)])
             elif self.known.get(id(given)) != {"input"}:
@@ -451,9 +451,9 @@ class Trace:
             sources = self.known.get(id(given), "")
             before = {self.modules.get(source) for source in sources} if not isinstance(sources, str) else sources
             if module in self.neurons:
-                message = f"'{name}' ({kind}) runs more than once in a call, and a neuron of the chip once in a timestep"
+                message = f"'{name}' ({kind}) runs more than once in a call, but a neuron of the chip runs once in a timestep"
                 shared = before != self.before[module] and not isinstance(before, str)
-                raise refusal(message, "give each layer neurons of its own" if shared else ONE_STEP)
+                raise refusal(message, "give each layer its own neurons" if shared else ONE_STEP)
             self.neurons[module], self.before[module] = node, before
             self.nodes[node] = neuron(module, tuple(spikes.shape[1:]), self.dt, name)
             if kind.startswith("R") or kind == "LIFRecurrentCell":
@@ -465,7 +465,7 @@ class Trace:
                 for source in () if isinstance(sources, str) else sources:
                     if np.any(self.nodes.get(source, {}).get("bias", 0)):
                         message = f"'{name}' (LIFRecurrentCell) multiplies the bias of '{self.names[self.modules[source]]}' with its input weights"
-                        raise refusal(message, "train that layer with bias=False, or leave it out: the cell has input weights of its own")
+                        raise refusal(message, "train that layer with bias=False, or remove it: the cell has its own input weights")
                 self.nodes[into] = {"type": "Linear", "weight": module.input_weights.detach().cpu().numpy()}
                 self.edges.append((into, node))
                 self.connect(given, into, f"the input of '{name}' ({kind})")
@@ -481,7 +481,7 @@ class Trace:
         self.learn(spikes, {node})
 
     def reshaped(self, given, name):
-        """A tensor that is known in the axes that it has, behind a node that gives them to what arrives in others."""
+        """A tensor with the axes of its nodes, else its view after a new node that reshapes them."""
         sources = self.known.get(id(given), "")
         if isinstance(sources, str) or all(self.shapes[source] == given.shape[1:] for source in sources):
             return given
@@ -494,7 +494,7 @@ class Trace:
         return view
 
     def add(self, name):
-        """The name of a new node, which is that of its population."""
+        """Adds a node and returns its name, which its population gets too."""
         name = re.sub(r"[^\w-]", "_", name)
         while name in self.nodes or name == "output":
             name += "_"
@@ -502,13 +502,13 @@ class Trace:
         return name
 
     def fold(self, module, name, given, out):
-        """Takes a normalisation into the weights before it: in a trained network it scales and shifts each channel."""
+        """Folds a normalisation into the weights before it: in a trained network it scales and shifts each channel."""
         sources = self.known.get(id(given), "")
         before = next(iter(sources)) if len(sources) == 1 and not isinstance(sources, str) else None
         node = self.nodes.get(before, {})
         if "weight" not in node or any(source == before for source, _ in self.edges):
-            message = f"'{name}' ({kind_of(module)}) does not stand alone behind a linear or convolutional layer"
-            raise refusal(message, "put it directly behind the layer whose channels it scales: its numbers become weights and biases there")
+            message = f"'{name}' ({kind_of(module)}) does not directly follow a linear or convolutional layer"
+            raise refusal(message, "put it directly after the layer whose channels it scales: its numbers become weights and biases there")
         channels = node["weight"].shape[0]
         given_or = lambda tensor, usual: np.full(channels, usual) if tensor is None else reals(tensor)
         scale = given_or(module.weight, 1.0) / np.sqrt(reals(module.running_var) + module.eps)
@@ -521,7 +521,7 @@ class Trace:
 
 
 def recurrent(module, shape, name):
-    """The node of what a layer of neurons sends itself."""
+    """The node of the connection of a layer of neurons to itself."""
     if hasattr(module, "recurrent_weights"):
         return {"type": "Linear", "weight": module.recurrent_weights.detach().cpu().numpy()}
     module = module.recurrent
@@ -532,7 +532,7 @@ def recurrent(module, shape, name):
 
 
 def resets(neurons, names):
-    """How all neurons reset, and the names of those that stay at 0 for a step, as `nsim import` reads them from a state dict."""
+    """The reset of all neurons, and the names of nodes that stay at 0 for a step, as in `nsim import` of a state dict."""
     neurons = {module: node for module, node in neurons.items() if not is_head(module)}
     # A cell of Norse resets when it spikes.
     later = {module: kind_of(module) in OF_SNNTORCH and getattr(module, "reset_delay", True) for module in neurons}
@@ -540,7 +540,7 @@ def resets(neurons, names):
     how = set(mechanism.values())
     if len(how) > 1 or ("subtract" in how and len(set(later.values())) > 1):
         each = ", ".join(f"'{names[one]}' {mechanism[one]!r}{'' if later[one] else ' without reset_delay'}" for one in neurons)
-        raise refusal(f"the layers reset in different ways: {each}", "train all layers with reset_mechanism='zero'")
+        raise refusal(f"the layers have different resets: {each}", "train all layers with reset_mechanism='zero'")
     at_once = [f"'{names[one]}'" for one in neurons if kind_of(one) in OF_SNNTORCH and not later[one]]
     if how == {"subtract"} and at_once:
         message = f"{', '.join(at_once)}: reset_delay=False lets snnTorch subtract before it compares where a neuron stays above its threshold"
@@ -552,7 +552,7 @@ def resets(neurons, names):
 
 
 def norse_reset(module, name):
-    """How a cell of Norse resets, in the words of snnTorch."""
+    """The reset of a cell of Norse, as snnTorch names it."""
     how = getattr(getattr(module.p, "reset_method", None), "__name__", "reset_value")
     if how not in ("reset_value", "reset_subtract"):
         raise refusal(f"'{name}' ({kind_of(module)}): reset_method is {how}", "train with reset_value, or with reset_subtract")
@@ -560,7 +560,7 @@ def norse_reset(module, name):
 
 
 def remembering(neurons):
-    """Makes each cell of Norse go on with the state that it left, which its module passes around; hooks."""
+    """Makes each cell of Norse continue from its last state, which its module would pass on; returns the hooks."""
     states = {}
     cells = [one for one in neurons if kind_of(one) not in OF_SNNTORCH]
     given = lambda one, args, kwargs: (((*args, *kwargs.values())[0], states.get(one)), {})
@@ -577,7 +577,7 @@ def timestep_ms(module):
 
 
 def network_of(module, sample, name="network", dt_ms=None, reset=None, output=None, check=None, **options):
-    """A module of snnTorch or Norse as a network, which does what the module does.
+    """A module of snnTorch or Norse as a network, which spikes as the module does.
 
     `output` names the layer that decides, by default the first that forward() returns. `check` are spikes `[samples, channels.., T]` on
     which the network is compared with the module, beyond the random ones.
@@ -607,10 +607,10 @@ def network_of(module, sample, name="network", dt_ms=None, reset=None, output=No
 
 
 def training(module):
-    """A note on the modules that do something else while they are trained."""
+    """A note on the modules that behave differently in training."""
     differ = [(name, kind_of(part)) for name, part in module.named_modules() if part.training]
     named = [f"'{name}' ({kind})" for name, kind in differ if "Dropout" in kind or kind.startswith("BatchNorm")]
-    return [f"read as after net.eval(), though these are being trained: {', '.join(named)}"] if named else []
+    return [f"these modules are in training mode, but are read as after net.eval(): {', '.join(named)}"] if named else []
 
 
 def drawn(shape):
@@ -651,7 +651,7 @@ def compare(network, module, trace, given):
             called(module, torch.from_numpy(given[..., step]).double())
     for hook in hooks:
         hook.remove()
-    # Layers behind the output answer later than it does.
+    # Spikes need one step per layer, so steps of silence follow.
     silence = np.zeros((*given.shape[:-1], len(trace.neurons)), np.uint8)
     ours = dict(_nsim.real_spikes(network, np.concatenate([given, silence], axis=-1)))
     for module, node in spiking.items():
@@ -662,5 +662,5 @@ def compare(network, module, trace, given):
         differing, all_of = int((theirs != mine).sum()), int(theirs.sum() + mine.sum())
         if differing > ROUNDED * all_of:
             message = f"'{trace.names[module]}' ({kind_of(module)}) spikes {int(theirs.sum())} times in PyTorch and {int(mine.sum())} " \
-                f"times as nsim reads it, {differing} of them apart, in {samples} samples of {steps} steps: the network was not understood"
+                f"times in nsim, with {differing} differences, in {samples} samples of {steps} steps: the network was read wrongly"
             raise refusal(message, f"its forward() may reset neurons in each call, or depend on the batch, on numbers or on time: {ONE_STEP}")

@@ -4,8 +4,8 @@
 >>> from nsim.neurobench import Model, classes
 >>> Benchmark(Model(nsim.load("net.ron").map()), loader, [], [classes], [static, workload]).run()
 
-Batches are `[samples, T, channels..]`, the channels of all input populations one after the other; the model gives output spikes
-`[samples, T, outputs]`. Samples run on the simulated cores; what they did is then passed through layers that the harness watches:
+Batches are `[samples, T, channels..]`, the channels of all input populations in sequence; the model returns output spikes
+`[samples, T, outputs]`. Samples run on the simulated cores; their spikes and voltages then pass through layers that the harness measures:
 each projection is a linear or convolutional layer with integer weights, each population a layer of spiking neurons.
 `Run.neurobench()` gives the same metrics without torch.
 """
@@ -46,7 +46,7 @@ class _Conv2d(torch.nn.Conv2d):
 
 
 class _Neurons(snntorch.SpikingNeuron):
-    """A population: its state after a timestep is what the run recorded."""
+    """A population, with the recorded state after a timestep."""
 
     def __init__(self, compartments):
         torch.nn.Module.__init__(self)
@@ -78,7 +78,7 @@ class _Network(torch.nn.Module):
         self.names = [name for name, _ in populations]
 
     def replay(self, spikes, voltages):
-        """Passes what a run did through the layers; `spikes` of all populations, `[samples, T, n]`."""
+        """Passes the spikes and voltages of a run through the layers; `spikes` of all populations, `[samples, T, n]`."""
         steps = next(iter(spikes.values())).shape[1]
         layers = list(zip(self.names, self.populations.values()))
         rest = {layer: layer.mem for _, layer in layers}
@@ -94,7 +94,7 @@ class _Network(torch.nn.Module):
 
 
 class Model(NeuroBenchModel):
-    """A mapping that the harness runs, of one network whose spikes and voltages all fit memory."""
+    """A mapping that the harness runs; all spikes and voltages of its network have to fit memory."""
 
     def __init__(self, mapping):
         super().__init__()
@@ -123,7 +123,7 @@ class Model(NeuroBenchModel):
         run = self.mapping.run(arrays, time_first=True, probe=names)
         recorded = {name: torch.from_numpy(run.probe(name)).transpose(1, 2) for name in names}
         spikes = {name: recorded[f"{name}.spikes"] for name in self.probes}
-        # A channel spikes or does not, whatever number an array has.
+        # Any number other than 0 is one spike.
         spikes.update({name: (part != 0).to(torch.int32) for name, part in parts.items()})
         self.net.replay(spikes, {name: recorded[f"{name}.v"] for name in self.probes})
         return spikes[self.mapping.output]

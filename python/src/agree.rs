@@ -82,14 +82,15 @@ impl Agreement {
                 return Err(usage(message, "compare it with against='cuba' or against='golden'"));
             }
             Some(other) => {
-                let message = format!("against is '{other}', which is no word that is known and no model file");
+                let message = format!("against is '{other}', which is neither a keyword nor a model file");
                 let help = "against is one of srm, cuba, golden, a model file, an nsim.Network or an nsim.Conversion";
                 return Err(usage(message, help));
             }
         };
         let given: Option<Bound<'_, PyAny>> = keywords.only("conversion")?.take("conversion")?;
         if given.is_some_and(|given| in_memory(&given).is_some()) {
-            let message = "conversion is a network, and says how spike response neurons become integers".to_string();
+            let message =
+                "conversion is a network, but it selects how spike response neurons become integers".to_string();
             return Err(usage(message, "give the network or the nsim.Conversion as against="));
         }
         let conversion = keywords.one_of("conversion", &Conversion::ALL, Conversion::name)?;
@@ -104,7 +105,7 @@ impl Agreement {
         let force = keywords.take("force")?.unwrap_or(false);
         if let Some(path) = &plot {
             if path.extension().is_none_or(|extension| extension != "svg") {
-                let message = format!("plot is {}, which is no .svg", path.display());
+                let message = format!("plot is {}, which does not end in .svg", path.display());
                 return Err(usage(message, "name a file that ends in .svg"));
             }
             check_free(path, force).map_err(|problem| raised(py, problem))?;

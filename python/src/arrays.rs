@@ -41,17 +41,20 @@ impl<'py> Array<'py> {
         let (py, name) = (value.py(), name.into());
         let numpy = py.import("numpy")?;
         if is_masked(value, &numpy.getattr("ma")?.getattr("MaskedArray")?, 0)? {
-            let help = "say what stands where it is masked: array.filled(0)";
+            let help = "fill the masked values: array.filled(0)";
             return Err(refused(py, format!("{name} is a masked array, whose mask would be lost"), help));
         }
         let array =
             numpy.call_method1("asarray", (value,)).map_err(|error| match error.is_instance_of::<PyException>(py) {
                 true => {
                     let help = match value.hasattr("detach").unwrap_or(false) {
-                        true => "a tensor becomes an array as tensor.detach().cpu().to_dense().float().numpy()",
-                        false => "rows of one length make an array: pad samples with zeros, or give one at a time",
+                        true => "convert a tensor to an array: tensor.detach().cpu().to_dense().float().numpy()",
+                        false => {
+                            "the rows of an array must have equal lengths: pad samples with zeros, or give one at a \
+                             time"
+                        }
                     };
-                    refused(py, format!("{name} is no array of numbers: {}", error.value(py)), help)
+                    refused(py, format!("{name} is not an array of numbers: {}", error.value(py)), help)
                 }
                 false => error,
             })?;
@@ -63,22 +66,22 @@ impl<'py> Array<'py> {
                 return Ok(Array { name, array, is_truth: true });
             }
             (b'i' | b'u', _) | (b'f', ..=8) => return Ok(Array { name, array, is_truth: false }),
-            (b'f', _) => ("long floating-point numbers", "array.astype(numpy.float64) has numbers of 8 bytes"),
+            (b'f', _) => ("long floating-point numbers", "convert to numbers of 8 bytes: array.astype(numpy.float64)"),
             (b'c', _) => ("complex numbers", "take one part of them: array.real, array.imag or numpy.abs(array)"),
             (b'O', _) => (
                 "Python objects",
-                "rows of one length, of numbers of at most 64 bits and without None, make an array; a sparse array \
-                 has array.toarray()",
+                "an array needs rows of equal length, with numbers of at most 64 bits and no None; convert a sparse \
+                 array with array.toarray()",
             ),
             (b'V', _) if dtype.has_fields() => (
                 "records of several fields",
                 "take one field, such as array[array.dtype.names[0]]; events with the fields t, x, y and p are spikes",
             ),
-            (b'V', _) => ("raw bytes", "array.view(DTYPE) has the numbers that were stored as bytes"),
-            (b'M' | b'm', _) => ("dates or durations", "array.astype('int64') counts their units"),
-            _ => ("text", "array.astype(float) has the numbers that text spells"),
+            (b'V', _) => ("raw bytes", "read the numbers stored as bytes with array.view(DTYPE)"),
+            (b'M' | b'm', _) => ("dates or durations", "convert to a number of units: array.astype('int64')"),
+            _ => ("text", "convert text to numbers: array.astype(float)"),
         };
-        Err(refused(py, format!("{name} has dtype {dtype}: it holds {what}, which are not read"), help))
+        Err(refused(py, format!("{name} has dtype {dtype}: it holds {what}, which are not supported"), help))
     }
 
     /// Its name in messages.
@@ -132,7 +135,7 @@ impl<'py> Array<'py> {
 
     fn not_finite(&self, index: usize, value: f64) -> Diagnostic {
         let help = match self.name.as_str() {
-            "labels" => "give no samples without a label: spikes[numpy.isfinite(labels)]",
+            "labels" => "remove samples without a label: spikes[numpy.isfinite(labels)]",
             _ => "numpy.nan_to_num(array, posinf=0, neginf=0) makes it 0",
         };
         self.wrong(index, value, "not a finite number").help(help)
@@ -181,7 +184,8 @@ impl<'py> Array<'py> {
             if number.fract() != 0.0 {
                 let wrong = self.wrong(index, number, WHOLE);
                 let help = "encode real numbers as spikes (constant input: \
-                            docs/tutorials/from-pytorch.md#other-codes), or take those from 0.5 on: array >= 0.5";
+                            docs/tutorials/from-pytorch.md#other-codes), or let values from 0.5 be spikes: \
+                            array >= 0.5";
                 return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
             }
             if number < 0.0 {
@@ -302,9 +306,7 @@ impl Array<'_> {
     /// Refuses truth values, which count nothing.
     pub fn check_counts(&self, help: &str) -> PyResult<()> {
         match self.is_truth {
-            true => {
-                Err(refused(self.array.py(), format!("{} holds truth values, which count nothing", self.name), help))
-            }
+            true => Err(refused(self.array.py(), format!("{} holds truth values, expected numbers", self.name), help)),
             false => Ok(()),
         }
     }

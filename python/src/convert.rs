@@ -60,8 +60,8 @@ impl Conversion {
         let training = keywords.path("training")?;
         let train = sources(keywords.take("train")?.as_ref())?;
         if epochs == 0 && (training.is_some() || !train.is_empty()) {
-            let message = "training= and train= are for fine-tuning, and fine_tune is 0".to_string();
-            return Err(usage(message, "give fine_tune=EPOCHS, or leave training= and train= out"));
+            let message = "training= and train= are for fine-tuning, but fine_tune is 0".to_string();
+            return Err(usage(message, "give fine_tune=EPOCHS, or remove training= and train="));
         }
         let scene = network.file().scene.as_deref();
         let shown = Shown::new(&job.integers, scene, spikes, keywords)?;

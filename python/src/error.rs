@@ -13,15 +13,15 @@ pyo3::create_exception!(
     nsim,
     Error,
     PyException,
-    "What nsim cannot do: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` says what to change \
-     or is None; `reasons` has a dictionary for each problem."
+    "An error of nsim: `code` names the problem, `place` is FILE:LINE:COLUMN or None, `help` is the remedy or None; \
+     `reasons` has a dictionary for each problem."
 );
 
 pyo3::create_exception!(
     nsim,
     Warning,
     PyUserWarning,
-    "What stands out in a run, such as a population that never spikes, and what would change it."
+    "A warning about a run, such as a population that never spikes, with a remedy."
 );
 
 /// Words of a shell, and their equivalents in Python.

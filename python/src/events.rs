@@ -60,13 +60,16 @@ impl Events {
             if samples.is_some() {
                 return Err(usage(
                     "records are one sample".into(),
-                    "leave samples= out, or give rows (sample, step, channel)",
+                    "remove samples=, or give rows (sample, step, channel)",
                 ));
             }
             records.options.steps = steps;
             records.options.unit = match unit.map(|unit| (unit, TimeUnit::from_name(unit))) {
                 Some((unit, None)) => {
-                    return Err(usage(format!("unit is '{unit}', which is not known"), "unit is one of us, ms, s, ns"));
+                    return Err(usage(
+                        format!("unit is '{unit}', which is not supported"),
+                        "unit is one of us, ms, s, ns",
+                    ));
                 }
                 known => known.and_then(|(_, unit)| unit),
             };
@@ -105,7 +108,7 @@ fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyRe
         [count, 3] => {
             return Err(usage(
                 format!("there are {count} events, more than {MOST_ROWS}"),
-                "give some samples at a time",
+                "give fewer samples per call",
             ));
         }
         ref shape => return Err(usage(format!("events have shape {shape:?}, not [spikes, 3]"), form)),
@@ -113,7 +116,7 @@ fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyRe
     array.check_counts(form)?;
     let mut rows = vec![[0u32; 3]; count];
     let mut last = 0;
-    let help = "rows are (sample, step, channel), counted from 0; steps= and samples= say how many there are";
+    let help = "rows are (sample, step, channel), counted from 0; steps= and samples= are their numbers";
     let [sample, step, channel] =
         [("sample", samples.unwrap_or(MOST_SAMPLES)), ("step", steps.into()), ("channel", 1 << 32)]
             .map(|(what, limit)| Counted { what, limit, help, code: "input.shape" });
@@ -214,9 +217,9 @@ impl Records {
             };
             // Advice about a file is replaced by advice for Python.
             problem = match problem.code {
-                "input.unit" => problem.help("say it: nsim.Events(records, unit='ms') (or us, s, ns)"),
+                "input.unit" => problem.help("give the unit: nsim.Events(records, unit='ms') (or us, s, ns)"),
                 "input.empty" | "input.too-long" => {
-                    problem.help("say how long the sample is: nsim.Events(records, steps=N)")
+                    problem.help("give the length of the sample: nsim.Events(records, steps=N)")
                 }
                 "input.events" => {
                     problem.help("a recording has x and y from 0, p of 0 and 1 or -1 and 1, and one time t")
@@ -228,7 +231,7 @@ impl Records {
         if counts.dropped > 0 {
             let (name, dropped, events) = (&population.name, counts.dropped, counts.events);
             let message =
-                format!("'{name}': {dropped} of {events} events have no channel or no timestep, and were left out");
+                format!("'{name}': {dropped} of {events} events have no channel or no timestep and were dropped");
             warn_of(py, &message)?;
         }
         Ok(spikes)

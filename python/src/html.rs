@@ -77,7 +77,7 @@ pub fn populations<S: Copy + Into<u64>>(caption: &str, populations: &[(String, &
 /// Rows as a data frame of pandas, or of polars where only that is installed.
 pub fn frame<'py>(py: Python<'py>, rows: &Value) -> PyResult<Bound<'py, PyAny>> {
     let library = py.import("pandas").or_else(|_| py.import("polars")).map_err(|_| {
-        usage("a table is a data frame of pandas, which is not installed".to_string(), "install it: pip install pandas")
+        usage("tables are data frames of pandas, which is not installed".to_string(), "install it: pip install pandas")
     })?;
     let rows: Vec<Value> = rows.as_array().into_iter().flatten().map(flat).collect();
     library.call_method1("DataFrame", (to_python(py, &Value::Array(rows))?,))

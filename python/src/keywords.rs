@@ -59,9 +59,10 @@ impl<'py> Keywords<'py> {
         let known = || all.iter().map(|&value| name_of(value)).collect::<Vec<_>>().join(", ");
         match found {
             Some(value) => Ok(Some(value)),
-            None => {
-                Err(usage(format!("{name} is '{given}', which is not known"), &format!("{name} is one of {}", known())))
-            }
+            None => Err(usage(
+                format!("{name} is '{given}', which is not supported"),
+                &format!("{name} is one of {}", known()),
+            )),
         }
     }
 
@@ -95,9 +96,9 @@ fn wrong(name: &str, value: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
         let value = shown(value);
         let help = match value.contains('-') {
             true => format!("give {name} a number that is not negative"),
-            false => format!("give {name} a smaller number, or as many numbers as it takes"),
+            false => format!("give {name} a smaller number, or the right number of values"),
         };
-        return usage(format!("{name} is {value}, which is not taken: {said}"), &help);
+        return usage(format!("{name} is {value}, which is not supported: {said}"), &help);
     }
     match error.is_instance_of::<PyTypeError>(py) {
         true => PyTypeError::new_err(format!("{name}: {said}")),

@@ -226,8 +226,11 @@ impl Mapping {
     ) -> PyResult<Energy> {
         let keywords = Keywords::new(options)?;
         if keywords.take::<Bound<'_, PyAny>>("copies")?.is_some() {
-            let message = format!("copies= is for a network, and this mapping has {}", self.copies());
-            return Err(usage(message, "map as many, network.map(copies=N), or call network.energy(spikes, copies=N)"));
+            let message = format!("copies= applies to a network, but this mapping has {}", self.copies());
+            return Err(usage(
+                message,
+                "map this number of copies, network.map(copies=N), or call network.energy(spikes, copies=N)",
+            ));
         }
         let plan = energy::plan(py, &self.0.model, &keywords, None)?;
         plan.of_mapping().map_err(|error| raised(py, error))?;

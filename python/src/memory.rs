@@ -82,7 +82,7 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
     }
     let Some(kind) = found else {
         let known: Vec<&str> = ["Input", "Srm"].into_iter().chain(NeuronKind::ALL.map(NeuronKind::name)).collect();
-        let message = format!("{whose}: kind is '{kind}', which is not known");
+        let message = format!("{whose}: kind is '{kind}', which is not supported");
         return Err(usage(message, &format!("kind is one of {}", known.join(", "))));
     };
     let mut parameters = Vec::new();
@@ -96,7 +96,8 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
                     ([], &[same]) => Parameter::Same(same),
                     _ if numbers.len() as u64 == units => Parameter::Each(numbers),
                     _ => {
-                        let message = format!("{whose}: {key} has shape {shape:?}, the population has {units} neurons");
+                        let message =
+                            format!("{whose}: {key} has shape {shape:?}, but the population has {units} neurons");
                         return Err(usage(message, "give one number for all neurons, or an array with one for each"));
                     }
                 },
@@ -114,7 +115,7 @@ fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> P
     let coordinates = weights.call_method0("tocoo").map_err(|error| {
         let message = format!("{whose}: the sparse weights are damaged: {}", error.value(weights.py()));
         match error.is_instance_of::<PyException>(weights.py()) {
-            true => usage(message, "make the sparse array anew, with indices within its shape"),
+            true => usage(message, "create the sparse array again, with indices within its shape"),
             false => error,
         }
     })?;
@@ -128,7 +129,7 @@ fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> P
         && [to, from] != [targets, sources]
     {
         let message =
-            format!("{whose}: weights have shape [{targets}, {sources}], and the projection is [{to}, {from}]");
+            format!("{whose}: weights have shape [{targets}, {sources}], but the projection is [{to}, {from}]");
         let help = match [from, to] == [targets, sources] {
             true => "weights are [target, source]: give weights.T",
             false => "weights are [target, source]",
@@ -139,8 +140,8 @@ fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> P
     let part = |name: &str| {
         let array = Array::new(&coordinates.getattr(name)?, format!("{whose}: weights.{name}"))?;
         if array.shape() != [count] {
-            let message = format!("{} has shape {:?}, and there are {count} weights", array.name(), array.shape());
-            let help = "make the sparse array anew: scipy.sparse.coo_array((data, (row, col)), shape=SHAPE)";
+            let message = format!("{} has shape {:?}, but there are {count} weights", array.name(), array.shape());
+            let help = "create the sparse array again: scipy.sparse.coo_array((data, (row, col)), shape=SHAPE)";
             return Err(usage(message, help));
         }
         Ok(array)

@@ -42,8 +42,11 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
             None => nsim::load_model(&model)?,
             Some(options) if foreign::is_foreign(path) => foreign::network(path, options)?,
             Some(_) => {
-                let message = format!("{model} is no file of another tool, whose gaps the options fill");
-                return Err(Diagnostic::new("usage", message).help("leave the options out: a model's file says all"));
+                let message =
+                    format!("{model} is not a file of another tool, but the options apply only to such files");
+                return Err(
+                    Diagnostic::new("usage", message).help("remove the options: the model's file has all parameters")
+                );
             }
         };
         real_and_integers(&network)?;

@@ -51,7 +51,7 @@ fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
         let found = network.population_named(population).map(|id| &network.populations()[id]);
         match found.filter(|found| found.first_compartment().is_some()) {
             Some(found) => Probe::named(found, what).ok_or_else(|| {
-                let message = format!("probe '{name}': '{population}' has nothing that is called '{what}'");
+                let message = format!("probe '{name}': '{population}' has no quantity '{what}'");
                 usage(message, "a probe ends in .spikes, .message, .u, .v, .v_register or a word of its neurons' state")
             }),
             None => {
@@ -109,8 +109,8 @@ impl Run {
         let (network, program) = (&mapping.compiled().one, &mapping.compiled().program);
         let probes = probes(network, &names)?;
         if early_exit.is_some() && !names.is_empty() {
-            let message = "probe records every step of a sample, early_exit leaves some off".to_string();
-            return Err(usage(message, "leave probe= or early_exit= out"));
+            let message = "probe records every step of a sample, but early_exit ends samples early".to_string();
+            return Err(usage(message, "remove probe= or early_exit="));
         }
         let steps: u64 = shown.samples().iter().map(|sample| u64::from(sample.steps())).sum();
         let probed: u64 = probes.iter().map(|probe| u64::from(probe.count)).sum();
@@ -236,7 +236,7 @@ impl Run {
         let outcomes = &self.run.outcomes;
         let steps = outcomes.first().map_or(0, |outcome| outcome.steps as usize);
         if outcomes.iter().any(|outcome| outcome.steps as usize != steps) {
-            let message = "samples of several lengths are not one array".to_string();
+            let message = "samples of different lengths cannot form one array".to_string();
             return Err(usage(message, "run samples of one length at a time: samples=(FIRST, END)"));
         }
         let numbers: Vec<i32> = outcomes.iter().flat_map(|outcome| outcome.probes[index].iter().copied()).collect();

@@ -96,7 +96,7 @@ fn add_values(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &st
     check_each(&array, name, shape, "numbers")?;
     for (number, value) in array.numbers(shape.len() as usize, help)?.into_iter().enumerate() {
         if f64::from(value as i32) != value {
-            return Err(usage(format!("channel {number} of '{name}' is to send {value}"), help));
+            return Err(usage(format!("channel {number} of '{name}' cannot send {value}"), help));
         }
         shown.push((ChannelId(first + number as u32), value as i32));
     }
@@ -127,8 +127,9 @@ fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &
             (0..).zip(numbers()?).filter(|&(_, spikes)| spikes != 0.0).for_each(|(number, _)| add(number));
             true
         } else if array.is_of_bytes() && is_of(shape, array.shape()) {
-            // A byte for each channel is what `run` takes as spikes.
-            let message = format!("'{name}' has {units} channels, and a byte for each is no list of their numbers");
+            // `run` reads a byte for each channel as spikes.
+            let message =
+                format!("'{name}' has {units} channels, and a byte for each is not a list of channel numbers");
             return Err(usage(message, help));
         } else {
             match array.shape() {
@@ -150,7 +151,7 @@ fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &
     let own = &mut shown[before..];
     own.sort_unstable_by_key(|(number, _)| *number);
     if let Some((ChannelId(number), _)) = own.last().filter(|(number, _)| number.0 >= units) {
-        return Err(usage(format!("'{name}' has {units} channels, and {number} is to spike"), help));
+        return Err(usage(format!("'{name}' has {units} channels, so channel {number} cannot spike"), help));
     }
     if let Some(twice) = own.windows(2).find(|pair| pair[0].0 == pair[1].0) {
         return Err(usage(format!("channel {} of '{name}' is given twice", twice[0].0.0), help));
@@ -178,7 +179,7 @@ impl Session {
                 let known = found.and_then(|(_, p)| Some((p.first_channel()?.0, p.shape, p.message)));
                 let Some((first, shape, message)) = known else {
                     let known: Vec<&str> = network.inputs().map(|(_, population)| population.name.as_str()).collect();
-                    let message = format!("'{name}' is no input population");
+                    let message = format!("'{name}' is not an input population");
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
                 match message {
@@ -219,8 +220,8 @@ impl Session {
     fn restore(&mut self, snapshot: &Snapshot) -> PyResult<()> {
         self.stepped()?;
         if !Arc::ptr_eq(&self.mapping, &snapshot.mapping) {
-            let message = "the snapshot is of another mapping".to_string();
-            return Err(usage(message, "restore what snapshot() of a session of this mapping gave"));
+            let message = "the snapshot belongs to another mapping".to_string();
+            return Err(usage(message, "restore a snapshot() of a session of this mapping"));
         }
         self.stepped = Some(snapshot.stepped.clone());
         Ok(())
@@ -238,7 +239,7 @@ impl Session {
     fn energy(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Energy> {
         let sample = self.stepped()?.sample().map_err(|problem| raised(py, problem))?;
         if sample.steps() == 0 {
-            return Err(usage("no timestep has been done".into(), "call step() first"));
+            return Err(usage("no timestep has run".into(), "call step() first"));
         }
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.mapping.model, &keywords, None)?;

@@ -77,7 +77,7 @@ impl Shown {
             let labels = Array::new(&labels, "labels")?;
             if labels.shape() != [shown.samples.len()] {
                 let message =
-                    format!("labels have shape {:?}, and there are {} samples", labels.shape(), shown.samples.len());
+                    format!("labels have shape {:?}, but there are {} samples", labels.shape(), shown.samples.len());
                 let drain = network.parts().drain;
                 let steps = shown.samples.first().map_or(0, |sample| (sample.steps() - drain) as usize);
                 let help = match labels.shape() == [steps] && time_first {
@@ -85,7 +85,7 @@ impl Shown {
                         "where spikes are [T, samples, channels..] give numpy.moveaxis(numpy.asarray(array), 0, -1)"
                     }
                     false if labels.shape() == [shown.samples.len(), 1] => "give one axis: labels[:, 0]",
-                    false => "give a class for each sample; of one-hot rows, labels.argmax(axis=1) has them",
+                    false => "give a class for each sample; convert one-hot rows with labels.argmax(axis=1)",
                 };
                 return Err(usage(message, help));
             }
@@ -132,7 +132,7 @@ pub fn sources(given: Option<&Bound<'_, PyAny>>) -> PyResult<Vec<String>> {
     match texts(given)? {
         Some(sources) => Ok(sources),
         None => {
-            let message = "arrays are not taken here".to_string();
+            let message = "arrays are not supported here".to_string();
             Err(usage(message, "name samples by a source or a list of sources, such as 'recording.npy'"))
         }
     }
@@ -156,7 +156,7 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
         Ok(by_name) => {
             if by_name.len() != inputs.len() {
                 let message =
-                    format!("spikes has {} arrays, and there are {} input populations", by_name.len(), inputs.len());
+                    format!("spikes has {} arrays, but there are {} input populations", by_name.len(), inputs.len());
                 return Err(usage(message, &format!("give an array for each of: {}", names())));
             }
             let mut sources = Vec::with_capacity(inputs.len());
@@ -172,7 +172,7 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
         }
         Err(_) if inputs.len() == 1 => vec![recordings(spikes, "spikes", inputs[0], read_as)?],
         Err(_) => {
-            let message = format!("spikes is one array, and there are {} input populations", inputs.len());
+            let message = format!("spikes is one array, but there are {} input populations", inputs.len());
             return Err(usage(message, &format!("give a dictionary with an array for each of: {}", names())));
         }
     };
@@ -244,14 +244,14 @@ fn read(
                 "where it is [T, channels..] give time_first=True, where it is [samples, channels..] of one timestep \
                  give array[..., None]"
             }
-            (true, true) => "time comes after the channels: leave time_first= out",
+            (true, true) => "time comes after the channels: remove time_first=",
             (false, false) => {
-                "an array is [samples, channels.., T], samples may be left out; channels are one axis or the axes of \
-                 the population, in their order: numpy.moveaxis(array, FROM, TO)"
+                "an array is [samples, channels.., T], and the axis samples is optional; channels are one axis or the \
+                 axes of the population, in their order: numpy.moveaxis(array, FROM, TO)"
             }
             (true, false) => {
-                "an array is [samples, T, channels..], samples may be left out; channels are one axis or the axes of \
-                 the population, in their order: numpy.moveaxis(array, FROM, TO)"
+                "an array is [samples, T, channels..], and the axis samples is optional; channels are one axis or the \
+                 axes of the population, in their order: numpy.moveaxis(array, FROM, TO)"
             }
         };
         return Err(raised(py, Diagnostic::new("input.shape", message).help(help)));
@@ -265,7 +265,7 @@ fn read(
     let budget = Budget::for_file(array.stored_bytes(), 0, 0).samples(samples as u64, steps as u64);
     if numbers > MOST_NUMBERS || budget.is_err() {
         let message = format!("{name} has {samples} samples of {steps} timesteps, too many for one call");
-        return Err(too_long(message, "give some samples at a time: array[FIRST:END]"));
+        return Err(too_long(message, "give fewer samples per call: array[FIRST:END]"));
     }
     let mut recordings = PopulationSpikes::silent(samples, units as u64, steps as u32, "array".to_string());
     // Rows of an array: the steps of a channel, or the channels of a step.
@@ -281,7 +281,7 @@ fn read(
         }
         if spikes == MOST_SPIKES {
             let problem = Diagnostic::new("input.too-many", format!("{name} has more than {MOST_SPIKES} spikes"));
-            return Err(problem.help("give some samples at a time: array[FIRST:END]").into());
+            return Err(problem.help("give fewer samples per call: array[FIRST:END]").into());
         }
         spikes += 1;
         let column = index - begin;
@@ -303,7 +303,7 @@ fn read(
             add(index, Some(value))
         })?;
     } else if let Some(greater) = array.each_spike(|index| add(index, None))? {
-        warn_of(py, &format!("{greater}; give array != 0 if that is meant"))?;
+        warn_of(py, &format!("{greater}; give array != 0 if each non-zero value is a spike"))?;
     }
     Ok(recordings)
 }

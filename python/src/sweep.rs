@@ -41,7 +41,7 @@ pub fn sweep_part(
 ) -> PyResult<String> {
     let threads = whole("threads", threads, 1..=MOST_THREADS)? as usize;
     if number >= parts {
-        return Err(usage(format!("part {number} of {parts} parts"), "parts are counted from 0"));
+        return Err(usage(format!("part {number} of {parts} parts does not exist"), "parts are counted from 0"));
     }
     let sweep = parsed(py, path, text)?;
     work(py, true, |progress| {

@@ -1,4 +1,4 @@
-"""Arrays of every type, layout and size for every argument: the spikes are those that NumPy counts, and the rest is refused with a remedy.
+"""Arrays of every type, layout and size for every argument: the spikes equal NumPy's counts, and other arrays are refused with a remedy.
 
 Calls that could end the interpreter or never return run in a process of their own, with little memory."""
 
@@ -51,7 +51,7 @@ def records(t, x, y, p, time="t"):
 
 
 def layouts(array):
-    """Arrays with the same numbers, laid out otherwise."""
+    """Arrays with these numbers in other layouts."""
     yield array
     yield np.asfortranarray(array)
     yield np.repeat(array, 2, axis=-1)[..., ::2]
@@ -84,7 +84,7 @@ class Case(unittest.TestCase):
         return error
 
     def alone(self, body, memory_kib=4_000_000):
-        """Runs lines with `mapping` in an interpreter of its own; what it prints."""
+        """Runs lines with `mapping` in an interpreter of its own; returns its output."""
         script = "import os, numpy as np, nsim, test_arrays\nmapping = test_arrays.network().map('loihi1-chip')\n"
         words = ["bash", "-c", f"ulimit -v {memory_kib}; exec \"$0\" -c \"$1\"", sys.executable, script + textwrap.dedent(body)]
         here = os.path.dirname(os.path.abspath(__file__))
@@ -250,7 +250,7 @@ class Spikes(Case):
             path = os.path.join(folder, "fractions.npy")
             np.save(path, spikes)
             of_file = self.refused(lambda: self.mapping.run(path), code="input.value")
-            words = "a spike is a whole number"
+            words = "spikes are whole numbers"
             self.assertIn(words, str(of_file))
             self.assertIn(words, str(error))
             kept = self.mapping.run(f"{path}?least=0.5").activity["spikes_in"]

@@ -1,4 +1,4 @@
-"""Networks that Python makes: converted, trained, saved; each as the command line makes it. NSIM names the program that is compared with."""
+"""Networks that Python makes: converted, trained, saved; each as by the command line. NSIM names the program to compare with."""
 
 import json
 import os
@@ -167,7 +167,7 @@ class Agreed(unittest.TestCase):
         spikes = np.ones((2, 4, 12), np.uint8)
         with self.assertWarnsRegex(nsim.Warning, "nahuku-32, .* of oheo-gulch"):
             self.assertEqual(network.agree(spikes).json()["target"], "oheo-gulch")
-        # A network that does not fit where the other runs is compared the other way, as the help says.
+        # A network that does not fit on the target of the other is compared in the opposite order, as the help says.
         reset = small(4, 40, np.full((2, 4), 40))
         with self.assertRaises(nsim.Error) as raised:
             reset.agree(spikes, against=network)
@@ -184,7 +184,7 @@ class Agreed(unittest.TestCase):
 
 
 class NotHelped(unittest.TestCase):
-    """Networks in real numbers whose weights round, which no conversion brings nearer."""
+    """Networks in real numbers whose weights round, which no conversion can improve."""
 
     def setUp(self):
         rng = np.random.default_rng(2)
@@ -214,7 +214,7 @@ class NotHelped(unittest.TestCase):
                 self.assertIn("<svg", Path(path).read_text())
             self.assertEqual(again.json()["layers"], agreement.json()["layers"])
             said = " ".join(str(agreement).split())
-            self.assertIn("What may help: weights of a layer that are similar in size", said)
+            self.assertIn("Remedy: weights of a layer that are similar in size", said)
             self.assertNotIn("conversion", said)
 
     def test_a_conversion_runs_where_it_is_deployed_and_is_told_from_what_was_trained(self):
@@ -302,7 +302,7 @@ class Trained(unittest.TestCase):
             with self.assertRaises(nsim.Error) as raised:
                 training.save(os.path.join(folder, "b.ron"))
             self.assertTrue(raised.exception.code.startswith("write."), raised.exception.code)
-        # What was trained is what runs.
+        # The trained network runs.
         run = training.network.map().run(spikes, labels=labels)
         self.assertEqual((run.digest, run.accuracy), (training.digest, training.test_accuracy))
         self.assertGreater(training.train_accuracy, 0.5)
@@ -354,7 +354,7 @@ class Kept(unittest.TestCase):
             subprocess.run([NSIM, *line], check=True, capture_output=True)
             pages = [Path(path).read_text(encoding="utf-8") for path in (ours, theirs)]
             self.assertIn("coincidence", pages[0])
-            # They differ in the command alone, and in how the model is named.
+            # They differ only in the command and in the name of the model.
             differing = [pair for pair in zip(*(page.splitlines() for page in pages)) if pair[0] != pair[1]]
             self.assertLessEqual(len(differing), 2)
             with self.assertRaises(nsim.Error):

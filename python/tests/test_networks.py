@@ -1,4 +1,4 @@
-"""Networks in memory are those of files; SciPy and nir are used where they are installed, and their absence is said."""
+"""Networks in memory equal networks of files; SciPy and nir are used where they are installed, and their absence is reported."""
 
 import os
 import sys
@@ -130,7 +130,7 @@ class InMemory(unittest.TestCase):
             nsim.from_nir("network.nir")
         self.assertIn("nsim.load(path)", refused.exception.help)
         self.assertGreater(network.map().energy(np.ones((6, 40), np.uint8)).energy_uj, 0)
-        # The same graph as a file.
+        # This graph as a file.
         with tempfile.TemporaryDirectory() as folder:
             path = os.path.join(folder, "network.nir")
             nir.write(path, graph)
@@ -158,7 +158,7 @@ class InMemory(unittest.TestCase):
         snntorch.utils.reset(module)
         with torch.no_grad():
             theirs = [module(torch.tensor(spikes[:, :, t], dtype=torch.float32))[0] for t in range(50)]
-        # Weights and decays were rounded: nearly all samples have as many spikes.
+        # Weights and decays were rounded: nearly all samples have equal numbers of spikes.
         equal = (torch.stack(theirs).sum(0).numpy() == run.counts).all(axis=1)
         self.assertGreater(int(run.counts.sum()), 5)
         self.assertGreaterEqual(int(equal.sum()), 5)

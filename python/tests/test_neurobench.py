@@ -1,4 +1,4 @@
-"""NeuroBench's metrics: those of the command line, and those of the harness itself where it is installed with torch and snntorch."""
+"""NeuroBench's metrics equal those of the command line, and of the harness itself where it is installed with torch and snntorch."""
 
 import json
 import os
@@ -56,7 +56,7 @@ GRADED = """Network(
 
 
 def loaded(text, weights):
-    """A network whose weights are in files beside it."""
+    """A network whose weights are in files next to it."""
     with tempfile.TemporaryDirectory() as folder:
         for name, array in weights.items():
             np.save(os.path.join(folder, f"{name}.npy"), array.astype(np.int64))

@@ -1,4 +1,4 @@
-"""Every notebook runs from its first cell to its last; one that needs a package that is absent is said to be skipped."""
+"""Every notebook runs from its first cell to its last; a notebook that needs an absent package is reported as skipped."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Each call gives what the command line gives; NSIM names the program that is compared with."""
+"""Each call gives the result of the command line; NSIM names the program to compare with."""
 
 import json
 import os
@@ -14,7 +14,7 @@ NSIM = os.environ.get("NSIM", "nsim")
 MODELS = ["vtsnn-slip", "container-tactile", "vtsnn-slip-srm"]
 # Measured times differ from call to call.
 TIMES = {"wall_s", "us_per_timestep"}
-# A command to type next is for a shell alone, and the checksum covers it.
+# Only a shell has the next command, and the checksum covers it.
 TYPED = {"next", "checksum"}
 
 
@@ -209,7 +209,7 @@ class Errors(unittest.TestCase):
 
         error = self.raised(lambda: network(np.array([0.1, 50])))
         self.assertEqual((error.code, len(error.reasons), str(error).count("compartment 1")), ("model.range", 1, 1))
-        most = float(error.help.split("within ")[1].split(" ")[0])
+        most = float(error.help.split("limit it to ")[1].split(" ")[0])
         network(np.array([0.1, 0.999 * most]))
         self.assertEqual(self.raised(lambda: network(np.array([0.1, 1.001 * most]))).code, "model.range")
 

@@ -1,4 +1,4 @@
-"""Stepping gives what running gives; a snapshot is gone back to; the page's loop runs."""
+"""Steps give the result of a run; snapshots are restored; the page's loop runs."""
 
 import re
 import tempfile
@@ -39,7 +39,7 @@ class Sessions(unittest.TestCase):
             probes = [f"{name}.{what}" for name in names for what in ("spikes", "v", "u")]
             run = mapping.run({name: array.astype(np.uint8) for name, array in spikes.items()}, probe=probes)
             probed = [run.probe(probe)[0] for probe in probes]
-            # Numbers, lists, truth values and other integers mean the same.
+            # Numbers, lists, truth values and other integers are equivalent.
             listed = lambda array: np.flatnonzero(array).tolist()
             narrow = lambda array: np.flatnonzero(array)[::-1].astype(np.int16)
             for how in (np.flatnonzero, np.asarray, listed, narrow):
@@ -58,7 +58,7 @@ class Sessions(unittest.TestCase):
                     self.assertEqual(ours, theirs)
 
     def test_integers_go_in_and_come_out(self):
-        # A neuron that sends changes of at least 2, and the sum of what it sent.
+        # A neuron that sends changes of at least 2, and one that sums its messages.
         text = """Network(name: "change", timestep_ms: 1.0, target: "oheo-gulch", populations: [
             Input(name: "x", shape: [3], message_bits: 8), Delta(name: "d", shape: [3], vth_mant: 2),
             Sigma(name: "s", shape: [3])], projections: [
@@ -69,7 +69,7 @@ class Sessions(unittest.TestCase):
             path.write_text(text.replace("[3]", "[3, 1, 1]"))
             mapping = nsim.load(path).map()
         shown = np.array([[5, 6, 9, 9, 0], [0, -1, -2, -3, 7], [0, 0, 0, 0, 0]])
-        # Where a change is sent, and what has been sent so far, by hand.
+        # The changes that are sent, and their sums, by hand.
         sent = [[5, 0, 4, 0, -9], [0, 0, -2, 0, 9], [0] * 5]
         run = mapping.run(shown.astype(np.int8).reshape(1, 3, 5), probe=["d.message", "s.sigma"])
         self.assertEqual(run.probe("d.message")[0].tolist(), sent)
@@ -149,7 +149,7 @@ class Sessions(unittest.TestCase):
         channels = dict((name, int(np.prod(shape))) for name, kind, shape in mapping.populations if kind == "input")
         with mapping.session() as session:
             for wrong, says in [
-                ({"tactile": [channels["tactile"]]}, "is to spike"),
+                ({"tactile": [channels["tactile"]]}, "cannot spike"),
                 ({"tactile": [-1]}, "whole numbers"),
                 ({"tactile": [0.5]}, "whole numbers"),
                 ({"tactile": np.array([0.0])}, "whole numbers"),

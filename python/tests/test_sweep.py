@@ -1,4 +1,4 @@
-"""Sweeps give the table of `nsim sweep`, whoever runs their parts; NSIM names the program that is compared with."""
+"""Sweeps give the table of `nsim sweep`, for every runner of their parts; NSIM names the program to compare with."""
 
 import os
 import subprocess

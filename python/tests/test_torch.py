@@ -1,4 +1,4 @@
-"""Modules of PyTorch: what is read spikes as it does in PyTorch, and what would not is refused by name. Without torch, the tables alone."""
+"""Modules of PyTorch: a network spikes as in PyTorch, or its module is refused by name. Without torch, only the tables are tested."""
 
 import os
 import re
@@ -63,7 +63,7 @@ class Tables(unittest.TestCase):
             "Leaky": {"inhibition": False, "state_quant": False, "graded_spikes_factor": np.array(1.0), "reset_mechanism": "subtract"},
         }.items():
             _torch.check(stub(kind, **values), "a")
-        # Another's class of the same name is not known.
+        # A class of another package with this name is unknown.
         self.assertEqual(_torch.kind_of(stub("Linear", package="mine")), "mine.Linear")
 
     def test_what_is_no_module_and_no_tensor_is_named(self):
@@ -101,7 +101,7 @@ class Tables(unittest.TestCase):
         spikes = np.ones((1, 3, 6), np.uint8)
         free = nsim._nsim.from_nodes("x", nodes, edges, [], dt_ms=0.1, reset="zero")
         held = nsim._nsim.from_nodes("x", nodes, edges, ["lif"], dt_ms=0.1, reset="zero")
-        # Each neuron spikes in every step, or in every second where one is taken away.
+        # Each neuron spikes in every step, or in every second step if it is held for one.
         for network, count in ((free, 6), (held, 3)):
             (name, rows), = nsim._nsim.real_spikes(network, spikes)
             self.assertEqual((name, len(rows)), ("lif", 2 * count))
@@ -148,7 +148,7 @@ class Cells(unittest.TestCase):
         return module
 
     def given(self, module):
-        """What the module gives in each step, `[samples, outputs, steps]`."""
+        """Results of the module in each step, `[samples, outputs, steps]`."""
         state, steps = None, []
         with torch.no_grad():
             for step in range(self.spikes.shape[-1]):
@@ -278,7 +278,7 @@ class Modules(unittest.TestCase):
                 theirs = of_steps(np.stack(steps, axis=-1)).argmax(axis=1)
                 run = network.map().run(spikes)
                 self.assertGreaterEqual(np.mean(np.array(run.predicted) == theirs), 0.9)
-                # Counts are 0; what decides is said, and its numbers give the class.
+                # Counts are 0; the deciding potential is named, and its numbers give the class.
                 self.assertEqual((run.counts.any(), run.scores.argmax(axis=1).tolist()), (False, run.predicted))
                 self.assertIn(f"decided by {run.json()['decision']}", repr(run))
 
@@ -287,16 +287,16 @@ class Modules(unittest.TestCase):
         with warnings.catch_warnings(record=True) as seen:
             warnings.simplefilter("always")
             network = nsim.from_torch(module, torch.zeros(1, 32), decision="SumOfV")
-        self.assertTrue(any("what each reset leaves" in str(one.message) for one in seen), seen)
+        self.assertTrue(any("after each reset" in str(one.message) for one in seen), seen)
         self.assertTrue(any("SumOfV" in note for note in network.notes))
 
     def test_a_pool_of_spikes_is_what_the_remedy_for_a_greatest_says(self):
         k, spikes = 3, (torch.rand(30, 2, 3, 9, 9) < 0.2).float()
         with self.assertRaises(nsim.Error) as raised:
             nsim.from_torch(nn.Sequential(nn.MaxPool2d(k), self.lif()), torch.zeros(1, 3, 9, 9))
-        # Behind neurons and before them a maximum is not the same.
+        # A maximum after neurons differs from one before them.
         self.assertNotIn("train with", raised.exception.help)
-        self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), nn.MaxPool2d(2), self.lif()), (1, 3, 9, 9), "maximum of sums", "in front of it")
+        self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), nn.MaxPool2d(2), self.lif()), (1, 3, 9, 9), "maximum of sums", "before it")
         self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), self.lif(), nn.MaxPool2d(2)), (1, 3, 9, 9), "of spikes")
         made = re.search(r"snntorch\.(Leaky\([^)]*\))", raised.exception.help)[1]
         pool = nn.Sequential(nn.AvgPool2d(k), eval(f"snn.{made}", {"snn": snn, "k": k}))
@@ -476,7 +476,7 @@ class Modules(unittest.TestCase):
             for word in ("out -> lo (Leaky) -> hid -> lh (Leaky)", "forward()", "inhibition", "reset_delay", "nsim.from_torch(module, sample)"):
                 self.assertIn(word, said)
             self.assertTrue(any(note in said for note in network.notes), network.notes)
-            # The remedies that are printed, as they are printed.
+            # The printed remedies.
             torch.save({"0.weight": torch.ones(4, 20)}, path)
             with self.assertRaises(nsim.Error) as raised:
                 nsim.load(path)
@@ -484,7 +484,7 @@ class Modules(unittest.TestCase):
             neuron = os.path.join(folder, "CONFIG.yml")
             Path(neuron).write_text("neuron: {type: LIF, tau_syn_inv: 200, tau_mem_inv: 100, v_leak: 0, v_th: 1, v_reset: 0}")
             self.assertEqual([name for name, *_ in nsim.load(path, neuron=neuron, dt_ms=1.0, decision="LastV").populations], ["input", "0"])
-            # The classes are the same to a state dict.
+            # The classes have equal state dicts.
             alpha = nn.Sequential(nn.Linear(20, 20), snn.Alpha(alpha=0.9, beta=0.8))
             torch.save(alpha.state_dict(), path)
             with self.assertRaisesRegex(nsim.Error, "Synaptic or an Alpha"):
@@ -599,7 +599,7 @@ class Modules(unittest.TestCase):
                 self.reset(self)
                 return self.lif(self.fc(x))
 
-        # snnTorch keeps all neurons in a list, which is left as it was, as are the states of other networks.
+        # snnTorch has a list of all neurons. It is unchanged, as are the states of other networks.
         other = Hidden(lambda net: None)
         other(torch.ones(1, 32))
         state, listed = other.lif.mem.clone(), snn.SpikingNeuron.instances
@@ -613,7 +613,7 @@ class Modules(unittest.TestCase):
         nsim.from_torch(Hidden(lambda net: snn.Leaky.detach_hidden()), torch.zeros(1, 32))
         # Help names time where time is the cause.
         for module, words, absent in [
-            (Shared(nn.Linear(8, 8)), ("more than once", "neurons of its own"), "one-timestep"),
+            (Shared(nn.Linear(8, 8)), ("more than once", "its own neurons"), "one-timestep"),
             (Loop(torch.relu), ("'relu'", "between modules"), "one-timestep"),
             (Loop(lambda x: x[:, :4]), ("'getitem'", "one-timestep"), "between modules"),
         ]:
@@ -623,7 +623,7 @@ class Modules(unittest.TestCase):
             self.assertNotIn(absent, raised.exception.help)
         for kind, options in ((snn.Leaky, {}), (snn.Synaptic, {"alpha": 0.5})):
             at_once = nn.Sequential(nn.Linear(32, 8), self.lif(kind, reset_mechanism="subtract", reset_delay=False, **options))
-            # The parameter decides, and not what weak weights happen to show.
+            # The parameter decides, not the spikes of weak weights.
             for scale in (0.1, 10):
                 at_once[0].weight.data *= scale
                 self.refused(at_once, (1, 32), "'1'", "reset_delay=True")
@@ -635,7 +635,7 @@ class Modules(unittest.TestCase):
         self.refused(Loop(), (1, 32), "'lif'", "more than once", "one timestep", "from-pytorch.md#one-timestep")
         self.refused(Loop(torch.relu), (1, 32), "'lif'", "'relu'")
         self.refused(Cleared(lambda _: True), (1, 32), "'lif'", "'mul'")
-        # Neurons that forget in each call spike less than those of a chip.
+        # Neurons that reset in each call spike less than on a chip.
         self.refused(Cleared(lambda _: False), (1, 32), "'lif'", "in PyTorch", "reset neurons in each call")
 
     def test_a_network_that_was_misread_is_refused(self):
@@ -643,7 +643,7 @@ class Modules(unittest.TestCase):
         wrong = lambda *args: {**right(*args), "v_threshold": right(*args)["v_threshold"] * 1.2}
         _torch.neuron = wrong
         try:
-            self.refused(module, (1, 32), "'1'", "not understood")
+            self.refused(module, (1, 32), "'1'", "read wrongly")
         finally:
             _torch.neuron = right
 

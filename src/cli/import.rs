@@ -29,7 +29,7 @@ use nsim_session::error::Error;
   nsim import network.net --image digit.npy         its input layer driven by an image
   nsim import weights.pt --neuron slip_loihi.yml    a state dict of PyTorch, or one of SLAYER's sets of .npy
   nsim import graph.nir --dt 0.1 -o model.ron       NIR, with the timestep that its file does not have
-  nsim import network.net                           only say what it holds")]
+  nsim import network.net                           only describe the file")]
 pub struct Args {
     /// The foreign file
     pub file: PathBuf,
@@ -107,7 +107,7 @@ impl Args {
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
-    let message = "--set: an import writes what the file holds; give --set to the command that uses the model";
+    let message = "--set is not supported by import; give it to the command that uses the model";
     refuse_if(!changes::of_process().is_empty(), message)?;
     let imported = foreign::read(&args.file, &args.options()?)?;
     if let Some(assumed) = &imported.assumed {

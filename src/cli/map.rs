@@ -34,8 +34,8 @@ EXAMPLES:
   nsim map --copies 32                              32 copies, each on a chip of its own
   nsim map --copies 32 --deployment packed -o packed.ron   on as few cores as they fit; save the mapping
   nsim map --mapping packed.ron                     check and use a saved mapping
-  nsim map --prune static                           without what cannot change an output, which is listed
-  nsim map wide.ron --relays                        with compartments that carry spikes on where output axons are few
+  nsim map --prune static                           without parts that cannot change an output, which are listed
+  nsim map wide.ron --relays                        with relays that forward spikes where output axons are too few
   nsim map --objective latency --profile recordings.npy   short timesteps at the firing rates of these recordings
   nsim map --pareto front.svg                       cores, energy and time of several mappings, with the Pareto front
   nsim map --copies 32 --plot board.svg             a picture of the chips in use

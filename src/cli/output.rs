@@ -49,9 +49,9 @@ pub fn check_files<'a>(
     }
     let all: Vec<&PathBuf> = files.into_iter().chain(pictures).collect();
     let on_stdout = all.iter().filter(|path| io::text::is_standard_stream(path)).count();
-    refuse_if(on_stdout > 1, "two files cannot both go to stdout")?;
+    refuse_if(on_stdout > 1, "only one file can be written to stdout")?;
     let both = on_stdout == 1 && context.format != Format::Text;
-    refuse_if(both, "stdout carries the result: give the file a name other than -")?;
+    refuse_if(both, "stdout is used for the result: give the file a name other than -")?;
     io::write::check_all_free(all, context.force)?;
     Ok(on_stdout == 1)
 }
@@ -194,7 +194,7 @@ pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBa
 pub fn environment() -> Environment {
     let environment = Environment::here();
     if environment.profile == "debug" {
-        tracing::warn!("this nsim was built without --release; its times mean nothing");
+        tracing::warn!("this nsim was built without --release; its times are not meaningful");
     }
     environment
 }

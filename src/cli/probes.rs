@@ -150,7 +150,7 @@ impl ProbeArgs {
             return Err(Error::Usage(format!("--probe {} is given twice", probes[index].name)));
         }
         if self.output.is_some() && probes.is_empty() {
-            tracing::warn!("-o is for probes and there is none: nothing is written");
+            tracing::warn!("-o writes probes, but there is no --probe: nothing is written");
         }
         Ok(probes)
     }
@@ -243,7 +243,8 @@ fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
         if let Some(lost) = network.kept(id).map(|kept| network.units_shown(id) - kept.len() as u32) {
             let name = &population.name;
             let message = format!("--probe {text}: {lost} compartments of '{name}' were pruned and have no registers");
-            let help = "map again without --prune, or let this run prune (--prune): it leaves what is probed whole";
+            let help = "map again without --prune, or prune in this run (--prune), which does not prune probed \
+                        populations";
             return Err(Diagnostic::new("run.probe-pruned", message).help(help).into());
         }
         probes.push(NamedProbe { name: format!("{}.{what}", population.name), source });

@@ -58,7 +58,7 @@ EXAMPLES:
   nsim run --input 'scene:noise?samples=5&seed=7&rate=0.02'
   nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
   nsim run --early-exit certain                        end each sample once its decision cannot change
-  nsim run --steps steps.csv                           a row a timestep: where spikes, time and energy go
+  nsim run --steps steps.csv                           a row per timestep: spikes, time and energy
   nsim run --neurobench                                operations, sparsity and membrane updates as NeuroBench counts
   nsim run --engine golden --format json
   nsim run srm.ron --input s.npy --probe hidden.u -o traces     potentials of spike response neurons, as float64";
@@ -97,7 +97,7 @@ pub struct Args {
 }
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let message = "--probe records every step of a sample, --early-exit leaves some off: use one of them";
+    let message = "--probe records every step of a sample, but --early-exit ends samples early: use one of them";
     refuse_if(args.early_exit.is_some() && !args.probes.probe.is_empty(), message)?;
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
     if args.steps.is_some() {
@@ -190,7 +190,7 @@ fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &job
     let seconds: f64 = stages.iter().filter(|(stage, _)| ["partition", "place"].contains(stage)).map(|(_, s)| s).sum();
     if seconds > wall_s.max(SHORT_S) {
         let target = job.target.as_ref().map_or(String::new(), |target| format!(" --target {target}"));
-        let help = format!("nsim map {}{target} -o FILE keeps the mapping, --mapping FILE takes it", job.model);
+        let help = format!("nsim map {}{target} -o FILE saves the mapping, and --mapping FILE uses it", job.model);
         tracing::warn!("mapping took {seconds:.1} s and running {wall_s:.1} s: {help}");
     }
 }
@@ -206,13 +206,13 @@ fn ran(
     progress: Progress<'_>,
 ) -> Result<Run<Option<Vec<Traces>>>, Error> {
     let is_unmapped = job.mapped().is_none();
-    refuse_if(args.steps.is_some() && is_unmapped, "--steps says what cores do: it needs --engine fast")?;
+    refuse_if(args.steps.is_some() && is_unmapped, "--steps records activity of cores: it needs --engine fast")?;
     if is_unmapped {
         ranks::alone("--engine golden or reference")?;
     }
     if args.neurobench {
         let is_real = matches!(job, Job::Real(..));
-        refuse_if(is_real, "--neurobench counts what integers do: it needs --engine fast or golden")?;
+        refuse_if(is_real, "--neurobench counts operations on integers: it needs --engine fast or golden")?;
         ranks::alone("--neurobench")?;
     }
     Ok(match job {
@@ -232,7 +232,7 @@ fn ran(
         Job::Quantised(quantised, _) => golden(quantised, samples, keep, progress).map_meter(|()| None),
         Job::Real(graph, quantised, _) => {
             let is_of_chip = |probe: &Probe| [Quantity::VRegister, Quantity::Message].contains(&probe.quantity);
-            let message = "--probe .v_register and .message: the reference engine has none; probe .v or .spikes";
+            let message = "--engine reference does not support --probe .v_register and .message; probe .v or .spikes";
             refuse_if(keep.probes.iter().any(is_of_chip), message)?;
             let model = Model::<f64>::new(graph, nsim_reference::Options { kernel: args.kernel })?;
             let units = (quantised.channels(), quantised.compartments());

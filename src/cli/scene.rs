@@ -24,7 +24,7 @@ use nsim_session::error::Error;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim scene slip                                       what 20 scenes hold: labels, densities, onsets
+  nsim scene slip                                       summary of 20 scenes: labels, densities, onsets
   nsim scene slip --samples 1000 --seed 7 -o scenes     recordings as .npy, and scenes/dataset.ron
   nsim scene 'slip?grip_n=1.5..2.5&pixel_noise_hz=1'    other parameters, which docs/scenes.md lists
   nsim scene container --samples 100 --format json
@@ -167,8 +167,8 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
             listed.into_iter().map(|(_, _, file)| file).filter(|file| !written.contains(file)).collect();
         if let Some(first) = others.first() {
             let (folder, count, first) = (population.display(), others.len(), first.display());
-            let what = format!("{count} recordings are not of this scene, {first} the first");
-            tracing::warn!("{folder}: {what}; --input {folder} would show them too: remove them");
+            let what = format!("this scene did not write {count} of the recordings; the first is {first}");
+            tracing::warn!("{folder}: {what}; --input {folder} would read them too: remove them");
         }
     }
 }

@@ -119,7 +119,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         for path in &args.merge {
             let text = io::text::read_text(path)?;
             if !table.add_csv(text.text()).map_err(|problem| problem.or_in_file(path))? {
-                tracing::warn!("{} has no checksums: a changed digit in it is not noticed", path.display());
+                tracing::warn!("{} has no checksums, so a changed digit in it is not detected", path.display());
             }
         }
         table.check_whole()?;
@@ -175,7 +175,7 @@ fn run_variants(
     let (seen, name) = (finished.clone(), journal.map(|path| path.display().to_string()));
     let _ending = signals::at_end(move || {
         let name = name?;
-        Some(format!("{} variants are in {name}, and the same command goes on", seen.load(Ordering::SeqCst)))
+        Some(format!("{} variants are stored in {name}, and the same command continues", seen.load(Ordering::SeqCst)))
     });
     output::with_progress(context, left.len(), "variants", |progress| {
         work::run(sweep, left, context.threads, |variant, cells| {
@@ -249,7 +249,7 @@ fn say(
             text += &format!(", {before} of them from before");
         }
         if errors > 0 {
-            text += &format!("; {errors} could not be run, {refused} of them as they do not fit");
+            text += &format!("; {errors} could not be run, {refused} of them because they do not fit");
         }
         if let Some(front) = &table.front {
             text += &format!("; {} on the front", front.len());

@@ -64,7 +64,7 @@ pub struct Args {
 pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
     let samples = job.data(&[], &[])?.train;
     if samples.is_empty() {
-        let message = "it names no samples to train on";
+        let message = "field train is missing or empty: there are no samples to train on";
         return Err(Diagnostic::new("train.sources", message).in_file(job.source.path()).into());
     }
     Ok((samples, job.plan.topology.classes()))
@@ -75,8 +75,8 @@ fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs
     let state = finished.lock().ok()?.take()?;
     let (epoch, path) = (state.epoch, checkpoint.path().display());
     Some(match checkpoint.save(&state) {
-        Ok(()) => format!("{epoch} of {epochs} epochs are kept in {path}, and the same command goes on from there"),
-        Err(error) => format!("epoch {epoch} could not be kept: {error}"),
+        Ok(()) => format!("{epoch} of {epochs} epochs are stored in {path}, and the same command continues from there"),
+        Err(error) => format!("epoch {epoch} could not be stored: {error}"),
     })
 }
 

@@ -58,7 +58,7 @@ fn every_command_that_reads_models_takes_the_timestep_that_a_file_lacks() {
         &["export", &net, "-o", &again],
     ] {
         let (code, _, stderr) = said(line);
-        assert!(code == 3 && stderr.contains("help: say how long a timestep is: --dt MS"), "{line:?}: {code} {stderr}");
+        assert!(code == 3 && stderr.contains("help: give the timestep with --dt MS"), "{line:?}: {code} {stderr}");
         succeeds(&[line, &["--dt", "0.1"]].concat());
     }
     // Inspecting such a file names the option that its import needs.
@@ -98,7 +98,7 @@ fn energy_follows_activity_which_a_model_without_a_scene_is_given() {
     let page = folder.path().join("page.html").display().to_string();
     for line in [&["energy", &model, "--baseline"][..], &["report", &model, "-o", &page]] {
         let (code, stdout, stderr) = said(line);
-        assert!(code == 3 && stdout.is_empty() && stderr.contains("energy follows activity"), "{line:?}: {stderr}");
+        assert!(code == 3 && stdout.is_empty() && stderr.contains("energy depends on activity"), "{line:?}: {stderr}");
         assert!(stderr.contains("help: give spikes with --input FILE, or --input scene:noise to try"), "{stderr}");
         assert_eq!(said(&[line, &["--input", "scene:noise"]].concat()).0, 0);
     }
@@ -200,7 +200,7 @@ fn values_that_wrap_leave_room_after_the_change_and_the_spikes_stay() {
         object(&["run", &model, "--input", "scene:noise?samples=1&steps=200&rate=0.9"], 0)
     };
     let advised =
-        |run: &Value| run["warnings"].to_string().contains("lower the weight_exp of what leads to it by 1, and halve");
+        |run: &Value| run["warnings"].to_string().contains("lower the weight_exp of its inputs by 1, and halve");
     let first = (0..7).rev().find(|&exponent| !advised(&run(exponent))).unwrap();
     assert!(advised(&run(first + 1)), "{first}");
     assert_eq!(run(first)["digest"], run(first - 1)["digest"], "half the values make the same spikes");
@@ -327,11 +327,11 @@ fn what_is_advised_is_what_helps() {
         ("inspect absent.ron", "check the path", "inspect m.ron"),
         ("run .", "name a file in it", "run ./m.ron --input whole.npy"),
         ("run m.ron --input cut.npy", "write the array again with numpy.save", "run m.ron --input whole.npy"),
-        ("run m.ron --input whole.npy?unit=s", "leave the option out", "run m.ron --input whole.npy"),
+        ("run m.ron --input whole.npy?unit=s", "remove the option", "run m.ron --input whole.npy"),
         ("map m.ron -o m.ron/x.ron", "name another file", "map m.ron -o x.ron"),
         ("map m.ron --mapping m.ron", "nsim map MODEL -o FILE", "map m.ron --mapping x.ron"),
         ("run m.ron --set populations.out.du=5000", "nsim show NAME prints a shipped one", "show vtsnn-slip"),
-        ("sweep m.ron -o u.csv", "nsim inspect FILE says what a file is", "inspect m.ron"),
+        ("sweep m.ron -o u.csv", "nsim inspect FILE names the kind of a file", "inspect m.ron"),
     ] {
         let (status, _, error) = command::said(here, line);
         assert!([2, 3].contains(&status) && error.replace("\n  ", " ").contains(advice), "{line}: {status} {error}");

@@ -16,7 +16,7 @@ fn agreement_says_what_each_layer_loses_and_draws_where_spikes_part() {
         assert!((added - row["disagreement"].as_f64().unwrap()).abs() < 1e-4, "causes add up: {row}");
     }
     let svg = std::fs::read_to_string(&picture).unwrap();
-    assert!(svg.contains("parts in step") && svg.matches("<polyline").count() == 3, "{svg}");
+    assert!(svg.contains("first difference in step") && svg.matches("<polyline").count() == 3, "{svg}");
     let (_, text, _) = said(&["agree", &model, "--input", "scene:noise?samples=4&rate=0.2", "--seed", "3"]);
     assert!(text.contains("'hidden' loses "), "{text}");
 }

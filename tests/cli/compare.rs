@@ -60,7 +60,7 @@ fn a_target_that_cannot_hold_the_network_is_a_row_with_the_reason() {
     assert!(refused["cores_used"].is_null() && refused["latency_us"].is_null());
     assert!(refused["reasons"][0]["code"].as_str().unwrap().starts_with("map."), "{refused}");
     let (_, text, _) = said(here, &line);
-    assert!(text.contains("loihi1-chip cannot hold it: ") && text.lines().all(|line| line.len() <= 80), "{text}");
+    assert!(text.contains("it does not fit loihi1-chip: ") && text.lines().all(|line| line.len() <= 80), "{text}");
     let (status, csv, _) = said(here, &format!("{line} --format csv"));
     assert!(status == 0 && csv.lines().count() == 3 && csv.starts_with("target,hardware,constants,fits,"), "{csv}");
     // No target supports it: the answer is no.

@@ -258,5 +258,5 @@ fn a_layer_that_no_spikes_reach_is_converted_by_analysis() {
     let line =
         "convert srm.ron --input scene:noise?samples=4&steps=20 --calibrate scene:noise?samples=4&steps=20 -o c.ron";
     let (status, _, err) = said(folder.path(), line);
-    assert!(status < 2 && err.contains("no spikes reach it"), "{status}: {err}");
+    assert!(status < 2 && err.contains("it receives no spikes"), "{status}: {err}");
 }

@@ -188,7 +188,7 @@ fn a_chip_of_ones_own_with_the_constants_of_another_says_so() {
         text.split_whitespace()
             .collect::<Vec<_>>()
             .join(" ")
-            .matches("Priced with constants of loihi, static power too")
+            .matches("Uses constants of loihi, also for static power")
             .count()
     };
     assert_eq!((noted(&energy), noted(&[&energy[..], &["--full"]].concat()), noted(&energy[..4])), (1, 1, 0));

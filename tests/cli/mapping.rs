@@ -223,7 +223,10 @@ fn a_network_too_large_for_a_program_is_refused_where_it_is_needed() {
     let model = write(folder.path(), "wide.ron", model);
     let (status, _, stderr) = said(&["run", &model, "--engine", "fast"]);
     assert_eq!(status, 3, "{stderr}");
-    assert!(stderr.contains("written out: 8154090000 synapses,") && stderr.contains("map.described"), "{stderr}");
+    assert!(
+        stderr.contains("needs a program of wide: 8154090000 synapses,") && stderr.contains("map.described"),
+        "{stderr}"
+    );
 }
 
 /// A target and its chip may have one name, each in its own folder.

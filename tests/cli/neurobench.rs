@@ -11,7 +11,7 @@ use nsim::golden::Golden;
 use nsim::ir::base::id::{CompartmentId, Id};
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Quantised, Units};
-use nsim::ir::spikes::{Copies, Engine, Sample};
+use nsim::ir::spikes::{Engine, Sample};
 use nsim::session::neurobench::NeuroBench;
 use nsim::session::samples::{Running, fast, golden};
 
@@ -96,9 +96,8 @@ fn metrics_are_those_of_a_count_over_matrices() {
                 .unwrap();
         let options = Options { place: false, copies: 2, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
-        let copies = Copies { copies: 2, channels: network.channels() };
         let simulated = NeuroBench::measure(&network, &samples, |samples, keep| {
-            let running = Running { copies, skip: seed % 4 < 2, ..Running::new(keep) };
+            let running = Running { copies: 2, skip: seed % 4 < 2, ..Running::new(keep) };
             fast(&compiled.program, samples, running, || ())
         })
         .unwrap();

@@ -86,8 +86,8 @@ fn fields_of_model_target_and_constants_are_set() {
         ("populations.a.vt_mant=1", "did you mean 'vth_mant'?"),
         ("populations.a.vth=x", "model."),
         ("target.nothing=1", "nothing"),
-        ("constants.nothing=1", "no such number"),
-        ("constants.barrier=x", "no such number"),
+        ("constants.nothing=1", "no such constant"),
+        ("constants.barrier=x", "no such constant"),
         ("constants.injection_time=0.4", "has no unit"),
     ] {
         let (status, found, said) = ran(folder.path(), &format!("map m.ron --set {wrong}"));

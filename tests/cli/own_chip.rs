@@ -72,7 +72,7 @@ fn constants_that_are_not_given_are_no_assumptions_and_are_named_where_they_woul
         (&["--target", "loihi1-chip", "--constants", &synth, "--host", "none"], "dendrite_energy", "injection_time"),
     ] {
         let notes = notes(more);
-        let line = notes.lines().find(|line| line.starts_with("Not given by synth, counted as 0: ")).unwrap();
+        let line = notes.lines().find(|line| line.starts_with("Not given in synth, counted as 0: ")).unwrap();
         assert!(line.contains(named) && !line.contains(unnamed), "{more:?}: {line}");
     }
     let (_, full, _) = said(&[&PRICED[..], &["--target", &board, "--full"]].concat());
@@ -118,8 +118,8 @@ fn constants_of_a_preset_that_are_not_charged_or_borrowed_are_named() {
         "Constants(base: \"loihi1-evidence\", hardware: \"tern\", spike_energy: (value: 4, unit: pJ, source: \"me\",
         status: assumed))";
     for (text, wanted) in [
-        (fed.as_str(), "injection_time is not charged: tern has no x86 core."),
-        (mix, " constants are those of loihi1-evidence; energy of events: "),
+        (fed.as_str(), "injection_time is not counted: tern has no x86 core."),
+        (mix, " constants are from loihi1-evidence; energy of events: "),
     ] {
         let preset = write(folder.path(), "preset.ron", text);
         let notes = notes(&["--target", &board, "--constants", &preset]);
@@ -137,13 +137,13 @@ fn a_constant_that_is_set_in_vain_is_said() {
     let (_folder, board) = board();
     let set = ["--set", "constants.injection_time=1us", "--set", "constants.spike_energy=5"];
     let said = notes(&[&["--target", &board][..], &set].concat());
-    assert!(said.contains("Without effect: injection_time. Nothing is counted that is charged so, and tern"), "{said}");
+    assert!(said.contains("Without effect: injection_time. This run has no cost of this kind, and tern"), "{said}");
     assert!(!said.contains("injection_time, spike_energy"), "{said}");
     assert!(!notes(&[&["--target", "loihi1-chip"][..], &set].concat()).contains("Without effect"));
     let message = object(&["energy", "--set", "constants.spike_energy=-3"], 3);
     assert!(message["message"].as_str().unwrap().contains("spike_energy=-3: outside 0 to 1e9"), "{message}");
     let reset = [&PRICED[..], &["--target", &board, "--reset-words", "1000"]].concat();
-    assert!(crate::said(&reset).2.contains("--reset-words: an x86 core sets them"), "{reset:?}");
+    assert!(crate::said(&reset).2.contains("--reset-words needs an x86 core"), "{reset:?}");
 }
 
 #[test]
@@ -209,8 +209,8 @@ fn impossible_chips_are_refused_with_the_field_to_set() {
         (inspect("cores: 16", "cores: 17"), "cores 17 is outside 1..=16"),
         (inspect("cores: 16", "cores: 0"), "cores 0 is outside 1..=16"),
         (inspect("width: 4", "width: 400"), "width 400 is outside 1..=64"),
-        (inspect("stored_synapses: 1, ", ""), "no limit counts synapses"),
-        (inspect("{ stored_synapses: 1,", "{ stored_synapses: 1, stored_synapses: 1,"), "is given twice"),
+        (inspect("stored_synapses: 1, ", ""), "synapses have no limit"),
+        (inspect("{ stored_synapses: 1,", "{ stored_synapses: 1, stored_synapses: 1,"), "has two costs"),
         (inspect("\"bytes\"", "\"KB\""), "write both in bytes or in bits"),
         (map("target.limits.memry=1"), "board has no limit memry"),
     ] {
@@ -286,10 +286,10 @@ fn a_comparison_says_which_rows_hold_a_host_and_what_was_set() {
         let text = succeeds(&[&line[..], more].concat());
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
-    let host = " % of a step on loihi1-chip, none on board: --host none omits them";
+    let host = " % of a step on loihi1-chip, none on board; --host none omits them";
     assert!(words(&[]).contains(host), "{}", words(&[]));
     let alone = words(&["--host", "none", "--set", "constants.spike_energy=1000pJ"]);
-    assert!(!alone.contains("x86 cores that feed"), "{alone}");
+    assert!(!alone.contains("x86 cores for input"), "{alone}");
     assert!(alone.contains("--set changes every row: constants.spike_energy"), "{alone}");
 }
 
@@ -314,11 +314,11 @@ fn messages_of_chips_and_constants_name_what_to_write() {
          [Dense(from: [\"in\"], to: \"cells\", weights: [[2, 2], [2, 2]])], output: \"cells\")",
     );
     for (line, says) in [
-        (&["inspect", &unit][..], "synapse_dense_energy needs pJ, and the file has ns"),
+        (&["inspect", &unit][..], "synapse_dense_energy needs unit pJ, but the file has ns"),
         (&["inspect", &stem], "write the name without .ron: \\\"tern\\\""),
         (&["inspect", &field], "`spike_enrgy` in `Constants` (did you mean 'spike_energy'?), expected"),
         (&["inspect", &missing], "missing fields `synapse_formats`, `synapses_per_entry`, `packing`"),
-        (&["map", &kind, "--target", &board], "name it in a chip of your own, as neuron_kinds: [Microcode]"),
+        (&["map", &kind, "--target", &board], "add it to a chip of your own, as neuron_kinds: [Microcode]"),
     ] {
         let refused = object(line, 3);
         let all = format!("{} {}", refused["message"], refused["help"]);
@@ -328,8 +328,5 @@ fn messages_of_chips_and_constants_name_what_to_write() {
     write(folder.path(), "tern.ron", &CHIP.replace("limits: (", "neuron_kinds: [Loihi, Microcode], limits: ("));
     let noise = "scene:noise?samples=1&steps=5";
     let priced = object(&["energy", &kind, "--target", &board, "--input", noise, "--baseline"], 0);
-    assert!(
-        priced["notes"].to_string().contains("The program of a kind that the model states is not priced"),
-        "{priced}"
-    );
+    assert!(priced["notes"].to_string().contains("The program of a microcode kind has no cost of its own"), "{priced}");
 }

@@ -71,7 +71,7 @@ fn probes_choose_what_is_drawn() {
         ("energy m.ron --probe hidden -o a.svg", "raster, voltage and messages"),
         ("raster m.ron -o a.gif", "name the picture .svg"),
         ("pareto m.ron -o a.svg", "nsim bench pareto m.ron --format json"),
-        ("raster m.ron -o a.svg --format json", "--format is for results"),
+        ("raster m.ron -o a.svg --format json", "does not support --format"),
     ] {
         let (status, printed, error) = said(here, &format!("plot {wrong} --input {INPUT}"));
         assert!(status == 2 && (printed + &error).contains(why), "{wrong}: {error}");

@@ -110,11 +110,11 @@ fn done(phrase: &str, net: &Net, silent: &str) -> Option<(Net, Vec<String>)> {
         "prune inputs that never fire (--prune INPUT)" => typed(silent),
         "pool more before this population" => model(&|net| net.side /= 2),
         "split the fan-in over intermediate populations" => model(&|net| net.parts = 2),
-        "use fewer synapses" | "use fewer of these synapses" => model(&|net| net.delays.truncate(net.delays.len() / 2)),
+        "use fewer synapses" | "use fewer of its synapses" => model(&|net| net.delays.truncate(net.delays.len() / 2)),
         "fewer weight bits" => model(&|net| net.bits = 4),
         "no delays" | "shorten the longest delay into this population" => model(&|net| net.delays.fill(0)),
         "let projections into this population share weight exponent" => model(&|net| net.exponents.fill(0)),
-        "use less of what shares it (axons_in" => model(&|net| net.side /= 2),
+        "use less of the resources that draw on it (axons_in" => model(&|net| net.side /= 2),
         "reduce the fan-out" => model(&|net| net.units /= 4),
         "let `--relays` add compartments" => typed(""),
         _ => None,
@@ -124,16 +124,16 @@ fn done(phrase: &str, net: &Net, silent: &str) -> Option<(Net, Vec<String>)> {
 /// Phrases that explain, and phrases for more than one remedy.
 const EXPLAIN: [&str; 13] = [
     "and cores",
-    "that carry spikes on",
-    "every input channel that reaches a core takes one input axon there",
-    "every compartment that reaches a core takes one input axon there",
-    "where a source has several synapses with it",
+    "that forward spikes",
+    "every input channel that sends to a core takes one input axon there",
+    "every compartment that sends to a core takes one input axon there",
+    "if a source has several synapses there",
     "take fewer words",
-    "the words are those of one source with it",
+    "these are the words of one source",
     "sign mode and weight bits",
     "a compartment takes one accumulator for each step of it",
     "rounded up to a power of two",
-    "a spike takes one output axon for each core that it reaches (more slots when that core is on another chip)",
+    "a spike takes one output axon for each destination core (more slots when that core is on another chip)",
     "synapse_words)",
     "or",
 ];
@@ -317,7 +317,7 @@ fn each_warning_of_a_run_is_gone_after_the_change_that_it_names() {
             single("du: 4096, dv: 4096, vth_mant: 1", "weights: [[2, 0]], weight_exp: -1"),
             "silent-output",
             "raise the weight_exp",
-            |said| vec![format!("projections.0.weight_exp={}", -1 + number(said, "of what leads to it by "))],
+            |said| vec![format!("projections.0.weight_exp={}", -1 + number(said, "of its inputs by "))],
         ),
         (single("du: 4096, dv: 4096, vth_mant: 131071", "weights: [[64, 64]]"), "silent-output", "decision", |said| {
             vec![set(said)]
@@ -459,14 +459,14 @@ fn each_way_out_of_a_refusal_is_one() {
         (
             (map(&["--prune", "static", "--relays"]), weights("8, 8")),
             vec![
-                ("leave --prune", (map(&["--relays"]), weights("8, 8"))),
-                ("or --relays out", (map(&["--prune", "static"]), weights("8, 8"))),
+                ("remove --prune", (map(&["--relays"]), weights("8, 8"))),
+                ("or --relays", (map(&["--prune", "static"]), weights("8, 8"))),
             ],
         ),
         (
             (run(), weights("0.5, 1.5")),
             vec![
-                ("need a weight_scale", (run(), weights("0.5, 1.5").replace("]])", "]], weight_scale: 4)"))),
+                ("give weight_scale", (run(), weights("0.5, 1.5").replace("]])", "]], weight_scale: 4)"))),
                 ("or give a real vth", (run(), weights("0.5, 1.5").replace("vth_mant: 10", "vth: 2"))),
             ],
         ),

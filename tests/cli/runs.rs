@@ -145,10 +145,10 @@ fn a_clock_goes_beside_recordings() {
     assert_eq!((&made["digest"], &made["activity"]), (&read["digest"], &read["activity"]));
     assert_eq!(made["activity"]["spikes_in"], 10);
     for (arguments, message) in [
-        (&["--input", "scene:clock"][..], "a clock goes beside recordings"),
+        (&["--input", "scene:clock"][..], "a clock is combined with recordings"),
         (&["--input", "phase=scene:clock?span=0", "--input", &touch], "is not within 1..=100000"),
-        (&["--input", "phase=scene:noise", "--input", &touch], "stands alone"),
-        (&["--input", "phase=scene:clock", "--input", "in=scene:clock"], "which say how long a sample is"),
+        (&["--input", "phase=scene:noise", "--input", &touch], "allows no other input"),
+        (&["--input", "phase=scene:clock", "--input", "in=scene:clock"], "which give the length of a sample"),
     ] {
         let (code, _, stderr) = said(&[&["run", &model], arguments].concat());
         assert!(code != 0 && stderr.contains(message), "{arguments:?}: {code}, {stderr}");

@@ -90,7 +90,7 @@ fn threads_and_interruptions_change_nothing() {
     assert_eq!(again["epochs"], 12);
     assert_eq!(weights(folder, "one.ron"), weights(folder, "again.ron"));
     let (status, _, error) = ran(folder, "train config.ron --seed 4 --checkpoint state");
-    assert!(status == 3 && error.contains("other settings"), "{error}");
+    assert!(status == 3 && error.contains("different settings"), "{error}");
 }
 
 /// A checkpoint without the entries that a version without checksums did not write.
@@ -233,13 +233,13 @@ fn potentials_decide_where_the_output_never_spikes_and_nowhere_else() {
 
     // The output never spikes, but the loss counts spikes: the printed loss or threshold helps.
     let said = refused(folder, &silent);
-    assert!(said.contains("layer 'out' is read out by its potential"), "{said}");
+    assert!(said.contains("layer 'out' decides by its potential"), "{said}");
     assert!(said.contains(potential) && said.contains("theta: 10"), "{said}");
     trains(&silent.replace("theta: inf", "theta: 10"));
 
     // A hidden layer needs its spikes.
     let said = refused(folder, &by(&spiking, potential).replace("size: 8", &OUTPUT.replace("size: 3", "size: 8")));
-    assert!(said.contains("layer 'a' is read out by its potential"), "{said}");
+    assert!(said.contains("layer 'a' decides by its potential"), "{said}");
 
     // Spikes are no potential: the printed loss or a printed decision helps.
     let said = refused(folder, &by(&silent, "Potential(decision: Spikes, temperature: 1)"));

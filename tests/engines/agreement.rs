@@ -451,8 +451,8 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
                 Dense(from: ["o"], to: "o", weights: {own}, weight_exp: -2, delay: 1)], output: "o")"#
     );
     let refused = lower_and_quantise(&text).unwrap_err();
-    assert!(refused.code == "model.semantics" && refused.to_string().contains("one at most"), "{refused}");
-    // The remedies that it names.
+    assert!(refused.code == "model.semantics" && refused.to_string().contains("at most one projection"), "{refused}");
+    // The suggested remedies.
     lower_and_quantise(&text.replace("semantics: Lava, ", "")).unwrap();
     let raised =
         text.replace("vth_mant: 20", "vth_mant: 160").replace("exp: -2", "exp: 1").replace("exp: -3", "exp: 0");

@@ -571,7 +571,7 @@ fn sums_of_each_declaration_and_delay_are_shifted_apart() {
         quantised(format!("{head}{}])", all.join(", ")))
     };
     many(1).unwrap();
-    assert!(many(3).unwrap_err().contains("its arrivals make 66 sums that lava narrows apart, at most 64"));
+    assert!(many(3).unwrap_err().contains("its input makes 66 sums that lava wraps separately, the limit is 64"));
 }
 
 /// A trained sigma-delta network from its own file: outputs of every input, and for a moving scene
@@ -662,7 +662,7 @@ fn a_target_whose_messages_carry_nothing_refuses_a_payload_by_name() {
     parts.populations.iter_mut().for_each(|population| population.message = Message::Payload(Payload::new(3).unwrap()));
     let (network, loihi1) = (Quantised::new(parts).unwrap(), load_target("loihi1-chip").unwrap());
     let refused = compile(network.clone(), &loihi1, &unsearched()).unwrap_err();
-    let said = "messages of population 'touch' carry integers of 3 bits, those of loihi1-chip carry no integers";
+    let said = "messages of population 'touch' carry integers of 3 bits, messages of loihi1-chip carry no integers";
     assert!(refused.to_string().contains(said), "{refused}");
     let CompileError::Input(diagnostic) = refused else { panic!("{refused}") };
     assert!(diagnostic.help.is_some_and(|help| help.starts_with("set message_bits: 3 in a chip of your own")));

@@ -136,7 +136,7 @@ fn a_parameter_of_a_stated_kind_may_have_any_name() {
 fn what_is_wrong_in_a_stated_kind_is_told_with_line_and_column() {
     let mut wrong = Vec::new();
     for (from, to, code, line, column, part) in [
-        ("tz(v *", "tz(w *", "model.kind", 9, 30, "'w' is not known here"),
+        ("tz(v *", "tz(w *", "model.kind", 9, 30, "'w' is not defined"),
         ("v > theta", "v > thta", "model.kind", 10, 26, "did you mean 'theta'?"),
         ("bits: 24", "bits: 40", "model.kind", 7, 21, "40 bits are outside 2..=32"),
         ("overflow: Clip", "overflow: Clap", "model.kind", 7, 53, "Clap"),
@@ -145,8 +145,8 @@ fn what_is_wrong_in_a_stated_kind_is_told_with_line_and_column() {
         ("Leaky(name: \"out\"", "Leeky(name: \"out\"", "model.syntax", 17, 9, "did you mean 'Leaky'?"),
         ("dv: 0, theta: 64", "dw: 0, theta: 64", "model.syntax", 17, 40, "dw"),
         ("dv: 0, theta: 64", "dv: 4097, theta: 64", "model.range", 17, 44, "4097"),
-        ("dv: 0, theta: 64", "dv: 0", "model.parameter-missing", 17, 9, "has no theta"),
-        ("[100, 200, 90000]", "[100, 200]", "model.parameter-size", 16, 49, "2 entries for 3"),
+        ("dv: 0, theta: 64", "dv: 0", "model.parameter-missing", 17, 9, "field theta is missing"),
+        ("[100, 200, 90000]", "[100, 200]", "model.parameter-size", 16, 49, "theta has 2 values for 3 compartments"),
         ("payload: 3", "message_bits: 3", "model.syntax", 17, 58, "message_bits"),
     ] {
         let text = MODEL.replacen(from, to, 1);

@@ -624,7 +624,7 @@ fn an_exported_file_that_was_changed_is_not_restored() {
     let linear = nodes.group("w0_0").unwrap().clone().with("weight", Numbers::f64(&[1, 2], &[6.0, -4.0]));
     nodes.items.insert("w0_0".to_string(), linear.into());
     let read = foreign::from_bytes(Path::new("m.nir"), hdf5::write(&tree).unwrap(), &Options::default()).unwrap();
-    assert!(read.notes[0].contains("are not those"), "{:?}", read.notes);
+    assert!(read.notes[0].contains("differ from the model in its metadata"), "{:?}", read.notes);
     let out = read.model.population("out").unwrap();
     // This neuron by its equations, with the weight of the file.
     assert_eq!(out.parameter("du"), Some(&Parameter::Same(1024.0)));

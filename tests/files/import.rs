@@ -278,7 +278,7 @@ fn numbers_that_netx_changes_are_told_unasked() {
     assert_eq!(assumed([20.0, -6.0], 2.0), None);
     assert!(assumed([20.0, -6.5], 2.0).unwrap().contains("1 numbers of 'weight' are not whole"));
     assert!(assumed([20.0, -7.0], 2.5).unwrap().contains("1 biases are not whole"));
-    assert!(assumed([513.0, -7.0], 2.0).unwrap().contains("of 2 numbers of 'weight' fit no synapse format"));
+    assert!(assumed([513.0, -7.0], 2.0).unwrap().contains("of 2 numbers of 'weight' do not fit into one synapse"));
 }
 
 #[test]

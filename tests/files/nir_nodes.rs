@@ -205,7 +205,7 @@ fn a_kernel_whose_sources_have_delays_of_their_own_is_listed() {
 fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for() {
     let with_reset = |root: &Group, reset: Option<ResetMode>| read(root, &Options { reset, ..step() });
     let says = |root: &Group, reset: Option<ResetMode>| {
-        with_reset(root, reset).map(|read| read.assumed.is_some_and(|said| said.contains("does not say how")))
+        with_reset(root, reset).map(|read| read.assumed.is_some_and(|said| said.contains("has no field for the reset")))
     };
     let with = |neuron: Group| file(&[("i", source(&[2])), ("w", linear(3, 2, 5)), ("n", neuron), ("o", output())]);
     let said = with(lif(&[3]).with("v_reset", reals(&[0.0; 3])));
@@ -231,7 +231,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
         let json: serde_json::Value = serde_json::from_slice(&import.stdout).unwrap();
         let stderr = String::from_utf8_lossy(&import.stderr);
         assert!(
-            import.status.success() && stderr.contains("--reset subtract-later of nsim import") == warns,
+            import.status.success() && stderr.contains("--reset subtract-later of nsim import (snnTorch)") == warns,
             "{stderr}"
         );
         assert_eq!(json["reset"], taken);
@@ -461,7 +461,7 @@ fn adaptive_and_graded_neurons_of_netx_keep_what_netx_drops() {
     refused(&[leaky(1).with("gradedSpike", int(1))], "its spikes are graded");
     refused(&[rotates("ADRF_PHASE").with("gradedSpike", int(1))], "its spikes are graded");
     refused(&[graded(1), graded(0)], "carry voltages");
-    refused(&[of_netx("LIFR", &[])], "its neuron is 'LIFR'");
+    refused(&[of_netx("LIFR", &[])], "neuron type 'LIFR' is not supported");
 
     let changes = [of_netx("SDNN", &[("vThMant", 6)])];
     let given = Options { spike_exp: Some(3), state_exp: Some(0), ..Options::default() };
@@ -528,7 +528,7 @@ fn models_go_to_netx_and_back_or_are_refused_by_name() {
     refused(&|model| model.populations[1].kind = NeuronKind::InvSqrt, "InvSqrt neurons");
     refused(&|model| model.projections[0].weight_exp = Some(-2), "not whole");
     refused(&|model| model.projections[0].delay = 1, "after a delay");
-    refused(&|model| model.projections.push(ProjectionDesc::new("layer0", "input", noisy())), "does not lead");
+    refused(&|model| model.projections.push(ProjectionDesc::new("layer0", "input", noisy())), "does not connect");
     refused(&|model| model.projections[0].kind = noisy(), "Random");
 }
 
@@ -628,7 +628,7 @@ fn delays_that_are_no_whole_steps_are_rounded_with_a_note() {
         let delay = typed("Delay").with("delay", reals(delays));
         let nodes = [("i", source(&[2])), ("w", linear(2, 2, 5)), ("d", delay), ("n", lif(&[2])), ("o", output())];
         let imported = read(&file(&nodes), &step()).unwrap();
-        imported.notes.iter().filter(|note| note.contains("no whole number of steps")).cloned().collect::<Vec<_>>()
+        imported.notes.iter().filter(|note| note.contains("not whole numbers of steps")).cloned().collect::<Vec<_>>()
     };
     assert!(notes(&[0.003, 0.0]).is_empty());
     let [note] = &notes(&[0.003, 0.0024])[..] else { panic!() };
@@ -675,5 +675,5 @@ fn a_threshold_of_zero_is_a_mantissa_of_zero() {
     assert_eq!(spikes(&again, "n", 2), spikes(&model, "n", 2));
     assert_eq!(again.projections[0].weight_scale.unwrap_or(1.0), 1.0, "mantissas stay as they are");
     let mixed = read(&root(&[0.0, 1.0, 1.0]), &step()).unwrap_err();
-    assert!(mixed.message.contains("one of 0 beside others"), "{mixed}");
+    assert!(mixed.message.contains("both a threshold of 0 and others"), "{mixed}");
 }

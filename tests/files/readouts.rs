@@ -400,7 +400,7 @@ fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
     write_nir(folder, Some(LEAKY));
     object(folder, "import net.nir --dt 1 -o m.ron", 0);
     let (code, _, stderr) = nsim(folder, "convert m.ron --input in.npy --fine-tune 1");
-    assert!(code == 3 && stderr.contains("its potentials decide"), "{code}: {stderr}");
+    assert!(code == 3 && stderr.contains("it decides by potentials"), "{code}: {stderr}");
     assert!(stderr.contains("nsim train, with the loss Potential"), "{stderr}");
     // An imported network is refused before its conversion, and no message suggests fine-tuning it.
     write_layered(folder, &[(0, 1), (1, 2), (2, 3)]);

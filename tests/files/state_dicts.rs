@@ -245,7 +245,7 @@ fn lava_dl_counts_in_64ths_with_the_decays_of_the_file() {
     let slayer = neuron(&folder, "type: LOIHI, vThMant: 80, vDecay: 5, iDecay: 6, refDelay: 1");
     let with_slayer = import(&entries, &slayer).unwrap();
     assert_eq!(with_slayer.model.populations, imported.model.populations);
-    assert!(with_slayer.notes.iter().any(|note| note.contains("not those of --neuron")), "{:?}", with_slayer.notes);
+    assert!(with_slayer.notes.iter().any(|note| note.contains("not from --neuron")), "{:?}", with_slayer.notes);
     entries.truncate(1);
     let error = import(&entries, &options).unwrap_err();
     assert!(error.code == "import.option" && error.help.unwrap().contains("current_decay"));
@@ -404,7 +404,7 @@ fn a_note_says_in_what_order_layers_were_taken() {
     }
     let lif = "type: LIF, tau_syn_inv: 200, tau_mem_inv: 100, v_leak: 0, v_th: 1, v_reset: 0";
     let cells = import(&[("a.weight", vec![2, 2], vec![2.0; 4])], &neuron(&folder, lif)).unwrap();
-    assert!(cells.assumed.unwrap().contains("all are taken for LIFCell"));
+    assert!(cells.assumed.unwrap().contains("all are read as LIFCell"));
 }
 
 #[test]

@@ -491,7 +491,7 @@ fn stored_trainings_are_the_same_bytes_however_they_were_interrupted() {
         assert_eq!(output.status.code(), Some(130));
         let error: Value = serde_json::from_slice(&output.stdout).unwrap();
         let message = error["message"].as_str().unwrap();
-        assert!(message.contains("of 4000 epochs are kept in c.st"), "{message}");
+        assert!(message.contains("of 4000 epochs are stored in c.st"), "{message}");
         place.ends(&format!("nsim {line}"), &[0]);
         place.ends(&format!("nsim {}", line.replace("c.", "w.")), &[0]);
         for ending in ["st", "csv", "safetensors"] {

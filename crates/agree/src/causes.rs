@@ -31,10 +31,10 @@ impl Cause {
     pub fn words(self) -> &'static str {
         match self {
             Cause::Pipeline => {
-                "pipeline delay: layers that answer a step later each, and a sample that ends before they do"
+                "pipeline delay: each layer answers one step later, and a sample can end before the last layer answers"
             }
-            Cause::Untruncated => "kernels that were cut in training",
-            Cause::Kernel => "decays in place of its kernel",
+            Cause::Untruncated => "kernels truncated in training",
+            Cause::Kernel => "exponential decays instead of its kernel",
             Cause::HardReset => "the reset to zero",
             Cause::Decays => "decays in 4096ths",
             Cause::Calibration => "thresholds and synapses onto itself that the search chose",

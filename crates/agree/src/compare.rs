@@ -173,8 +173,8 @@ pub fn compare_models(
     let (own, others) = (layers(integers), layers(other));
     let there = |layer: &Layer| {
         others.iter().find(|other| other.name == layer.name && other.count == layer.count).ok_or_else(|| {
-            let message = format!("the second network has no population '{}' of {}", layer.name, layer.count);
-            Diagnostic::new("agree.populations", message).help("compare networks of the same layers")
+            let message = format!("the second network has no population '{}' of size {}", layer.name, layer.count);
+            Diagnostic::new("agree.populations", message).help("compare networks with equal layers")
         })
     };
     let pairs = own.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
@@ -278,7 +278,7 @@ pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Prog
         Counterpart::Recorded(recorded) => {
             if let Some((layer, spikes)) = recorded.iter().find(|(_, spikes)| spikes.len() != samples.len()) {
                 let (name, count) = (&layer.name, spikes.len());
-                let message = format!("'{name}' was recorded in {count} samples, the input has {}", samples.len());
+                let message = format!("'{name}' was recorded in {count} samples, but the input has {}", samples.len());
                 return Err(Diagnostic::new("agree.samples", message).help("choose samples with --samples"));
             }
             Box::new(|index, sample| recorded_trace(recorded, index, sample, network.compartments()))

@@ -63,17 +63,17 @@ fn synapses_of_piece(cores: usize) -> u64 {
 /// A difference between a program and its network.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Difference {
-    /// Something that is said once for the whole program.
-    #[error("the program's {0} is not the network's")]
+    /// A property of the whole program.
+    #[error("the {0} of the program differs from the network's")]
     Frame(&'static str),
-    /// A compartment with other parameters, or in another's seat.
-    #[error("compartment {0} of the program has other parameters than the network's")]
+    /// A compartment with other parameters, or in the seat of another one.
+    #[error("the parameters of compartment {0} differ between program and network")]
     Parameters(CompartmentId),
     /// A child that is not in the slot before its parent.
     #[error("compartment {0} of the program is not in the slot before its parent")]
     Neuron(CompartmentId),
-    /// A source that reaches something else.
-    #[error("{source_name} reaches {decoded} synapses in the program and {meant} in the network, or other ones")]
+    /// A source that reaches other synapses.
+    #[error("{source_name} reaches {decoded} synapses in the program, but {meant} or different ones in the network")]
     Synapses {
         /// The source.
         source_name: String,

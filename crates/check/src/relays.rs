@@ -42,14 +42,14 @@ const WRAPS_AT: i64 = 1 << 21;
 /// A difference that relays make.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Unfaithful {
-    /// Something of the network itself.
-    #[error("with relays {0} is another than without")]
+    /// A property of the network itself.
+    #[error("relays change {0}")]
     Frame(String),
-    /// A relay that does not pass on each spike once and in time.
-    #[error("compartment {0} is no relay: it may spike otherwise than its source")]
+    /// A relay that does not forward each spike once and in time.
+    #[error("compartment {0} is not a relay: its spikes may differ from the spikes of its source")]
     Relay(CompartmentId),
-    /// A source that reaches something else, or at another time.
-    #[error("{population} {index} reaches other synapses with relays than without, or in other steps")]
+    /// A source that reaches other synapses, or in other steps.
+    #[error("relays change the synapses of {population} {index}, or their steps")]
     Synapses {
         /// The population of the source.
         population: String,
@@ -57,7 +57,7 @@ pub enum Unfaithful {
         index: u32,
     },
     /// A relay that nothing reaches.
-    #[error("relay {0} is reached by no source")]
+    #[error("relay {0} has no source")]
     Unreached(CompartmentId),
 }
 

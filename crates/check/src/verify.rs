@@ -61,10 +61,10 @@ const ATOM_BITS: (u32, u32) = (5, 9);
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Violation {
     /// The program is for another board.
-    #[error("the program's mesh is not the target's")]
+    #[error("the mesh of the program differs from the target's")]
     Mesh,
-    /// Two cores stand at one place.
-    #[error("{core} stands where another core stands")]
+    /// Two cores have one site.
+    #[error("{core} has the same place as another core")]
     Site {
         /// The later of the two.
         core: CoreId,
@@ -72,8 +72,8 @@ pub enum Violation {
     /// Messages of a source do not name each core once, in ascending order.
     #[error("{0} does not name each destination core once, in ascending order")]
     Multicast(String),
-    /// A list without synapses that is selected, or one with synapses that is not.
-    #[error("{core}: list {list} is selected and has no synapse, or has synapses and is not selected")]
+    /// A selected list without synapses, or an unselected list with synapses.
+    #[error("{core}: list {list} is selected without synapses, or has synapses but is not selected")]
     EmptyAxon {
         /// The core.
         core: CoreId,
@@ -97,7 +97,7 @@ pub enum Violation {
         kind: &'static str,
     },
     /// Integers that the chip's messages cannot carry.
-    #[error("source {source_number} sends integers of {bits} bits, messages of the chip carry {limit}")]
+    #[error("source {source_number} sends integers of {bits} bits, but messages of the chip carry {limit}")]
     Message {
         /// The first of the sources.
         source_number: u32,
@@ -107,7 +107,7 @@ pub enum Violation {
         limit: u32,
     },
     /// A compartment without its child or its parent.
-    #[error("{core}: what slot {slot} pushes or pops has no compartment next to it")]
+    #[error("{core}: slot {slot} pushes or pops, but has no compartment next to it")]
     Neuron {
         /// The core.
         core: CoreId,
@@ -125,7 +125,7 @@ pub enum Violation {
         what: &'static str,
     },
     /// Synapses of one format that are not consecutive.
-    #[error("{core}: list {list} has its synapses of one format in several places")]
+    #[error("{core}: the synapses of one format are not consecutive in list {list}")]
     Scattered {
         /// The core.
         core: CoreId,
@@ -246,13 +246,13 @@ pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result
             && Resource::ALL.into_iter().all(|resource| used[resource] <= counted[resource])
     };
     if partition.usage().len() != used.len() {
-        return Err(format!("{} cores were counted, and the program has {}", partition.usage().len(), used.len()));
+        return Err(format!("{} cores were counted, but the program has {}", partition.usage().len(), used.len()));
     }
     let pairs = || partition.usage().iter().zip(used);
     match pairs().position(|pair| !holds(pair)) {
         Some(core) => {
             let core = CoreId::new(core);
-            Err(format!("{core} was counted to use {:?} and uses {:?}", partition.usage()[core], used[core]))
+            Err(format!("{core}: counted usage is {:?}, actual usage is {:?}", partition.usage()[core], used[core]))
         }
         None => Ok(()),
     }
@@ -285,7 +285,7 @@ fn verify_messages(
     let mut atoms = messages.filter_map(atom);
     match atoms.next() {
         Some(first) if atoms.any(|atom| atom != first) => {
-            Err(Violation::Population { place: name(), what: "it is another atom on another core" })
+            Err(Violation::Population { place: name(), what: "its atom differs between cores" })
         }
         _ => Ok(()),
     }
@@ -315,7 +315,7 @@ fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<
     }
     let atoms = tables.iter().map(|table| table.1).max().unwrap_or(0);
     if u32::from(atoms) > 1 << ATOM_BITS.1 {
-        return wrong("a population axon has more atoms than a message can tell");
+        return wrong("a population axon has more atoms than a message can number");
     }
     let is_short = |axon: &&PopulationAxon| !is_long(axon, limits);
     let short = inputs.populations.iter().filter(is_short).count() as u64;
@@ -327,7 +327,7 @@ fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<
         OutputAxons::PerPosition { .. } => (1 << 10, 1 << 12),
     };
     if short > most_short || inputs.populations.len() as u64 > most {
-        return wrong("there are more population axons than a message can tell beside their atoms");
+        return wrong("there are more population axons than a message can number next to their atoms");
     }
     if inputs
         .populations
@@ -497,19 +497,19 @@ fn verify_formats(core: CoreId, class: &CoreClass, layout: Layout) -> Result<(),
     for (number, format) in class.formats.iter().enumerate() {
         let wrong = |what| Err(Violation::Format { core, format: number, what });
         if !distinct.insert(format) {
-            return wrong("is there twice");
+            return wrong("is duplicated");
         }
         if format.synapse.bits.get() == 7 {
             return wrong("has weights of 7 bits");
         }
         if format.delay_bits != 0 && format.delay_bits != layout.delay {
-            return wrong("has delays of another width than its core");
+            return wrong("has delays of a different width than its core");
         }
         if format.index_bits.is_some_and(|bits| bits != layout.index) {
-            return wrong("has indices of another width than its core");
+            return wrong("has indices of a different width than its core");
         }
         if format.skip_bits.is_some_and(|bits| format.index_bits.is_none() || !RUNS.contains(&bits)) {
-            return wrong("has runs of a width that cannot be stored");
+            return wrong("has runs of an unsupported width");
         }
     }
     Ok(())

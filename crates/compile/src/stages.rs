@@ -123,7 +123,7 @@ impl Front {
     pub fn prune(mut self, plan: &Plan) -> Result<Front> {
         let is_plastic = self.one.plastic().next().is_some();
         let refused = |error: Inconsistent| match is_plastic {
-            true => Diagnostic::new("map.prune", error.to_string()).help("leave --prune out").into(),
+            true => Diagnostic::new("map.prune", error.to_string()).help("remove --prune").into(),
             false => CompileError::fault(error),
         };
         self.one = self.clock.stage("prune", || prune(&self.one, plan)).map_err(refused)?;
@@ -139,8 +139,8 @@ impl Front {
     /// [`CompileError::DoesNotFit`] when relays cannot help.
     pub fn relay(mut self, target: &Target) -> Result<Front> {
         if self.one.pruned().is_some() {
-            let refused = Diagnostic::new("map.relays", "a pruned network cannot be given relays");
-            return Err(refused.help("leave --prune or --relays out").into());
+            let refused = Diagnostic::new("map.relays", "relays cannot be added to a pruned network");
+            return Err(refused.help("remove --prune or --relays").into());
         }
         let reasons = even_draws::reasons(&self.one, target, 1, true);
         if !reasons.is_empty() {
@@ -175,7 +175,7 @@ impl Front {
         }
         for (id, population) in gathered.populations().enumerate() {
             if let Some(axons) = places.positions(&gathered, id) {
-                let message = format!("its spikes go to {axons} population axons of a core, to save input axons");
+                let message = format!("its spikes use {axons} population axons of a core, to save input axons");
                 parts.notes.push(Note { entity: population.name.clone(), message, rounded: None });
             }
         }
@@ -274,7 +274,7 @@ impl Front {
                 self.prune(&plan)
             }
             (None, Some(_)) => {
-                let message = "the mapping is of the whole network, not of a pruned one";
+                let message = "the mapping is for the whole network, not for a pruned one";
                 Err(Diagnostic::new("mapping.pruned", message).into())
             }
             // A network that was pruned otherwise has other compartments, which the file's cores
@@ -293,7 +293,7 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
             let carry = if widest == 0 { "carry no integers".to_string() } else { format!("carry {widest} bits") };
             let (name, target) = (&population.name, target.name());
             let message =
-                format!("messages of population '{name}' carry integers of {bits} bits, those of {target} {carry}");
+                format!("messages of population '{name}' carry integers of {bits} bits, messages of {target} {carry}");
             return Err(Diagnostic::new("map.message", message)
                 .help(format!("set message_bits: {bits} in a chip of your own, or choose a target with wider messages"))
                 .into());
@@ -309,11 +309,12 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
             );
             let family = kind.family().name();
             let own =
-                format!("name it in a chip of your own, as neuron_kinds: [{family}], or choose a target that has it");
+                format!("add it to a chip of your own, as neuron_kinds: [{family}], or choose a target that has it");
             let help = match kind {
                 NeuronKind::SoftReset => format!(
-                    "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion; or \
-                     nsim convert makes it one and measures the loss, which may be large; or run it exactly: {own}"
+                    "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion. nsim \
+                     convert changes the reset to zero and measures the loss, which may be large. Or run it exactly: \
+                     {own}"
                 ),
                 _ => own,
             };

@@ -45,7 +45,7 @@ impl HostWork {
         let usual = HostWork::for_target(target);
         match host {
             Some(host) if host != Host::None && usual.host == Host::None => {
-                Err(format!("{}: {} keeps no x86 core busy", host.name(), target.chip().hardware()))
+                Err(format!("{}: {} uses no x86 core", host.name(), target.chip().hardware()))
             }
             host => Ok(HostWork { host: host.unwrap_or(usual.host), ..usual }),
         }

@@ -124,7 +124,7 @@ impl Dense {
         if weights > MOST_WEIGHTS {
             return Err(format!("its matrices would have {weights} weights, more than {MOST_WEIGHTS}"));
         }
-        let order = order(network).ok_or("it is recurrent, so a window cannot be passed layer by layer")?;
+        let order = order(network).ok_or("it is recurrent, so a window cannot be computed layer by layer")?;
         let mut inputs = vec![None; network.populations().len()];
         for (id, population) in network.inputs() {
             inputs[id.index()] = population.first_channel().map(|first| (first.0, population.shape.len() as usize));
@@ -134,7 +134,7 @@ impl Dense {
             let population = &network.populations()[target];
             let Units::Compartments { neurons, start_step, .. } = &population.units else { continue };
             if neurons.any(|neuron| !neuron.kind.table().registers || !neuron.stack.is_unused()) {
-                return Err(format!("'{}' has no form in real numbers", population.name));
+                return Err(format!("'{}' cannot be run in real numbers", population.name));
             }
             let real = |neuron| RealForm::of_neuron(&neuron, network.parts().semantics);
             let units: Vec<RealForm> = population.each_neuron().map(real).collect();

@@ -73,7 +73,7 @@ impl Plan {
     pub fn of_mapping(&self) -> Result<(), Error> {
         match &self.source {
             DeploymentSource::Mapped(copies) if self.is_said => Err(Error::Usage(format!(
-                "the mapping says where its copies are: map with the deployment {}, or leave it out here",
+                "the mapping already places its copies: map with the deployment {}, or remove it here",
                 copies.name()
             ))),
             _ => Ok(()),
@@ -194,7 +194,7 @@ pub fn evaluate(
     }
     let of_model = |neuron: &Neuron| neuron.kind.family() == Family::MICROCODE;
     if compiled.one.populations().iter().any(|population| population.any_neuron(of_model)) {
-        let said = "The program of a kind that the model states is not priced: it costs what any compartment costs.";
+        let said = "The program of a microcode kind has no cost of its own: each compartment has the usual cost.";
         energy.of_constants.push(said.to_string());
     }
     energy.seed = workload.seed;

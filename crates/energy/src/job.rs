@@ -65,7 +65,7 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
     let preset = &target.constants()[case.preset];
     let theirs = &preset.hardware;
     let foreign = !target.is_measured_by(preset) && !theirs.is_empty();
-    let inherited = foreign.then(|| format!("Priced with constants of {theirs}, static power too (--constants FILE)."));
+    let inherited = foreign.then(|| format!("Uses constants of {theirs}, also for static power (--constants FILE)."));
     let absent = preset
         .list()
         .into_iter()
@@ -74,7 +74,7 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
         .filter(|(name, _)| *name != "chip_static_power" || preset.core_static_power.value.value == 0.0);
     let absent: Vec<&str> = absent.map(|(name, _)| name).collect();
     let absent =
-        (!absent.is_empty()).then(|| format!("Not given by {}, counted as 0: {}.", preset.name, absent.join(", ")));
+        (!absent.is_empty()).then(|| format!("Not given in {}, counted as 0: {}.", preset.name, absent.join(", ")));
     let of_host =
         |name: &str| name.starts_with("x86_") || ["injection_time", "turn_time", "reset_word_time"].contains(&name);
     let shipped = Shipped::find(CONSTANTS, &preset.name).is_some();
@@ -88,10 +88,10 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
     let vain: Vec<&str> = set.filter(|name| !is_charged(case, name)).collect();
     let vain = (!vain.is_empty()).then(|| {
         let why = match target.chip().x86_cores_in_use {
-            0 => format!(", and {} keeps no x86 core busy", target.chip().hardware()),
+            0 => format!(", and {} uses no x86 core", target.chip().hardware()),
             _ => String::new(),
         };
-        format!("Without effect: {}. Nothing is counted that is charged so{why}.", vain.join(", "))
+        format!("Without effect: {}. This run has no cost of this kind{why}.", vain.join(", "))
     });
     [inherited, borrowed(preset, case), absent, unused, vain, without_interval(target, preset, total)]
         .into_iter()
@@ -139,8 +139,8 @@ fn borrowed(preset: &Constants, case: &Case<'_>) -> Option<String> {
     let (some, every) = (preset.borrowed.len(), Constants::NAMES.len());
     let whose = whose.into_iter().collect::<Vec<_>>().join(" and ");
     let twice = preset.chip_static_power.value.value > 0.0 && preset.borrowed.contains("core_static_power");
-    let twice = if twice { " Static power is that of cores and that of chips." } else { "" };
-    Some(format!("{some} of {every} constants are those of {whose}{}.{twice}", said.concat()))
+    let twice = if twice { " Static power counts cores and chips." } else { "" };
+    Some(format!("{some} of {every} constants are from {whose}{}.{twice}", said.concat()))
 }
 
 /// Texts of the greatest positive weights, at most [`NAMED`].

@@ -64,11 +64,10 @@ impl CostOptions {
     /// # Errors
     /// [`Error::Usage`] for a host on a chip without x86 cores.
     pub(super) fn host_work(&self, target: &Target, steps_per_sample: Option<u32>) -> Result<HostWork, Error> {
-        let refused = |problem: String| Error::Usage(format!("--host {problem}; leave --host out"));
+        let refused = |problem: String| Error::Usage(format!("--host {problem}; remove --host"));
         let work = HostWork::fed_by(self.host, target).map_err(refused)?;
         if self.reset_words > 0 && work.host == Host::None {
-            let message =
-                "--reset-words: an x86 core sets them, and with --host none, or on a chip without one, none runs";
+            let message = "--reset-words needs an x86 core, and there is none with --host none or on this chip";
             return Err(Error::Usage(message.to_string()));
         }
         let steps_per_sample = steps_per_sample.unwrap_or(1);
@@ -93,7 +92,10 @@ pub fn priced_by(target: Target, asked: Option<&str>) -> Result<(Target, CostTab
             None => {
                 let names: Vec<&str> = presets.iter().map(|preset| preset.name.as_str()).collect();
                 let (meant, names) = (did_you_mean(name, names.iter().copied()), names.join(", "));
-                return Err(Error::Usage(format!("{} has no constants {name}; {meant}it has {names}", target.name())));
+                return Err(Error::Usage(format!(
+                    "{} has no constants {name}; {meant}its constants are {names}",
+                    target.name()
+                )));
             }
         },
     };
@@ -176,18 +178,19 @@ impl DeploymentSource {
             }
             DeploymentSource::Scenario(name, scenario) => {
                 if scenario.model != *model {
-                    return Err(Error::Usage(format!("--deployment {name} is of {}, not {model}", scenario.model)));
+                    return Err(Error::Usage(format!(
+                        "--deployment {name} is for model {}, not {model}",
+                        scenario.model
+                    )));
                 }
                 let (own, of) = (&scenario.target, scenario.copies.value);
                 if !scenario.is_on(target) {
                     let changed = if own == target.name() { " with --set" } else { "" };
-                    let message = format!("--deployment {name} is of {own}, not {}{changed}", target.name());
+                    let message = format!("--deployment {name} is for target {own}, not {}{changed}", target.name());
                     return Err(Error::Usage(format!("{message}; use --target {own}, spread or packed")));
                 }
                 if copies != of {
-                    return Err(Error::Usage(format!(
-                        "--deployment {name} is of {of} copies; leave --copies {copies} out"
-                    )));
+                    return Err(Error::Usage(format!("--deployment {name} has {of} copies; remove --copies {copies}")));
                 }
                 let cores = scenario.deployment.value;
                 check_numbers(name, cores, target)?;
@@ -204,7 +207,7 @@ impl DeploymentSource {
                 let loaded = compile::load(compiled.one.clone(), target, &options, mapping)
                     .map_err(|error| mapping_file::explained(error, path, "MODEL"))?;
                 if loaded.placement.is_empty() {
-                    let message = "the mapping has no core, so there is nothing that it could cost";
+                    let message = "the mapping has no core, so it has no cost";
                     return Err(Diagnostic::new("mapping.missing", message).in_file(path).into());
                 }
                 let name = path.display().to_string();
@@ -229,7 +232,7 @@ fn check_numbers(named: &str, cores: DeployedCores, target: &Target) -> Result<(
         () if cores_used > most_cores => format!("{cores_used} neuron cores, and {} has {of_cores}", target.name()),
         () if x86_cores > most_x86 => format!("{x86_cores} x86 cores, and {} has {of_x86}", target.name()),
         () if x86_cores > 0 && x86_cores < chips_used => {
-            format!("{chips_used} chips share {x86_cores} x86 cores, and each chip in use is fed by one of its own")
+            format!("{chips_used} chips share {x86_cores} x86 cores, but each chip in use needs its own")
         }
         () => return Ok(()),
     };
@@ -261,7 +264,7 @@ pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnost
     for name in names.iter().filter(|name| ![CPU, ROOFLINE].contains(&name.as_str())) {
         files.push(Baseline::shipped(name).map_err(|problem: Diagnostic| {
             let known: Vec<&str> = BASELINES.iter().map(|shipped| shipped.name).chain([CPU, ROOFLINE]).collect();
-            problem.help(format!("baselines are {}; --baseline without a name shows none", known.join(", ")))
+            problem.help(format!("baselines are {}; --baseline without a name hides all", known.join(", ")))
         })?);
     }
     if roofline && files.is_empty() {

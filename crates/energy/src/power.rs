@@ -30,7 +30,7 @@ pub struct Rapl {
 
 fn number(path: &Path) -> Result<u64, String> {
     let text = std::fs::read_to_string(path).map_err(|error| format!("{}: {error}", path.display()))?;
-    text.trim().parse().map_err(|_| format!("{}: '{}' is no number", path.display(), text.trim()))
+    text.trim().parse().map_err(|_| format!("{}: '{}' is not a number", path.display(), text.trim()))
 }
 
 impl Rapl {
@@ -195,8 +195,8 @@ impl PowerMeter {
                 format!("power {}, {} W idle and {} W busy", FigureSource::Stated.name(), idle_mw / 1e3, busy_mw / 1e3)
             }
             PowerMeter::Assumed { package: PackagePower { idle_mw, busy_mw, threads }, why } => format!(
-                "power {}, 1 of {threads} threads that share a package of {} W idle and {} W busy, since {why}; no \
-                 ratio is taken to it; --cpu-watts IDLE,BUSY states it",
+                "power {}, 1 of {threads} threads that share a package of {} W idle and {} W busy, because {why}; no \
+                 ratio is computed; --cpu-watts IDLE,BUSY sets the power",
                 FigureSource::Assumed.name(),
                 idle_mw / 1e3,
                 busy_mw / 1e3
@@ -255,13 +255,13 @@ mod tests {
         assert!(Rapl::open(empty.path()).unwrap_err().contains("no package"));
         let broken = tree(&[("intel-rapl:0", "package-0", 1, 1)]);
         std::fs::write(broken.path().join("intel-rapl:0/energy_uj"), "much\n").unwrap();
-        assert!(Rapl::open(broken.path()).unwrap_err().contains("'much' is no number"));
+        assert!(Rapl::open(broken.path()).unwrap_err().contains("'much' is not a number"));
         let package = PackagePower { idle_mw: 10_000.0, busy_mw: 65_000.0, threads: 4 };
         let meter = PowerMeter::new(broken.path(), None, package, Duration::ZERO);
         let (out, power) = meter.during(|| 3);
         assert_eq!((out, power.static_mw, power.dynamic_mw), (3, 2_500.0, 13_750.0));
         assert_eq!(power.source, FigureSource::Assumed);
-        let said = "assumed, 1 of 4 threads that share a package of 10 W idle and 65 W busy, since";
+        let said = "assumed, 1 of 4 threads that share a package of 10 W idle and 65 W busy, because";
         assert!(meter.source().contains(said), "{}", meter.source());
     }
 

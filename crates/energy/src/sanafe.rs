@@ -45,7 +45,7 @@ pub struct Export<'a> {
 }
 
 fn refused(what: impl Into<String>) -> Diagnostic {
-    Diagnostic::new("export.sanafe", format!("SANA-FE's files cannot say {}", what.into()))
+    Diagnostic::new("export.sanafe", format!("SANA-FE's files do not support {}", what.into()))
 }
 
 fn seconds(time: Picoseconds) -> String {
@@ -140,7 +140,7 @@ impl Export<'_> {
     fn check(&self) -> Result<(), Diagnostic> {
         let parts = self.program().parts();
         if parts.threshold == ThresholdTest::Inclusive {
-            return Err(refused("that a compartment spikes when it reaches its threshold (threshold: Inclusive)"));
+            return Err(refused("spikes of compartments that only reach their threshold (threshold: Inclusive)"));
         }
         if !parts.graded.is_empty() {
             return Err(refused("messages that carry integers"));
@@ -150,15 +150,15 @@ impl Export<'_> {
             return Err(refused(format!("{} neurons", compartment.neuron.kind.name())));
         }
         if parts.reset.is_some() {
-            return Err(refused("that a network is reset within a sample"));
+            return Err(refused("resets within a sample"));
         }
         if self.delays(self.program().cores().iter().flat_map(|image| image.axons_out.items())) != (0, 0) {
-            return Err(refused("delays between compartments, the way nsim counts them")
+            return Err(refused("delays between compartments as nsim counts them")
                 .help("give all projections between compartments delay 0"));
         }
         let (least, most) = self.delays(parts.channels.items().iter().copied());
         if least != most || most > 1 {
-            let message = "inputs of different delays, or of more than 1";
+            let message = "inputs with different delays, or delays above 1";
             return Err(refused(message).help("give all projections from inputs delay 0, or all delay 1"));
         }
         let leads = self.leads();
@@ -168,12 +168,12 @@ impl Export<'_> {
                     return Err(refused("neurons of several compartments"));
                 }
                 if compartment.start_step > 0 {
-                    let help = "a layer that nothing reaches before its start does not need one: \
-                                --set populations.NAME.start_step=0 for each";
-                    return Err(refused("that a population is held at zero before a step (start_step)").help(help));
+                    let help = "layers without input before their start do not need it: --set \
+                                populations.NAME.start_step=0 for each";
+                    return Err(refused("populations held at zero before a step (start_step)").help(help));
                 }
                 if leads && compartment.neuron.bias_mant.get() != 0 {
-                    let message = "that a biased compartment waits for the inputs of step 0";
+                    let message = "biased compartments with inputs in step 0";
                     return Err(refused(message).help("give the first input spike to step 1 or later"));
                 }
             }

@@ -112,7 +112,7 @@ fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
     // The paper's job is of its copies on its board, unchanged.
     let paper = named("vtsnn-slip");
     let refused = deployed("vtsnn-slip", "paper", &paper, 33).unwrap_err();
-    assert!(refused.to_string().contains("is of 32 copies"), "{refused}");
+    assert!(refused.to_string().contains("paper has 32 copies"), "{refused}");
     let source = DeploymentSource::load("paper", "vtsnn-slip", shipped_for("vtsnn-slip").unwrap().as_ref()).unwrap();
     for other in [io::target::load_target("oheo-gulch").unwrap(), nahuku().changed()] {
         let refused = source.deployment(&paper, &other, 32, HostWork::default()).unwrap_err();

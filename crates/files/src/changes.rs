@@ -48,11 +48,11 @@ impl Change {
     pub fn check(&self) -> Result<()> {
         let Change { path, value } = self;
         if ["target", "constants"].contains(&path.as_str()) || path.split('.').any(|part| part.trim().is_empty()) {
-            return Err(nowhere(path, "the path leads nowhere; it has to end with the name of a field"));
+            return Err(nowhere(path, "the path does not name a field; it has to end with the name of one"));
         }
         match locate::is_one_value(value) {
             true => Ok(()),
-            false => Err(Diagnostic::new("set.value", format!("--set {path}={value}: this is not one value"))
+            false => Err(Diagnostic::new("set.value", format!("--set {path}={value}: this is not a single value"))
                 .help("write a number, a text in quotes, or a list or struct with its brackets closed")),
         }
     }
@@ -150,7 +150,7 @@ fn changes(of: Option<&str>) -> Vec<(String, String)> {
 
 fn nowhere(path: &str, message: &str) -> Diagnostic {
     Diagnostic::new("set.path", format!("--set {path}: {message}"))
-        .help("nsim show NAME prints a shipped file, whose fields paths are made of")
+        .help("paths consist of names of fields: nsim show NAME prints a shipped file with its fields")
 }
 
 /// The text of a model with the values that are set.
@@ -181,7 +181,7 @@ fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<
     for (number, (path, value)) in changes.iter().enumerate() {
         let again = changes[number + 1..].iter().any(|(later, _)| later == path);
         if !again && locate::value(text, path) != Some(value) {
-            return Err(nowhere(&format!("{before}{path}"), "another path that is set changes the same field"));
+            return Err(nowhere(&format!("{before}{path}"), "another --set changes the same field"));
         }
     }
     Ok(())
@@ -224,7 +224,7 @@ fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, Str
 /// `set.path`, `set.value`.
 pub fn constants(constants: &mut Constants) -> Result<()> {
     for (path, value) in changes(Some("constants")) {
-        let missing = || nowhere(&format!("constants.{path}"), "the constants have no such number");
+        let missing = || nowhere(&format!("constants.{path}"), "there is no such constant");
         let constant = constants.get_mut(&path).ok_or_else(missing)?;
         let number = constant.unit.parsed(&value).map_err(|message| {
             let help = format!("write --set constants.{path}=NUMBER{}", constant.unit.suffix());
@@ -232,7 +232,7 @@ pub fn constants(constants: &mut Constants) -> Result<()> {
         })?;
         if !(0.0..=1e9).contains(&number) {
             return Err(Diagnostic::new("set.value", format!("--set constants.{path}={value}: outside 0 to 1e9"))
-                .help(format!("a constant is from 0 to 1e9 {}", constant.unit.suffix())));
+                .help(format!("give a constant from 0 to 1e9 {}", constant.unit.suffix())));
         }
         constant.value = number.into();
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);

@@ -108,11 +108,11 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
         let message = format!("drain {} is outside 0..={MOST_DRAIN}", file.drain);
         return Err(lowering
             .problem("model.drain", message, "drain")
-            .help("it is a step for each layer behind the first"));
+            .help("give one step for each layer after the first"));
     }
     if let Some(name) = std::iter::once(&file.name).chain(classes).find(|name| name.contains(is_unprintable)) {
         let message = format!("the name {name:?} has a character that controls a terminal or ends a line");
-        let help = "name the network and its classes with characters that are printed";
+        let help = "use printable characters in the names of the network and its classes";
         return Err(Diagnostic::new("model.name", message).help(help).in_file(network.source().path()));
     }
     let facts = NetworkFacts {
@@ -176,7 +176,8 @@ impl Lowering<'_> {
         {
             let message = format!("'{name}' cannot be a population's name");
             return Err(self.error("model.name", message, self.at(span, "name")).help(
-                "use letters, digits, '_' and '-': names stand in arguments such as name=file.npy and name.spikes",
+                "use letters, digits, '_' and '-', because names are part of arguments such as name=file.npy and \
+                name.spikes",
             ));
         }
         let shape = self.shape(&desc.shape, span)?;
@@ -196,13 +197,13 @@ impl Lowering<'_> {
         };
         let computes = matches!(kind, PopulationKind::Neurons(p) if p.kind.table().emits == Emits::Values);
         match (desc.payload, desc.message_bits) {
-            (Some(_), _) if computes => Err(wrong("payload", &"its neurons compute what their messages carry")
-                .help("remove payload; message_bits says how wide their integers are")),
-            (Some(_), Some(_)) => Err(wrong("message_bits", &"a payload says what every message carries")
+            (Some(_), _) if computes => Err(wrong("payload", &"its neurons compute the values of their messages")
+                .help("remove payload; message_bits sets the width of their integers")),
+            (Some(_), Some(_)) => Err(wrong("message_bits", &"a payload is the value of every message")
                 .help("give payload or message_bits, not both")),
             (Some(payload), None) => Payload::new(payload).map(Message::Payload).map_err(|e| wrong("payload", &e)),
             (None, Some(_)) if !computes && !matches!(kind, PopulationKind::Input) => {
-                Err(wrong("message_bits", &"its neurons send spikes, which carry no integer of their own")
+                Err(wrong("message_bits", &"its neurons send spikes, which carry no integer")
                     .help("remove message_bits, or give a payload"))
             }
             // Every message counts as 1.
@@ -240,13 +241,13 @@ impl Lowering<'_> {
             let other = real.and_then(|(real, _)| desc.parameter(real).map(|_| real));
             match (desc.parameter(integer), other) {
                 (Some(_), Some(real)) => {
-                    let message = format!("population '{name}' gives both {integer} and {real}");
+                    let message = format!("population '{name}' has both {integer} and {real}");
                     return Err(self
                         .error("model.parameter-twice", message, self.at(span, real))
                         .help("keep one of them"));
                 }
                 (None, None) if default.is_none() => {
-                    let message = format!("population '{name}' has no {integer}");
+                    let message = format!("population '{name}': field {integer} is missing");
                     return Err(self.error("model.parameter-missing", message, span).help(*help));
                 }
                 _ => {}
@@ -254,7 +255,7 @@ impl Lowering<'_> {
         }
         let real = desc.kind.parameters().iter().any(|field| field.real.is_some_and(|(real, _)| real == "bias"));
         if real && desc.parameter("bias").is_some() && desc.parameter("vth").is_none() {
-            let message = format!("population '{name}' has a real bias beside an integer threshold");
+            let message = format!("population '{name}' has a real bias but an integer threshold");
             return Err(self
                 .error("model.parameter", message, self.at(span, "bias"))
                 .help("give bias_mant and bias_exp, or a real vth"));
@@ -303,7 +304,7 @@ impl Lowering<'_> {
             && values.len() != units as usize
         {
             let message =
-                format!("population '{population}': {what} has {} entries for {units} compartments", values.len());
+                format!("population '{population}': {what} has {} values for {units} compartments", values.len());
             return Err(self.error("model.parameter-size", message, span));
         }
         if each.any(|value| !value.is_finite()) {
@@ -322,12 +323,12 @@ impl Lowering<'_> {
         let length = shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
         let length = length.filter(|&n| n <= MOST_UNIFORM).ok_or_else(|| {
             self.error("model.too-large", format!("Uniform would make more than {MOST_UNIFORM} numbers"), span)
-                .help("use a Random projection, whose synapses are never expanded")
+                .help("use a Random projection, which does not store its synapses")
         })?;
         let levels = step.map_or(1.0, |step| ((high - low) / step).floor() + 1.0);
         if !(low.is_finite() && high.is_finite() && low <= high && (1.0..1e15).contains(&levels)) {
             let steps = step.map_or(String::new(), |step| format!(" in steps of {step}"));
-            let message = format!("Uniform from {low} to {high}{steps} is no range");
+            let message = format!("Uniform from {low} to {high}{steps} is not a range");
             return Err(self.error("model.uniform", message, span));
         }
         let draw = |i: u64| match step {
@@ -336,7 +337,7 @@ impl Lowering<'_> {
         };
         let numbers = Numbers::Reals((0..length).map(draw).collect());
         let tensor = Tensor::new(shape.iter().map(|&axis| axis as usize).collect(), numbers);
-        Ok(Arc::new(tensor.expect("as many numbers as the shape holds")))
+        Ok(Arc::new(tensor.expect("a number for each element of the shape")))
     }
 
     fn projection(
@@ -351,7 +352,7 @@ impl Lowering<'_> {
             return Err(self.error("model.target", message, self.at(span, "to")));
         }
         if desc.from.is_empty() {
-            let message = format!("the projection to '{}' comes from nowhere", desc.to);
+            let message = format!("the projection to '{}' has no source", desc.to);
             return Err(self.error("model.source", message, span));
         }
         let source = |(index, name): (usize, &String)| {
@@ -367,8 +368,9 @@ impl Lowering<'_> {
             target_shape: graph[target].shape,
         };
         let to_delay = |delay: u32, path: &str| {
-            let wrong =
-                |e| declared.wrong("model.delay-range", e, path).help("a longer delay needs a relay population");
+            let wrong = |e| {
+                declared.wrong("model.delay-range", e, path).help("longer delays need a relay population in between")
+            };
             Delay::new(delay.into()).map_err(wrong)
         };
         let delay = to_delay(desc.delay, "delay")?;
@@ -493,8 +495,8 @@ impl Declared<'_> {
         if found != shape {
             let what = format!("weights are {:?}, its populations need {shape:?}", tensor.shape());
             return Err(self.wrong("model.weights-shape", what, "weights").help(
-                "weights are [target][source], kernels [out channel][in channel / groups][height][width]; a \
-                     layer of another size is trained anew, with nsim train",
+                "weights are [target][source], kernels are [out channel][in channel / groups][height][width]; to \
+                 change the size of a layer, train again with nsim train",
             ));
         }
         Ok(tensor)
@@ -503,7 +505,7 @@ impl Declared<'_> {
     /// The synapses of arrays by their own delay, where they have one.
     fn arrays(&self, arrays: &SynapseArrays) -> Result<Vec<Part>, Diagnostic> {
         if arrays.delay.is_some() && self.desc.delay != 0 {
-            let what = "synapses and the projection have a delay";
+            let what = "both its synapses and the projection have a delay";
             return Err(self.wrong("model.synapse-arrays", what, "arrays.delay"));
         }
         let (network, sizes) = (self.lowering.network, (self.sources, self.target_shape.len().into()));
@@ -540,7 +542,7 @@ impl Declared<'_> {
             (Some(source), Some(target)) => Ok((source, target)),
             _ => {
                 let Declared { source_shape, target_shape, desc, .. } = self;
-                let message = format!("{what} to '{}' goes from shape {source_shape} to {target_shape}", desc.to);
+                let message = format!("{what} to '{}' connects shape {source_shape} to {target_shape}", desc.to);
                 Err(self.error("model.window", message, "").help("both shapes must be [channels, height, width]"))
             }
         }
@@ -573,7 +575,8 @@ impl Declared<'_> {
         if made != [height, width].map(|side| Some(u64::from(side))) {
             let [high, wide] = made.map(|side| side.map_or("nothing".to_string(), |side| side.to_string()));
             let what = format!(
-                "the window makes {high} x {wide} of {from_height} x {from_width}, the population is {height} x {width}"
+                "the window makes {high} x {wide} from {from_height} x {from_width}, the population is {height} x \
+                {width}"
             );
             return Err(self.wrong("model.window", what, "").help(
                 "size = (source + padding + padding_after - dilation (kernel - 1) - 1) / stride + 1, rounded down",
@@ -590,14 +593,15 @@ impl Declared<'_> {
     ) -> Result<ProjectionKind, Diagnostic> {
         let (source, target) = self.volumes("Conv2d")?;
         if groups == 0 || u64::from(source.0) % groups != 0 || u64::from(target.0) % groups != 0 {
-            let what = format!("{groups} groups do not divide {} and {} channels", source.0, target.0);
+            let what =
+                format!("the number of groups, {groups}, does not divide {} and {} channels", source.0, target.0);
             return Err(self.wrong("model.window", what, "groups"));
         }
         // The weights give the kernel's size, so they are read first.
         let Some(kernel) = self.lowering.network.tensor(weights).map(|kernel| kernel.shape().to_vec()) else {
             return Err(self
-                .error("model.window", "a convolution's kernel needs its size", "weights")
-                .help("give the kernel in place or as a file"));
+                .error("model.window", "the size of the convolution's kernel is missing", "weights")
+                .help("give the kernel in the model or as a file"));
         };
         let (Some(&kh), Some(&kw)) = (kernel.get(2), kernel.get(3)) else {
             return Err(self

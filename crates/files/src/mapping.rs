@@ -18,7 +18,7 @@ use nsim_ir::spanned::{options, parse};
 /// As [`mapping`]; `io.*`.
 pub fn load_mapping(path: &Path) -> Result<MappingFile> {
     mapping(&read_text(path)?).map_err(|problem| match problem.help {
-        None => problem.help("a mapping is what nsim map writes: nsim map MODEL -o FILE"),
+        None => problem.help("nsim map writes mappings: nsim map MODEL -o FILE"),
         Some(_) => problem,
     })
 }
@@ -31,7 +31,7 @@ pub fn load_mapping(path: &Path) -> Result<MappingFile> {
 pub fn mapping(source: &SourceText) -> Result<MappingFile> {
     let mut mapping: MappingFile = parse(source, "mapping.syntax")?;
     if mapping.copies == 0 {
-        let message = "the mapping is of 0 copies; a mapping has at least one";
+        let message = "the mapping has 0 copies, expected at least 1";
         let help = "make it again: nsim map MODEL -o FILE";
         return Err(Diagnostic::new("mapping.copies", message).help(help).in_file(source.path()));
     }

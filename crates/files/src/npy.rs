@@ -70,14 +70,14 @@ fn remedy_of_records(dtype: &str) -> String {
     let time = names().find(|name| is_time(name));
     let places = names().filter(|name| matches!(*name, "x" | "y" | "p" | "polarity"));
     let Some(time) = time.filter(|_| names().any(|name| name == "x")) else {
-        return "save one field of it as an array of numbers: array[array.dtype.names[0]]".to_string();
+        return "save one of its fields as an array of numbers: array[array.dtype.names[0]]".to_string();
     };
     let unit = if time.contains('_') { "" } else { "_us" };
     let header: Vec<String> = [format!("{time}{unit}")].into_iter().chain(places.clone().map(Into::into)).collect();
     let columns: Vec<String> = [time].into_iter().chain(places).map(|name| format!("array['{name}']")).collect();
     format!(
-        "events are read as text: numpy.savetxt('events.csv', numpy.column_stack([{}]), fmt='%.17g', delimiter=',', \
-         header='{}', comments=''); of times in other units the header says _s, _ms or _ns",
+        "save events as text: numpy.savetxt('events.csv', numpy.column_stack([{}]), fmt='%.17g', delimiter=',', \
+         header='{}', comments=''); for times in other units, the header has _s, _ms or _ns",
         columns.join(", "),
         header.join(",")
     )
@@ -176,16 +176,19 @@ impl Array {
             [1, 0, a, b, ..] => (usize::from(u16::from_le_bytes([a, b])), 10),
             [2 | 3, 0, a, b, c, d, ..] => (u32::from_le_bytes([a, b, c, d]) as usize, 12),
             [major, minor, _, _, ..] if !(1..=3).contains(&major) || minor != 0 => {
-                return Err(problem("npy.format", format!("version {major}.{minor} of the format is not known")));
+                return Err(problem("npy.format", format!("version {major}.{minor} of the format is not supported")));
             }
             _ => return Err(problem("npy.truncated", "the file ends within its header".into())),
         };
         if length > MOST_HEADER {
-            return Err(problem("npy.format", format!("the header claims {length} bytes; {MOST_HEADER} are read")));
+            return Err(problem(
+                "npy.format",
+                format!("the header has a length of {length} bytes, the limit is {MOST_HEADER}"),
+            ));
         }
         let data = start + length;
         let Some(header) = bytes.get(start..data) else {
-            let message = format!("the header claims {length} bytes and the file ends before");
+            let message = format!("the header has a length of {length} bytes, but the file ends before");
             return Err(problem("npy.truncated", message));
         };
         let header = String::from_utf8_lossy(header);
@@ -197,7 +200,7 @@ impl Array {
         };
         let shape = said.get("shape").and_then(|shape| axes(shape));
         let (Some(descr), Some(fortran), Some(axes)) = (said.get("descr"), fortran, shape) else {
-            let message = "the header cannot be read: it is no dictionary of descr, fortran_order and shape";
+            let message = "the header cannot be read: it is not a dictionary of descr, fortran_order and shape";
             return Err(problem("npy.format", message.into()));
         };
         // Every number takes at least a byte. An array with an empty axis has no numbers, however
@@ -208,7 +211,7 @@ impl Array {
         if least > if empty { u32::MAX.into() } else { there as u64 } {
             return Err(problem(
                 "npy.shape",
-                format!("the shape in the header asks for at least {least} bytes, and {there} follow it"),
+                format!("the shape in the header needs at least {least} bytes, but {there} follow the header"),
             ));
         }
         let mut dtype = descr.trim_matches(['\'', '"']).to_string();
@@ -218,14 +221,14 @@ impl Array {
         }
         let Some(element) = element else {
             let (kind, remedy) = unread(descr.trim_matches(['\'', '"']));
-            let message = format!("the array's type {dtype} holds {kind}, which are not read");
+            let message = format!("the array's type {dtype} holds {kind}, which are not supported");
             return Err(problem("npy.dtype", message).help(remedy));
         };
         let shape: Vec<usize> = axes.iter().map(|&axis| axis as usize).collect();
         let need = if empty { 0 } else { element.bytes().saturating_mul(least as usize) };
         if need != there {
             let (code, word) = if there < need { ("npy.truncated", "only ") } else { ("npy.trailing", "") };
-            let message = format!("shape {shape:?} of {dtype} needs {need} bytes, and {word}{there} follow the header");
+            let message = format!("shape {shape:?} of {dtype} needs {need} bytes, but {word}{there} follow the header");
             return Err(problem(code, message));
         }
         let (bytes, data) = match fortran && shape.len() > 1 {

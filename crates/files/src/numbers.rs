@@ -80,7 +80,7 @@ impl<'de> Visitor<'de> for Entry<'_> {
             return self.list.refused(format!("{number} is not a finite number"));
         }
         if self.list.shape.len() != self.depth {
-            return self.list.refused("a number stands where the other rows have a list");
+            return self.list.refused("a number is given where the other rows have a list");
         }
         self.list.numbers.push(number);
         Ok(())
@@ -94,7 +94,7 @@ impl<'de> Visitor<'de> for Entry<'_> {
         // The first list at a depth fixes the length of all others there.
         let is_first = list.shape.len() == depth;
         if is_first && !list.numbers.is_empty() {
-            return list.refused("a list stands where the other rows have a number");
+            return list.refused("a list is given where the other rows have a number");
         }
         if is_first {
             list.shape.push(0);

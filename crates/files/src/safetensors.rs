@@ -58,7 +58,7 @@ impl TensorFile {
 
     fn view(&self) -> Result<SafeTensors<'_>> {
         SafeTensors::deserialize(&self.bytes).map_err(|error| {
-            Diagnostic::new("safetensors.format", format!("this is not a whole safetensors file: {error}"))
+            Diagnostic::new("safetensors.format", format!("this is not a complete safetensors file: {error}"))
                 .in_file(&self.path)
         })
     }
@@ -94,7 +94,7 @@ impl TensorFile {
             let more = entries.len().saturating_sub(keys.len());
             let more = if more > 0 { format!(" and {more} more") } else { String::new() };
             return Err(Diagnostic::new("safetensors.key", format!("there is no tensor '{key}'"))
-                .help(format!("the file holds: {}{more}", keys.join(", ")))
+                .help(format!("tensors of the file: {}{more}", keys.join(", ")))
                 .in_file(&self.path));
         };
         let numbers = self.numbers(key, &tensor)?;
@@ -105,9 +105,9 @@ impl TensorFile {
 
     fn numbers(&self, key: &str, tensor: &TensorView<'_>) -> Result<Numbers> {
         let Some(element) = element(tensor.dtype()) else {
-            let message = format!("tensor '{key}' holds {:?}, which is not read", tensor.dtype());
+            let message = format!("tensor '{key}' has type {:?}, which is not supported", tensor.dtype());
             return Err(Diagnostic::new("safetensors.dtype", message)
-                .help("F64, F32, F16, BF16, integers of 8 to 64 bits and BOOL are")
+                .help("supported types: F64, F32, F16, BF16, integers of 8 to 64 bits and BOOL")
                 .in_file(&self.path));
         };
         let (width, data) = (element.bytes(), tensor.data());

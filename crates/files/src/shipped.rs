@@ -190,7 +190,7 @@ pub fn unknown(code: &'static str, kind: &str, name: &str, table: &[Shipped]) ->
     let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
     let meant = MEANT.iter().find(|(called, target)| *called == name.to_lowercase() && names.contains(target));
     Diagnostic::new(code, format!("there is no shipped {kind} named '{name}'")).help(format!(
-        "{}shipped are: {}; or give a path to a .ron file",
+        "{}shipped files: {}; or give a path to a .ron file",
         did_you_mean(meant.map_or(name, |(_, target)| *target), names.iter().copied()),
         names.join(", ")
     ))

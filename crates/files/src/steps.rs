@@ -164,7 +164,7 @@ impl<'w> StepWriter<'w> {
         match (self.failed, self.promised) {
             (Some(error), _) => Err(error),
             (None, Some(rows)) if rows != self.rows => {
-                Err(Error::other(format!("{} rows where the header says {rows}", self.rows)))
+                Err(Error::other(format!("the table has {} rows, but its header states {rows}", self.rows)))
             }
             _ => Ok(()),
         }

@@ -80,7 +80,7 @@ impl SynapseArrays {
             (Some(_), None) => {}
             (None, Some(begins)) => {
                 if begins.len() as u64 != sources + 1 {
-                    let message = format!("{} numbers for {sources} sources, one more is needed", begins.len());
+                    let message = format!("{} numbers for {sources} sources, expected {}", begins.len(), sources + 1);
                     return Err(refuse("first", message));
                 }
                 let ascending = (1..begins.len()).all(|at| begins.real(at - 1) <= begins.real(at));
@@ -91,8 +91,9 @@ impl SynapseArrays {
             }
             (Some(_), Some(_)) => return Err(refuse("first", "both source and first are given".to_string())),
             (None, None) => {
-                let message = "neither source nor first is given".to_string();
-                return Err(refuse("target", message).help("source has one entry a synapse, first one a source"));
+                let message = "both source and first are missing".to_string();
+                return Err(refuse("target", message)
+                    .help("give source with one entry per synapse, or first with one entry per source and one more"));
             }
         }
         let index = move |name: &str, tensor: &Tensor, entry: usize, size: u64| {

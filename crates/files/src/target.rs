@@ -50,8 +50,11 @@ pub fn target_with_neurons(file: &NetworkFile, named: Option<&str>) -> Result<(T
         return Ok((target, None));
     }
     let Some(other) = shipped_with(&kinds).into_iter().next() else { return Ok((target, None)) };
-    let lacks =
-        format!("{}, on which map puts the network, lacks its neurons: this is of {}", target.name(), other.name());
+    let lacks = format!(
+        "{}, the target of nsim map, does not have the neurons of the network: this result is for {}",
+        target.name(),
+        other.name()
+    );
     Ok((other, Some(lacks)))
 }
 
@@ -98,7 +101,7 @@ fn changed(source: &SourceText, origin: Origin, deepest: u32) -> Result<Target> 
     let is_shipped = shipped::TARGETS.iter().any(|shipped| Path::new(shipped.path) == base_source.path());
     let base_origin = if is_shipped { Origin::Shipped } else { Origin::File };
     let Some(deepest) = deepest.checked_sub(1) else {
-        let message = format!("targets are based on each other more than {DEEPEST} deep");
+        let message = format!("targets have more than {DEEPEST} levels of base");
         return Err(Diagnostic::new("target.base", message).at(source, changes.base.span));
     };
     let base = target_within(&base_source, base_origin, deepest)?;
@@ -126,7 +129,9 @@ fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &T
     chip.check(source)?;
     if changes.cores_per_tile.is_none() && chip.cores_per_tile != base.chip().cores_per_tile {
         let (cores, held) = (chip.cores, chip.cores_per_tile);
-        tracing::warn!("{name}: its {cores} cores make tiles of {held}; width, height or cores_per_tile say otherwise");
+        tracing::warn!(
+            "{name}: its {cores} cores make tiles of {held}; for other tiles, give width, height or cores_per_tile"
+        );
     }
     let differs = chip.name == own_name || changes.chips_x.is_some() || changes.chips_y.is_some();
     let is_changed = name == base.name() && (differs || base.is_changed());
@@ -179,7 +184,7 @@ fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
     let mut constants = if value(source.text(), "base").is_some() {
         let changes: ConstantsChanges = parse(source, "constants.syntax")?;
         let Some(deepest) = deepest.checked_sub(1) else {
-            let message = format!("constants are based on each other more than {DEEPEST} deep");
+            let message = format!("constants have more than {DEEPEST} levels of base");
             return Err(Diagnostic::new("constants.base", message).at(source, changes.base.span));
         };
         let origin = if is_shipped { Origin::Shipped } else { Origin::File };
@@ -242,7 +247,7 @@ fn part(
             let help = match name.value.strip_suffix(".ron") {
                 Some(stem) => format!("write the name without .ron: {stem:?}"),
                 None => {
-                    format!("shipped are: {}; or put {}.ron beside the target file", names.join(", "), name.value)
+                    format!("shipped files: {}; or put {}.ron next to the target file", names.join(", "), name.value)
                 }
             };
             Err(Diagnostic::new("target.part", format!("there is no {kind} named '{}'", name.value))

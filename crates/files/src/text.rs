@@ -33,7 +33,7 @@ pub fn unreadable(path: &Path, error: &std::io::Error) -> Diagnostic {
             }
             missing
         }
-        ErrorKind::PermissionDenied => Diagnostic::new("io.denied", "the file may not be read"),
+        ErrorKind::PermissionDenied => Diagnostic::new("io.denied", "permission to read the file is denied"),
         ErrorKind::IsADirectory => Diagnostic::new("io.folder", "this is a folder, not a file"),
         _ => Diagnostic::new("io.read", format!("cannot be read: {error}")),
     };
@@ -59,7 +59,7 @@ pub fn not_regular(path: &Path) -> Diagnostic {
 pub fn open(path: &Path) -> Result<(Input, Metadata)> {
     let found = path.metadata().map_err(|error| unreadable(path, &error))?;
     if !found.is_file() && !found.is_dir() && !is_descriptor(path) {
-        return Err(not_regular(path).help("give - to read stdin, or a regular file"));
+        return Err(not_regular(path).help("give a regular file, or - to read stdin"));
     }
     let (file, metadata) = Input::open(path).map_err(|error| unreadable(path, &error))?;
     if metadata.is_dir() {
@@ -76,8 +76,8 @@ pub fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<()> {
     if !begin.starts_with(LFS) {
         return Ok(());
     }
-    Err(Diagnostic::new("io.lfs-pointer", "this is a Git-LFS pointer, not the file that it stands for")
-        .help("run `git lfs pull` in the folder that the file comes from")
+    Err(Diagnostic::new("io.lfs-pointer", "this is a Git-LFS pointer, not the file itself")
+        .help("run `git lfs pull` in the repository of the file")
         .in_file(path))
 }
 
@@ -89,7 +89,7 @@ pub fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<()> {
 pub fn read_bytes(path: &Path, limit: u64) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     let too_large = |size: String| {
-        Diagnostic::new("io.too-large", format!("{size} bytes are more than the {limit} that are read")).in_file(path)
+        Diagnostic::new("io.too-large", format!("the file has {size} bytes, the limit is {limit}")).in_file(path)
     };
     if is_standard_stream(path) {
         std::io::stdin().lock().take(limit + 1).read_to_end(&mut bytes).map_err(|error| unreadable(path, &error))?;

@@ -293,7 +293,7 @@ Network(
         }
         let [two, three, far, back] = ["two", "three", "far", "back"].map(|name| format!("Npy(\"{name}.npy\")"));
         for (way, code, word) in [
-            (format!("target: {two}, weight: {two}"), "model.synapse-arrays", "neither source nor first"),
+            (format!("target: {two}, weight: {two}"), "model.synapse-arrays", "both source and first are missing"),
             (format!("source: {two}, first: {two}, target: {two}, weight: {two}"), "model.synapse-arrays", "both"),
             (format!("source: {two}, target: {two}, weight: {three}"), "model.synapse-arrays", "3 numbers"),
             (format!("source: {two}, target: {far}, weight: {two}"), "model.synapse-index", "entry 1: target 5"),

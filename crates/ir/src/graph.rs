@@ -422,10 +422,10 @@ impl Graph {
             _ => None,
         });
         let Some((Population { name, span, .. }, kind)) = lacking else { return Ok(()) };
-        let message = format!("population '{name}' has {kind} neurons, which have no form in real numbers");
+        let message = format!("population '{name}' has {kind} neurons, which cannot be run in real numbers");
         Err(Diagnostic::new("model.no-real-form", message)
             .at(&self.facts.source, *span)
-            .help("nsim run and nsim energy take the network; --engine golden checks the fast engine"))
+            .help("use nsim run or nsim energy; --engine golden checks the fast engine"))
     }
 
     /// Facts about the network as a whole.

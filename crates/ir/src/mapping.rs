@@ -110,15 +110,18 @@ mod strides {
                 (Some(first), Some(count), None) => runs.push(Run { population, first, count }),
                 (None, None, Some(at)) => {
                     for word in at.split_whitespace() {
-                        let wrong =
-                            || D::Error::custom(format!("{word} is no compartment, run or stride: 5, 5+3 or 5+3*4"));
+                        let wrong = || {
+                            D::Error::custom(format!(
+                                "{word} is not a compartment, run or stride, such as 5, 5+3 or 5+3*4"
+                            ))
+                        };
                         let (first, count, step) = stride(word).ok_or_else(wrong)?;
                         add(&mut runs, &population, first, count, step).ok_or_else(wrong)?;
                     }
                 }
                 _ => {
                     return Err(D::Error::custom(
-                        "a core holds a population either from first on, this many, or at places",
+                        "a core lists compartments of a population either with first and count, or with at",
                     ));
                 }
             }
@@ -234,7 +237,7 @@ pub fn check_unchanged(mapping: &MappingFile) -> Result<(), Diagnostic> {
     if mapping.checksum.is_none() {
         return Ok(());
     }
-    let message = "the mapping was changed or damaged after it was saved: its checksum is another";
+    let message = "the mapping was changed or damaged after it was saved: its checksum does not match";
     Err(Diagnostic::new("mapping.checksum", message)
         .help("make it again: nsim map MODEL -o FILE; if you changed it on purpose, remove the line of its checksum"))
 }
@@ -286,7 +289,7 @@ mod tests {
         assert_eq!(held("(population: \"a\", first: 4, count: 2)").unwrap().holds, [run("a", 4, 2)]);
         for wrong in ["x", "1+", "1+0", "1+2*0", "1+70000", "-1", "4294967295+2", "1+3*4294967295", "1..3"] {
             let said = held(&format!("(population: \"a\", at: \"{wrong}\")")).unwrap_err();
-            assert!(said.contains("no compartment, run or stride"), "{wrong}: {said}");
+            assert!(said.contains("not a compartment, run or stride"), "{wrong}: {said}");
         }
         for wrong in ["first: 1", "count: 1", "first: 1, count: 1, at: \"1\"", "steps: 2"] {
             assert!(held(&format!("(population: \"a\", {wrong})")).is_err(), "{wrong}");

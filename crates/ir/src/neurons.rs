@@ -400,7 +400,7 @@ const STEP: ParameterField = required(
     "threshold_step",
     range("step of the threshold", -MOST_ADAPTIVE, MOST_ADAPTIVE),
     Storage::Threshold,
-    "give what a spike adds to the threshold, in units of the state",
+    "give the increase of the threshold per spike, in units of the state",
 );
 /// The threshold that a message has to exceed.
 const LEAST: ParameterField = threshold(0, i32::MAX as i64);
@@ -652,7 +652,7 @@ fn table_of(code: &Microcode) -> KindTable {
         let name = leaked(&parameter.name);
         let field = range(name, parameter.range.0.into(), parameter.range.1.into());
         let default = parameter.default.map(i64::from);
-        let help = "give it, or give it a default in the kind's parameters";
+        let help = "give a value, or a default in the kind's parameters";
         ParameterField { default, ..required(name, field, Storage::Each, help) }
     };
     let column = |word: &crate::microcode::Word| Column { name: leaked(&word.name), bits: word.bits };

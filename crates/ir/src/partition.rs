@@ -69,8 +69,8 @@ pub enum PartitionError {
     /// A compartment has two seats, or is not of this network.
     #[error("compartment {0} sits on more than one core, or does not exist")]
     Misplaced(CompartmentId),
-    /// What some core uses is not given.
-    #[error("there are {cores} cores, and what {given} of them use")]
+    /// The usage of some core is missing.
+    #[error("there are {cores} cores, but usage for {given} of them")]
     Uncounted {
         /// Number of cores.
         cores: usize,

@@ -108,14 +108,14 @@ fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
     let token = Span { start, end: quote.unwrap_or(end + after.len() - after.trim_start_matches(part).len()) };
     let found = &text[token.start..token.end];
     let message = match (&error.code, found.len()) {
-        (ExpectedArray, 1..=40) => format!("expected a list and found {found}: write [{found}]"),
+        (ExpectedArray, 1..=40) => format!("expected a list but found {found}: write [{found}]"),
         (ExpectedInteger | IntegerOutOfBounds, 1..=40) if found.parse::<f64>().is_ok() => {
             let least = if found.starts_with('-') { " from 0" } else { "" };
-            format!("expected a whole number{least} and found {found}")
+            format!("expected a whole number{least} but found {found}")
         }
         // Characters after the digits make it another kind of number.
         (ExpectedComma | TrailingCharacters, 1..=40) if token.start < end && found.parse::<f64>().is_ok() => {
-            format!("expected a whole number and found {found}")
+            format!("expected a whole number but found {found}")
         }
         _ => {
             let start = offset_of(text, error.span.start).min(end);

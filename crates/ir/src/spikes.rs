@@ -108,7 +108,7 @@ impl Copies {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum SampleError {
     /// An event lies at or after the end.
-    #[error("a spike at step {step} lies outside the sample's {steps} steps")]
+    #[error("a spike at step {step} is outside the sample's {steps} steps")]
     Step {
         /// The event's step.
         step: u32,

@@ -47,7 +47,7 @@ pub fn counted_in_boxes<'t>(in_boxes: bool, network: &Quantised, target: &'t Tar
 pub fn refuse_large(what: &str, one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
     match is_large(one, copies) {
         false => Ok(()),
-        true => Err(too_many(&format!("{what} needs every synapse"), one, copies, MOST_COUNTED)),
+        true => Err(too_many(&format!("{what} enumerates every synapse"), one, copies, MOST_COUNTED)),
     }
 }
 
@@ -58,16 +58,16 @@ pub fn refuse_large(what: &str, one: &Quantised, copies: u32) -> Result<(), Diag
 /// `map.described`.
 pub fn refuse_to_run(one: &Quantised, copies: u32) -> Result<(), Diagnostic> {
     match synapses(one, copies) > MOST_RUN && is_large(one, copies) {
-        true => Err(too_many("running it on cores needs the program", one, copies, MOST_RUN)),
+        true => Err(too_many("running it on cores needs a program", one, copies, MOST_RUN)),
         false => Ok(()),
     }
 }
 
 fn too_many(what: &str, one: &Quantised, copies: u32, most: u64) -> Diagnostic {
     let synapses = synapses(one, copies);
-    let message = format!("{what} of {} written out: {synapses} synapses, more than {most}", one.parts().name);
-    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o; nsim run and nsim energy run \
-                it up to 2^32 synapses, nsim run --engine reference one copy of it in real numbers; for all else make \
-                it smaller, or map fewer copies";
+    let message = format!("{what} of {}: {synapses} synapses, more than {most}", one.parts().name);
+    let help = "nsim map maps such a network by its kernels, with --svg, --pareto and -o. nsim run and nsim energy run \
+                up to 2^32 synapses, nsim run --engine reference runs one copy in real numbers. Otherwise make the \
+                network smaller, or map fewer copies";
     Diagnostic::new("map.described", message).help(help)
 }

@@ -134,10 +134,10 @@ impl fmt::Display for Reason {
     }
 }
 
-/// What to do where the input axons of a population that channels reach are too many.
-const MERGE_INPUTS: &str = "every input channel that reaches a core takes one input axon there: merge polarities \
-                            (halves the channels), prune inputs that never fire (--prune INPUT), pool more before \
-                            this population, or split the fan-in over intermediate populations";
+/// Advice where a population with input channels as sources needs too many input axons.
+const MERGE_INPUTS: &str = "every input channel that sends to a core takes one input axon there: merge polarities \
+                            (halves the channels), prune inputs that never fire (--prune INPUT), pool more before this \
+                            population, or split the fan-in over intermediate populations";
 
 impl Reason {
     fn new(resource: Capacity, need: u64, limit: u64, help: String) -> Self {
@@ -163,7 +163,7 @@ impl Reason {
 
     /// A core of a given membership needs more than it has.
     pub fn of_core(core: CoreId, resource: Capacity, need: u64, limit: u64) -> Self {
-        let help = format!("{}; or let nsim make a new mapping", Capacity::from(Resource::Compartments).advice());
+        let help = format!("{}, or let nsim make a new mapping", Capacity::from(Resource::Compartments).advice());
         Reason { core: Some(core), ..Reason::new(resource, need, limit, help) }
     }
 
@@ -191,6 +191,7 @@ impl Reason {
 }
 
 fn larger(copies: u32, cores: u64) -> String {
-    let other = if copies > 1 { format!("map fewer than {copies} copies") } else { "a smaller network".to_string() };
+    let other =
+        if copies > 1 { format!("map fewer than {copies} copies") } else { "use a smaller network".to_string() };
     format!("choose a target with at least {cores} cores, or {other}")
 }

@@ -26,7 +26,7 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
     let one = network.parts();
     if let Some(taken) = one.populations.iter().find(|p| is_copy_name(&p.name)) {
         return Err(Inconsistent(format!(
-            "population {} has a name that a copy of another would have; rename it",
+            "the name of population {} is also the name of a copy of another; rename it",
             taken.name
         )));
     }

@@ -153,7 +153,8 @@ impl Stage<'_> {
     }
 
     fn real_neurons(&self, population: &graph::Population) -> Diagnostic {
-        let message = format!("population '{}' has spike response neurons, which have no integers", population.name);
+        let message =
+            format!("population '{}' has spike response neurons, which have no integer form", population.name);
         self.error("model.srm-unconverted", message, population.span).help("run it with --engine reference")
     }
 
@@ -169,7 +170,7 @@ impl Stage<'_> {
                 format!("projection {}: {width} {:?} weight bits cannot be stored", projection.name, projection.sign);
             return Err(self
                 .error("model.synapse-format", message, bits.span)
-                .help("1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
+                .help("give 1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
         Ok(SynapseFormat {
             exponent,
@@ -205,7 +206,8 @@ impl Stage<'_> {
                     Ok(None) => {}
                     Ok(Some(0)) => continue,
                     Ok(Some(shifted)) => {
-                        let message = format!("what arrives over {shifted} projections is shifted apart, as in lava");
+                        let message =
+                            format!("input of {shifted} of its projections is shifted separately, as in lava");
                         self.note(&name, message);
                         continue;
                     }
@@ -221,19 +223,19 @@ impl Stage<'_> {
             let Some(exponent) = exponents.min().filter(|_| lava || whole) else { continue };
             if !apart::one_shift_does(projections, target) {
                 let message = format!(
-                    "as lava shifts sums, of the projections into it one at most may have a negative weight_exp by which \
-                     weights lose bits, and the others at most {} more",
+                    "lava shifts sums, so at most one projection into it may have a negative weight_exp that drops \
+                     bits of weights; the others may exceed it by at most {}",
                     WeightExponent::MAX
                 );
-                let help = "raise vth_mant, bias_mant and the weight_exp of all that leads there alike, or use \
-                            semantics Hardware";
+                let help = "raise the weight_exp of all projections into it by n and multiply vth_mant and \
+                            bias_mant by 2^n, or use semantics Hardware";
                 return refused(message, help);
             }
             if let Units::Compartments { neurons, .. } = &mut populations[target].units {
                 let shifted = |_, neuron| Ok::<_, Diagnostic>(Neuron { shift: exponent.unsigned_abs(), ..neuron });
                 *neurons = neurons.try_map(shifted)?;
             }
-            self.note(&name, format!("what arrives is shifted by {} bits in all, as lava does", -exponent));
+            self.note(&name, format!("input is shifted by {} bits in total, as in lava", -exponent));
             for projection in projections.iter_mut().filter(|projection| projection.target == target) {
                 let raised = i64::from(projection.format.exponent.get() - exponent);
                 projection.format.exponent = WeightExponent::new(raised)
@@ -266,9 +268,10 @@ impl Stage<'_> {
                         "population '{}': its projections' weight_scale imply different scales",
                         population.name
                     );
-                    return Err(self
-                        .error("model.weight-scale", message, scale.span)
-                        .help("scales times 2^weight_exp must agree: all that comes in is measured by one threshold"));
+                    return Err(self.error("model.weight-scale", message, scale.span).help(
+                        "give projections equal weight_scale times 2^weight_exp, because their inputs share one \
+                         threshold",
+                    ));
                 }
                 pinned = Some(here);
             }
@@ -300,8 +303,9 @@ impl Stage<'_> {
             let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
             let integer = to_integer(value);
             if integer.fract() != 0.0 || integer.abs() > 9e15 {
-                let message =
-                    format!("population '{population}': {what}{of} {value} is not an integer of the hardware");
+                let message = format!(
+                    "population '{population}': {what}{of} {value} is not an integer that the hardware can store"
+                );
                 return Err(self.error("model.not-integer", message, values.span));
             }
             field.check(integer as i64).map_err(|e| {
@@ -332,7 +336,7 @@ impl Stage<'_> {
                     let message = format!("population '{name}': a time constant of {tau} ms is not above 0");
                     return Err(self
                         .error("model.time-constant", message, values.span)
-                        .help("for no memory give an effective decay of 4096"));
+                        .help("give an effective decay of 4096 for no memory"));
                 }
                 let dt = self.graph.facts().timestep_ms;
                 let decay = |tau: f64| (DECAY_ONE as f64 * -(-dt / tau).exp_m1()).round_ties_even();
@@ -355,7 +359,7 @@ impl Stage<'_> {
     fn neurons(&mut self, population: &graph::Population, p: &NeuronParameters, scale: Option<f64>) -> Result<Neurons> {
         let (name, semantics) = (&population.name, self.graph.facts().semantics);
         if !neuron::semantics(p.kind).contains(&semantics) {
-            let message = format!("population '{name}': {} has no form in semantics {semantics:?}", p.kind.name());
+            let message = format!("population '{name}': semantics {semantics:?} does not support {}", p.kind.name());
             return Err(self.error("model.semantics", message, population.span));
         }
         let integers = p.kind.parameters().iter().map(|parameter| self.parameter(name, p, parameter, scale));
@@ -375,7 +379,7 @@ impl Stage<'_> {
             self.note(name, "SLAYER's kernel has no bias: it is ignored under semantics Slayer");
         }
         if let Some(scale) = scale {
-            self.note(name, format!("a real unit counts {scale:.6} register units"));
+            self.note(name, format!("1 real unit is {scale:.6} register units"));
         }
         Ok(neurons)
     }
@@ -395,12 +399,13 @@ impl Stage<'_> {
             });
             fitting.ok_or_else(|| {
                 let of = index.map_or(String::new(), |i| format!(" of compartment {i}"));
-                let message =
-                    format!("population '{name}': bias{of} {value} is {register} register units, beyond 4095 * 2^7");
+                let message = format!(
+                    "population '{name}': bias{of} {value} is {register} register units, the limit is 4095 * 2^7"
+                );
                 let most = value / register * f64::from(4095 << 7);
                 self.error("model.range", message, values.span).help(format!(
-                    "bring it within {most:.4} of 0, as far as these weights reach: a neuron whose bias is beyond its \
-                     threshold spikes in every step, or never"
+                    "limit it to {most:.4} either side of 0, the largest bias at the scale of these weights; with a \
+                     bias beyond its threshold, a neuron spikes in every step or never"
                 ))
             })
         })
@@ -441,7 +446,8 @@ impl Stage<'_> {
         let Rounding { changed, most, greatest, seen, .. } = rounding;
         if changed > 0 {
             let step = format.sign.step(format.bits);
-            let message = format!("{changed} of {seen} weights rounded to multiples of {step}, by at most {most:.3}");
+            let message =
+                format!("rounding to multiples of {step} changed {changed} of {seen} weights, by at most {most:.3}");
             let rounded =
                 Some(Rounded { real: factor.is_some(), changed, weights: seen, worst_share: most / greatest });
             self.notes.push(Note { entity: projection.name.clone(), message, rounded });
@@ -483,7 +489,7 @@ impl Rounding<'_, '_> {
             return Err(self
                 .stage
                 .error("model.weight-not-integer", message, place())
-                .help("beside an integer vth_mant, real weights need a weight_scale; or give a real vth"));
+                .help("give weight_scale, which real weights need with an integer vth_mant, or give a real vth"));
         }
         let step = self.format.sign.step(self.format.bits);
         let rounded = to_step(exact, step, self.stage.graph.facts().weight_rounding);
@@ -573,7 +579,10 @@ impl Rounding<'_, '_> {
                 if self.factor.is_some() || least > greatest {
                     let message = match self.factor {
                         Some(_) => {
-                            format!("projection {}: random integer weights meet a real threshold", projection.name)
+                            format!(
+                                "projection {}: random weights need an integer threshold and no weight_scale",
+                                projection.name
+                            )
                         }
                         None => format!("projection {}: low {least} is above high {greatest}", projection.name),
                     };

@@ -121,7 +121,7 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
         if relays.iter().any(|&relays| relays > 0) {
             if population.message != Message::Spike {
                 let name = &population.name;
-                return Err(refused(format!("population {name} sends graded spikes, which a relay does not carry")));
+                return Err(refused(format!("population {name} sends graded spikes, which relays do not support")));
             }
             needs.push(Need { of, relays, tight });
         }
@@ -156,9 +156,9 @@ fn padded(network: &Quantised, needs: &[Need]) -> Result<IdVec<PopulationId, u32
         .map(|p| format!("{} (delay {}) needs a delay of {}", p.name, p.delay.get(), least(p)))
         .collect();
     let message =
-        format!("a relay takes a step, which the delays of a recurrent part do not leave: {}", short.join("; "));
+        format!("a relay takes one step, but the delays of a recurrent part are too short: {}", short.join("; "));
     Err(refused(message)
-        .help("give these projections that delay; padding all paths alike is possible in acyclic parts only"))
+        .help("give these projections that delay; nsim can pad paths only where there is no recurrence"))
 }
 
 /// Lists of synapses, written source by source.
@@ -225,12 +225,12 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     }
     if let Some((_, Projection { name, .. })) = network.plastic().next() {
         let message =
-            format!("projection {name} is plastic, and its synapses would no longer be those of one projection");
+            format!("projection {name} is plastic, and relays would split its synapses over several projections");
         return Err(refused(message).help("give no compartment more targets than it has output axons"));
     }
     let semantics = network.parts().semantics;
     if semantics != Semantics::Hardware {
-        return Err(refused(format!("relays are known in the chip's semantics only, not in {semantics:?}")));
+        return Err(refused(format!("relays are supported in the chip's semantics only, not in {semantics:?}")));
     }
     if !network.parts().children.is_empty() {
         return Err(refused("compartments of one neuron would not start in the same step".to_string()));
@@ -257,7 +257,7 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
         let of = &network.populations()[need.of].name;
         parts.projections.push(to_relays(format!("{of} -> {name}"), need.of, id, over));
         let message =
-            format!("{size} relays carry its spikes on, because a compartment has {most} output axons at most");
+            format!("{size} relays forward its spikes, because a compartment has at most {most} output axons");
         parts.notes.push(Note { entity: of.clone(), message, rounded: None });
     }
     for (population, &later) in network.populations().iter().zip(&later).filter(|(_, later)| **later > 0) {
@@ -268,7 +268,7 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
 }
 
 fn made(parts: Parts) -> Result<Quantised, Diagnostic> {
-    Quantised::new(parts).map_err(|error| refused(format!("the network with relays contradicts itself: {error}")))
+    Quantised::new(parts).map_err(|error| refused(format!("the network with relays is inconsistent: {error}")))
 }
 
 /// A name for relays that no population has.

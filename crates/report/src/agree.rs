@@ -145,7 +145,7 @@ pub(super) fn classes_text(classes: &ClassTally) -> String {
             let compared = count(classes.compared as u64, "sample");
             format!("classes agree in {} of {compared} ({}){rest}", classes.same, three(share))
         }
-        None => format!("no sample is decided by both, so that no class is compared{rest}"),
+        None => format!("no sample is decided by both networks, so no class is compared{rest}"),
     }
 }
 
@@ -198,7 +198,7 @@ fn score_columns<'a>() -> [Column<(&'a str, &'a ConversionScore)>; 4] {
 
 /// Scores of the analytic start of a search and of its end.
 fn scores(found: &SearchResult) -> [(&str, &ConversionScore); 2] {
-    [("analytic start", &found.start), ("what is left", &found.end)]
+    [("analytic start", &found.start), ("end of the search", &found.end)]
 }
 
 fn score_json(score: &ConversionScore) -> Value {
@@ -335,14 +335,14 @@ impl AgreeReport<'_> {
         let Some(attribution) = self.attribution else { return String::new() };
         let table = table_of(&attribution.shares, &SHARE_TEXT);
         let intro = format!(
-            "why: disagreement {} (1 - coincidence over all layers) over {}, from the trained network to the machine; \
-             each row is the network once its cause is switched on{}; without: the coincidence of the machine without \
-             this cause",
+            "causes: disagreement {} (1 - coincidence over all layers) over {}, from the trained network to the \
+             machine. Each row is the network with one more cause added{}. without: the coincidence of the machine \
+             without this cause",
             three(attribution.disagreement),
             count(self.attribution_samples as u64, "sample"),
             match attribution.shares.iter().all(|share| share.share.is_some()) {
-                true => ", its share the mean of climbing forward and reversed",
-                false => ". Causes give back what others take, so that none has a share",
+                true => ", and its share is the mean over the forward and the reversed order",
+                false => ". Causes cancel each other, so none has a share",
             }
         );
         format!("\n{}{table}\n{}", wrapped(&intro), blame(attribution, self.next))
@@ -395,8 +395,8 @@ impl AgreeReport<'_> {
         out += &wrapped(&format!("{samples}{}{}", classes.unwrap_or_default(), accuracy.unwrap_or_default()));
         if let Some((trained, command)) = &self.source {
             out += &wrapped(&format!(
-                "{} was converted from {trained}, and a is what the conversion made, not the trained network; compare \
-                 with that: {command}",
+                "{} was converted from {trained}, so a is the result of the conversion, not the trained network; \
+                 compare with the trained network: {command}",
                 self.model
             ));
         }
@@ -410,7 +410,9 @@ impl AgreeReport<'_> {
         }
         out += &format!("\n{}", table_of(self.layers, &[&LAYER_COLUMNS[..4], &TEXT_COLUMNS].concat()));
         if self.layers.iter().any(|row| row.shift != 0) {
-            out += &wrapped("shift: steps by which b answers later than a (negative: earlier), which are removed");
+            out += &wrapped(
+                "shift: steps by which b answers later than a (negative: earlier); the comparison removes them",
+            );
         }
         out += &self.attribution_text();
         if !self.files.is_empty() {
@@ -424,14 +426,14 @@ impl AgreeReport<'_> {
 fn sentence(layer: &LayerLoss) -> String {
     let LayerLoss { name, spikes, disagreement, .. } = layer;
     if spikes.0 + spikes.1 == 0 {
-        return format!("'{name}' is silent in both: nothing to compare.");
+        return format!("'{name}' is silent in both networks: nothing to compare.");
     }
     if !layer.is_lossy() {
-        return format!("'{name}' loses next to nothing ({disagreement:.4} of its coincidence).");
+        return format!("'{name}' loses almost nothing ({disagreement:.4} of its coincidence).");
     }
     let most = match layer.worst() {
         Some((cause, back)) => format!("most to {}; without, it loses {back:.3} less", cause.words()),
-        None => "to causes together, none of which alone brings it back".to_string(),
+        None => "to several causes together; removing any one restores little of it".to_string(),
     };
     format!("'{name}' loses {disagreement:.3} of its coincidence, {most}.")
 }
@@ -446,7 +448,7 @@ pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
     }
     let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
     if let Some(remedy) = attribution.worst().filter(|_| lossy).and_then(Cause::remedy) {
-        out += &wrapped(&format!("What may help: {remedy}."));
+        out += &wrapped(&format!("Remedy: {remedy}."));
     }
     if let Some(Next { what, command, .. }) = next {
         out += &format!("{}{}\n", wrapped(&format!("next: a command that {what}")), shell_lines(command));
@@ -495,7 +497,7 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
         Series::Line("threshold".to_string(), vec![(around.from.into(), 1.0), (end, 1.0)]),
     ];
     let title = format!(
-        "{model}: '{}' neuron {}, sample {}, parts in step {}",
+        "{model}: '{}' neuron {}, sample {}, first difference in step {}",
         row.name, divergence.neuron, divergence.sample, divergence.timestep
     );
     Some(plot::chart(&title, &Axis::linear("timestep of a"), &Axis::linear("potential in thresholds"), &series))

@@ -167,13 +167,13 @@ pub fn text(found: &Comparison) -> String {
             Err(reasons) => {
                 lines.push([&[target.as_str()][..], &["-"; 5]].concat().into_iter().map(str::to_string).collect());
                 for reason in reasons {
-                    said += &wrapped(&format!("{target} cannot hold it: {}", reason.message));
+                    said += &wrapped(&format!("it does not fit {target}: {}", reason.message));
                 }
             }
         }
     }
     let shown = if found.input.is_empty() { "its scene".to_string() } else { found.input.join(" ") };
-    let mut out = wrapped(&format!("{}, one copy, shown {shown}", found.model));
+    let mut out = wrapped(&format!("{}, one copy, input {shown}", found.model));
     out += &format!("\n{}\n{said}", table(&header, &lines));
     if !found.set.is_empty() {
         out += &wrapped(&format!("--set changes every row: {}", found.set.join(", ")));
@@ -186,13 +186,13 @@ pub fn text(found: &Comparison) -> String {
             None => format!("none on {target}"),
         };
         let said = shares.iter().map(said).collect::<Vec<_>>().join(", ");
-        out += &wrapped(&format!("x86 cores that feed input take {said}: --host none omits them"));
+        out += &wrapped(&format!("time of x86 cores for input: {said}; --host none omits them"));
     }
     kinds.dedup();
     for (constants, intervals) in kinds {
         out += &wrapped(&match intervals {
-            Intervals::Works => format!("{constants}: ranges hold 80 % of published works"),
-            Intervals::Constants => format!("{constants}: modelled; ranges are what its sources leave open"),
+            Intervals::Works => format!("{constants}: ranges contain 80 % of published works"),
+            Intervals::Constants => format!("{constants}: modelled; ranges follow from its sources"),
         });
     }
     out

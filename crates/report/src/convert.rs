@@ -142,8 +142,8 @@ impl ConvertReport<'_> {
         let converted = &self.done.converted;
         let mut out = format!("{}.\n\n{}", self.what(), markdown_of(&converted.stages, &STAGES));
         out += &format!(
-            "\nThe most that is left to gain, with real numbers in the place of one kind of integer (with none, on \
-             the same samples, {}):\n\n",
+            "\nLargest remaining gain, with real numbers instead of one kind of integer (with integers only, on the \
+             same samples, {}):\n\n",
             four(converted.attribution.machine.coincidence)
         );
         out += &markdown_of(&converted.left, &LEFT);
@@ -174,7 +174,7 @@ impl ConvertReport<'_> {
                 three(trained),
                 three(integers),
                 count(judged.samples as u64, "sample"),
-                blamed.map_or(String::new(), |cause| format!("; most is lost to {}", cause.words()))
+                blamed.map_or(String::new(), |cause| format!("; the largest loss is due to {}", cause.words()))
             ));
         }
         // Stages are numbered and named after the table, since their names are too long for it.
@@ -195,11 +195,11 @@ impl ConvertReport<'_> {
         out += &blame(&converted.attribution, self.next);
         if self.job.resets_are_replaced() {
             out += &wrapped(
-                "Trained with a reset to zero (snnTorch: reset_mechanism='zero'), the network needs no other reset; a \
-                 target whose neurons subtract runs it as it is.",
+                "Train with a reset to zero (snnTorch: reset_mechanism='zero') to avoid the loss by the replaced \
+                 reset; a target whose neurons subtract runs the network unchanged.",
             );
         }
-        out += &format!("\nwhat is left to gain\n{}\n", table_of(&converted.left, &LEFT));
+        out += &format!("\nremaining gain\n{}\n", table_of(&converted.left, &LEFT));
         if let Some(tuned) = self.tuned {
             out += &tuned_text(tuned);
         }

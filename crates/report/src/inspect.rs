@@ -93,7 +93,7 @@ impl Findings {
             let _ = write!(out, "\n{}\n{}", part.key, table(&header, &rows));
             if part.rows.len() > rows.len() || header.len() < part.columns.len() {
                 let all = count(part.rows.len() as u64, "row");
-                let _ = writeln!(out, "{} of {all}; all that is known of them: --format json", rows.len());
+                let _ = writeln!(out, "{} of {all}; --format json has all rows and fields", rows.len());
             }
         }
         out

@@ -66,9 +66,9 @@ fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
     let (relays, levels) = (count(*relays, "relay"), count(*levels, "level"));
     let of = |(name, steps): (&String, &u32)| format!("{name} {steps}");
     match later.is_empty() {
-        true => format!("{relays} in {levels}; no spike comes later"),
+        true => format!("{relays} in {levels}; no spike is delayed"),
         false => format!(
-            "{relays} in {levels}; spikes come later, by this many steps: {}",
+            "{relays} in {levels}; spikes are delayed by this number of steps: {}",
             later.iter().map(of).collect::<Vec<_>>().join(", ")
         ),
     }
@@ -244,7 +244,7 @@ impl<'a> MapResult<'a> {
                 text += &wrapped(&format!("{model}, {copies}, does not fit {target}, {cores} on {chips}:"));
                 text += &listed(reasons);
                 if !self.remedies.is_empty() {
-                    text += "tried, and it fits then:\n";
+                    text += "these changes were tried, and each makes it fit:\n";
                 }
                 for Remedy { change, cores, copies, .. } in self.remedies {
                     let copies = if *copies == 1 { String::new() } else { format!(", {copies} copies") };
@@ -274,7 +274,7 @@ impl<'a> MapResult<'a> {
                 text += &table_of(&tightest(compiled, self.board), &TIGHTEST_COLUMNS);
                 let _ = writeln!(
                     text,
-                    "each core's use: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
+                    "use of each core: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
                     self.strategy.name(),
                     self.objective,
                     self.placed,
@@ -284,14 +284,16 @@ impl<'a> MapResult<'a> {
                     text += &wrapped(&relays_text(added));
                 }
                 if let Some(seconds) = self.time_budget_s {
-                    text += &format!("the best found in {seconds} s on this machine; another run may find another\n");
+                    text += &format!(
+                        "the best mapping found in {seconds} s on this machine; another run may find a different one\n"
+                    );
                 }
                 if !pruned.is_empty() {
                     let _ = write!(text, "\n{}\n", pruned_table(pruned));
                 }
                 let rates = match compiled.rates {
                     Rates::Assumed(_) => {
-                        format!("an assumed {DEFAULT_RATE} spikes a source (--profile scene measures them)")
+                        format!("an assumed {DEFAULT_RATE} spikes a source (--profile scene measures rates)")
                     }
                     Rates::Profile { .. } => "the rates of the profile".to_string(),
                 };
@@ -305,8 +307,8 @@ impl<'a> MapResult<'a> {
                     three(traffic.max_link_load)
                 ));
                 text += &wrapped(&format!(
-                    "expected of such a step, all copies and x86 cores: {} uJ, {} us (nsim energy counts the spikes \
-                     shown); static power {} mW of {}",
+                    "expected for such a step, all copies and x86 cores: {} uJ, {} us (nsim energy simulates the \
+                     input); static power {} mW of {}",
                     three(score.energy_uj),
                     three(score.step_us),
                     three(score.static_mw),

@@ -141,7 +141,7 @@ impl SceneReport {
         if let Some(wire) = &self.wire {
             let share = |count: u64| 100.0 * count as f64 / wire.sent.max(1) as f64;
             out += &wrapped(&format!(
-                "one wire for all taxels: {} events, {:.2} % missed, {:.2} % reported that were none",
+                "one wire for all taxels: {} events, {:.2} % missed, {:.2} % false",
                 wire.sent,
                 share(wire.missed),
                 share(wire.added)

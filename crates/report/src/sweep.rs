@@ -125,7 +125,7 @@ pub fn svg(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<String> {
     });
     let points: Vec<_> = points.collect();
     if points.is_empty() {
-        return Err(Diagnostic::new("sweep.column", format!("no row has a number under both {x} and {y}")));
+        return Err(Diagnostic::new("sweep.column", format!("no row has numbers in both columns {x} and {y}")));
     }
     let title = format!("{} over {}", spoken(y), spoken(x));
     let intervals = if y == "accuracy" { intervals(table, x)? } else { Vec::new() };

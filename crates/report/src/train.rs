@@ -88,7 +88,7 @@ impl TrainReport<'_> {
     /// The result as text.
     pub fn text(&self) -> String {
         let mut out = format!("{}: {}", self.job.file.name, wrapped(&self.summary()));
-        out += &format!("{:.1} s after the samples were there\n", self.trained.seconds);
+        out += &format!("{:.1} s of training\n", self.trained.seconds);
         if let Some(model) = self.model {
             out += &format!("written: {}\n", model.display());
         }

@@ -99,11 +99,11 @@ impl Recorded {
                 })
             }
             "noise" => Err(unknown(
-                "scene noise is made for a model, not recorded",
+                "scene noise depends on the model, so it cannot be recorded",
                 "give it to a run: nsim run MODEL --input scene:noise",
             )),
             clock::NAME => Err(unknown(
-                "a clock goes beside recordings, for a population of its own",
+                "a clock is combined with recordings, for a population of its own",
                 "nsim run MODEL --input touch=recordings --input phase=scene:clock?span=13",
             )),
             other => {
@@ -132,10 +132,8 @@ fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
     for (_, population) in network.inputs() {
         let units = population.shape.len();
         let Some(sense) = senses.iter().position(|sense| *sense == (population.name.as_str(), units)) else {
-            let message = format!(
-                "scene {name} has nothing for input population '{}' with its {units} channels",
-                population.name
-            );
+            let message =
+                format!("scene {name} does not drive input population '{}' of {units} channels", population.name);
             let help = format!(
                 "it is recorded for '{}' ({}) and '{}' ({}, or {} with a plane for each polarity)",
                 TOUCH.0, TOUCH.1, VISION.0, VISION.1, VISION_PLANES.1

@@ -24,8 +24,11 @@ pub(super) fn spread(key: &str, value: &str, range: std::ops::RangeInclusive<f64
     let (low, high) = value.split_once("..").unwrap_or((value, value));
     let (low, high) = (parameter(key, low, range.clone())?, parameter(key, high, range)?);
     if low > high {
-        return Err(Diagnostic::new("scene.parameter", format!("scene parameter {key}={value} runs downward"))
-            .help("write low..high"));
+        return Err(Diagnostic::new(
+            "scene.parameter",
+            format!("scene parameter {key}={value} has a low end above its high end"),
+        )
+        .help("write low..high"));
     }
     Ok((low, high))
 }

@@ -34,7 +34,7 @@ impl FromStr for Rule {
             margin => margin
                 .parse()
                 .map(Rule::Margin)
-                .map_err(|_| format!("'{text}' is neither a lead in spikes, such as 4, nor 'certain'")),
+                .map_err(|_| format!("'{text}' is neither a margin in spikes, such as 4, nor 'certain'")),
         }
     }
 }

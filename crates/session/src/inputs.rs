@@ -43,7 +43,7 @@ pub fn stimulus(
 /// `energy.input`.
 pub fn require_scene(model: &str, scene: Option<&str>, help: &str) -> Result<(), Diagnostic> {
     scene.map(|_| ()).ok_or_else(|| {
-        let message = format!("energy follows activity, and the model {model} names no scene");
+        let message = format!("energy depends on activity, but model {model} has no scene");
         Diagnostic::new("energy.input", message).help(help)
     })
 }
@@ -112,8 +112,8 @@ fn given(
                 continue;
             }
             (InputSource::Scene(_), _) => {
-                let message = "a scene drives all input populations and stands alone, but for a clock of one \
-                               population: POPULATION=scene:clock?span=STEPS";
+                let message = "a scene drives all input populations, so it allows no other input except a clock for \
+                               one population: POPULATION=scene:clock?span=STEPS";
                 return Err(Error::Usage(message.to_string()));
             }
         };
@@ -127,7 +127,7 @@ fn given(
                 let path = path.display();
                 let named: Vec<String> = inputs.iter().map(|p| format!("{}={path}", p.name)).collect();
                 let named = named.join(", ");
-                return Err(Error::Usage(format!("--input {path}: which population is it for? Write one of {named}")));
+                return Err(Error::Usage(format!("--input {path}: the population is missing. Write one of {named}")));
             }
         };
         let (manifest, options) = match is_manifest {
@@ -154,7 +154,9 @@ fn given(
     }
     for (index, clock) in clocks {
         let Some(recorded) = sources.iter().flatten().next() else {
-            return Err(Error::Usage("a clock goes beside recordings, which say how long a sample is".to_string()));
+            return Err(Error::Usage(
+                "a clock needs recordings of other populations, which give the length of a sample".to_string(),
+            ));
         };
         let spikes = recorded.iter().map(|sample| beside(sample, clock, inputs[index])).collect();
         if sources[index].replace(spikes).is_some() {
@@ -254,7 +256,7 @@ fn scene_stimulus(network: &Quantised, scene: &SceneArg, seed: Option<u64>) -> R
 fn unknown(name: &str, inputs: &[&Population]) -> Error {
     let names: Vec<&str> = inputs.iter().map(|p| p.name.as_str()).collect();
     let help = format!("{}input populations are: {}", did_you_mean(name, names.iter().copied()), names.join(", "));
-    Diagnostic::new("input.population", format!("--input names '{name}', which is no input population"))
+    Diagnostic::new("input.population", format!("--input names '{name}', which is not an input population"))
         .help(help)
         .into()
 }
@@ -298,7 +300,9 @@ pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Re
         if source.len() != count {
             let message =
                 format!("'{}' has {} samples, '{}' has {count}", population.name, source.len(), inputs[0].name);
-            return Err(Diagnostic::new("input.samples", message).help("sources are matched sample by sample").into());
+            return Err(Diagnostic::new("input.samples", message)
+                .help("give sources with equal numbers of samples")
+                .into());
         }
     }
     let mut sources: Vec<_> = sources.into_iter().map(Vec::into_iter).collect();
@@ -317,7 +321,7 @@ pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Re
                 return Err(disagree(&format!("{} steps", part.steps), &format!("{steps} of '{}'", inputs[0].name)));
             }
             if part.label.is_some() && part.label != label {
-                return Err(disagree("labels", "those of the other populations"));
+                return Err(disagree("labels", "the labels of the other populations"));
             }
             let first = population.first_channel().map_or(0, |channel| channel.0);
             events.extend(part.events.iter().map(|&(step, channel)| (step, ChannelId(first + channel))));

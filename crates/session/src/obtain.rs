@@ -111,7 +111,9 @@ impl<'a> Request<'a> {
             _ if !self.prunes() => return Ok(None),
             [only] if only == "static" => Plan::fixed(),
             several if several.iter().any(|word| word == "none" || word == "static") => {
-                return Err(Error::Usage("--prune none and --prune static stand alone".to_string()));
+                return Err(Error::Usage(
+                    "--prune none and --prune static cannot be combined with other values".to_string(),
+                ));
             }
             given => Plan::for_stimulus(network, &inputs::stimulus(network, given, None, None)?),
         };
@@ -250,12 +252,12 @@ pub fn begin(request: &Request<'_>) -> Result<(Front, Goal), Error> {
     };
     let mut saved = mapping.map(load_mapping).transpose()?;
     if saved.is_some() && !request.prune.is_empty() {
-        return Err(Error::Usage("--prune: a saved mapping says itself what was pruned".to_string()));
+        return Err(Error::Usage("--prune: a saved mapping has its own record of pruning".to_string()));
     }
     let options = request.options(saved.as_ref());
     if let Some(file) = saved.as_mut().filter(|file| options.copies == 1 && file.copies > 1) {
-        // Copies share nothing, so one of them is the whole of what a run shows.
-        tracing::info!("the mapping is of {} copies; the first one runs, on its own cores", file.copies);
+        // Copies share nothing, so a run of one copy gives all results.
+        tracing::info!("the mapping has {} copies; the first copy runs, on its own cores", file.copies);
         *file = mapping_file::one_copy(file);
     }
     if saved.is_none() && !request.prunes() {

@@ -155,7 +155,7 @@ fn on_ranks<M: Meter>(
     let Running { keep, skip, per_step, .. } = running;
     let margin = keep.early_exit.as_ref().is_some_and(|exit| matches!(exit.rule, Rule::Margin(_)));
     if margin && keep.output.decision != ReadOut::Spikes {
-        let message = "potentials decide this model, and no one of several processes has them all";
+        let message = "this model decides by potentials, which are distributed over several processes";
         return Err(Diagnostic::new("run.early-exit", message).help("run it in one process, or without an early exit"));
     }
     let begin = Instant::now();

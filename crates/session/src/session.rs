@@ -212,7 +212,7 @@ impl Session {
         self.plastic.iter().find(|plastic| plastic.id == projection).ok_or_else(|| {
             let names: Vec<String> = self.plastic.iter().map(|own| format!("{} ({})", own.id, own.name)).collect();
             let names = if names.is_empty() { "none".to_string() } else { names.join(", ") };
-            let message = format!("{projection} is no plastic projection; the network's are: {names}");
+            let message = format!("{projection} is not a plastic projection; plastic projections are: {names}");
             Diagnostic::new("session.weights.not-plastic", message).help(MAKE_PLASTIC)
         })
     }
@@ -229,8 +229,8 @@ impl Session {
             return Err(Diagnostic::new("session.weights.written", message).help(help));
         }
         let too_long = || {
-            let message = format!("more than {MOST_KEPT} input spikes were shown, which are not all kept");
-            Diagnostic::new("session.too-long", message).help("call reset() where a trial ends")
+            let message = format!("a session stores at most {MOST_KEPT} input spikes, but more were given");
+            Diagnostic::new("session.too-long", message).help("call reset() at the end of each trial")
         };
         if self.is_cut {
             return Err(too_long());

@@ -112,7 +112,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
             }
         } else if let Ok(place) = silent.binary_search(&id) {
             let change = wake(run, &spiking, id, nearest.get(place).copied().flatten());
-            let what = if is_output { "the output never spikes, so that no sample is decided" } else { "never spikes" };
+            let what = if is_output { "the output never spikes, so no sample is decided" } else { "never spikes" };
             add(if is_output { "silent-output" } else { "silent-population" }, format!("{what}: {change}"));
         } else if is_output && let Some(message) = silent_classes(run) {
             add("silent-output", message);
@@ -128,8 +128,8 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
             let message = match network.populations()[id].message.bits() {
                 0 => format!("{} wrapped{place}: {HALVE}", count(row.wrapped, "current or accumulator value")),
                 bits => format!(
-                    "{} wrapped, or were messages of more than {bits} bits, which are sent whole{place}: let the kind \
-                     bound what it sends, or state more bits",
+                    "{} wrapped, or were messages of more than {bits} bits, which are not truncated{place}: clip the \
+                     messages in the kind, or increase message_bits",
                     count(row.wrapped, "value")
                 ),
             };
@@ -158,11 +158,9 @@ pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Samp
 /// Returns why the potentials that should decide the output stay 0; `None` otherwise.
 fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
-    let why = || {
-        unreached(run, spiking, id)
-            .unwrap_or_else(|| "the weights that lead to it round to zero; raise them".to_string())
-    };
-    let what = "the potentials of the output never leave 0, so that no sample is decided";
+    let why =
+        || unreached(run, spiking, id).unwrap_or_else(|| "all weights into it round to zero; raise them".to_string());
+    let what = "the potentials of the output never leave 0, so no sample is decided";
     (!decided && !run.outcomes.is_empty()).then(|| format!("{what}: {}", why()))
 }
 
@@ -176,12 +174,12 @@ fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Op
     // Driven by a bias or a child compartment.
     let driven = populations[id].any_neuron(|neuron| neuron.bias_mant.get() != 0 || neuron.stack.pops.is_some());
     if sources.is_empty() && !driven {
-        return Some("no projection leads to it; add one, or a bias".to_string());
+        return Some("it has no incoming projection; add one, or a bias".to_string());
     }
     if !sources.is_empty() && !sources.iter().any(fired) && !driven {
         let names: Vec<String> = sources.iter().take(LISTED).map(|&s| format!("'{}'", populations[s].name)).collect();
         let are = if names.len() == 1 { "is" } else { "are" };
-        return Some(format!("nothing reaches it while {} {are} silent; look there first", names.join(" and ")));
+        return Some(format!("it receives no spikes because {} {are} silent; fix that first", names.join(" and ")));
     }
     None
 }
@@ -198,32 +196,35 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
     if !table.registers {
         let threshold = table.parameters.iter().find(|parameter| parameter.storage == Storage::Threshold);
         return match threshold {
-            Some(threshold) => format!("lower its {}, or scale up the weights that lead to it", threshold.name),
+            Some(threshold) => format!("lower its {}, or scale up its input weights", threshold.name),
             None if matches!(kind, NeuronKind::Microcode(_)) => {
-                format!("what {} neurons test never held: record their words with --probe", kind.name())
+                format!(
+                    "the spike condition of {} neurons was never true: record their state words with --probe",
+                    kind.name()
+                )
             }
-            None => "all that reaches it sums to zero".to_string(),
+            None => "its inputs sum to zero".to_string(),
         };
     }
     if !population.any_neuron(|neuron| neuron.vth != ThresholdMantissa::MAX) {
         let advice = match id == network.parts().output {
             true => {
-                "as those of a layer that is read out by its potential: write `decision: GreatestV` (or SumOfV, \
-                 LastV) into the model, or try it with --set decision=GreatestV"
+                "as in a layer that decides by its potential: write `decision: GreatestV` (or SumOfV, LastV) into the \
+                 model, or try it with --set decision=GreatestV"
             }
-            false => "at which nothing spikes: lower them (vth_mant), or remove the population, which sends nothing on",
+            false => "so it cannot spike: lower them (vth_mant), or remove the population",
         };
-        return format!("its thresholds are the greatest, {advice}");
+        return format!("its thresholds have the maximum value, {advice}");
     }
     match (nearest, run.ran) {
         (Some(nearest), _) if nearest.potential <= 0 => {
-            "what reaches it never lifts it above zero; give it positive weights, a weight_exp that does not round them \
-             to zero, or a bias"
+            "its input never raises v above zero; give it positive weights, a weight_exp that does not round them to \
+             zero, or a bias"
                 .to_string()
         }
         (Some(nearest), _) => lower(network.parts().threshold, &nearest),
-        (None, Ran::Reals) => "lower its threshold, or scale up the weights that lead to it".to_string(),
-        (None, _) => "lower its threshold (vth_mant), or raise the weight_exp of what leads to it".to_string(),
+        (None, Ran::Reals) => "lower its threshold, or scale up its input weights".to_string(),
+        (None, _) => "lower its threshold (vth_mant), or raise the weight_exp of its inputs".to_string(),
     }
 }
 
@@ -233,11 +234,11 @@ fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
     let below = if test == ThresholdTest::Strict { nearest.potential - 1 } else { nearest.potential };
     let percent = 100.0 * nearest.share();
     let percent = if percent < 1.0 { format!("{percent:.2}") } else { format!("{percent:.0}") };
-    let seen = format!("compartment {} came nearest, to {percent} % of its threshold", nearest.index);
+    let seen = format!("compartment {} came closest, to {percent} % of its threshold", nearest.index);
     match below / 64 {
         0 => {
             let steps = (1.0 / nearest.share()).log2().ceil();
-            format!("{seen}; raise the weight_exp of what leads to it by {steps}")
+            format!("{seen}; raise the weight_exp of its inputs by {steps}")
         }
         lower => {
             let by = (f64::from(vth) / f64::from(lower)).ceil();
@@ -335,8 +336,9 @@ fn silent_classes(run: Finished<'_>) -> Option<String> {
         1 => ("the output of class", "spikes", "its threshold"),
         _ => ("the outputs of classes", "spike", "their thresholds"),
     };
-    (!silent.is_empty())
-        .then(|| format!("{whose} {} never {spike}, though such samples were shown: lower {its}", names.join(", ")))
+    (!silent.is_empty()).then(|| {
+        format!("{whose} {} never {spike}, although the input has samples of it: lower {its}", names.join(", "))
+    })
 }
 
 /// What leaves room to values that wrap or clip, and no spike otherwise.
@@ -364,15 +366,13 @@ fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
     if worst.1.real && worst.1.worst_share > 0.999 {
         let entity = &worst.0.entity;
         return Some(format!(
-            "the weights of {entity} became 0, since the threshold is out of their reach: lower vth to somewhat above \
-             what the potential reaches"
+            "the weights of {entity} became 0, because they are too small for the threshold: lower vth to slightly \
+             above the largest potential"
         ));
     }
     let change = match worst.1.real {
-        true => {
-            "`nsim agree` shows what that costs; a projection of its own for the largest weights makes the steps finer"
-        }
-        false => "double them and lower weight_exp by 1, which keeps odd weights",
+        true => "`nsim agree` shows the loss; a separate projection for the largest weights makes the steps finer",
+        false => "double them and lower weight_exp by 1, which preserves odd weights",
     };
     let weights = count(all.map(|rounded| rounded.weights).sum::<u64>(), "weight");
     let (entity, percent) = (&worst.0.entity, 100.0 * worst.1.worst_share);

@@ -28,7 +28,7 @@ impl Trial {
         let share = 1.0 / samples.len().max(1) as f64;
         for (index, (outcome, sample)) in outcomes.iter().zip(samples).enumerate() {
             if outcome.potentials.is_some() {
-                let message = "accuracy over time is that of the spikes so far, and potentials decide this model";
+                let message = "accuracy over time needs decisions by spikes, but this model decides by potentials";
                 return Err(Error::Usage(message.to_string()));
             }
             let Some(label) = sample.label() else {

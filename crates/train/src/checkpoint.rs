@@ -186,21 +186,21 @@ pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()>
 pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<TrainingState>> {
     let wrong = |why: &str| {
         Diagnostic::new("train.checkpoint", why.to_string())
-            .help("remove the file to begin anew, or name another with --checkpoint")
+            .help("remove the file to start again, or name another with --checkpoint")
             .in_file(path)
     };
     let bytes = match read_bytes(path, MOST_ARRAY) {
         Err(absent) if absent.code == "io.missing" => return Ok(None),
         read => read?,
     };
-    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|_| wrong("this is no checkpoint"))?;
+    let (_, header) = SafeTensors::read_metadata(&bytes).map_err(|_| wrong("this is not a checkpoint"))?;
     let facts = header.metadata().as_ref().and_then(|facts| serde_json::from_str::<Value>(facts.get(FACTS)?).ok());
     let facts = facts.unwrap_or(Value::Null);
     let fact = |key: &str| facts[key].clone();
     if fact("fingerprint").as_str() != Some(fingerprint) {
-        return Err(wrong("this checkpoint belongs to a training with other settings or samples"));
+        return Err(wrong("this checkpoint belongs to a training with different settings or samples"));
     }
-    let tensors = SafeTensors::deserialize(&bytes).map_err(|_| wrong("this is no checkpoint"))?;
+    let tensors = SafeTensors::deserialize(&bytes).map_err(|_| wrong("this is not a checkpoint"))?;
     let read = |part: &str| -> Option<Weights> {
         let layer = |(layer, like): (usize, &Vec<f32>)| {
             let tensor = tensors.tensor(&format!("{part}.{layer}")).ok()?;
@@ -222,13 +222,13 @@ pub fn load(path: &Path, plan: &Plan, fingerprint: &str) -> Result<Option<Traini
             history,
         })
     };
-    let state = state().ok_or_else(|| wrong("this checkpoint is not whole"))?;
+    let state = state().ok_or_else(|| wrong("this checkpoint is incomplete"))?;
     if !parts(&state).into_iter().flatten().flatten().all(|x| x.is_finite()) {
         return Err(wrong("this checkpoint is damaged: a number in it is NaN or infinite"));
     }
     match checksum::holds(&facts) {
         Some(sound) if !sound || fact("numbers") != digest(&state) => {
-            Err(wrong("this checkpoint is damaged: its checksum is another"))
+            Err(wrong("this checkpoint is damaged: its checksum does not match"))
         }
         Some(_) => Ok(Some(state)),
         // Without averaging, average and weights are equal; a finished training needs nothing else.

@@ -72,12 +72,13 @@ pub fn plan(file: &TrainingFile, source: &SourceText) -> Result<Plan> {
                 sources.push(Source::Layer(layer));
                 fan_in += layers[layer].cells.count();
             } else {
-                let message = format!("layer '{}' reads '{name}', which is no input and no layer before it", desc.name);
+                let message =
+                    format!("layer '{}' reads '{name}', which is neither an input nor an earlier layer", desc.name);
                 return Err(problems.at("train.layer", desc.span, message));
             }
         }
         if fan_in == 0 {
-            return Err(problems.at("train.layer", desc.span, format!("layer '{}' reads nothing", desc.name)));
+            return Err(problems.at("train.layer", desc.span, format!("layer '{}' has no input", desc.name)));
         }
         let (neuron, span) = match &desc.neuron {
             Some(neuron) => (neuron, desc.span),
@@ -133,7 +134,7 @@ fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Lo
         let never_spikes = layer.cells.theta().is_infinite();
         if never_spikes && (index < last || !by_potential) {
             let message = format!(
-                "layer '{}' is read out by its potential (theta inf, or Sigma), and what it sends is needed",
+                "layer '{}' decides by its potential (theta inf, or Sigma), but its spikes are needed",
                 layer.name
             );
             let help = "give it a threshold such as theta: 10; only the last layer is read out by its potential, with \
@@ -141,15 +142,15 @@ fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Lo
             return refused(message, help);
         }
         if index == last && matches!(&layer.cells, Cells::Loihi2(loihi2) if loihi2.kind == NeuronKind::SigmaDelta) {
-            let message = format!("layer '{}' sends changes, whose number decides nothing", layer.name);
+            let message = format!("layer '{}' sends changes, whose number cannot decide", layer.name);
             let help = "give this layer the neuron Sigma(weight_scale: 64), with the loss Potential(decision: LastV, \
                         temperature: 64)";
             return refused(message, help);
         }
         if by_potential && index == last && !never_spikes {
-            let message = format!("layer '{}' spikes, and a spike resets the potential that is to decide", layer.name);
+            let message = format!("layer '{}' spikes, which resets the potential that should decide", layer.name);
             let help =
-                "give this layer a neuron of its own: neuron: Loihi(.., theta: inf), which never spikes, or Sigma(..)";
+                "give this layer a separate neuron: neuron: Loihi(.., theta: inf), which never spikes, or Sigma(..)";
             return refused(message, help);
         }
     }
@@ -162,7 +163,7 @@ fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Lo
         LossDesc::NumSpikes { right, wrong } => (Form::NumSpikes { kernel: output.kernel(1000) }, right, wrong),
         LossDesc::CrossEntropy { scale } => (Form::CrossEntropy { scale: scale as f32 }, 0.0, 0.0),
         LossDesc::Potential { decision: ReadOut::Spikes, .. } => {
-            let message = "the loss Potential is of a decision by potential, not by Spikes";
+            let message = "the loss Potential needs a decision by potential, not by Spikes";
             return Err(problems
                 .at("train.loss", span, message)
                 .help("decision is GreatestV, SumOfV or LastV; the loss of spikes is CrossEntropy(scale: 0.5)"));

@@ -119,7 +119,7 @@ pub(super) fn draw(args: &Args, model: &str, layers: &[LayerRow], context: Conte
             Ok(vec![path.display().to_string()])
         }
         None => {
-            tracing::warn!("no spike parts whose potentials are known: {} is not written", path.display());
+            tracing::warn!("no difference in spikes has known potentials: {} is not written", path.display());
             Ok(Vec::new())
         }
     }

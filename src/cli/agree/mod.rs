@@ -64,7 +64,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
     refuse_if(
         args.plot_causes.is_some() && !attributed,
-        "--plot-causes draws the causes of disagreement, which --against srm or cuba has, with --attribution on",
+        "--plot-causes draws the causes of disagreement: it needs --against srm or cuba, with --attribution on",
     )?;
     let (fits, program, steps) = (&integers.fits, &compiled.program, args.steps);
     let deployed = Deployed { graph: &graph, fits, ladder: &ladder, program, samples: &samples, steps };

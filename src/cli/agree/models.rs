@@ -43,7 +43,7 @@ pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
     };
     let models: Vec<&str> = against.iter().map(String::as_str).filter(is_model).collect();
     let is_mixed = !models.is_empty() && models.len() < against.len();
-    refuse_if(is_mixed, "several --against are all model files, or all recorded spikes")?;
+    refuse_if(is_mixed, "several --against must be all model files or all recorded spikes")?;
     Ok(models)
 }
 

@@ -41,7 +41,7 @@ const GROUPS: [(&str, &[&str]); 4] = [
     ("Your network", &["map", "run", "energy", "compare", "agree", "convert", "import", "export", "report", "plot"]),
     ("Studies", &["sweep", "train", "scene", "bench paper"]),
     ("Files and help", &["inspect", "show", "help", "completions"]),
-    ("What proves nsim itself", &["stress", "bench"]),
+    ("Checks of nsim itself", &["stress", "bench"]),
 ];
 
 /// A command and its subcommands, with help of at most [`COLUMNS`] columns.

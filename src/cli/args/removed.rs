@@ -12,7 +12,7 @@ pub const REMOVED: &[(&str, &str)] = &[
     ),
     (
         "--no-cache",
-        "mappings are not cached: leave it out, or use one that `nsim map -o FILE` saved with `--mapping FILE`",
+        "mappings are not cached: remove it, or save a mapping with `nsim map -o FILE` and give `--mapping FILE`",
     ),
     (
         "bench scale",

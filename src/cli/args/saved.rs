@@ -21,7 +21,7 @@ pub fn is_result(name: &str) -> bool {
 pub fn read(path: &Path, schemas: &[&str], help: &str) -> Result<(Value, SourceText), Error> {
     let text = io::text::read_text(path)?;
     let wrong = |message: String| Diagnostic::new("report.result", message).in_file(path).help(help);
-    let result: Value = serde_json::from_str(text.text()).map_err(|error| wrong(format!("no JSON: {error}")))?;
+    let result: Value = serde_json::from_str(text.text()).map_err(|error| wrong(format!("is not JSON: {error}")))?;
     let schema = result["schema"].as_str().unwrap_or_default();
     if !schemas.contains(&schema) {
         return Err(wrong(format!("holds '{schema}', not {}", schemas.join(" or "))).into());
@@ -29,10 +29,10 @@ pub fn read(path: &Path, schemas: &[&str], help: &str) -> Result<(Value, SourceT
     match checksum::holds(&result) {
         Some(true) => {}
         Some(false) => {
-            let message = "was changed or damaged after it was printed: its checksum is another".to_string();
+            let message = "was changed or damaged after it was printed: its checksum does not match".to_string();
             return Err(wrong(message).into());
         }
-        None => tracing::warn!("{} has no checksum: a damaged number in it is not noticed", path.display()),
+        None => tracing::warn!("{} has no checksum, so a damaged number in it is not detected", path.display()),
     }
     Ok((result, text))
 }

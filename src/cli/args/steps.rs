@@ -45,7 +45,8 @@ pub fn recorded(
 ) -> Result<Run<StepMeter>, Error> {
     let format = form(path)?;
     let ends_early = running.keep.early_exit.as_ref().is_some_and(|exit| exit.ends);
-    let message = "with --early-exit nobody knows the number of rows of an array beforehand: name the file .csv";
+    let message = "with --early-exit the number of rows is not known in advance, which .npy requires: name the file \
+                   .csv";
     refuse_if(ends_early && format == StepFormat::Npy, format!("--steps {}: {message}", path.display()))?;
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let layout = StepLayout::new(network);

@@ -23,7 +23,7 @@ const EXAMPLES: &str = "\
 EXAMPLES:
   nsim bench ann models/train/paper/slip-both.ron -o ann.json   MLP-GRU and CNN-3D, five folds each
   nsim bench ann container-both.ron --network CNN-3D --tested 1 --epochs 5
-  nsim bench paper --results ann.json                           beside the printed figures";
+  nsim bench paper --results ann.json                           next to the printed figures";
 
 /// Networks without spikes, which the paper compares with, trained on the samples and folds of
 /// training files

@@ -47,9 +47,9 @@ EXAMPLES:
   nsim bench map --network lenet pilotnet           of these networks
   nsim bench map --full                             with networks of a million compartments
   nsim bench pareto --samples 0..50                 run time against error of variants of the shipped network
-  nsim bench published                              what others measured on the chip, beside what nsim predicts
-  nsim bench paper                                  the tables of the seed paper beside what was measured
-  nsim bench sweep                                  where run time a synaptic event jumps";
+  nsim bench published                              published measurements next to predictions
+  nsim bench paper                                  the tables of the seed paper next to measurements
+  nsim bench sweep                                  jumps in the run time per synaptic event";
 
 /// Measure speed and mappings on standard networks, and run time against error
 #[derive(Debug, clap::Args)]

@@ -33,12 +33,12 @@ use nsim_train::job::{Job as Training, cross_validate, with_fields};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim bench paper                          stored results beside the printed ones, in grids like the paper's
+  nsim bench paper                          stored results next to the printed ones, in grids like the paper's
   nsim bench paper --full                   every figure; the shipped networks are run, a fold of each cell, in about a minute
   nsim bench paper --full --stored --cell slip-both    every stored figure of a cell
-  nsim bench paper --train runs -o my.json  train every fold of every cell anew; the same command goes on where it was broken off
+  nsim bench paper --train runs -o my.json  train every fold of every cell; the same command continues after an interruption
   nsim bench paper --train runs --cell slip-tactile --folds 5 --epochs 20
-  nsim bench paper --results my.json        with rows of one's own instead of those stored";
+  nsim bench paper --results my.json        with your own rows instead of the stored ones";
 
 /// The tables of Taunyazov et al. 2020 on classification, early decisions and hardware: each figure
 /// as printed, then the results of trainings with nsim, and their notes
@@ -93,7 +93,7 @@ const FOLDS: u32 = 5;
 fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) -> Result<Trial> {
     let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
     let Ok(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(1), &[])? else {
-        return Err(Error::Usage(format!("{model} does not fit the default target: see nsim map")));
+        return Err(Error::Usage(format!("{model} does not fit the default target: nsim map prints the reasons")));
     };
     let Job::Real(graph, quantised, _) = &job else {
         let (compiled, target) = job.mapped().ok_or_else(|| Error::Fault(format!("{model} is not mapped")))?;
@@ -198,7 +198,7 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
 
 pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
     let is_both = args.stored && args.train.is_some();
-    refuse_if(is_both, "--stored runs no network, and --train trains some: leave one out")?;
+    refuse_if(is_both, "--stored and --train exclude each other: remove one")?;
     let taken = output::check_files(&args.output, None, context)?;
     let mut given = Vec::new();
     if let Some(folder) = &args.train {

@@ -31,7 +31,7 @@ impl Scenes {
     /// Scenes as input of a network with some of the senses.
     pub(super) fn seen_by(&self, network: &Quantised) -> Result<Vec<Sample>> {
         let seen = self.stimulus.samples.iter().map(|sample| seen_by(network, &self.network, sample));
-        let unlike = || Error::Fault(format!("a network of the task {} has other inputs than its scenes", self.task));
+        let unlike = || Error::Fault(format!("the inputs of a network of task {} do not match its scenes", self.task));
         seen.collect::<Option<_>>().ok_or_else(unlike)
     }
 }

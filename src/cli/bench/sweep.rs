@@ -8,7 +8,7 @@ use nsim_study::ladders::{Rung, mark_cliffs, rungs};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
-  nsim bench sweep                            fan-out, delays, sample length, kernels and more, rung by rung
+  nsim bench sweep                            fan-out, delays, sample length, kernels and more, step by step
   nsim bench sweep --seed 7                   the same ladders on other networks
   nsim bench sweep --format json > sweep.json with the environment, for comparison";
 

@@ -91,7 +91,7 @@ fn keep(
         .and_then(|integers| model_file::model(graph, integers.deployed(), provenance))
         .and_then(|model| model.write(path, force));
     Some(match written {
-        Ok(files) => format!("epoch {}, the best so far, is kept in {}", best.epoch, files.join(", ")),
-        Err(error) => format!("epoch {}, the best so far, could not be kept: {error}", best.epoch),
+        Ok(files) => format!("epoch {}, the best so far, is stored in {}", best.epoch, files.join(", ")),
+        Err(error) => format!("epoch {}, the best so far, could not be stored: {error}", best.epoch),
     })
 }

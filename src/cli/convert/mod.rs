@@ -30,8 +30,8 @@ EXAMPLES:
   nsim convert srm.ron --calibrate train.ron --input test.ron -o loihi.ron
   nsim convert vtsnn-slip-srm --fine-tune 3 -o slip.ron    then train for three epochs with the integers in the forward pass
   nsim convert srm.ron --fine-tune 5 --training srm-training.ron --train recordings/train -o loihi.ron
-  nsim convert graph.nir --input spikes.npy --format json  only say how near it comes
-  nsim agree srm.ron --against loihi.ron                   compare the network with what was kept";
+  nsim convert graph.nir --input spikes.npy --format json  only report the agreement
+  nsim agree srm.ron --against loihi.ron                   compare the network with the converted model";
 
 /// Convert a network with real numbers to integers, and report each stage's gain
 #[derive(Debug, Clone, clap::Args)]

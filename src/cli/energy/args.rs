@@ -19,14 +19,14 @@ EXAMPLES:
   nsim energy --full                              with parts, intervals, sources and notes
   nsim energy --deployment paper --mode realtime  the measured job of the model, held to 1 ms steps
   nsim energy --copies 32 --deployment packed     32 copies on as few cores as they fit
-  nsim energy --accounting rails                  what a power meter on the board shows
+  nsim energy --accounting rails                  the reading of a power meter on the board
   nsim energy --convention published              energy as the VT-SNN paper computes it (power / timesteps)
-  nsim energy --early-exit certain                what ending decided samples would save
+  nsim energy --early-exit certain                savings from ending decided samples
   nsim energy --constants davies2018 --baseline   other constants, and no baseline
   nsim energy --set constants.injection_time=0.4us  one constant changed
   nsim energy --transport analytic                no queues: the longest route and the busiest link
   nsim energy --host none                         the neuron cores alone, without x86 cores
-  nsim energy --steps steps.csv                   a row a timestep: where spikes, time and energy go
+  nsim energy --steps steps.csv                   a row per timestep: spikes, time and energy
   nsim energy --plot energy.svg                   power, time and energy of all hardware side by side
   nsim energy --export-sanafe DIR                 the same program for SANA-FE
   nsim energy slip-tactile --input tactile=recording.npy --format json";

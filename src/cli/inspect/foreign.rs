@@ -74,8 +74,8 @@ pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<F
 
 /// Error for a file of a kind that is not inspected.
 fn unknown(kind: FileKind) -> Diagnostic {
-    Diagnostic::new("inspect.kind", format!("this is {kind}, which is not inspected")).help(format!(
-        "known are .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; {RECORDINGS}; \
+    Diagnostic::new("inspect.kind", format!("this is {kind}, which nsim inspect does not support")).help(format!(
+        "supported: .ron, .npy, .safetensors and .csv; HDF5 (.net, .nir) and PyTorch checkpoints; {RECORDINGS}; \
          folders of recordings"
     ))
 }
@@ -167,8 +167,8 @@ impl Sink for Extent {
 fn extent(path: &Path, format: EventFormat, options: &EventOptions) -> Result<Extent, Diagnostic> {
     let &EventOptions { stream, unit, size, .. } = options;
     if *options != (EventOptions { stream, unit, size, ..EventOptions::default() }) {
-        return Err(Diagnostic::new("input.option", "steps, bins and polarities are of a run, not of a file")
-            .help("of the options behind '?', nsim inspect takes stream=N, unit=s|ms|us|ns and size=W,H")
+        return Err(Diagnostic::new("input.option", "steps, bins and polarities apply to a run, not to a file")
+            .help("after '?', nsim inspect supports stream=N, unit=s|ms|us|ns and size=W,H")
             .in_file(path));
     }
     let mut extent = Extent::default();

@@ -42,7 +42,7 @@ use nsim_session::error::Error;
   nsim inspect vtsnn-slip                 a shipped model
   nsim inspect nahuku-32                  a shipped target and its constants
   nsim inspect weights.npy --format json  shape, type and range of an array
-  nsim inspect network.nir                arrays of a model of another tool, and what its import would need
+  nsim inspect network.nir                arrays of a model of another tool, and options needed to import it
   nsim inspect recording.aedat4           events, extent and duration
   nsim inspect recordings/                a folder of sample_<i>_label_<c>.npy")]
 pub struct Args {
@@ -76,8 +76,8 @@ fn inspect(argument: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
     let is_recording = matches!(kind, FileKind::Folder | FileKind::Events(_));
     let is_data = is_recording || matches!(kind, FileKind::Npy | FileKind::SpikeList | FileKind::Safetensors);
     let misplaced = match () {
-        () if options != EventOptions::default() && !is_recording => "options behind '?' are of recordings of events",
-        () if dt_ms.is_some() && is_data => "--dt is of models",
+        () if options != EventOptions::default() && !is_recording => "options after '?' apply to recordings of events",
+        () if dt_ms.is_some() && is_data => "--dt applies to models",
         () => "",
     };
     if !misplaced.is_empty() {
@@ -105,7 +105,7 @@ fn inspect_shipped(name: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnosti
     }
     let names: BTreeSet<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
     let names: Vec<&str> = names.into_iter().collect();
-    Err(Diagnostic::new("inspect.unknown", format!("there is no file and nothing shipped named '{name}'"))
+    Err(Diagnostic::new("inspect.unknown", format!("there is no file and no shipped file named '{name}'"))
         .help(format!("shipped are: {}", names.join(", "))))
 }
 
@@ -125,7 +125,7 @@ fn inspect_ron(source: SourceText, origin: Origin, dt_ms: Option<f64>) -> Result
         "DataSet" => Ok(dataset_findings(&manifest::from_source(source)?)),
         other => {
             let message = match other {
-                "" => "the file does not say what it is".to_string(),
+                "" => "the type at the beginning of the file is missing".to_string(),
                 other => format!("'{other}' is not a kind of file of nsim"),
             };
             let begins = "Network(, Target(, Chip(, Constants(, Baseline(, Scenario(, Mapping( or DataSet(";

@@ -131,12 +131,12 @@ fn find(name: &str) -> Result<&'static Shipped, Error> {
     }
     match found.as_slice() {
         [one] => Ok(*one),
-        [] => Err(Error::Usage(format!("no shipped file is called {name}; nsim show lists them"))),
+        [] => Err(Error::Usage(format!("there is no shipped file {name}; nsim show lists them"))),
         several => {
             let names: Vec<&str> = several.iter().map(|file| without_extension(file)).collect();
             let (first, names) = (names[0], names.join(", "));
             let help = format!("type one, as in nsim show {first}: {names}");
-            Err(Error::Usage(format!("{name} is the name of several files; {help}")))
+            Err(Error::Usage(format!("several files are named {name}; {help}")))
         }
     }
 }

@@ -38,10 +38,10 @@ EXAMPLES:
   nsim plot raster -o raster.svg                        spikes of inputs and populations in one sample
   nsim plot raster model.ron --input s.npy --samples 3..4 --probe 'hid*' -o raster.svg
   nsim plot voltage model.ron --probe 'out[2]' --probe hidden -o voltage.svg
-  nsim plot messages pilotnet.ron --input frames.npy --probe layer9 -o out.svg  what it sends, step by step
-  nsim plot energy --copies 32 -o energy.svg            where the energy of a timestep goes
-  nsim plot time result.json -o time.svg                where its time goes, of a result that was saved
-  nsim plot map model.ron --copies 8 -o map.svg         cores on their chips, and what links carry
+  nsim plot messages pilotnet.ron --input frames.npy --probe layer9 -o out.svg  its messages, step by step
+  nsim plot energy --copies 32 -o energy.svg            energy of a timestep by part
+  nsim plot time result.json -o time.svg                time of a timestep by part, from a saved result
+  nsim plot map model.ron --copies 8 -o map.svg         cores on their chips, and the load of links
   nsim agree --format json > a.json && nsim plot agreement a.json -o causes.svg
   nsim map --pareto p.svg --format json > m.json && nsim plot pareto m.json -o pareto.svg";
 
@@ -115,20 +115,20 @@ const OF_EACH: usize = 3;
 const MOST_TRACED: usize = 11;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    refuse_if(context.format != Format::Text, "nsim plot draws a picture: --format is for results")?;
+    refuse_if(context.format != Format::Text, "nsim plot writes a picture and does not support --format")?;
     let taken = output::check_files(None, [&args.output], context)?;
     let (what, name) = (args.what, args.what.name());
     let is_probed = !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage | What::Messages);
-    refuse_if(is_probed, format!("nsim plot {name}: --probe is for raster, voltage and messages"))?;
+    refuse_if(is_probed, format!("nsim plot {name} does not support --probe; raster, voltage and messages do"))?;
     let (model, of_result) = (&args.cost.job.model, what.of_result());
     if saved::is_result(model) {
         let Some((schemas, command, draw)) = of_result else {
             return Err(Error::Usage(format!("nsim plot {name} runs a model: {model} is a result")));
         };
-        let help = format!("give what {command} printed with --format json");
+        let help = format!("give JSON that {command} printed with --format json");
         let (result, _) = saved::read(Path::new(model), schemas, &help)?;
         let missing = || {
-            let message = format!("has nothing to draw as {name}");
+            let message = format!("has no data for {name}");
             Diagnostic::new("report.result", message).in_file(Path::new(model)).help(help.as_str())
         };
         return write(args, &draw(&result).ok_or_else(missing)?, taken, context);

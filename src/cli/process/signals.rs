@@ -83,7 +83,7 @@ fn end(signal: i32, format: Format) {
     if ranks::is_said_elsewhere() {
         std::process::exit(128 + signal);
     }
-    let mut message = format!("ended by {name}; every file is as it was, complete, or absent");
+    let mut message = format!("ended by {name}; every file is unchanged, complete, or absent");
     if !unfinished.is_empty() {
         message += &format!("; {} is unfinished and the same command completes it", unfinished.join(", "));
     }

@@ -10,7 +10,7 @@ pub const MOST_THREADS: usize = 1024;
 pub fn start(asked: Option<usize>) -> Result<usize, Error> {
     let mut threads = match asked {
         Some(threads) if !(1..=MOST_THREADS).contains(&threads) => {
-            return Err(Error::Usage(format!("--threads {threads}: 1 to {MOST_THREADS} threads can be asked for")));
+            return Err(Error::Usage(format!("--threads {threads} is outside 1 to {MOST_THREADS}")));
         }
         Some(threads) => threads,
         None => std::thread::available_parallelism().map_or(1, usize::from),

@@ -54,7 +54,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         return saved_results(args, context);
     }
     if let Some(other) = &args.other {
-        let message = "a second file is compared with a first that is a result, too";
+        let message = "to compare two files, the first must also be a result";
         return Err(Error::Usage(format!("{}: {message}", other.display())));
     }
     evaluate(&args.cost, None, context, |workload, evaluated| page(args, workload, &evaluated, context))
@@ -64,7 +64,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
     let (mut results, mut origins) = (Vec::new(), Vec::new());
     for path in [Some(Path::new(&args.cost.job.model)), args.other.as_deref()].into_iter().flatten() {
-        let help = "give what nsim energy or nsim run printed with --format json";
+        let help = "give JSON that nsim energy or nsim run printed with --format json";
         let (result, text) = saved::read(path, &["nsim.energy/1", "nsim.run/1"], help)?;
         origins.push(origin("result", &path.display().to_string(), text.text().as_bytes()));
         results.push(result);

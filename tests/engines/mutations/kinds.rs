@@ -356,7 +356,7 @@ pub const KINDS: &[(&str, Kind)] = &[
         let (core, at) = format_at(p, d)?;
         let image = p.class_mut(core);
         image.formats.push(image.formats[at]);
-        Some(Breaks(|v| matches!(v, Violation::Format { what, .. } if what.contains("twice"))))
+        Some(Breaks(|v| matches!(v, Violation::Format { what, .. } if what.contains("duplicated"))))
     }),
     ("a format that nothing uses", |p, d| {
         let (core, at) = format_at(p, d)?;

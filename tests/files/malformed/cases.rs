@@ -140,16 +140,23 @@ pub fn cases() -> Vec<Case> {
         ("unknown source", WEIGHTS, "Npz(\"a\")", syntax, 9, "Npz"),
         ("unknown sign", "weight_exp: 0", "sign: Both", syntax, 9, "Both"),
         ("number beyond 64 bits", "shape: [4]", "shape: [99999999999999999999999]", syntax, 5, ""),
-        ("fractional delay", "delay: 0", "delay: 1.5", syntax, 9, "expected a whole number and found 1.5"),
+        ("fractional delay", "delay: 0", "delay: 1.5", syntax, 9, "expected a whole number but found 1.5"),
         ("weights without a comma", "[4, 4, 4, 4]", "[4, 4 4, 4]", syntax, 9, "comma"),
         ("weights that do not end", "[4, 4, 4, 4]]", "[4, 4, 4, 4]", syntax, 9, "closing bracket"),
-        ("range downward", WEIGHTS, "Uniform(low: 2, high: 1, seed: 1)", "model.uniform", 9, "2 to 1 is no range"),
+        ("range downward", WEIGHTS, "Uniform(low: 2, high: 1, seed: 1)", "model.uniform", 9, "2 to 1 is not a range"),
         ("NaN timestep", "1.0", "NaN", "model.timestep", 3, "NaN"),
         ("no timestep", "1.0", "0", "model.timestep", 3, "0"),
         ("decay too large", "du: 1024", "du: 5000", "model.range", 6, "decay 5000 is outside 0..=4096"),
         ("negative decay", "du: 1024", "du: -1", "model.range", 6, "decay -1"),
         ("fractional decay", "du: 1024", "du: 10.5", "model.not-integer", 6, "10.5"),
-        ("decays of another number", "du: 1024", "du: [1, 2, 3]", "model.parameter-size", 6, "3 entries for 2"),
+        (
+            "decays of another number",
+            "du: 1024",
+            "du: [1, 2, 3]",
+            "model.parameter-size",
+            6,
+            "3 values for 2 compartments",
+        ),
         ("threshold too large", "vth_mant: 80", "vth_mant: 131072", "model.range", 6, "131072 is outside 0..=131071"),
         ("refractory too long", "refractory: 1", "refractory: 64", "model.range", 6, "64 is outside 0..=63"),
         ("bias too large", "refractory: 1", "bias_mant: 4096", "model.range", 6, "4096"),
@@ -180,7 +187,7 @@ pub fn cases() -> Vec<Case> {
     add("empty", Through::Model, "m.ron", vec![], vec![], syntax, 1, "");
     add("truncated", Through::Model, "m.ron", MODEL[..150].into(), vec![], syntax, 6, "");
     add("noise", Through::Model, "m.ron", noise(4096), vec![], "io.utf8", 1, "not UTF-8");
-    let (array, none) = (npy("'|u1'", "(1,)", &[1]), "none of the files of a network");
+    let (array, none) = (npy("'|u1'", "(1,)", &[1]), "not a file of a VT_SNN network");
     add("an array as a model", Through::Model, "m.ron", array, vec![], "import.slayer", 0, none);
     add("pointer as a model", Through::Model, "m.ron", lfs_pointer(), vec![], "io.lfs-pointer", 0, "git lfs pull");
     let deep = MODEL.replace(WEIGHTS, &"[".repeat(200_000));
@@ -214,7 +221,7 @@ pub fn cases() -> Vec<Case> {
     add("folder as an array", Through::Model, "m.ron", with("Npy(\".\")"), vec![], "io.folder", 9, "folder");
     let json = r#"{"fc":{"dtype":"I8","shape":[2,4],"data_offsets":[0,8]}}"#;
     let tensors: [(&str, Vec<u8>, &'static str, &'static str); 4] = [
-        ("absent key", safetensors(json, &[0; 8]), "safetensors.key", "the file holds: fc"),
+        ("absent key", safetensors(json, &[0; 8]), "safetensors.key", "tensors of the file: fc"),
         ("truncated tensors", safetensors(json, &[0; 7]), "safetensors.format", "w.st"),
         ("noise as tensors", noise(4096), "safetensors.format", "w.st"),
         ("header that claims too much", vec![0xff; 16], "safetensors.format", "w.st"),

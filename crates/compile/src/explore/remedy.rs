@@ -115,14 +115,16 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     if let Ok(pruned) = prune(one, &Plan::fixed())
         && let Some(fitting) = fits(pruned.into(), target)
     {
-        keep("prune", "leave out what can change no output: --prune static".to_string(), fitting);
+        keep("prune", "prune the parts that cannot change an output: --prune static".to_string(), fitting);
     }
     if let Ok(front) = Front::from(one.clone()).relay(target) {
         let change = match front.relays() {
             None => "let sources share input axons: --relays".to_string(),
             Some(AddedRelays { relays, later, .. }) => {
-                let steps =
-                    later.values().max().map_or(String::new(), |steps| format!(", some spikes {steps} steps later"));
+                let steps = later
+                    .values()
+                    .max()
+                    .map_or(String::new(), |steps| format!(", with some spikes {steps} steps later"));
                 format!("add {relays} relay compartments{steps}: --relays")
             }
         };
@@ -146,10 +148,10 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
             break;
         }
         let (all, kept): (u64, u64) = (before.values().sum(), after.values().sum());
-        let zeros = if kept < all { format!(", {} of {all} become 0", all - kept) } else { String::new() };
+        let zeros = if kept < all { format!(" and {} of {all} become 0", all - kept) } else { String::new() };
         let Some(fitting) = fits(front, &target) else { continue };
         let typed = typed(&changes);
-        let words = format!("store weights in {bits} bits; check the accuracy, weights get coarser{zeros}: {typed}");
+        let words = format!("store weights in {bits} bits; check the accuracy, as weights get coarser{zeros}: {typed}");
         keep("weight_bits", words, fitting);
         break;
     }
@@ -169,7 +171,10 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         let changes = [format!("target.limits.{}={}", resource.name(), limit.saturating_mul(factor))];
         let Some((front, target)) = changed(&changes) else { break };
         if let Some(fitting) = fits(front, &target) {
-            let words = format!("change the chip, {factor} times the limit that is met: {}", typed(&changes));
+            let words = format!(
+                "change the chip, with {factor} times the limit of a core's fullest resource: {}",
+                typed(&changes)
+            );
             keep("doubled_limit", words, fitting);
             break;
         }
@@ -189,7 +194,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
         let Some((front, target)) = changed(&changes) else { break };
         match tried(front, &target, &quick) {
             Ok(fitting) => {
-                keep("limit", format!("change the chip, by these limits at least: {}", typed(&changes)), fitting);
+                keep("limit", format!("change the chip, with at least these limits: {}", typed(&changes)), fitting);
                 break;
             }
             Err(CompileError::DoesNotFit(next)) if next != reasons => reasons = next,

@@ -298,7 +298,7 @@ fn files_that_say_what_cannot_be_are_refused() {
     }
     refused(&|f| f.layers[1].places[0].cores[0] = f.layers[0].places[0].cores[0], "mapping.site", "same physical core");
     let listed = || MappedCore { chip: 0, x: 0, y: 0, core: 0, holds: Vec::new() };
-    refused(&|f| f.cores.push(listed()), "mapping.layers", "core by core");
+    refused(&|f| f.cores.push(listed()), "mapping.layers", "by core");
 }
 
 #[test]

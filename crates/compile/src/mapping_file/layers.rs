@@ -60,18 +60,21 @@ pub fn outline(
 ) -> Result<(Lattices, Placement)> {
     let wrong = |code, message: String| Err(Diagnostic::new(code, message));
     if !file.cores.is_empty() {
-        let message = "the mapping lists compartments core by core, where boxes of layers are wanted".to_string();
+        let message = "the mapping lists compartments by core, but this network needs boxes of layers".to_string();
         return wrong("mapping.layers", message);
     }
     if file.pruned.is_some() {
-        return wrong("mapping.pruned", "a mapping of boxes is of the whole network, not of a pruned one".to_string());
+        return wrong(
+            "mapping.pruned",
+            "a mapping of boxes applies to the whole network, not to a pruned one".to_string(),
+        );
     }
     let mut found: IdVec<PopulationId, Option<(Lattice, &MappedLayer)>> = vec![None; layers.len()].into();
     for mapped in &file.layers {
         let MappedLayer { population: name, size, .. } = mapped;
         let id = network.population_named(name);
         let Some(id) = id.filter(|&id| network.populations()[id].first_compartment().is_some()) else {
-            let message = format!("the mapping holds boxes of {name}, which is no population of compartments");
+            let message = format!("the mapping has boxes of {name}, which is not a population of compartments");
             return wrong("mapping.population", message);
         };
         if found[id].is_some() {
@@ -79,17 +82,17 @@ pub fn outline(
         }
         let (shape, (channels, rows, columns)) = (layers[id].shape, *size);
         let Some(lattice) = Lattice::new(shape, *size) else {
-            let message = format!("boxes of {channels} x {rows} x {columns} do not fit {name}, which has {shape:?}");
+            let message = format!("boxes of {channels} x {rows} x {columns} do not fit {name} of shape {shape:?}");
             return wrong("mapping.box", message);
         };
         let held = u64::from(channels) * u64::from(rows) * u64::from(columns);
         if held > u64::from(MOST_SLOTS) {
-            let message = format!("a box of {name} holds {held} compartments, more than {MOST_SLOTS}");
+            let message = format!("a box of {name} has {held} compartments, more than {MOST_SLOTS}");
             return wrong("mapping.slots", message);
         }
         let (boxes, places) = (u64::from(lattice.boxes()), mapped.places().count() as u64);
         if boxes != places {
-            let message = format!("layer {name} has {boxes} boxes, and the mapping places for {places}");
+            let message = format!("layer {name} has {boxes} boxes, but the mapping has places for {places}");
             return wrong("mapping.places", message);
         }
         found[id] = Some((lattice, mapped));

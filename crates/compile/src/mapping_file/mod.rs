@@ -191,8 +191,7 @@ pub fn explained(error: CompileError, path: &Path, model: &str) -> CompileError 
     match error {
         CompileError::Input(diagnostic) if diagnostic.code.starts_with("mapping.") => {
             let help = format!(
-                "use it with the model, target and copies that it was made for, or make another: nsim map {model} \
-                 -o FILE"
+                "use the mapping with its own model, target and copies, or make another: nsim map {model} -o FILE"
             );
             let has_help = diagnostic.help.is_some();
             let diagnostic = diagnostic.or_in_file(path);
@@ -210,9 +209,9 @@ pub fn of_copies(file: &MappingFile, copies: u32) -> Result<()> {
     if file.copies == copies {
         return Ok(());
     }
-    let message = format!("the mapping is of {} copies, not {copies}", file.copies);
+    let message = format!("the mapping has {} copies, not {copies}", file.copies);
     Err(Diagnostic::new("mapping.copies", message).help(format!(
-        "say --copies {}, or make a mapping of {copies}: nsim map --copies {copies} -o FILE",
+        "give --copies {}, or make a mapping of {copies}: nsim map --copies {copies} -o FILE",
         file.copies
     )))
 }
@@ -246,7 +245,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         for Run { population, first, count } in &core.holds {
             let Some(&(id, base, size)) = names.get(population.as_str()) else {
                 let message =
-                    format!("core {number} of the mapping holds {population}, which is no population of the model");
+                    format!("core {number} of the mapping has {population}, which is not a population of the model");
                 return wrong("mapping.population", message);
             };
             if first.checked_add(*count).is_none_or(|end| end > size) {
@@ -270,7 +269,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         }
         if held.len() > MOST_SLOTS as usize {
             let (many, most) = (held.len(), MOST_SLOTS);
-            let message = format!("core {number} of the mapping holds {many} compartments, more than {most}");
+            let message = format!("core {number} of the mapping has {many} compartments, more than {most}");
             return wrong("mapping.slots", message);
         }
         members.push(held);
@@ -281,7 +280,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
         return wrong("mapping.missing", format!("compartment {index} of {name} is not in the mapping"));
     }
     if let Some(core) = members.iter().position(Vec::is_empty) {
-        return wrong("mapping.empty", format!("core {core} of the mapping holds no compartment"));
+        return wrong("mapping.empty", format!("core {core} of the mapping has no compartment"));
     }
     let placement = Placement::new(mesh, sites).map_err(|error| Diagnostic::new("mapping.site", error.to_string()))?;
     Ok((members, placement))

@@ -32,15 +32,13 @@ pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> 
     for Run { population, first, count } in &file.dead {
         let found = network.inputs().find(|(_, input)| input.name == *population);
         let Some((base, size)) = found.and_then(|(_, input)| Some((input.first_channel()?, input.shape.len()))) else {
-            return wrong(format!(
-                "the mapping was pruned of channels of {population}, which is no input of the model"
-            ));
+            return wrong(format!("the mapping prunes channels of {population}, which is not an input of the model"));
         };
         match first.checked_add(*count) {
             Some(end) if end <= size => dead.extend((*first..end).map(|index| ChannelId(base.0 + index))),
             _ => {
                 return wrong(format!(
-                    "the mapping was pruned of {first} + {count} channels of {population}, which has {size}"
+                    "the mapping prunes channels {first} + {count} of {population}, which has {size}"
                 ));
             }
         }
@@ -48,7 +46,7 @@ pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> 
     dead.sort_unstable();
     dead.dedup();
     if file.stimulus.is_none() && !dead.is_empty() {
-        return wrong("the mapping was pruned of channels, but does not say for which stimulus".to_string());
+        return wrong("the mapping prunes channels, but field stimulus is missing".to_string());
     }
     let mut plan = Plan::fixed();
     plan.scene = file.stimulus.clone().map(|stimulus| Scene { stimulus, dead });

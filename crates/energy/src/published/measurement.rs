@@ -87,7 +87,7 @@ pub fn measurements(source: &SourceText) -> Result<MeasurementsFile> {
         known("unit", &cell.unit, &UNITS)?;
         known("figure", &cell.figure, &FIGURES)?;
         if cell.value().is_none() {
-            let message = format!("'{}' is no positive decimal", cell.printed.value);
+            let message = format!("'{}' is not a positive decimal", cell.printed.value);
             return Err(Diagnostic::new("measurements.cell", message).at(source, cell.printed.span));
         }
     }

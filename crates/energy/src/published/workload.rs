@@ -411,7 +411,7 @@ pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
             !matches!(other, WorkloadPopulation::Input { .. }) && other.parts().0 == name.value
         };
         if placed.contains(&name.value.as_str()) || !file.populations.iter().any(is_layer) {
-            let message = format!("{} is no layer, or is on cores twice", name.value);
+            let message = format!("{} is not a layer, or is on cores twice", name.value);
             return Err(Diagnostic::new("workload.layout", message).at(source, name.span));
         }
         placed.push(&name.value);
@@ -422,7 +422,7 @@ pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
     }
     let WorkloadDeployment { copies, cores_used, chips_used, board_chips, .. } = file.deployment;
     if copies == 0 || file.steps == 0 || cores_used == 0 || chips_used == 0 || chips_used > board_chips {
-        let message = "copies, cores, chips and steps are at least 1, chips in use at most those of the board";
+        let message = "copies, cores, chips and steps are at least 1, chips in use at most the chips of the board";
         return wrong("workload.figure", message.to_string());
     }
     Ok(file)

@@ -122,7 +122,7 @@ impl Comparison {
             )
         };
         let step = decision.median_step.map(|step| format!("median after {}", after(step)));
-        let energy = Some(format!("{} uJ a decision", three(decision.energy_uj)));
+        let energy = Some(format!("{} uJ per decision", three(decision.energy_uj)));
         let said: Vec<String> = right.into_iter().chain(step).chain(energy).collect();
         said.join("; ") + "."
     }
@@ -154,8 +154,8 @@ impl Comparison {
             out += &table(&["One sample on", "Time (ms)", "Energy (uJ)"], &rows);
             if let Some(decision) = &self.per_decision {
                 out += &wrapped(&format!(
-                    "{:.1} % of the samples are decided before their end. {} Times are the chip's; with --mode \
-                     realtime they are the sensor's.",
+                    "{:.1} % of the samples are decided before their end. {} Times are on the chip; with --mode \
+                     realtime they follow the sensor.",
                     100.0 * decision.early,
                     self.decisions(accuracy)
                 ));

@@ -545,7 +545,7 @@ impl EnergyReport {
             let unused = board_chips - chips_used.min(board_chips);
             let unused = (unused > 0).then(|| {
                 let boot = self.estimate.job.boot * unused as f64 / *board_chips as f64;
-                format!("{} mW of it are {unused} chips of the board that are not used.", three(boot))
+                format!("{} mW of it belong to chips of the board that are not used ({unused}).", three(boot))
             });
             let packing = "Packing copies on fewer chips saves profiler milliwatts, not board watts.".to_string();
             return unused.into_iter().chain([packing]).chain(self.dominant()).collect();
@@ -559,11 +559,11 @@ impl EnergyReport {
         if *copies > 1 {
             let Job { total_mw, share_mw } = self.job();
             let [all, share] = [total_mw, share_mw].map(|power| power.map_or_else(unknown, three));
-            said.push(format!("Rows are one x86 core's and one copy's; all copies draw {all} mW, {share} each."));
+            said.push(format!("Rows are for one x86 core and one copy; all copies draw {all} mW, {share} each."));
         }
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
             let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
-            said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power goes with them."));
+            said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power scales with them."));
         }
         said.extend(job.map(|job| self.inferred(job)));
         let mut marks = Vec::new();
@@ -585,7 +585,7 @@ impl EnergyReport {
         said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
         said.extend(self.dominant());
         let last = match job {
-            Some(_) => "nsim bench published omits the paper's own findings: wider intervals.",
+            Some(_) => "nsim bench published omits the paper's own results, so its intervals are wider.",
             None => "Fewer cores save profiler milliwatts, not board watts (--accounting rails).",
         };
         said.extend((said.len() < 7).then(|| last.to_string()));
@@ -601,7 +601,7 @@ impl EnergyReport {
         };
         let parts: Vec<String> = self.parts.iter().map(part).collect();
         let relays = if job.input_relays { "relays; " } else { "" };
-        let streams = if self.deployment.streams > 1 { "a stream a copy" } else { "one stream" };
+        let streams = if self.deployment.streams > 1 { "one stream per copy" } else { "one stream" };
         format!(
             "Static, dynamic here / printed: {}. Inferred: a row is an x86 core and a copy; {relays}{streams}; input \
              spikes.",
@@ -696,8 +696,8 @@ impl EnergyReport {
         out.push_str(&self.detail.slowest_text(SLOWEST_SHOWN));
         if let Some(Score { energy_uj, step_us, .. }) = self.expected {
             out += &wrapped(&format!(
-                "At these mean rates nsim map --profile expects {} uJ of the whole job of {} mapped here, and {} us of \
-                 a timestep: every compartment active, spikes spread evenly.",
+                "At these mean rates, nsim map --profile expects {} uJ for the whole job of {} mapped here, and {} us \
+                 per timestep. It assumes that every compartment is active and spikes are spread evenly.",
                 three(energy_uj),
                 count(self.copies_counted, "copy"),
                 three(step_us)
@@ -706,9 +706,8 @@ impl EnergyReport {
         }
         if let Some(saved) = self.early_exit {
             out += &wrapped(&format!(
-                "Early exit {}: {} of {} samples are decided before their end. That would save {} of the {} \
-                 timesteps, {} us \
-                 and {} uJ{}. The figures above are those of whole samples.",
+                "Early exit {}: {} of {} samples are decided before their end. Early exit would save {} of the {} \
+                 timesteps, {} us and {} uJ{}. The figures above are for whole samples.",
                 saved.rule,
                 saved.decided,
                 self.samples,
@@ -750,7 +749,7 @@ impl EnergyReport {
         if rows.is_empty() {
             return String::new();
         }
-        let spikes = "Input spikes are no constant: they are those of what was shown.";
+        let spikes = "The number of input spikes is not a constant: it is counted in the samples.";
         table(&["From constants", "published", "calibrated", "assumed"], &rows) + &wrapped(spikes) + "\n"
     }
 

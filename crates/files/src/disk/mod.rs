@@ -82,7 +82,7 @@ impl Read for Input {
             }
         };
         if read == 0 && self.left > 0 {
-            return Err(Error::other(format!("it ends {} bytes before its length", self.left)));
+            return Err(Error::other(format!("the file ends {} bytes early", self.left)));
         }
         self.left = self.left.saturating_sub(read as u64);
         Ok(read)
@@ -104,7 +104,7 @@ mod tests {
         File::options().write(true).open(&path).unwrap().set_len(40).unwrap();
         let mut rest = Vec::new();
         let error = input.read_to_end(&mut rest).unwrap_err();
-        assert!(error.to_string().contains("60 bytes before"), "{error}");
+        assert!(error.to_string().contains("60 bytes early"), "{error}");
         assert!(exists(&path).unwrap() && !exists(&path.join("b")).unwrap());
         assert!(named(&folder.path().join("b")).unwrap().is_none());
         assert_eq!(list(folder.path()).unwrap(), [path]);

@@ -76,7 +76,7 @@ impl Weights {
     pub fn tensor(&self) -> &Tensor {
         match self {
             Weights::InPlace(tensor) => tensor,
-            Weights::From(source) => panic!("{source:?} is not in place"),
+            Weights::From(source) => panic!("{source:?} is not loaded"),
         }
     }
 }
@@ -122,7 +122,7 @@ impl Parameter {
         match self {
             Parameter::Same(value) => *value,
             Parameter::Each(values) => values[index],
-            Parameter::From(source) => panic!("{source:?} is not in place"),
+            Parameter::From(source) => panic!("{source:?} is not loaded"),
         }
     }
 

@@ -79,7 +79,7 @@ fn unknown<E: Error>(name: &str) -> E {
     }
     let known: Vec<&str> = POPULATIONS.iter().copied().chain(stated).collect();
     E::custom(format!(
-        "no kind is called '{name}': {}kinds are {}",
+        "there is no kind '{name}': {}kinds are {}",
         did_you_mean(name, known.iter().copied()),
         known.join(", ")
     ))
@@ -195,7 +195,9 @@ impl<'de> Visitor<'de> for Fields {
 
 fn synapses<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<(u64, u64, f64)>, D::Error> {
     Vec::deserialize(deserializer).map_err(|error| {
-        Error::custom(format!("{error}; a synapse is (source, target, weight), the first two whole numbers from 0"))
+        Error::custom(format!(
+            "{error}; a synapse is (source, target, weight), with source and target whole numbers from 0"
+        ))
     })
 }
 

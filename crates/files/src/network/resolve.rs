@@ -7,7 +7,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 fn seeded(what: &str) -> Diagnostic {
     Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
-        .help("seeded numbers have no form in other tools: give them as an array")
+        .help("other tools do not support seeded numbers: give them as an array")
 }
 
 impl Network {

@@ -45,8 +45,8 @@ impl Serialize for Weights {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         match self {
             Weights::From(source) => source.serialize(serializer),
-            // `NetworkFile::split` puts them there.
-            Weights::InPlace(_) => Err(S::Error::custom("weights are written to a file of their own")),
+            // `NetworkFile::split` moves them to that file.
+            Weights::InPlace(_) => Err(S::Error::custom("weights are written to a separate file")),
         }
     }
 }
@@ -199,8 +199,8 @@ impl NetworkFile {
             Some(ending) => Err(Diagnostic::new(
                 "write.ending",
                 format!(
-                    "a model is text, its arrays go into a .safetensors next to it, and files that end in .{ending} \
-                     are others"
+                    "a model is text, with its arrays in a .safetensors file next to it, so its name cannot end in \
+                     .{ending}"
                 ),
             )
             .in_file(path)

@@ -53,11 +53,11 @@ pub fn check_free(path: &Path, force: bool) -> Result<()> {
     let kind = path.metadata().map(|metadata| metadata.file_type());
     match kind {
         Ok(kind) if kind.is_dir() => {
-            Err(Diagnostic::new("write.folder", "this is a folder; a file is to be written").in_file(path))
+            Err(Diagnostic::new("write.folder", "this is a folder, but the result is a file").in_file(path))
         }
         Ok(kind) if !kind.is_file() => Err(not_regular(path, "this is a device, a pipe or a socket")),
         _ if !force => Err(exists(path)),
-        Err(_) if named.is_symlink() => Err(not_regular(path, "this is a link to nothing")),
+        Err(_) if named.is_symlink() => Err(not_regular(path, "this is a link whose target does not exist")),
         _ => Ok(()),
     }
 }

@@ -56,7 +56,7 @@ impl Journal {
         std::fs::create_dir_all(disk::folder_of(path)).map_err(fail)?;
         let file = open_or_make(path)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
-            return Err(Diagnostic::new("journal.held", "another process works on this").in_file(path));
+            return Err(Diagnostic::new("journal.held", "another process is using this file").in_file(path));
         }
         let mut journal = Journal { path: path.to_path_buf(), file };
         let mut text = Vec::new();
@@ -66,11 +66,11 @@ impl Journal {
         text.truncate(told);
         let (mut lines, mut end) = whole_lines(&text);
         if lines.is_empty() && !text.is_empty() && !written(head).as_bytes().starts_with(&text) {
-            return Err(journal.other("no journal of nsim"));
+            return Err(journal.other("not a journal of nsim"));
         }
         if lines.first().is_some_and(|first| first != head) {
             if lines.len() > 1 {
-                return Err(journal.other("the journal of other work"));
+                return Err(journal.other("the journal of another sweep"));
             }
             // A journal of other work without lines may be replaced.
             (lines, end) = (Vec::new(), 0);
@@ -85,7 +85,7 @@ impl Journal {
 
     fn other(&self, what: &str) -> Diagnostic {
         Diagnostic::new("journal.other", format!("this is {what}"))
-            .help("remove it to begin anew, or give the result another name")
+            .help("remove it to start again, or give the result another name")
             .in_file(&self.path)
     }
 

@@ -272,7 +272,7 @@ pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     let mut budget = Reading { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
     if let Some(link) = super::hdf5_links::find(&bytes) {
         return Err(Diagnostic::new("hdf5.link", format!("the HDF5 file has links that are not followed: {link}"))
-            .help(format!("write what they lead to in their place: {REWRITTEN}"))
+            .help(format!("write their targets in their place: {REWRITTEN}"))
             .in_file(path));
     }
     let options = FileAccessProperties::new().with_chunk_cache(ChunkCacheConfig::disabled());

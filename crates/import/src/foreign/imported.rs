@@ -66,7 +66,7 @@ impl Options {
         ];
         match given.into_iter().find(|(name, given)| *given && !used.contains(name)) {
             None => Ok(()),
-            Some((name, _)) => Err(wrong_option(format!("{name} says nothing of {file}")).help("leave it out")),
+            Some((name, _)) => Err(wrong_option(format!("{name} does not apply to {file}")).help("leave it out")),
         }
     }
 }
@@ -226,9 +226,9 @@ impl Imported {
             self.model.decision = decision;
             if !never && decision != ReadOut::Spikes {
                 let note = format!(
-                    "'{}' spikes, and its potential that decides ({decision:?}) is what each reset leaves of it: a \
-                     tool that compares the potential before its reset decides otherwise; a threshold above every potential \
-                     makes both the same",
+                    "'{}' spikes, and its potential after each reset decides the class ({decision:?}). A tool that \
+                     compares potentials before the reset may decide otherwise; a threshold above every potential \
+                     makes both identical",
                     self.model.output
                 );
                 self.notes.push(note.clone());

@@ -80,7 +80,7 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
     let name = network_name(path);
     let network = root.group("layer").or_else(|| root.group("node"));
     if let Some((name, what)) = network.and_then(hdf5::Group::unread) {
-        return Err(Diagnostic::new("import.type", format!("'{name}' is of the type {what}, which is not read"))
+        return Err(Diagnostic::new("import.type", format!("'{name}' has type {what}, which is not supported"))
             .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
     }
     if root.group("layer").is_some() {
@@ -92,7 +92,7 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
         nir::read(&root, &name, options)
     } else {
         let members: Vec<&str> = root.items.keys().take(8).map(String::as_str).collect();
-        let message = format!("this HDF5 file holds no network: at its root are {}", listed(&members));
+        let message = format!("this HDF5 file holds no network; its root contains {}", listed(&members));
         Err(Diagnostic::new("import.not-a-network", message)
             .help("lava-dl's netx files have a group 'layer', NIR files a group 'node'"))
     }
@@ -139,13 +139,13 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
         () if is_yaml => "a YAML file describes neurons and holds no weights",
         () if bytes.starts_with(b"MATLAB 5.0") => "this is a MATLAB file",
         () if bytes.starts_with(b"\x1f\x8b") => "the file is compressed with gzip",
-        () => "the file is of no kind that is imported",
+        () => "the file format is not supported",
     };
     let help = if is_yaml {
-        "give it with --neuron beside the weights: nsim import weights.pt --neuron config.yml"
+        "pass it with --neuron, together with the weights: nsim import weights.pt --neuron config.yml"
     } else {
-        "imported are lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a model \
-         of nsim's own begins with Network("
+        "supported formats: lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a \
+         model of nsim begins with Network("
     };
     Diagnostic::new("import.kind", described).help(help)
 }

@@ -13,8 +13,8 @@ use std::collections::HashMap;
 
 /// The most values, stack entries and entries of lists of a pickle.
 const MOST_VALUES: usize = 1 << 20;
-/// What is wrong with a line that should hold a number.
-const NO_NUMBER: &str = "a number that is none";
+/// The error of a line that is not a number.
+const NO_NUMBER: &str = "an invalid number";
 
 /// Index of a value in the arena.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -216,14 +216,14 @@ impl<'a> Machine<'a> {
     fn recall(&mut self, key: u32) -> Result<()> {
         match self.memo.get(&key) {
             Some(&id) => self.put(id),
-            None => self.wrong("a value that was not kept"),
+            None => self.wrong("a value that was not stored"),
         }
     }
 
     fn reduce(&mut self) -> Result<()> {
         let (arguments, function) = (self.pop()?, self.pop()?);
         let Value::Name(module, name) = &self.values[function.0 as usize] else {
-            return self.wrong("a call of what has no name");
+            return self.wrong("a call of an object without a name");
         };
         if !known(module, name) {
             return Err(PickleError::Class(format!("{module}.{name}")));
@@ -241,7 +241,7 @@ impl<'a> Machine<'a> {
                     for &pair in list {
                         match &self.values[pair.0 as usize] {
                             Value::Tuple(pair) | Value::List(pair) if pair.len() == 2 => pairs.push((pair[0], pair[1])),
-                            _ => return self.wrong("an entry that is no pair"),
+                            _ => return self.wrong("an entry that is not a pair"),
                         }
                     }
                 }
@@ -321,7 +321,7 @@ impl<'a> Machine<'a> {
         match opcode {
             0x80 => match self.size(1)? {
                 0..=5 => Ok(()),
-                _ => self.wrong("a protocol that is not known"),
+                _ => self.wrong("an unknown protocol"),
             },
             0x95 => self.take(8).map(drop),
             b'(' if self.marks.len() >= MOST_VALUES => Err(PickleError::TooLarge),
@@ -381,7 +381,7 @@ impl<'a> Machine<'a> {
                 let (name, module) = (self.pop()?, self.pop()?);
                 match (&self.values[module.0 as usize], &self.values[name.0 as usize]) {
                     (Value::Text(module), Value::Text(name)) => self.push(Value::Name(module.clone(), name.clone())),
-                    _ => self.wrong("a name that is no text"),
+                    _ => self.wrong("a name that is not text"),
                 }
             }
             b'R' => self.reduce(),
@@ -390,7 +390,7 @@ impl<'a> Machine<'a> {
                 self.pop()?;
                 match self.values[self.top()?.0 as usize] {
                     Value::Dict(_) => Ok(()),
-                    _ => self.wrong("the state of what has none"),
+                    _ => self.wrong("the state of an object without state"),
                 }
             }
             b'Q' => {
@@ -414,7 +414,7 @@ impl<'a> Machine<'a> {
             0x82..=0x84 => Err(PickleError::Class("an extension code".to_string())),
             _ => {
                 self.at -= 1;
-                self.wrong("an opcode that is not known")
+                self.wrong("an unknown opcode")
             }
         }
     }

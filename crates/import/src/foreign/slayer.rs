@@ -111,22 +111,23 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
             .location()
             .map_or(0, |location| offset(source.text(), location.line() as usize, location.column() as usize));
         let message = error.to_string().lines().next().unwrap_or_default().chars().take(200).collect::<String>();
-        Diagnostic::new("import.yaml", format!("this is no network config: {message}"))
-            .help("it has a mapping 'neuron' with 'type', and perhaps 'simulation' with 'Ts'")
+        Diagnostic::new("import.yaml", format!("this is not a network configuration: {message}"))
+            .help("it needs a mapping 'neuron' with 'type'; 'simulation' with 'Ts' is optional")
             .at(source, Span { start: at, end: at })
     })?;
     let wrong = |message: String| Diagnostic::new("import.yaml", message).in_file(source.path());
     let mut fields = file.neuron;
     let Some(Field::Text(kind)) = fields.remove("type") else {
-        return Err(wrong("the neuron does not say its type".to_string()).help(KINDS));
+        return Err(wrong("field 'type' of the neuron is missing".to_string()).help(KINDS));
     };
     let mut taken = |key: &str| match fields.remove(key) {
         None => Ok(None),
         Some(Field::Number(x)) if x.is_finite() => Ok(Some(x)),
-        Some(_) => Err(wrong(format!("the neuron's '{key}' is no finite number"))),
+        Some(_) => Err(wrong(format!("the neuron's '{key}' is not a finite number"))),
     };
-    let need =
-        |key: &str, value: Option<f64>| value.ok_or_else(|| wrong(format!("the neuron of type {kind} has no '{key}'")));
+    let need = |key: &str, value: Option<f64>| {
+        value.ok_or_else(|| wrong(format!("field '{key}' of a neuron of type {kind} is missing")))
+    };
     let share = |key: &str, value: f64| match (0.0..=1.0).contains(&value) {
         true => Ok(value),
         false => Err(wrong(format!("the neuron's '{key}' is {value}, outside 0 to 1"))),
@@ -168,7 +169,7 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
                 Some(Field::Text(reset)) if reset == "zero" => false,
                 Some(_) => {
                     return Err(wrong("the neuron's 'reset_mechanism' is neither subtract nor zero".to_string())
-                        .help("a neuron without a reset has no counterpart on a core"));
+                        .help("cores do not support a neuron without a reset"));
                 }
             },
         },
@@ -189,17 +190,18 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
                 }
             }
         }
-        other => return Err(wrong(format!("neurons of the type '{other}' are not known")).help(KINDS)),
+        other => return Err(wrong(format!("neuron type '{other}' is not supported")).help(KINDS)),
     };
     match fields.into_keys().find(|key| !OF_TRAINING.split(' ').any(|known| known == key)) {
-        Some(key) => Err(wrong(format!("a neuron of type {kind} has no field '{key}'"))
-            .help("leave it out if the network does not depend on it; docs/import.md has the fields of each type")),
+        Some(key) => Err(wrong(format!("neurons of type {kind} do not support field '{key}'"))
+            .help("remove it if the network does not depend on it; docs/import.md lists the fields of each type")),
         None => Ok(Neuron { kind: read, dt_ms: file.simulation.and_then(|simulation| simulation.ts) }),
     }
 }
 
-/// The types of neurons that a config may have.
-const KINDS: &str = "types are LOIHI and SRMALPHA (SLAYER), CUBA (lava-dl), Leaky and Synaptic (snnTorch), LIF (Norse)";
+/// Help on the neuron types of a config.
+const KINDS: &str = "supported types: LOIHI and SRMALPHA (SLAYER), CUBA (lava-dl), Leaky and Synaptic (snnTorch), LIF \
+                     (Norse)";
 
 /// The byte offset of a line and column, which count from 1.
 fn offset(text: &str, line: usize, column: usize) -> usize {
@@ -231,9 +233,9 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
     let stem = path.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
     let (prefix, part) = stem.rsplit_once('-').map_or((None, stem.as_str()), |(prefix, part)| (Some(prefix), part));
     let Some(set) = SETS.iter().find(|set| set.contains(&part)) else {
-        let message = format!("'{stem}.npy' is none of the files of a network");
+        let message = format!("'{stem}.npy' is not a file of a VT_SNN network");
         return Err(slayer(message)
-            .help("VT_SNN names them NNN-tact.npy, NNN-vis.npy, NNN-combi.npy, or NNN-fc1.npy, NNN-fc2.npy")
+            .help("VT_SNN names its files NNN-tact.npy, NNN-vis.npy, NNN-combi.npy, or NNN-fc1.npy, NNN-fc2.npy")
             .in_file(path));
     };
     let file = |part: &str| -> PathBuf {
@@ -248,7 +250,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
         }
         let tensor = npy::read(&path)?;
         let &[targets, sources] = tensor.shape() else {
-            let message = format!("the array is {:?}, no matrix [target, source]", tensor.shape());
+            let message = format!("the array has shape {:?}, expected a matrix [target, source]", tensor.shape());
             return Err(slayer(message).in_file(path));
         };
         let weights = tensor.reals().collect();
@@ -266,8 +268,8 @@ fn slayer(message: impl Into<String>) -> Diagnostic {
 /// The neuron of `--neuron`, and the note about it.
 pub(super) fn neuron_of(options: &Options) -> Result<(Neuron, Vec<String>)> {
     let Some(path) = &options.neuron else {
-        return Err(wrong_option("the file holds weights and says nothing of the neurons").help(format!(
-            "add --neuron CONFIG.yml, a mapping 'neuron' with the type and parameters of training; {KINDS}"
+        return Err(wrong_option("the file holds weights but no parameters of the neurons").help(format!(
+            "add --neuron CONFIG.yml, a mapping 'neuron' with the type and the parameters used in training; {KINDS}"
         )));
     };
     let neuron = config(&decode(path, read_bytes(path, MOST_YAML)?)?)?;
@@ -311,7 +313,7 @@ pub(super) fn build(
         NeuronKind::Loihi { weight_exp, scale, .. } => (weight_exp, scale),
         NeuronKind::SrmAlpha { .. } => (0.0, 1.0),
         NeuronKind::Leaky { .. } | NeuronKind::Lif { .. } => {
-            return Err(slayer("neurons of real numbers are for state dicts of PyTorch")
+            return Err(slayer("real-valued neurons are supported for state dicts of PyTorch only")
                 .help("weights of VT_SNN are trained for neurons of the type LOIHI or SRMALPHA"));
         }
     };
@@ -319,13 +321,14 @@ pub(super) fn build(
         return Err(slayer(format!("wgtExp {weight_exp} is outside -8..=7")));
     }
     if matrices.is_empty() {
-        return Err(slayer("there is no '.weight' of a dense layer"));
+        return Err(slayer("no tensor is the '.weight' of a dense layer"));
     }
     let mut model = NetworkFile::new(name, options.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
     model.threshold = options.threshold.unwrap_or_default();
     notes.push(match neuron.kind {
         NeuronKind::SrmAlpha { .. } => {
-            "spike response neurons in real numbers, no neurons of a core: they run with --engine reference".to_string()
+            "spike response neurons in real numbers, which cores do not support: they run with --engine reference"
+                .to_string()
         }
         _ if scale == 1.0 => "weights are round(w / 2) * 2, ties to even; one step of delay between layers".to_string(),
         _ => format!(
@@ -346,8 +349,8 @@ pub(super) fn build(
                     (Some((du, dv)), _, _) => (Parameter::from_values(du.clone()), Parameter::from_values(dv.clone())),
                     (None, Some(du), Some(dv)) => (Parameter::Same(du), Parameter::Same(dv)),
                     (None, _, _) => {
-                        return Err(wrong_option(format!("nothing says how '{name}' decays"))
-                            .help("add current_decay and voltage_decay, shares of 0 to 1, to the neuron of --neuron"));
+                        return Err(wrong_option(format!("the decays of '{name}' are missing"))
+                            .help("add current_decay and voltage_decay, each from 0 to 1, to the neuron of --neuron"));
                     }
                 };
                 let parameters = vec![
@@ -398,7 +401,8 @@ pub(super) fn build(
                 let encoded = encode::encode(given.iter().map(|w| clipped(even(w))).collect(), weight_exp as i64);
                 if encoded.changed > 0 {
                     notes.push(format!(
-                        "{}: {} of {} weights fit no synapse format beside the others; they are rounded and clipped",
+                        "{}: {} of {} weights do not fit into one synapse format with the others; they are rounded and \
+                        clipped",
                         matrix.name,
                         encoded.changed,
                         given.len()
@@ -410,9 +414,9 @@ pub(super) fn build(
             };
             if line.is_lost() {
                 return Err(slayer(format!("the weights are too small for a core: {line}")).help(format!(
-                    "weights of these neurons count in steps of {}; a network trained with neurons of real numbers \
-                     needs theirs: --neuron CONFIG.yml with 'neuron: {{type: Leaky, beta: 0.9, threshold: 1}}' as \
-                     snnTorch has them, type CUBA of lava-dl or type LIF of Norse, or export it as .nir",
+                    "weights of these neurons are multiples of {}. A network trained with real-valued neurons needs \
+                     --neuron CONFIG.yml with 'neuron: {{type: Leaky, beta: 0.9, threshold: 1}}' (snnTorch), type CUBA \
+                     (lava-dl) or type LIF (Norse); or export it as .nir",
                     2.0 / scale
                 )));
             }

@@ -169,11 +169,13 @@ fn arrays(checkpoint: &mut torch::Checkpoint) -> Result<Vec<Array>> {
             continue;
         };
         let Some(axes) = shape_of(&length) else {
-            return Err(wrong(format!("'{key}' is a direction of weights without the lengths '{length}'")));
+            return Err(wrong(format!("'{key}' is a direction of weights, but its lengths '{length}' are missing")));
         };
         let lengths = checkpoint.tensor(&length)?;
         let numbers = multiplied(&numbers, shape, &lengths, &axes).ok_or_else(|| {
-            wrong(format!("'{length}' is {axes:?}, '{key}' is {shape:?}: lengths and directions differ"))
+            wrong(format!(
+                "'{length}' has shape {axes:?}, '{key}' has shape {shape:?}: lengths and directions do not match"
+            ))
         })?;
         arrays.push(Array { key: whole, shape: shape.clone(), numbers, single: false });
     }
@@ -229,7 +231,7 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
         }
         if last == "delay" {
             return Err(wrong(format!("'{}' holds learned delays", array.key))
-                .help("export the network with lava-dl as .net, which says what they delay"));
+                .help("export the network with lava-dl as .net, which names the delayed layers"));
         }
         let role = ROLES.iter().find_map(|(end, role)| {
             let module = array.key.strip_suffix(end)?;
@@ -240,14 +242,15 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
             let kind = OF_OTHER_NEURONS.iter().find(|(name, _)| *name == last).map(|(_, kind)| format!(" ({kind})"));
             let (key, kind) = (&array.key, kind.unwrap_or_default());
             let message =
-                format!("'{key}' belongs to a neuron of another kind than Leaky, Synaptic, RLeaky and RSynaptic{kind}");
-            return Err(wrong(message)
-                .help(format!("without this tensor it would be read as a neuron that it is not: {FROM_TORCH}")));
+                format!("'{key}' belongs to another neuron{kind}; supported are Leaky, Synaptic, RLeaky and RSynaptic");
+            return Err(wrong(message).help(format!(
+                "do not delete this tensor, as the neuron would then be read as another kind: {FROM_TORCH}"
+            )));
         }
         let Some((name, role)) = role else {
-            return Err(wrong(format!("nothing is known of the tensor '{}' {:?}", array.key, array.shape)).help(
-                "known are the layers and neurons of lava-dl, SLAYER, snnTorch and Norse (docs/import.md); if the \
-                 network does not depend on it, remove it before saving: del state['NAME']",
+            return Err(wrong(format!("tensor '{}' {:?} is not supported", array.key, array.shape)).help(
+                "supported are the layers and neurons of lava-dl, SLAYER, snnTorch and Norse (docs/import.md); if the \
+                 network does not depend on the tensor, remove it before saving: del state['NAME']",
             ));
         };
         let index = modules.iter().position(|module| module.name == name).unwrap_or_else(|| {
@@ -256,7 +259,7 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
         });
         let key = array.key.clone();
         if modules[index].arrays.insert(role, array).is_some() {
-            return Err(wrong(format!("'{key}' is there twice, as weights and as length and direction")));
+            return Err(wrong(format!("'{key}' is given twice, as weights and as length and direction")));
         }
     }
     Ok((modules, ignored))
@@ -280,8 +283,8 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
         let module = &modules[*index];
         let array = &module.arrays[&Role::Weight];
         let (&[targets, ..], true) = (axes.as_slice(), axes.len() >= 2 && !array.numbers.is_empty()) else {
-            return Err(wrong(format!("'{}' is {:?}, no weights of a layer", array.key, array.shape)).help(
-                "if it is a normalisation's, fold it into the weights before it and save the network without it",
+            return Err(wrong(format!("'{}' of shape {:?} is not the weight of a layer", array.key, array.shape)).help(
+                "if it belongs to a normalisation, fold it into the weights before it and save the network without it",
             ));
         };
         let sources = array.numbers.len() / targets;
@@ -297,16 +300,17 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
                 (None, Some((_, next))) => next.len() == 2 && next[1] == targets,
                 (None, None) => {
                     let (key, shape) = (&array.key, &array.shape);
-                    let message =
-                        format!("'{key}' is {shape:?}: a convolution, or a dense layer on an image {kernel:?}");
+                    let message = format!(
+                        "'{key}' has shape {shape:?}: it is a convolution, or a dense layer on an image {kernel:?}"
+                    );
                     return Err(wrong_option(message)
-                        .help(format!("if it is a dense layer say so: --input-shape {}", listed(kernel))));
+                        .help(format!("if it is a dense layer, give --input-shape {}", listed(kernel))));
                 }
             },
         };
         if !covers {
-            let message = format!("'{}' is {:?}, the kernel of a convolution", array.key, array.shape);
-            let advice = "a state dict does not say how a convolution steps: ";
+            let message = format!("'{}' has shape {:?}: it is the kernel of a convolution", array.key, array.shape);
+            let advice = "a state dict does not contain the stride and padding of a convolution: ";
             return Err(Diagnostic::new("import.unsupported", message).help(format!(
                 "{advice}{FROM_TORCH}, or export it as .nir, or with lava-dl as .net; a dense layer on an image \
                  {kernel:?} is read with --input-shape {}",
@@ -315,7 +319,7 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
         }
         let square = |role: Role| match module.arrays.get(&role) {
             Some(array) if array.numbers.len() != targets * targets => Err(wrong(format!(
-                "'{}' is {:?}, its layer has {targets} units: it is not square",
+                "'{}' has shape {:?}, but its layer has {targets} units, so a square matrix is expected",
                 array.key, array.shape
             ))),
             found => Ok(found.map(|array| array.numbers.clone())),
@@ -330,14 +334,14 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
         let decays = match (decay(Role::CurrentDecay)?, decay(Role::VoltageDecay)?) {
             (Some(du), Some(dv)) => Some((du, dv)),
             (None, None) => None,
-            _ => return Err(wrong(format!("'{}' has one of current_decay and voltage_decay", module.name))),
+            _ => return Err(wrong(format!("'{}' has only one of current_decay and voltage_decay", module.name))),
         };
         let (weights, recurrent) = (array.numbers.clone(), square(Role::Recurrent)?);
         let name = population_name(&module.name);
         matrices.push((*index, Matrix { name, targets, sources, weights, recurrent, decays }));
     }
     if matrices.is_empty() {
-        return Err(wrong("there is no '.weight' of a dense layer"));
+        return Err(wrong("no tensor is the '.weight' of a dense layer"));
     }
     Ok(matrices)
 }
@@ -382,7 +386,7 @@ fn integers(
         let differs =
             |given: Option<f64>, decays: &[f64]| given.is_some_and(|given| decays.iter().any(|&d| d != given));
         if of_file.clone().any(|decays| differs(*du, &decays.0) || differs(*dv, &decays.1)) {
-            notes.push("the decays are those of the weights' file, not those of --neuron".to_string());
+            notes.push("the decays come from the weights' file, not from --neuron".to_string());
         }
     }
     let names: Vec<&str> = matrices.iter().map(|matrix| matrix.name.as_str()).collect();
@@ -429,13 +433,15 @@ fn real(
         let weights: Vec<&str> = layers.iter().map(|(index, _)| modules[*index].name.as_str()).collect();
         let neurons: Vec<&str> = neurons.iter().map(|module| module.name.as_str()).collect();
         let (weights, neurons) = (weights.join(", "), neurons.join(", "));
-        return Err(wrong(format!("layers of weights ({weights}) and of neurons ({neurons}) are not as many"))
-            .help(format!("layers may share neurons, or have none: {FROM_TORCH}, which sees what follows what")));
+        return Err(wrong(format!("the numbers of weight layers ({weights}) and neuron layers ({neurons}) differ"))
+            .help(format!(
+                "layers may share neurons, or have none: {FROM_TORCH}, which reads the order of the layers"
+            )));
     }
     let mut reset: Option<(bool, String)> = None;
     let mut own_reset = |subtracts: bool, whose: &str| match &reset {
         Some((before, first)) if *before != subtracts => {
-            Err(wrong(format!("'{first}' and '{whose}' reset in different ways, one by subtraction and one to zero"))
+            Err(wrong(format!("'{first}' and '{whose}' have different resets, one by subtraction and one to zero"))
                 .help("train all layers with the same reset_mechanism"))
         }
         _ => {
@@ -531,7 +537,7 @@ fn real(
     let reset = chosen_reset(reset, options)?;
     let lacking = match neuron.map(|neuron| &neuron.kind) {
         None => ", and inhibition, reset_delay and a mechanism set after construction of neurons",
-        Some(NeuronKind::Lif { .. }) => ", and which cells its neurons are: all are taken for LIFCell",
+        Some(NeuronKind::Lif { .. }) => ", and the classes of its neurons: all are read as LIFCell",
         Some(_) => "",
     };
     let assumed =
@@ -555,7 +561,7 @@ fn chosen_reset(of_file: Option<(bool, String)>, options: &Options) -> Result<Op
         (Some((true, name)), Some(ResetMode::Zero)) => {
             let message = format!("'{name}' subtracts its threshold, which --reset zero contradicts");
             Err(wrong_option(message)
-                .help("leave --reset out; nsim convert makes such neurons reset to zero and measures the loss"))
+                .help("leave --reset out; nsim convert changes such neurons to a reset to zero and measures the loss"))
         }
         (Some((false, name)), Some(ResetMode::Subtract | ResetMode::SubtractLater)) => {
             Err(wrong_option(format!("'{name}' resets to zero, which --reset contradicts")).help("leave --reset out"))
@@ -600,22 +606,22 @@ fn each(name: &str, numbers: &[f64], units: usize) -> Result<Vec<f64>> {
 /// has it.
 fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
     let get = |role: Role| module.numbers(role).filter(|numbers| !numbers.is_empty());
-    let lost = |what: &str| wrong(format!("'{}' has no '{what}'", module.name));
-    // snnTorch clamps both shares to 0 to 1.
+    let lost = |what: &str| wrong(format!("'{}': '{what}' is missing", module.name));
+    // snnTorch clamps both shares to 0..=1.
     let taken = |shares: &[f64]| shares.iter().map(|x| 1.0 - x.clamp(0.0, 1.0)).collect::<Vec<_>>();
     let membrane = taken(get(Role::Beta).ok_or_else(|| lost("beta"))?);
     let threshold = get(Role::Threshold).ok_or_else(|| lost("threshold"))?.to_vec();
     if get(Role::GradedSpikes).is_some_and(|factor| factor.iter().any(|&factor| factor != 1.0)) {
         return Err(wrong(format!("'{}' sends graded spikes", module.name))
-            .help("spikes of a Loihi 1 core carry no value: train with graded_spikes_factor 1"));
+            .help("a Loihi 1 core does not support graded spikes: train with graded_spikes_factor 1"));
     }
     let subtracts = match get(Role::Reset) {
         None => None,
         Some(&[0.0]) => Some(true),
         Some(&[1.0]) => Some(false),
         Some(other) => {
-            return Err(wrong(format!("'{}' has the reset_mechanism_val {other:?}", module.name))
-                .help("0 (subtract) and 1 (zero) are read; a neuron without a reset has no counterpart on a core"));
+            return Err(wrong(format!("'{}' has reset_mechanism_val {other:?}", module.name))
+                .help("0 (subtract) and 1 (zero) are supported; cores do not support a neuron without a reset"));
         }
     };
     let alone = !module.has(Role::Recurrent) && !module.has(Role::OneToOne);
@@ -623,11 +629,11 @@ fn snntorch(module: &Module) -> Result<(RealNeuron, Option<bool>)> {
         && alpha.iter().cycle().zip(beta.iter().cycle()).take(alpha.len().max(beta.len())).all(|(a, b)| a > b)
     {
         let message = format!(
-            "'{}' is a Synaptic or an Alpha of snnTorch, whose tensors have the same names, and alpha is above beta as \
-             Alpha requires",
+            "'{}' is a Synaptic or an Alpha of snnTorch: their tensors have the same names, and its alpha is above its \
+             beta, as Alpha requires",
             module.name
         );
-        return Err(wrong(message).help(format!("{FROM_TORCH}, which sees the classes")));
+        return Err(wrong(message).help(format!("{FROM_TORCH}, which reads the classes")));
     }
     let (name, synapse) = (module.name.clone(), get(Role::Alpha).map(taken));
     Ok((RealNeuron { name, synapse, membrane, threshold, ..RealNeuron::default() }, subtracts))

@@ -104,7 +104,7 @@ fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint> {
     let is_pickle = |name: &str| name == "data.pkl" || name.ends_with("/data.pkl");
     let pickle = archive.file_names().filter_map(Result::ok).find(|name| is_pickle(name));
     let Some(root) = pickle.map(|name| name.trim_end_matches("data.pkl").to_string()) else {
-        return Err(wrong("the archive has no data.pkl, so it is no checkpoint of PyTorch"));
+        return Err(wrong("the archive has no data.pkl, so it is not a checkpoint of PyTorch"));
     };
     if let Ok(order) = stored(&mut archive, most, &format!("{root}byteorder"))
         && order != b"little"
@@ -122,7 +122,7 @@ fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) -> R
     let mut file = archive.by_name(name).map_err(|error| wrong(format!("'{name}' of the archive: {error}")))?;
     let mut bytes = Vec::new();
     if file.size() > most {
-        return Err(wrong(format!("'{name}' claims {} bytes of an archive of {most}", file.size())));
+        return Err(wrong(format!("the length of '{name}' is {} bytes, the archive has {most}", file.size())));
     }
     file.read_to_end(&mut bytes).map_err(|error| wrong(format!("'{name}' of the archive: {error}")))?;
     Ok(bytes)
@@ -141,7 +141,7 @@ fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
     next("the magic number")?;
     let (arena, version) = next("the version")?;
     if arena.get(version) != &Value::Int(1001) {
-        return Err(wrong("the checkpoint is of a version that is not known"));
+        return Err(wrong("the checkpoint has an unknown version"));
     }
     let (arena, system) = next("the machine")?;
     if entry(&arena, system, "little_endian") == Some(&Value::Bool(false)) {
@@ -150,14 +150,14 @@ fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
     let (arena, top) = next("the tensors")?;
     let views = views(&arena, top)?;
     let (arena, keys) = next("the list of storages")?;
-    let Value::List(keys) = arena.get(keys) else { return Err(wrong("the list of storages is none")) };
+    let Value::List(keys) = arena.get(keys) else { return Err(wrong("the list of storages is not a list")) };
     let elements: BTreeMap<&str, Element> =
         views.iter().map(|(_, view)| (view.storage.as_str(), view.element)).collect();
     let mut ranges = BTreeMap::new();
     for &key in keys {
         let Value::Text(key) = arena.get(key) else { return Err(wrong("a storage without a name")) };
         let Some(&element) = elements.get(key.as_str()) else {
-            return Err(wrong(format!("storage '{key}' belongs to no tensor")));
+            return Err(wrong(format!("no tensor uses storage '{key}'")));
         };
         let count = bytes.get(at..at + 8).and_then(|bytes| Some(i64::from_le_bytes(bytes.try_into().ok()?)));
         let count = count.and_then(|count| usize::try_from(count).ok());
@@ -185,7 +185,7 @@ fn views(arena: &Arena, top: ValueId) -> Result<Vec<(String, View)>> {
     let mut views = Vec::new();
     collect(arena, top, "", 0, &mut views)?;
     if views.is_empty() {
-        return Err(wrong("the checkpoint holds no named tensors").help("a state dict is expected: net.state_dict()"));
+        return Err(wrong("the checkpoint holds no named tensors").help("save a state dict: net.state_dict()"));
     }
     Ok(views)
 }
@@ -228,27 +228,27 @@ fn view(arena: &Arena, arguments: &[ValueId], name: &str) -> Result<View> {
     let &[storage, offset, shape, strides, ..] = arguments else { return Err(bad("it lacks arguments")) };
     let whole = |id: ValueId| match arena.get(id) {
         Value::Int(x) => usize::try_from(*x).map_err(|_| bad("a negative number")),
-        _ => Err(bad("a number that is none")),
+        _ => Err(bad("an invalid number")),
     };
     let list = |id: ValueId| match arena.get(id) {
         Value::Tuple(items) | Value::List(items) if items.len() <= 8 => {
             items.iter().map(|&item| whole(item)).collect::<Result<Vec<_>, _>>()
         }
-        _ => Err(bad("a shape that is none, or of more than 8 axes")),
+        _ => Err(bad("a shape that is not a list, or has more than 8 axes")),
     };
     let Value::Persistent(id) = arena.get(storage) else { return Err(bad("it has no storage")) };
-    let Value::Tuple(parts) = arena.get(*id) else { return Err(bad("its storage is not described")) };
+    let Value::Tuple(parts) = arena.get(*id) else { return Err(bad("the description of its storage is invalid")) };
     let (Some(&word), Some(&class), Some(&key)) = (parts.first(), parts.get(1), parts.get(2)) else {
-        return Err(bad("its storage is not described"));
+        return Err(bad("the description of its storage is invalid"));
     };
     let is_storage = matches!(arena.get(word), Value::Text(word) if word == "storage");
     let (Value::Name(_, class), Value::Text(key), true) = (arena.get(class), arena.get(key), is_storage) else {
-        return Err(bad("its storage is not described"));
+        return Err(bad("the description of its storage is invalid"));
     };
     if parts.get(5).is_some_and(|&view| arena.get(view) != &Value::None) {
         return Err(bad("its storage is a view of another").help("save it again with a later PyTorch"));
     }
-    let element = element(class).ok_or_else(|| bad(&format!("numbers of the kind {class} are not read")))?;
+    let element = element(class).ok_or_else(|| bad(&format!("numbers of type {class} are not supported")))?;
     let view =
         View { storage: key.clone(), element, offset: whole(offset)?, shape: list(shape)?, strides: list(strides)? };
     if view.shape.len() != view.strides.len() {

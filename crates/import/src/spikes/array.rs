@@ -59,7 +59,7 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
     let (path, shape, polarity) = (array.path(), array.shape(), options.polarity);
     let wrong = |message: String| Diagnostic::new("input.shape", message).in_file(path);
     let Some((&steps, leading)) = shape.split_last() else {
-        return Err(wrong("a single number is not a recording; [channels.., T] is".to_string()));
+        return Err(wrong("a single number is not a recording; an array has shape [channels.., T]".to_string()));
     };
     let one = Merging::for_axes(polarity, leading, units).map_err(wrong)?;
     let each = match leading.split_first() {
@@ -71,11 +71,10 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
         (None, Some(merging)) => (leading[0], merging),
         (None, None) => {
             let one = product(leading).unwrap_or(u64::MAX);
-            let mut message = format!(
-                "shape {shape:?} does not fit a population of {units} channels: read as one sample it has {one}"
-            );
+            let mut message =
+                format!("shape {shape:?} does not fit a population of {units} channels: as one sample it has {one}");
             if let Some(each) = leading.split_first().and_then(|(_, channels)| product(channels)) {
-                message.push_str(&format!(", read as {} samples {each} in each", leading[0]));
+                message.push_str(&format!(", as {} samples {each} in each", leading[0]));
             }
             // [T, channels..] or [samples, T, channels..]: time precedes the channels.
             let channels = |from: usize| product(shape.get(from..).unwrap_or_default()) == Some(units);
@@ -85,7 +84,10 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
                     "this looks like time before channels: move time to the last axis, np.moveaxis(spikes, FROM, -1)"
                 }
                 Polarity::Both => "the last axis is time; the axes before it, in C order, are the channel",
-                _ => "one polarity is left of two: before time there is one axis of length 2, and twice the channels",
+                _ => {
+                    "polarity= selects one of two polarities: an axis before time must have length 2, and there must \
+                     be twice the channels"
+                }
             };
             return Err(wrong(message).help(help));
         }
@@ -101,7 +103,7 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
                 .in_file(path));
         }
     };
-    u32::try_from(units).map_err(|_| wrong(format!("{units} channels cannot be numbered")))?;
+    u32::try_from(units).map_err(|_| wrong(format!("{units} channels exceed the 32-bit range of channel numbers")))?;
     let rows = units as usize * if polarity == Polarity::Both { 1 } else { 2 };
     let mut recordings = PopulationSpikes::silent(samples, units, steps, path.display().to_string());
     array.each_non_zero(|index, number| {

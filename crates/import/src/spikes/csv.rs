@@ -88,8 +88,8 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         if std::mem::take(&mut first) && row.iter().any(|field| field.parse::<f64>().is_err()) {
             columns = Columns::from_header(&row).ok_or_else(|| {
                 let header = row.join(",");
-                problem("input.csv", format!("the header '{}' is not known", shortened(&header))).help(
-                    "columns are timestep,channel or sample,timestep,channel, or of events t_us,x,y,p, in any order",
+                problem("input.csv", format!("header '{}' is not supported", shortened(&header))).help(
+                    "columns are timestep,channel or sample,timestep,channel, or t_us,x,y,p for events, in any order",
                 )
             })?;
             continue;
@@ -132,9 +132,12 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         samples[sample].push((step, channel));
     }
     let Some(steps) = comments.steps.or(last.map(|last| last + 1)) else {
-        return Err(Diagnostic::new("input.empty", "the file holds no event, and no line says how long it is")
-            .help("a recording of silence says how long it is: # steps: 150")
-            .in_file(source.path()));
+        return Err(Diagnostic::new(
+            "input.empty",
+            "the file holds no event, and the line with its number of steps is missing",
+        )
+        .help("give the number of steps of a silent recording in a line: # steps: 150")
+        .in_file(source.path()));
     };
     if samples.is_empty() {
         samples.push(Vec::new());

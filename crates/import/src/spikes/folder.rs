@@ -39,7 +39,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
         unfinished |= write::is_unfinished(one, MANIFEST).map_err(unreadable)?;
     }
     if unfinished {
-        let message = "its recordings are not complete: the command that wrote them was ended";
+        let message = "its recordings are incomplete: the command that wrote them was interrupted";
         return Err(Diagnostic::new("input.unfinished", message)
             .help("run `nsim scene .. -o` on this folder again")
             .in_file(folder));
@@ -56,7 +56,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
             Some((index, label)) => {
                 if found.insert(index, (Some(label), path)).is_some() {
                     return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
-                        .help("each sample has one file, sample_<i>_label_<c>.npy")
+                        .help("keep one file for each sample, sample_<i>_label_<c>.npy")
                         .in_file(folder));
                 }
             }

@@ -29,14 +29,15 @@ pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
     if !array.shape().contains(&length) {
         let message = format!("labels of shape {:?} are not one number for each sample", array.shape());
         return Err(wrong(message).help(match array.shape() {
-            [_, 1] => "an array of one axis: labels[:, 0]",
-            _ => "an array of one axis: labels.argmax(axis=1) makes one of one-hot rows",
+            [_, 1] => "make an array of one axis: labels[:, 0]",
+            _ => "make an array of one axis; for one-hot rows: labels.argmax(axis=1)",
         }));
     }
     let tensor = array.tensor()?;
     let class = |number: f64| (number >= 0.0 && number.fract() == 0.0 && number < 4e9).then_some(number as u32);
     let labels = tensor.reals().enumerate().map(|(sample, number)| {
-        class(number).ok_or_else(|| wrong(format!("the label of sample {sample} is {number}, not a class from 0 on")))
+        class(number)
+            .ok_or_else(|| wrong(format!("the label of sample {sample} is {number}, expected a class number from 0")))
     });
     labels.collect()
 }
@@ -49,11 +50,11 @@ pub fn apply(path: &Path, labels: &[u32], samples: &mut [PopulationSpikes]) -> R
     let wrong = |message: String| Diagnostic::new("input.labels", message).in_file(path);
     if labels.len() != samples.len() {
         return Err(wrong(format!("there are {} labels and {} samples", labels.len(), samples.len()))
-            .help("give a class for each sample of the input, in their order; --samples A..B runs some of both"));
+            .help("give a class for each sample of the input, in their order; --samples A..B selects a part of both"));
     }
     for (index, (sample, &label)) in samples.iter_mut().zip(labels).enumerate() {
         if let Some(own) = sample.label.filter(|own| *own != label) {
-            return Err(wrong(format!("the label of sample {index} is {label}, the source itself says {own}")));
+            return Err(wrong(format!("the label of sample {index} is {label}, but its source has label {own}")));
         }
         sample.label = Some(label);
     }

@@ -65,7 +65,7 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
     match (set.samples.first(), set.recordings.values().next()) {
         (None, None) => return Err(whole("dataset.samples", "the data set has no sample".into())),
         (Some(sample), Some(_)) => {
-            let message = "recordings of all samples together leave no place for samples with files of their own";
+            let message = "a data set has either recordings of all samples or a file for each sample, not both";
             return Err(at("dataset.samples", message.into(), sample.span));
         }
         (None, Some(_)) => {
@@ -76,7 +76,7 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
         (Some(_), None) => {}
     }
     if let (Some(fold), Some(_)) = (set.folds.first(), set.splits.first()) {
-        let message = "the samples of folds are listed here or in the text files of splits, not in both";
+        let message = "the samples of folds are listed either here or in the text files of splits, not in both";
         return Err(at("dataset.fold", message.into(), fold.span));
     }
     let unlisted = |name: &str, value: &Spanned<String>| {
@@ -107,7 +107,7 @@ pub fn from_source(source: SourceText) -> Result<Manifest> {
     }
     for (index, sample) in set.samples.iter().enumerate() {
         if let Some(onset) = sample.onset_ms.filter(|onset| !onset.is_finite() || *onset < 0.0) {
-            let message = format!("onset {onset} ms of sample {index} is no time from the start of the sample");
+            let message = format!("onset {onset} ms of sample {index} is not a time from the start of the sample");
             return Err(at("dataset.onset", message, sample.span));
         }
     }
@@ -149,7 +149,7 @@ impl Manifest {
         let mut populations = self.set.populations.iter();
         let Some((name, _)) = populations.find(|(_, for_population)| *for_population == population) else {
             let known: Vec<&str> = self.set.populations.values().map(String::as_str).collect();
-            let message = format!("the data set has nothing for population '{population}'");
+            let message = format!("the data set has no recordings for population '{population}'");
             return Err(Diagnostic::new("dataset.population", message)
                 .help(format!("it has recordings for: {}", known.join(", ")))
                 .in_file(self.source.path()));
@@ -319,9 +319,7 @@ fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<
             continue;
         }
         let wrong = |code, message: String| {
-            Err(Diagnostic::new(code, message)
-                .help("a row is the number of a sample, from 0, and its label")
-                .at(source, span))
+            Err(Diagnostic::new(code, message).help("a row has a sample number, from 0, and a label").at(source, span))
         };
         // NumPy writes whole numbers in tables as 1.000e+00.
         let whole = |text: &str| {
@@ -329,13 +327,13 @@ fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<
             (value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value)).then_some(value as u32)
         };
         let [Some(sample), Some(label)] = *fields.iter().map(|field| whole(field)).collect::<Vec<_>>() else {
-            return wrong("dataset.split", format!("'{}' is not a sample and a label", row.trim()));
+            return wrong("dataset.split", format!("'{}' is not a sample number and a label", row.trim()));
         };
         if !seen.insert(sample) {
             return wrong("dataset.split", format!("sample {sample} is listed twice"));
         }
         if other.contains(&sample) {
-            return wrong("dataset.split", format!("sample {sample} is trained on too"));
+            return wrong("dataset.split", format!("sample {sample} is also trained on"));
         }
         if let Some(before) = labels.insert(sample, label).filter(|before| *before != label) {
             return wrong("dataset.label", format!("sample {sample} has label {label} here and {before} before"));

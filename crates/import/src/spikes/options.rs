@@ -108,8 +108,8 @@ pub struct ArrayOptions {
     pub values: bool,
 }
 
-/// What the number of a spike is.
-pub const WHOLE: &str = "a spike is a whole number";
+/// The rule for the number of a spike, for messages.
+pub const WHOLE: &str = "spikes are whole numbers";
 
 impl ArrayOptions {
     /// A number as the value of a message.
@@ -119,7 +119,7 @@ impl ArrayOptions {
     pub(super) fn value(self, number: f64, path: &Path) -> Result<i32> {
         let value = number as i32;
         if f64::from(value) != number || self.polarity == Polarity::Merge {
-            let message = format!("the array holds {number}: a message carries an integer of 32 bits, of one channel");
+            let message = format!("the array holds {number}: a message carries a 32-bit integer of one channel");
             return Err(Diagnostic::new("input.value", message).in_file(path).help("scale or round the array first"));
         }
         Ok(value)
@@ -133,8 +133,11 @@ impl ArrayOptions {
         match self.least {
             Some(least) => Ok(number >= least),
             None if number.fract() == 0.0 => Ok(number != 0.0),
-            None => Err(Diagnostic::new("input.value", format!("the array holds {number}: {WHOLE}"))
-                .help(format!("encode real numbers as spikes, or take those from 0.5 on: {}?least=0.5", path.display()))
+            None => Err(Diagnostic::new("input.value", format!("the array holds {number}, but {WHOLE}"))
+                .help(format!(
+                    "encode real numbers as spikes, or let values from 0.5 be spikes: {}?least=0.5",
+                    path.display()
+                ))
                 .in_file(path)),
         }
     }
@@ -163,7 +166,7 @@ impl EventOptions {
             };
             let milliseconds = || -> Result<f64> {
                 let number = value.parse().ok().filter(|x: &f64| x.is_finite() && x.abs() <= 1e15);
-                number.ok_or_else(|| bad("no number of milliseconds"))
+                number.ok_or_else(|| bad("not a number of milliseconds"))
             };
             match key.as_str() {
                 "size" => options.size = numbers(2..=2, 1)?.get(..2).map(|p| (p[0], p[1])),
@@ -175,28 +178,28 @@ impl EventOptions {
                 "bin_ms" => {
                     let ms = milliseconds()?;
                     options.bin_us = Some(ms * 1e3).filter(|us| *us > 0.0);
-                    options.bin_us.ok_or_else(|| bad("a bin is longer than nothing"))?;
+                    options.bin_us.ok_or_else(|| bad("a bin is longer than 0"))?;
                 }
                 "round" if value == "even" => options.nearest = true,
                 "round" if value == "down" => options.nearest = false,
                 "steps" => {
                     let steps = value.parse().ok().filter(|steps| (1..=MOST_STEPS).contains(steps));
-                    options.steps = Some(steps.ok_or_else(|| bad("no number of timesteps from 1 to 2^24"))?);
+                    options.steps = Some(steps.ok_or_else(|| bad("not a number of timesteps from 1 to 2^24"))?);
                 }
                 "start" if value == "first" => options.start = Some(Origin::First),
                 "start_ms" => options.start = Some(Origin::At((milliseconds()? * 1e3) as i64)),
                 "polarity" => {
                     let polarity = Polarity::ALL.into_iter().find(|polarity| polarity.name() == value);
-                    options.polarity = polarity.ok_or_else(|| bad("it is both, merge, on or off"))?;
+                    options.polarity = polarity.ok_or_else(|| bad("expected both, merge, on or off"))?;
                 }
                 "unit" => {
                     let unit = TimeUnit::from_name(value);
-                    options.unit = Some(unit.ok_or_else(|| bad("it is s, ms, us or ns"))?);
+                    options.unit = Some(unit.ok_or_else(|| bad("expected s, ms, us or ns"))?);
                 }
                 "stream" => options.stream = Some(numbers(1..=1, 0)?[0]),
                 "least" => {
                     let least = value.parse().ok().filter(|least: &f64| *least > 0.0 && least.is_finite());
-                    options.least = Some(least.ok_or_else(|| bad("no number above 0"))?);
+                    options.least = Some(least.ok_or_else(|| bad("not a number above 0"))?);
                 }
                 _ => return Err(bad("there is no such option")),
             }

@@ -80,9 +80,9 @@ fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<
 
 /// The diagnostic for a file without spikes.
 fn unknown(kind: FileKind) -> Diagnostic {
-    Diagnostic::new("input.kind", format!("this is {kind}, which is not read as spikes")).help(format!(
-        "read are .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), {RECORDINGS}, \
-         a .ron data-set manifest, and a folder of sample_<i>_label_<c>.npy or of recordings"
+    Diagnostic::new("input.kind", format!("this is {kind}, which is not supported as spikes")).help(format!(
+        "supported: .npy and .npz ([channels.., T] or [samples, channels.., T]), .csv (timestep,channel), \
+         {RECORDINGS}, a .ron data-set manifest, and a folder of sample_<i>_label_<c>.npy or of recordings"
     ))
 }
 
@@ -97,7 +97,7 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
 
 /// The options of an array.
 fn array_options(path: &Path, Request { options, expected, .. }: Request<'_>) -> Result<ArrayOptions> {
-    let message = "an array has timesteps already: polarity and least are the options that it takes";
+    let message = "an array already has timesteps: it supports the options polarity and least only";
     let of_array = options.of_array().map(|options| ArrayOptions { values: expected.values, ..options });
     of_array.ok_or_else(|| Diagnostic::new("input.option", message).in_file(path))
 }
@@ -105,9 +105,9 @@ fn array_options(path: &Path, Request { options, expected, .. }: Request<'_>) ->
 fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
     let tree = hdf5::tree(path, hdf5::bytes_of(path)?)?;
     if !nir_data::is_data(&tree) {
-        return Err(Diagnostic::new("input.kind", "this is no file of NIR data")
+        return Err(Diagnostic::new("input.kind", "this is not a file of NIR data")
             .in_file(path)
-            .help("nir.write_data makes one; a NIR graph is a model, not a recording"));
+            .help("nir.write_data writes one; a NIR graph is a model, not a recording"));
     }
     let Request { population, expected, options } = request;
     nir_data::read(&tree, path, population, expected, options).map_err(|problem| problem.or_in_file(path))
@@ -138,7 +138,7 @@ pub(super) fn read_sample(path: &Path, request: Request<'_>) -> Result<Populatio
     match (recordings.pop(), recordings.len()) {
         (Some(recording), 0) => Ok(recording),
         (_, rest) => {
-            Err(Diagnostic::new("input.shape", format!("one sample is expected; the file holds {}", rest + 1))
+            Err(Diagnostic::new("input.shape", format!("the file holds {} samples, expected one", rest + 1))
                 .in_file(path))
         }
     }

@@ -64,7 +64,7 @@ mod tests {
         assert_eq!((sample.len(), &sample[0].events[..]), (1, &[(1, 0), (2, 1), (0, 2)][..]));
         let error = read_source(&path, 3).unwrap_err();
         assert_eq!(error.code, "input.shape");
-        assert!(error.message.contains("as one sample it has 4, read as 2 samples 2 in each"), "{error}");
+        assert!(error.message.contains("as one sample it has 4, as 2 samples 2 in each"), "{error}");
         let line = array(folder.path(), "b.npy", &[3], &[0, 1, 0]);
         assert_eq!(read_source(&line, 1).unwrap()[0].events, [(1, 0)]);
         for (shape, units) in [(&[2, 0][..], 2), (&[], 1)] {

@@ -89,14 +89,14 @@ impl Unit {
         let typed = typed.trim();
         let end = typed.len() - typed.chars().rev().take_while(char::is_ascii_alphabetic).count();
         let (number, unit) = (typed[..end].trim(), &typed[end..]);
-        let number: f64 = number.parse().map_err(|_| format!("{typed} is no number"))?;
+        let number: f64 = number.parse().map_err(|_| format!("{typed} is not a number"))?;
         let (measured, each) = match self {
             Unit::us => (Unit::ns, 1e3),
             other => (other, 1.0),
         };
         if unit.is_empty() {
             return match measured {
-                Unit::ns => Err(format!("{typed} has no unit, and constants of time are in ns and in us")),
+                Unit::ns => Err(format!("{typed} has no unit, but constants of time are in ns or in us")),
                 _ => Ok(number),
             };
         }
@@ -104,7 +104,7 @@ impl Unit {
             // Multiplied before it is divided, so that 400 ns is 0.4 us and no neighbour of that.
             Some((.., factor)) if *factor >= 1.0 => Ok(number * factor / each),
             Some((.., factor)) => Ok(number / (1.0 / factor).round() / each),
-            None => Err(format!("{unit} is no unit of a constant in {}", self.suffix())),
+            None => Err(format!("{unit} is not a valid unit for a constant in {}", self.suffix())),
         }
     }
 }
@@ -466,7 +466,7 @@ macro_rules! constants {
             pub fn check(&self, source: &SourceText) -> Result<()> {
                 $(check_constant(source, stringify!($field), &self.$field, Unit::$unit)?;)*
                 if self.barrier.is_empty() {
-                    return Err(Diagnostic::new("target.barrier", "no barrier time is given"));
+                    return Err(Diagnostic::new("target.barrier", "the barrier times are missing"));
                 }
                 for pair in self.barrier.windows(2) {
                     if pair[0].tiles >= pair[1].tiles {
@@ -506,11 +506,12 @@ fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Un
     let value = constant.value.value;
     let wrong = |code, message: String| Diagnostic::new(code, message).at(source, constant.value.span);
     if constant.source.trim().is_empty() {
-        return Err(wrong("target.source", format!("{name} names no source"))
-            .help("say where the figure is printed, what it was fitted to, or why it is assumed"));
+        return Err(wrong("target.source", format!("the source of {name} is missing")).help(
+            "state where the figure is published, the data that it was fitted to, or the reason for assuming it",
+        ));
     }
     if constant.unit != unit {
-        let problem = wrong("target.unit", format!("{name} needs {unit:?}, and the file has {:?}", constant.unit));
+        let problem = wrong("target.unit", format!("{name} needs unit {unit:?}, but the file has {:?}", constant.unit));
         let converted = unit.parsed(&format!("{value}{}", constant.unit.suffix()));
         return Err(match converted {
             Ok(converted) => problem.help(format!("write value: {converted}, unit: {unit:?}")),
@@ -586,7 +587,7 @@ mod tests {
         let text = source.text().replacen("SANA-FE 8951ab0, arch/loihi.yaml: hop east or west", "", 1);
         let changed = SourceText::new("changed.ron", text);
         let problem = parse::<Constants>(&changed, "target.syntax").unwrap().check(&changed).unwrap_err();
-        assert_eq!(problem.message, "hop_ew_energy names no source");
+        assert_eq!(problem.message, "the source of hop_ew_energy is missing");
         assert!(problem.position().is_some());
     }
 }

@@ -145,7 +145,8 @@ impl Chip {
         let limits = &self.limits;
         if limits.axon_out_slots == 0 || limits.axon_out_slots_off_chip < limits.axon_out_slots {
             return Err(wrong(format!(
-                "an output axon takes {} slots on its chip and {} off it; at least 1, and off it at least as many",
+                "an output axon takes {} slots on its chip and {} between chips; the first must be at least 1, the \
+                second at least the first",
                 limits.axon_out_slots, limits.axon_out_slots_off_chip
             ))
             .in_file(source.path()));
@@ -317,12 +318,12 @@ impl Target {
         let cores = u64::from(file.chips_x.value) * u64::from(file.chips_y.value) * u64::from(chip.cores);
         if cores > MOST_CORES {
             return Err(
-                wrong(format!("the board has {cores} cores, the most is {MOST_CORES}")).at(source, file.chips_x.span)
+                wrong(format!("the board has {cores} cores, the limit is {MOST_CORES}")).at(source, file.chips_x.span)
             );
         }
         if constants.is_empty() {
             return Err(
-                Diagnostic::new("target.constants", "the target names no preset of constants").in_file(source.path())
+                Diagnostic::new("target.constants", "the target has no preset of constants").in_file(source.path())
             );
         }
         Ok(Target {

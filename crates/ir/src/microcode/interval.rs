@@ -59,7 +59,7 @@ pub(super) fn result(operation: Operation, of: &[Interval]) -> Result<Interval, 
     match (i64::try_from(low), i64::try_from(high)) {
         (Ok(low), Ok(high)) => Ok(Interval { low, high }),
         _ => Err(format!(
-            "the result can need {} bits of 64: clip(.., bits) or wrap(.., bits) what it is made of",
+            "the result can need {} bits of 64: clip(.., bits) or wrap(.., bits) its operands",
             bits(low, high)
         )),
     }

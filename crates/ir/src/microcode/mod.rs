@@ -141,7 +141,13 @@ impl Microcode {
             let range = Interval { low: (*low).into(), high: (*high).into() };
             if low > high || default.is_some_and(|default| !(*low..=*high).contains(&default)) {
                 let value = default.map_or(String::new(), |default| format!(" with the default {default}"));
-                return Err(Problem::new(path, format!("the range {low} to {high}{value} holds no such value")));
+                return Err(Problem::new(
+                    path,
+                    format!(
+                        "the range {low} to {high}{value} is not valid: low is at most high, and the \
+                         default is between them"
+                    ),
+                ));
             }
             scope.declare(name, Variable::Parameter(place), Some(range), &path)?;
         }
@@ -168,7 +174,7 @@ impl Microcode {
             return Err(Problem::new("message", problem));
         }
         let Some(sends) = spikes.or_else(|| message.clone()) else {
-            return Err(Problem::new("", "it sends nothing: give spikes, a test, or message, an integer"));
+            return Err(Problem::new("", "it sends nothing: give spikes (a condition) or message (an integer)"));
         };
         let reset = assignments("reset", &declaration.reset, &mut scope)?;
         let (temporaries, ports) = (scope.temporaries(), scope.ports);

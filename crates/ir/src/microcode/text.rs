@@ -99,7 +99,7 @@ impl Scope {
             () if TAKEN.contains(&name) || FUNCTIONS.iter().any(|(known, ..)| *known == name) => {
                 "it has another meaning: choose another one"
             }
-            () if self.names.iter().any(|(known, ..)| known == name) => "it is declared twice: choose another one",
+            () if self.names.iter().any(|(known, ..)| known == name) => "it is declared twice: choose another name",
             () => {
                 self.names.push((name.to_string(), variable, values));
                 return Ok(());
@@ -166,7 +166,7 @@ impl<'t> Parser<'t> {
         };
         let shown = |token: &str| if token.is_empty() { "the end".to_string() } else { format!("'{token}'") };
         let found = shown(self.peek());
-        self.wrong(self.at, format!("expected {} and found {found}{help}", shown(token)))
+        self.wrong(self.at, format!("expected {} but found {found}{help}", shown(token)))
     }
 
     /// Parses an assignment, which sets the target's interval to the expression's or to its width.
@@ -176,7 +176,7 @@ impl<'t> Parser<'t> {
         let known = self.scope.names.iter().position(|(known, ..)| known == name);
         match known.map(|place| self.scope.names[place].1) {
             Some(Variable::Arrived(_) | Variable::Parameter(_)) => {
-                return self.wrong(at, format!("'{name}' is given from outside: assign to another name"));
+                return self.wrong(at, format!("'{name}' is an input or a parameter: assign to another name"));
             }
             None if !is_name(name) => return self.wrong(at, "expected a name to assign to, as in v = v + in"),
             _ => self.at += name.len(),
@@ -280,7 +280,7 @@ impl<'t> Parser<'t> {
         if !is_name(token) || BINARY.iter().any(|(name, ..)| *name == token) {
             self.at = at;
             let found = if token.is_empty() { "the end".to_string() } else { format!("'{token}'") };
-            return self.wrong(at, format!("expected a number, a name or a bracket and found {found}"));
+            return self.wrong(at, format!("expected a number, a name or a bracket but found {found}"));
         }
         match self.scope.names.iter().find(|(name, ..)| name == token) {
             Some((_, variable, Some(interval))) => {
@@ -294,7 +294,7 @@ impl<'t> Parser<'t> {
                 let known: Vec<&str> = self.scope.names.iter().map(|(name, ..)| name.as_str()).collect();
                 let functions = FUNCTIONS.iter().map(|(name, ..)| *name);
                 let meant = did_you_mean(token, known.iter().copied().chain(functions));
-                self.wrong(at, format!("'{token}' is not known here: {meant}names are {}", known.join(", ")))
+                self.wrong(at, format!("'{token}' is not defined: {meant}names are {}", known.join(", ")))
             }
         }
     }

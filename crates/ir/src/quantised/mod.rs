@@ -712,7 +712,7 @@ fn join_children(parts: &mut Parts) -> Result<(), Inconsistent> {
             return wrong(&format!("{} neurons neither push nor add", kind.name()));
         }
         if pushes.any(|neuron| neuron.refractory > Refractory::ONE) {
-            return wrong("what it pushes is not known with a refractory period above 1");
+            return wrong("the value that it pushes is not known with a refractory period above 1");
         }
         // Parents ascend, so the compartments below a child have been counted.
         let size = 1 + sizes.get(&id).copied().unwrap_or(1);
@@ -759,7 +759,9 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
         return Err(wrong("weights lose bits on their way to neurons that sum them as they are"));
     }
     if projection.format.plastic && projection.connectivity.window().is_some() {
-        return Err(wrong("plastic weights of a kernel would be those of many synapses; list the synapses one by one"));
+        return Err(wrong(
+            "a plastic weight of a kernel would belong to several synapses; list the synapses one by one",
+        ));
     }
     projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)
 }

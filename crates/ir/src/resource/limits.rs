@@ -226,7 +226,7 @@ fn each_once<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<Reso
             let mut costs = BTreeMap::new();
             while let Some((resource, cost)) = map.next_entry::<Resource, u32>()? {
                 if costs.insert(resource, cost).is_some() {
-                    return Err(A::Error::custom(format_args!("the cost of `{}` is given twice", resource.name())));
+                    return Err(A::Error::custom(format_args!("`{}` has two costs", resource.name())));
                 }
             }
             Ok(costs)
@@ -307,7 +307,7 @@ impl Capacity {
             Capacity::Resource(resource) => resource.description().advice.into(),
             Capacity::Pool(pool) => {
                 let names: Vec<&str> = pool.costs.keys().map(|resource| resource.name()).collect();
-                format!("use less of what shares it ({})", names.join(", ")).into()
+                format!("use less of the resources that draw on it ({})", names.join(", ")).into()
             }
             Capacity::Cores => "choose a larger target".into(),
         }
@@ -406,7 +406,7 @@ impl TryFrom<LimitsInFile> for Limits {
         for (place, pool) in file.pools.iter().enumerate() {
             let is_named = |other: &Pool| other.name == pool.name;
             if file.pools[..place].iter().any(is_named) || Limits::NAMES.contains(&pool.name.as_str()) {
-                return Err(format!("the pool {}: another limit has this name", pool.name));
+                return Err(format!("pool {}: another limit has this name", pool.name));
             }
             if pool.is_in_multiples() {
                 let help = "its limit and its costs count in it: write both in bytes or in bits";
@@ -424,7 +424,7 @@ impl TryFrom<LimitsInFile> for Limits {
         }
         let lacks = |&resource: &Resource| most[resource] == NOT_GIVEN;
         if let Some(resource) = file.unlimited.iter().find(|resource| !lacks(resource)) {
-            return Err(format!("`{}` is unlimited and has a limit; remove one of them", resource.name()));
+            return Err(format!("`{}` is in `unlimited` and has a limit; remove one of them", resource.name()));
         }
         let is_missing = |one: &Resource| lacks(one) && !OPTIONAL.contains(one) && !file.unlimited.contains(one);
         let mut missing: Vec<&str> = Resource::ALL.into_iter().filter(is_missing).map(Resource::name).collect();
@@ -448,7 +448,7 @@ impl TryFrom<LimitsInFile> for Limits {
         };
         let synapses = [Resource::SynapseWords, Resource::StoredSynapses];
         if synapses.iter().all(lacks) && !file.unlimited.contains(&Resource::StoredSynapses) {
-            let help = "no limit counts synapses; give one, a pool that it draws on, or name it in `unlimited`";
+            let help = "synapses have no limit; give one, a pool that they draw on, or name it in `unlimited`";
             return Err(format!("missing field `stored_synapses`: {help}"));
         }
         let LimitsInFile { output_axons, pools, .. } = file;
@@ -499,7 +499,7 @@ mod tests {
         let (memory, need, limit) = over.unwrap();
         assert_eq!((memory.name(), memory.code(), need, limit), ("memory", "map.pool", 1004, 1000));
         assert_eq!(memory.noun(), "bytes of the memory of its core");
-        assert_eq!(memory.advice(), "use less of what shares it (axons_in, synapse_words)");
+        assert_eq!(memory.advice(), "use less of the resources that draw on it (axons_in, synapse_words)");
     }
 
     #[test]
@@ -508,7 +508,7 @@ mod tests {
         assert!(refused(OWN.replace("axons_out: 64, ", "")).contains("missing field `axons_out`"));
         assert!(refused(OWN.replace("axons_out: 64", "axon_outs: 64")).contains("axon_outs"));
         let unlimited = |own: &str| own.replace("Nengo)", "Nengo, unlimited: [axons_out])");
-        assert!(refused(unlimited(OWN)).contains("`axons_out` is unlimited and has a limit"));
+        assert!(refused(unlimited(OWN)).contains("`axons_out` is in `unlimited` and has a limit"));
         let without = limits(&unlimited(&OWN.replace("axons_out: 64, ", ""))).unwrap();
         assert!({
             let mut used = PerResource::default();
@@ -525,7 +525,7 @@ mod tests {
             };
         assert!(pool("{}").contains("the pool m needs resources"));
         assert!(pool("{axons_in: 0}").contains("a cost above 0"));
-        assert!(pool("{axons_in: 1, axons_in: 1}").contains("the cost of `axons_in` is given twice"));
+        assert!(pool("{axons_in: 1, axons_in: 1}").contains("`axons_in` has two costs"));
     }
 
     #[test]
@@ -558,11 +558,11 @@ mod tests {
             assert!(one("m", unit).unwrap_err().contains("write both in bytes or in bits"), "{unit}");
         }
         let twice = format!("pools: [{}, {}]", pool("m", "bytes"), pool("m", "bits"));
-        assert!(pools(OWN, &twice).unwrap_err().contains("the pool m: another limit has this name"));
+        assert!(pools(OWN, &twice).unwrap_err().contains("pool m: another limit has this name"));
         assert!(one("axons_out", "bytes").unwrap_err().contains("another limit has this name"));
         let none = OWN.replace("synapse_words: 256, ", "").replace("stored_synapses: 99, ", "");
         let refused = pools(&none, "unlimited: [synapse_words]").unwrap_err();
-        assert!(refused.contains("missing field `stored_synapses`: no limit counts synapses"), "{refused}");
+        assert!(refused.contains("missing field `stored_synapses`: synapses have no limit"), "{refused}");
         let free = pools(&none, "unlimited: [synapse_words, stored_synapses]").unwrap();
         assert_eq!(limits(&ron::to_string(&free).unwrap()).unwrap(), free);
         let several = OWN.replace("axons_out: 64, ", "").replace("accumulators: 128, ", "");

@@ -27,15 +27,15 @@ const FAN_IN_ADVICE: &str = "every compartment that reaches a core takes one inp
                              population, or split the fan-in over intermediate populations";
 const DELAY_ADVICE: &str = "shorten the longest delay into this population: a compartment takes one accumulator for \
                             each step of it, rounded up to a power of two";
-const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each core that it reaches (more slots when that core \
-                              is on another chip): reduce the fan-out, or let `--relays` add compartments, and cores, \
-                              that carry spikes on";
-const WORDS_ADVICE: &str = "use fewer synapses, or split the fan-in over intermediate populations; where a source has \
-                            several synapses with it, fewer weight bits or no delays take fewer words";
-const LIST_ADVICE: &str = "the words are those of one source with it: use fewer of these synapses, fewer weight bits, \
-                           or no delays";
-/// Of what every compartment has one: more than the limit only where the target has none.
-const ONE_ADVICE: &str = "every compartment has one: give a target that has some";
+const FAN_OUT_ADVICE: &str = "a spike takes one output axon for each destination core (more slots when that core is on \
+                              another chip): reduce the fan-out, or let `--relays` add compartments, and cores, that \
+                              forward spikes";
+const WORDS_ADVICE: &str = "use fewer synapses, or split the fan-in over intermediate populations; if a source has \
+                            several synapses there, fewer weight bits or no delays take fewer words";
+const LIST_ADVICE: &str = "these are the words of one source: use fewer of its synapses, fewer weight bits, or no \
+                           delays";
+/// Advice where each compartment needs one: a single compartment exceeds only a limit of 0.
+const ONE_ADVICE: &str = "every compartment has one: choose a target that has some";
 
 /// Calls a macro with a row for each resource: its variant and its name in files, then its
 /// [`Description`].
@@ -44,8 +44,8 @@ macro_rules! resources {
         $with! {
             /// Number of compartments.
             Compartments, compartments: "map.compartments", Some("compartments"), "compartments",
-                "move compartments of this core to another";
-            /// Input axons.
+                "move compartments of this core to another core";
+            /// Number of input axons.
             AxonsIn, axons_in: "map.axons-in", Some("axons in"), "input axons of its core", FAN_IN_ADVICE;
             /// Number of output axon slots.
             AxonsOut, axons_out: "map.axons-out", Some("axons out"), "output axon slots of its core", FAN_OUT_ADVICE;
@@ -75,7 +75,7 @@ macro_rules! resources {
             /// where it is limited.
             StoredSynapses, stored_synapses: "map.stored-synapses", Some("stored synapses"),
                 "stored synapses of its core",
-                "use fewer synapses, or prune weights to 0, which take no memory";
+                "use fewer synapses, or prune weights to 0, as zeros take no memory";
         }
     };
 }

@@ -46,8 +46,7 @@ impl<'n> Layers<'n> {
     /// [`CompileError::Input`] when it does not consist of layers.
     pub fn new(network: &'n Quantised) -> Result<Self, CompileError> {
         let not_layers = || {
-            let message =
-                "a projection is neither a window nor all to all, so the network cannot be described by layers";
+            let message = "a projection is neither a window nor all to all, so the network cannot be mapped by layers";
             Diagnostic::new("map.layers", message)
         };
         let layers = lattice::layers(network).ok_or_else(not_layers)?;
@@ -250,8 +249,7 @@ pub fn partition(
     options: &Options,
 ) -> Result<(Partition, Option<Boxes>), CompileError> {
     if options.strategy == Strategy::Sequential {
-        let message =
-            "a network that is described by its kernels is cut into boxes; there is no sequential mapping of it";
+        let message = "a network of this size is cut into boxes; it has no sequential mapping";
         return Err(Diagnostic::new("map.strategy", message).into());
     }
     let boxes = Boxes::fewest(&Layers::new(all)?, target, options.copies, options.most_synapses)?;

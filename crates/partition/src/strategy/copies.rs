@@ -175,7 +175,7 @@ mod tests {
                 several += u32::from(pattern.0.iter().any(|group| group.times > 1));
             }
         }
-        assert!(several > 5, "patterns that repeat: {several}");
+        assert!(several > 5, "groups that repeat: {several}");
     }
 
     #[test]

@@ -438,8 +438,9 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     });
     if search.explains && longest > MOST_LONGER {
         tracing::warn!(
-            "cores are saved against the order of the file, and a step is expected to take up to {longest:.2} times as \
-             long: nsim map --strategy sequential -o FILE makes a mapping with shorter steps, --mapping FILE takes it"
+            "this mapping has fewer cores than the order of the file, but a step may take up to {longest:.2} times as \
+             long: nsim map --strategy sequential -o FILE makes a mapping with shorter steps, and --mapping FILE uses \
+             it"
         );
     }
 }

@@ -99,7 +99,7 @@ pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent
         return Err(Inconsistent("the network has been pruned already".to_string()));
     }
     if let Some((_, projection)) = network.plastic().next() {
-        let why = "is plastic: its weights may change, so what they prove now need not last";
+        let why = "is plastic: its weights may change, which would invalidate a proof from their present values";
         return Err(Inconsistent(format!("projection {} {why}", projection.name)));
     }
     let mut dead: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
@@ -152,7 +152,7 @@ pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) ->
                  {stimulus}, which never fires that channel",
                 first + number
             );
-            let help = "prune for this input (--prune INPUT), for every input (--prune static), or not at all";
+            let help = "prune for this input (--prune INPUT), for every input (--prune static), or do not prune";
             return Err(Diagnostic::new("input.pruned", message).help(help));
         }
     }
@@ -172,9 +172,9 @@ impl Tally {
                 format!("never fires in {}", scene.map_or_else(String::new, |scene| scene.stimulus.join(" ")))
             }
             Kind::ZeroSynapse => "its scaled weight is 0".to_string(),
-            Kind::SilentCompartment => "the bounds on its u and v keep it from ever spiking".to_string(),
-            Kind::UnreachableCompartment => "reaches no output and nothing probed".to_string(),
-            Kind::LooseSynapse => "leads from what never spikes, or to a pruned compartment".to_string(),
+            Kind::SilentCompartment => "the bounds on its u and v exclude a spike".to_string(),
+            Kind::UnreachableCompartment => "reaches neither the output nor a probe".to_string(),
+            Kind::LooseSynapse => "its source never spikes, or its target is pruned".to_string(),
         };
         Tally { rows: kinds.map(|kind| Row { kind, count: 0, reason: reason(kind), of: Vec::new() }).collect() }
     }

@@ -30,8 +30,8 @@ pub fn text(seed: u64, environment: &Environment, rows: &[Row]) -> String {
     ];
     let cliffs = rows.iter().filter(|row| row.is_cliff).count();
     let said = format!(
-        "Seed {seed}: {cliffs} cliffs, rungs that take more than {CLIFF} times as long as a neighbour does for its \
-         goal."
+        "Seed {seed}, cliffs: {cliffs}. A cliff takes, relative to its goal, more than {CLIFF} times as long as a \
+         neighbouring row."
     );
     format!("{}\n{}\n{}", wrapped(&environment.to_string()), table_of(rows, &columns), wrapped(&said))
 }
@@ -60,7 +60,7 @@ mod tests {
         assert_eq!(csv_of(&json).lines().nth(2), Some("delays,8,delays,1000,6.25,4,true"));
         let text = text(7, &here, &rows);
         assert!(
-            text.contains("6.25") && text.contains("Seed 7: 1 cliffs") && text.matches("cliff\n").count() == 1,
+            text.contains("6.25") && text.contains("Seed 7, cliffs: 1") && text.matches("cliff\n").count() == 1,
             "{text}"
         );
     }

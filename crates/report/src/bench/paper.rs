@@ -149,7 +149,7 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
         ],
     );
     let energies = hardware(
-        "Energy as the paper has it, power / 150, and times latency: here (in the paper)",
+        "Energy as in the paper (power / 150), and times latency: here (in the paper)",
         &[("Loihi", ""), ("RTX 2080 Ti", "gpu_")],
         &[("energy (mW/150)", "mw_per_step"), ("EDP (pJ s)", "edp_pjs")],
     );
@@ -247,21 +247,20 @@ pub fn text(rows: &[PaperRow]) -> String {
     let accuracies = || rows.iter().filter(|row| row.table == "accuracy");
     let have = accuracies().filter(|row| row.measured.is_some()).count();
     let mut out = tables(rows);
-    out += &wrapped(&format!(
-        "{have} cells of the table of accuracies are measured, of scenes that were simulated unless the note says \
-         otherwise"
-    ));
+    out += &wrapped(&format!("{have} cells of the table of accuracies are measured, on simulated scenes unless noted"));
     let run: Vec<&PaperRow> = accuracies().filter(|row| row.shipped.is_some()).collect();
     if !run.is_empty() {
         let same = run.iter().filter(|row| row.folds.first().copied() == row.shipped).count();
         out += &wrapped(&format!(
-            "{} shipped networks, the first fold of a cell each, ran on simulated cores: {same} came to what is stored",
+            "{} shipped networks, each the first fold of a cell, ran on simulated cores: {same} gave the stored result",
             run.len()
         ));
     }
     let mut leads = leads(rows);
     if !leads.is_empty() {
-        leads.push("A sense leads where its whole interval is above the other's and above chance.".to_string());
+        leads.push(
+            "A sense leads where its whole interval is above chance and above the other sense's interval.".to_string(),
+        );
     }
     leads.into_iter().fold(out, |out, lead| out + &wrapped(&lead))
 }

@@ -72,11 +72,11 @@ fn of_kind(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &Publi
 pub fn text(rows: &[PublishedRow]) -> String {
     let mut out = String::new();
     if of_kind(rows, true).next().is_some() {
-        out += &format!("without what a work's own authors found\n\n{}", table_of(of_kind(rows, true)));
+        out += &format!("predicted without results of a work's own authors\n\n{}", table_of(of_kind(rows, true)));
     }
     let second_hand = || rows.iter().filter(|row| !row.first_hand);
     if second_hand().next().is_some() {
-        out += &format!("\nknown second-hand\n\n{}", table_of(second_hand()));
+        out += &format!("\npublished values known second-hand\n\n{}", table_of(second_hand()));
     }
     // Chips without rows that judge the model.
     let is_modelled = |chip: &str| rows.iter().all(|row| row.chip != chip || row.first_hand && !row.left_out);
@@ -122,7 +122,7 @@ pub fn text(rows: &[PublishedRow]) -> String {
         }
     }
     if rows.iter().any(|row| row.work != rows[0].work) {
-        out += "one work alone: --only WORK, such as --only vt-snn\n";
+        out += "a single work: --only WORK, such as --only vt-snn\n";
     }
     out
 }
@@ -137,7 +137,7 @@ pub fn svg(rows: &[PublishedRow]) -> String {
     let series = [
         Series::Line("equal".to_string(), vec![(low, low), (high, high)]),
         Series::Intervals("80 % interval".to_string(), intervals.collect()),
-        Series::Points("predicted, its authors left out".to_string(), points.collect()),
+        Series::Points("predicted without results of the authors".to_string(), points.collect()),
     ];
     plot::chart("published and predicted (mW, us, nJ)", &Axis::log("published"), &Axis::log("predicted"), &series)
 }

@@ -62,7 +62,7 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
     let title = format!("{} on {}: {of_cores} on {of_chips}", compiled.one.parts().name, target.name());
     let mut sheet = Sheet::new((width, height), LEFT, &title);
     let busiest = links.busiest();
-    let words = "cores are filled by the resource that they use most of; the busiest link carries";
+    let words = "fill: use of a core's fullest resource; the busiest link carries";
     sheet.text((LEFT, 40.0), GREY, &format!("{words} {busiest:.3} messages a step"));
     // Links first, so that cores lie above them.
     for &chip in &used {
@@ -131,7 +131,7 @@ fn square(sheet: &mut Sheet, (x, y): (f64, f64), full: f64, colour: &str) {
 
 /// Legend of the fill of cores and the width of links.
 fn scales(sheet: &mut Sheet, (x, top): (f64, f64), busiest: f64) {
-    sheet.text((x, top), GREY, "of its fullest resource");
+    sheet.text((x, top), GREY, "use of the fullest resource");
     for (index, percent) in [25, 50, 100].into_iter().enumerate() {
         let (left, y) = (x + 46.0 * index as f64, top + 6.0);
         square(sheet, (left, y), f64::from(percent) / 100.0, "#666");
@@ -158,7 +158,7 @@ fn bars(sheet: &mut Sheet, compiled: &Mapping, target: &Target, top: f64, width:
     let each = (width - LEFT) / compiled.partition.cores().max(1) as f64;
     for (row, (resource, name)) in BARS.iter().enumerate() {
         let y = top + row as f64 * (BAR_HEIGHT + 22.0) + 16.0;
-        sheet.text((LEFT, y - 4.0), "", &format!("{name}, of what a core has"));
+        sheet.text((LEFT, y - 4.0), "", &format!("{name}, share of a core's limit"));
         sheet.line([LEFT, y, width, y], &stroked("#bbb", 1.0, "3 3"));
         sheet.line([LEFT, y + BAR_HEIGHT, width, y + BAR_HEIGHT], &stroked("#444", 1.0, ""));
         for (core, usage) in compiled.partition.usage().enumerate() {

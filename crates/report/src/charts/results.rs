@@ -88,7 +88,7 @@ pub fn energy(result: &Value) -> Option<String> {
     let mut series: Vec<(String, Vec<f64>)> =
         powers.iter().map(|(name, mw)| ((*name).to_string(), vec![share(*mw, all), 0.0])).collect();
     series.extend(parts.iter().map(|(name, pj)| (name.clone(), vec![0.0, share(*pj, dynamic)])));
-    let title = format!("{}: where the energy of a timestep goes", subject(result));
+    let title = format!("{}: energy of a timestep by part", subject(result));
     let whole = format!("all: {} uJ", three(number(&total["energy_uj"])?));
     // Events cost little compared with static power, and less than a microjoule.
     let of_events = match dynamic / 1e6 {
@@ -102,7 +102,7 @@ pub fn energy(result: &Value) -> Option<String> {
 pub fn time(result: &Value) -> Option<String> {
     let parts = parts(&result["time_us_per_timestep"]);
     let total: f64 = parts.iter().map(|(_, us)| us).sum();
-    let title = format!("{}: where the {} us of a timestep go", subject(result), three(total));
+    let title = format!("{}: time of a timestep by part, {} us", subject(result), three(total));
     let (names, values): (Vec<String>, Vec<f64>) = parts.into_iter().unzip();
     let labels: Vec<String> =
         names.iter().zip(&values).map(|(name, us)| format!("{name}: {} us", three(*us))).collect();
@@ -172,7 +172,7 @@ pub fn agreement(result: &Value) -> Option<String> {
         ("reversed".to_string(), each(&|_, reversed| reversed)),
         ("mean".to_string(), each(&|forward, reversed| (forward + reversed) / 2.0)),
     ];
-    let title = format!("{model}: what parts the machine from the trained network");
+    let title = format!("{model}: causes of differences from the trained network");
     Some(plot::bars(&title, "added disagreement (1 - coincidence)", &causes, &series))
 }
 
@@ -201,7 +201,7 @@ mod tests {
         let svg = energy(&result).unwrap();
         assert!(svg.contains(">synaptic event<") && !svg.contains(">hop<") && svg.contains("all: 5.00 uJ"));
         let svg = time(&result).unwrap();
-        assert!(svg.contains("where the 3.00 us of a timestep go") && svg.contains("slowest core: 2.00 us"));
+        assert!(svg.contains("time of a timestep by part, 3.00 us") && svg.contains("slowest core: 2.00 us"));
         let row = |x: f64, front: bool| json!({ "us_per_timestep": x, "coincidence": 0.9, "variant": "v", "on_front": front });
         let benched = json!({ "name": "pareto", "model": "m", "rows": [row(1.0, true), row(2.0, false)] });
         assert!(pareto(&benched).unwrap().contains("behind it"));

@@ -129,7 +129,7 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
             kind = format!("{kind}, 1 unit in {}", raster.every);
         }
         if raster.cut {
-            kind += ", no more kept";
+            kind += ", truncated";
         }
         Panel {
             label: network.populations()[id].name.clone(),
@@ -156,7 +156,7 @@ pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[T
     let is_message = quantity == Quantity::Message;
     let steps = timeline.steps.0;
     let group = (steps as usize).div_ceil(MOST_POINTS).max(1);
-    let reduced = if group > 1 { format!(", the largest of {group} steps each") } else { String::new() };
+    let reduced = if group > 1 { format!(", a point is the largest of {group} steps") } else { String::new() };
     let largest = |part: &[i32]| match is_message {
         true => part.iter().copied().max_by_key(|value| value.unsigned_abs()),
         false => part.iter().copied().max(),

@@ -18,7 +18,7 @@ impl<'de> Deserialize<'de> for ValueText {
             type Value = ValueText;
 
             fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.write_str("a number, true, false, or a text that is taken as --set takes it")
+                f.write_str("a number, true, false, or a text, as after --set")
             }
 
             fn visit_bool<E>(self, value: bool) -> Result<ValueText, E> {

@@ -59,7 +59,8 @@ impl Trained {
         let file = train::Job::new(with_fields(&source, &fields.collect::<Vec<_>>())?, None, None)?;
         let examples = file.read(Part::Train, &[])?;
         if examples.is_empty() {
-            let problem = Diagnostic::new("train.sources", "it names no samples to train on");
+            let problem =
+                Diagnostic::new("train.sources", "field train is missing or empty: there are no samples to train on");
             return Err(problem.help("list them in its field train").in_file(source.path()).into());
         }
         let (state, _) = train::train(&file.plan, &examples, None, |_| ())?;
@@ -224,7 +225,7 @@ impl Runner {
             _ => job.input.clone(),
         };
         if input.is_empty() {
-            let help = "give spikes with input: [\"FILE\"] in the sweep, or input: [\"scene:noise\"] to try";
+            let help = "give spikes with input: [\"FILE\"] in the sweep, or try input: [\"scene:noise\"]";
             require_scene(&job.model, network.file().scene.as_deref(), help)?;
         }
         let target = self.target(job)?;

@@ -137,11 +137,11 @@ impl<'s> Table<'s> {
     /// truncated or changed one, or a repeated variant.
     pub fn add_csv(&mut self, text: &str) -> Result<bool> {
         if !text.ends_with('\n') {
-            return Err(wrong("the part is cut: its last line has no end"));
+            return Err(wrong("the part is truncated: its last line has no end"));
         }
         let mut reader = csv::ReaderBuilder::new().has_headers(false).flexible(true).from_reader(text.as_bytes());
         let mut records = reader.records();
-        let mut next = || records.next().transpose().map_err(|error| wrong(format!("no table: {error}")));
+        let mut next = || records.next().transpose().map_err(|error| wrong(format!("not a table: {error}")));
         let columns: Vec<String> = self.columns().into_iter().map(str::to_string).collect();
         let head: Vec<String> = next()?.iter().flatten().map(str::to_string).collect();
         let column = head.last().filter(|name| head.len() > columns.len() && name.starts_with(CHECKSUM)).cloned();
@@ -149,12 +149,10 @@ impl<'s> Table<'s> {
         let drawn = head.get(columns.len()).is_some_and(|name| name == FRONT);
         let others = usize::from(column.is_some()) + usize::from(drawn);
         if head.len() != columns.len() + others || !head.starts_with(&columns) {
-            return Err(wrong("its columns are not those of this sweep"));
+            return Err(wrong("its columns differ from the columns of this sweep"));
         }
         if *self.column.get_or_insert_with(|| column.clone()) != column {
-            return Err(wrong(
-                "its rows were made from other files, or by another nsim, than those of the parts before",
-            ));
+            return Err(wrong("its rows were made from other files, or by another nsim, than the parts before"));
         }
         while let Some(record) = next()? {
             let mut record: Vec<String> = record.iter().map(str::to_string).collect();
@@ -165,10 +163,10 @@ impl<'s> Table<'s> {
             }
             let variant = name.parse().unwrap_or(u64::MAX);
             if variant >= self.sweep.len() || record.len() != columns.len() {
-                return Err(wrong(format!("{name} is no variant of this sweep")));
+                return Err(wrong(format!("{name} is not a variant of this sweep")));
             }
             if column.as_deref().is_some_and(|column| sum != Some(checksum(column, &record))) {
-                return Err(wrong(format!("the row of variant {name} was changed: its checksum is another")));
+                return Err(wrong(format!("the row of variant {name} was changed: its checksum does not match")));
             }
             let values = self.sweep.values(variant);
             if values.iter().ne(record.iter().skip(1).take(values.len())) {
@@ -177,10 +175,10 @@ impl<'s> Table<'s> {
             let mut cells = Cells::default();
             cells.iter_mut().zip(record.drain(1 + values.len()..)).for_each(|(cell, given)| *cell = given);
             if let Some(figure) = first_wrong(&cells) {
-                return Err(wrong(format!("variant {variant}: its cell under {figure} is none that nsim writes")));
+                return Err(wrong(format!("variant {variant}: nsim cannot have written its cell in column {figure}")));
             }
             if self.rows.insert(variant, cells).is_some() {
-                return Err(wrong(format!("variant {variant} is there twice")));
+                return Err(wrong(format!("variant {variant} is given twice")));
             }
         }
         Ok(column.is_some())
@@ -194,7 +192,7 @@ impl<'s> Table<'s> {
         let missing = (0..self.sweep.len()).find(|variant| !self.rows.contains_key(variant));
         let Some(variant) = missing else { return Ok(()) };
         let left = self.sweep.len() - self.rows.len() as u64;
-        Err(wrong(format!("variant {variant} has no row, and {left} in all have none")))
+        Err(wrong(format!("variant {variant} has no row; variants without a row: {left}")))
     }
 
     /// Adds the table, as by [`Self::csv`], to a batch of files.

@@ -126,7 +126,7 @@ fn named<T: Copy>(all: &[T], name_of: fn(T) -> &'static str, value: &str) -> Res
 }
 
 fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
-    value.parse().map_err(|_| "no number of this kind".to_string())
+    value.parse().map_err(|_| "not a number of this kind".to_string())
 }
 
 /// Range `A..B` of samples; either end may be missing. `None` for text that is no range, or an
@@ -178,7 +178,7 @@ impl Job {
                 let known: &[&str] = if first == "options" { &OPTIONS } else { &INPUTS };
                 let meant = did_you_mean(other, known.iter().copied());
                 return Err(Diagnostic::new("sweep.path", format!("there is no path {path}"))
-                    .help(format!("{meant}behind {first}. stands one of {}", known.join(", "))));
+                    .help(format!("{meant}{first}. is followed by one of {}", known.join(", "))));
             }
             _ => {
                 let change = Change::new(path, value);
@@ -202,7 +202,7 @@ impl Job {
             ("target", "") => self.target = value.to_string(),
             ("input", "") => self.input = vec![value.to_string()],
             ("input", "samples") => {
-                self.samples = Some(sample_range(value).ok_or("no range of samples such as 0..20")?);
+                self.samples = Some(sample_range(value).ok_or("not a range of samples such as 0..20")?);
             }
             ("input", "seed") => self.seed = Some(number(value)?),
             ("options", "copies") => match number(value)? {
@@ -262,7 +262,7 @@ impl Sweep {
         }
         if file.model.is_some() && file.train.is_some() {
             let problem = Diagnostic::new("sweep.value", "model and train: a variant runs a model or trains one");
-            return Err(in_file(problem.help("leave out one of them")));
+            return Err(in_file(problem.help("remove one of them")));
         }
         if let Some(samples) = &file.samples {
             base.assign("input.samples", samples).map_err(in_file)?;
@@ -292,17 +292,17 @@ impl Sweep {
         if let Some(twice) = repeated(paths.clone().chain(&listed).map(|path| Change::new(path, "").path().to_string()))
         {
             let message = format!("{twice} is varied twice, so one of its values would have no effect");
-            return Err(in_file(Diagnostic::new("sweep.axis", message).help("leave it in one axis, or in the list")));
+            return Err(in_file(Diagnostic::new("sweep.axis", message).help("give it in one axis, or in the list")));
         }
         let set: Vec<&String> = file.set.0.iter().map(|(path, _)| path).collect();
         if let Some(twice) = repeated(set.iter().copied()).or(paths.clone().find(|path| set.contains(path))) {
             let message = format!("{twice} is set twice, so one of its values would have no effect");
-            return Err(in_file(Diagnostic::new("sweep.path", message).help("leave it out in one place")));
+            return Err(in_file(Diagnostic::new("sweep.path", message).help("remove one of them")));
         }
         for (entry, of) in file.list.iter().enumerate() {
             if let Some(twice) = repeated(of.0.iter().map(|(path, _)| path)) {
                 let message = format!("entry {entry} of the list has {twice} twice");
-                return Err(in_file(Diagnostic::new("sweep.path", message).help("leave one of them out")));
+                return Err(in_file(Diagnostic::new("sweep.path", message).help("remove one of them")));
             }
         }
         let sweep = Sweep { base, listed, list, axes, text: source.text().to_string() };
@@ -310,8 +310,8 @@ impl Sweep {
         names.extend(["variant", FRONT].into_iter().chain(FIGURES));
         names.sort_unstable();
         if let Some(twice) = names.windows(2).find(|pair| pair[0] == pair[1]) {
-            let problem = Diagnostic::new("sweep.axis", format!("two columns would be named {}", twice[0]));
-            return Err(in_file(problem.help("give one of the axes a name of its own")));
+            let problem = Diagnostic::new("sweep.axis", format!("two columns have the name {}", twice[0]));
+            return Err(in_file(problem.help("give one of the axes a different name")));
         }
         let sizes = sweep.axes.iter().map(|axis| axis.values.len() as u64);
         let count = sizes.fold(sweep.list.len() as u64, u64::saturating_mul);
@@ -457,7 +457,7 @@ fn axis(desc: &AxisDesc) -> Result<Axis> {
 fn stepped(from: f64, to: f64, step: f64) -> Result<Vec<String>> {
     let count = ((to - from) / step * (1.0 + 1e-12) + 1e-9).floor();
     if !(count >= 0.0 && count < MOST_STEPS as f64 && step != 0.0) {
-        return Err(Diagnostic::new("sweep.axis", format!("no steps of {step} lead from {from} to {to}")));
+        return Err(Diagnostic::new("sweep.axis", format!("steps of {step} do not lead from {from} to {to}")));
     }
     let value = |index: u64| from + index as f64 * step;
     let whole = [from, step].iter().all(|number| number.fract() == 0.0);

@@ -176,7 +176,7 @@ pub struct BestEpoch {
 
 fn unlike(graph: &Graph, message: &str) -> Diagnostic {
     Diagnostic::new("convert.fine-tune", format!("{}: {message}", graph.facts().name))
-        .help("fine-tuning takes dense layers of spike response neurons and the training file that describes them")
+        .help("fine-tuning supports dense layers of spike response neurons, with their training file")
 }
 
 /// Checks that a network has dense layers of spike response neurons without loops or delays.
@@ -185,7 +185,7 @@ fn unlike(graph: &Graph, message: &str) -> Diagnostic {
 /// `convert.fine-tune` with the unsupported property.
 pub fn trainable(graph: &Graph) -> Result<()> {
     if graph.facts().decision != ReadOut::Spikes {
-        let message = "its potentials decide, and fine-tuning is by the spikes of the output";
+        let message = "it decides by potentials, but fine-tuning needs decisions by spikes";
         return Err(unlike(graph, message).help(
             "train it as Loihi neurons instead: nsim train, with the loss Potential and theta: inf for its output",
         ));
@@ -196,8 +196,8 @@ pub fn trainable(graph: &Graph) -> Result<()> {
             let unlike = unlike(graph, &message);
             return Err(match subtracts(&population.kind) {
                 true => unlike.help(
-                    "train the network again with a reset to zero (snnTorch: reset_mechanism='zero'): what the \
-                     conversion loses to the reset is then not lost, and nothing is to be fine-tuned",
+                    "train the network again with a reset to zero (snnTorch: reset_mechanism='zero'): the conversion \
+                     then loses nothing to the reset, so no fine-tuning is needed",
                 ),
                 false => unlike,
             });
@@ -206,7 +206,7 @@ pub fn trainable(graph: &Graph) -> Result<()> {
     for (_, source, target, projection) in graph.projections() {
         let plain = matches!(projection.kind, ProjectionKind::Dense { .. }) && projection.delay.get() == 0;
         if !plain || source >= target || graph.population(source).message != Message::Spike {
-            let message = format!("projection {} is no dense layer without a delay", projection.name);
+            let message = format!("projection {} is not a dense layer without a delay", projection.name);
             return Err(unlike(graph, &message));
         }
     }
@@ -253,14 +253,14 @@ impl Task {
                 _ => false,
             });
             let Some((node, population)) = same else {
-                let message = format!("'{}' is no population with the training file's neurons", layer.name);
+                let message = format!("there is no population '{}' with the neurons of the training file", layer.name);
                 return Err(unlike(graph, &message));
             };
             let first = firsts[node.index()];
             layers.push(Layer { name: population.name.clone(), first, count: population.shape.len() });
         }
         if file.inputs.len() + layers.len() != firsts.len() || nodes.last().copied().flatten() != Some(graph.output()) {
-            return Err(unlike(graph, "its layers are not those of the training file, the output last"));
+            return Err(unlike(graph, "its layers, with the output last, differ from the layers of the training file"));
         }
         let mut places = Vec::new();
         for (_, source, target, projection) in graph.projections() {
@@ -281,7 +281,7 @@ impl Task {
                 None
             });
             let Some(place) = place else {
-                let message = format!("projection {} is none of the training file's dense layers", projection.name);
+                let message = format!("projection {} is not a dense layer of the training file", projection.name);
                 return Err(unlike(graph, &message));
             };
             places.push(place);

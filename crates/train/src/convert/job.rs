@@ -103,7 +103,7 @@ impl Job {
         let soft_reset = target.chip().neuron_kinds.contains(&NeuronKind::SoftReset.family());
         if !staged::is_real(&graph) && (soft_reset || !resets::has_soft_reset(&graph)) {
             let message = format!("{} has no real numbers to convert", graph.facts().name);
-            return Err(Diagnostic::new("convert.integers", message).help("it runs as it is").into());
+            return Err(Diagnostic::new("convert.integers", message).help("run it unchanged").into());
         }
         refuse_large("nsim convert", &integers, 1)?;
         Ok(Job { graph, integers, hash: sha256(network.source().text().as_bytes()), soft_reset })

@@ -86,7 +86,7 @@ impl Typed<'_> {
 
 /// Changes of the model's file that may reduce a cause, with their effects.
 fn candidates(cause: Cause, graph: &Graph) -> Vec<(&'static str, Vec<String>)> {
-    let greater = "makes thresholds and weights greater, so that what rounds away weighs less";
+    let greater = "makes thresholds and weights greater, so that rounding loses less";
     let all = (1..=DOUBLINGS).filter_map(|times| Some((greater, doubled(graph, times)?)));
     let narrow = graph.projections().zip(graph.declared_places()).filter(|((.., p), _)| p.weight_bits.value < 8);
     let mut wider: Vec<String> = narrow.map(|(_, place)| format!("projections.{place}.weight_bits=8")).collect();
@@ -172,7 +172,7 @@ pub fn next(
     });
     found.or_else(|| {
         let words = typed.closer.as_ref().filter(|_| lossy)?;
-        let what = "draws both potentials around the first spike in which they part".to_string();
+        let what = "draws both potentials around the first spike that differs".to_string();
         Some(Next { cause: None, what, command: command(words) })
     })
 }
@@ -184,7 +184,7 @@ pub fn in_python(attribution: &Attribution, target: Option<&str>) -> Option<Next
     let target = target.map_or(String::new(), |target| format!(", target='{target}'"));
     Some(Next {
         cause: None,
-        what: "draws both potentials around the first spike in which they part".to_string(),
+        what: "draws both potentials around the first spike that differs".to_string(),
         command: format!("network.agree(spikes{target}, plot='first.svg')"),
     })
 }
@@ -205,8 +205,7 @@ fn remedy(
         let changes = ladder.pipeline()?.changes(graph)?;
         let without = attribution.shares.iter().find(|share| share.cause == cause)?.without;
         let what = format!(
-            "lets each layer start at the step of its depth, and samples last until the output has answered: {} (now \
-             {})",
+            "starts each layer at the step of its depth, and extends samples until the output answers: {} (now {})",
             figures(&without),
             figures(before)
         );
@@ -236,7 +235,7 @@ fn search(typed: &Typed<'_>) -> Option<(&'static str, String)> {
         }
         Conversion::Search => (most_copies < copies::USUAL).then(|| {
             let most = copies::USUAL.to_string();
-            ("gives the search more delayed copies of what comes in", typed.with(&[("--delayed-copies", &most)]))
+            ("gives the search more delayed copies of the input", typed.with(&[("--delayed-copies", &most)]))
         }),
     }
 }

@@ -30,8 +30,9 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     let run = RunInput { sources: &[], seed: None, scene: network.file().scene.as_deref() };
     let Some(stimulus) = calibration::stimulus(&start, &[], run, CALIBRATION_SAMPLES)? else {
         tracing::warn!(
-            "{name}: its spike response neurons become Loihi compartments by analysis alone (equal decays, matched \
-             peaks), as it has no scene to convert on; `nsim convert` takes samples and keeps the result"
+            "{name}: its spike response neurons become Loihi compartments by analysis only (equal decays, matched \
+             peaks), because it has no scene for calibration; `nsim convert` calibrates on samples and writes the \
+             result"
         );
         return Ok(start.into());
     };

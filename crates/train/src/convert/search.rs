@@ -379,7 +379,7 @@ fn pipeline(
         let task = task(graph, node, layer, (samples, &as_trained, trained), count_weight);
         let Some(shape) = best_shape(&task, graph, (node, srm), most, &mut tried) else {
             let name = &population.name;
-            tracing::warn!("{name}: no spikes reach it in these samples, so its integers follow from analysis alone");
+            tracing::warn!("{name}: it receives no spikes in these samples, so its integers follow from analysis only");
             continue;
         };
         let mut fit = fit_of(&shape, srm, timestep_ms);

@@ -256,8 +256,10 @@ fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<La
         let into = target.into_iter().flat_map(|target| network.incoming(target));
         let clipped = sums.populations.iter().find(|row| row.name == *name).map_or(0, |row| row.cut);
         let problem = match (spikes, coincidence, clipped) {
-            (0, None, _) => Some("it never fires: nothing to compare; show it input that drives it".to_string()),
-            (0, Some(_), _) => Some("its integers never fire where the trained layer does".to_string()),
+            (0, None, _) => {
+                Some("it never fires, so there is nothing to compare; give input that drives it".to_string())
+            }
+            (0, Some(_), _) => Some("with integers it never fires, but the trained layer does".to_string()),
             (_, _, 1..) => target.map(|target| format!("its voltages clip: {}", widen(network, target))),
             _ => None,
         };

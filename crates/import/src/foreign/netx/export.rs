@@ -75,7 +75,7 @@ pub(super) fn form(kind: NeuronKind) -> Option<Form> {
 
 fn unsupported(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("export.unsupported", message)
-        .help("netx holds an input and layers of integers in a row; a .nir file holds other networks")
+        .help("netx supports one input and a chain of integer layers; export other networks as .nir")
 }
 
 /// The tree of a file, and notes on properties of the model that netx lacks.
@@ -124,7 +124,7 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
         number += 1;
     }
     if connected != model.projections.len() {
-        return Err(unsupported("a projection does not lead from a population to the next"));
+        return Err(unsupported("a projection does not connect a population to the next one"));
     }
     let simulation = Group::default().with("Ts", Numbers::f64(&[], &[model.timestep_ms]));
     let root = Group::default().with("layer", layers).with("simulation", simulation);
@@ -179,7 +179,7 @@ fn neuron(population: &PopulationDesc, notes: &mut Vec<String>) -> Result<Group>
     }
     lost.extend((population.start_step > 0).then_some("start_step"));
     if !lost.is_empty() {
-        notes.push(format!("netx has no {}: only nsim will see that of '{name}'", lost.join(", ")));
+        notes.push(format!("netx has no {}: only nsim reads this part of '{name}'", lost.join(", ")));
     }
     Ok(neuron)
 }
@@ -218,14 +218,14 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
             _ => false,
         };
         if !identity || !is_input || first.weight_exp.unwrap_or(0) != 0 {
-            return Err(unsupported(format!("'{name}' sends other changes than those of the input")));
+            return Err(unsupported(format!("'{name}' sends changes, but does not receive the input unchanged")));
         }
         return Ok(Group::default().with("type", "input").with("shape", ints(&population.shape)));
     }
     let pair = |(y, x): (u64, u64)| ints(&[y, x]);
     let window = |layer: Group, [stride, padding, dilation]: Step, after: (u64, u64)| match after == padding {
         true => Ok(layer.with("stride", pair(stride)).with("padding", pair(padding)).with("dilation", pair(dilation))),
-        false => Err(unsupported(format!("the window into '{name}' has another padding behind the image"))),
+        false => Err(unsupported(format!("the window into '{name}' pads the image differently before and after it"))),
     };
     let typed = |kind: &str, shape: &[u64]| Group::default().with("type", kind).with("shape", ints(shape));
     match &first.kind {
@@ -254,7 +254,7 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
                     }
                     _ => {
                         let kind = projection.kind_name();
-                        return Err(unsupported(format!("netx has no {kind} projection like that into '{name}'")));
+                        return Err(unsupported(format!("netx does not support the {kind} projection into '{name}'")));
                     }
                 };
                 Ok(Numbers::f64(&[flat[0] as usize, sources], &whole(projection, weights)?))

@@ -22,7 +22,7 @@ impl Reader<'_> {
     }
 
     pub(super) fn dense(&mut self, layer: &Layer<'_>) -> Result<()> {
-        let shape = vec![units(&layer.shape()?).ok_or_else(|| layer.wrong("a shape beyond all memory"))?];
+        let shape = vec![units(&layer.shape()?).ok_or_else(|| layer.wrong("a shape too large for memory"))?];
         let key = if layer.is_complex() { "weight/real" } else { "weight" };
         let axes = layer.axes(key, 2)?;
         let given = layer.group.number("inFeatures").filter(|x| x.fract() == 0.0 && (1.0..1e9).contains(x));
@@ -32,7 +32,7 @@ impl Reader<'_> {
         let fills = shape[0].checked_mul(source.units()) == Some(count);
         if !fills || !(axes.len() <= 1 || axes == [shape[0], source.units()]) {
             let (given, from, name) = (layer.numbers(key)?.shape(), source.units(), &source.name);
-            let message = format!("weights {given:?} do not lead from the {from} units of '{name}' to {}", shape[0]);
+            let message = format!("weights {given:?} do not connect the {from} units of '{name}' to {}", shape[0]);
             return Err(layer.wrong(message));
         }
         let name = self.neurons(layer, &shape)?;
@@ -40,7 +40,7 @@ impl Reader<'_> {
         let imaginary = layer.is_complex().then_some(("weight/imag", Port::Second));
         for (key, port) in [(key, Port::First)].into_iter().chain(imaginary) {
             if layer.numbers(key)?.len() as u64 != count {
-                return Err(layer.wrong(format!("'{key}' has other than {count} numbers")));
+                return Err(layer.wrong(format!("'{key}' does not have {count} numbers")));
             }
             let dense = |weights| ProjectionKind::Dense(tensor(matrix.clone(), weights));
             self.project(layer, &source, &name, key, dense)?;
@@ -76,7 +76,7 @@ impl Reader<'_> {
         let source = self.source(|| input_of_window(layer, given, channels, &shape, (kh, kw), step))?;
         if out != shape[0] || source.shape.len() != 3 || source.shape[0] != channels {
             return Err(layer.wrong(format!(
-                "a kernel {kernel:?} in {groups} groups does not lead from {:?} to {shape:?}",
+                "a kernel {kernel:?} in {groups} groups does not map {:?} to {shape:?}",
                 source.shape
             )));
         }
@@ -96,7 +96,9 @@ impl Reader<'_> {
         let given = self.options.input_shape.clone();
         let source = self.source(|| input_of_window(layer, given, shape[0], &shape, kernel, step))?;
         if source.shape.len() != 3 || source.shape[0] != shape[0] {
-            return Err(layer.wrong(format!("a pool from {:?} to {shape:?} changes the channels", source.shape)));
+            return Err(
+                layer.wrong(format!("a pool from {:?} to {shape:?} changes the number of channels", source.shape))
+            );
         }
         let name = self.neurons(layer, &shape)?;
         // SLAYER's pool appends (size mod window) silent rows and columns to an image that windows
@@ -156,7 +158,7 @@ impl Reader<'_> {
             stride = (kh, kw);
         }
         if channels % groups != 0 || per_group.checked_mul(groups) != Some(shape[0]) {
-            return Err(layer.wrong(format!("{groups} groups do not lead from {channels} channels to {}", shape[0])));
+            return Err(layer.wrong(format!("{groups} groups do not map {channels} channels to {}", shape[0])));
         }
         let axes = [
             (height, shape[1], kh, stride.0, dilation.0, padding.0),
@@ -166,14 +168,14 @@ impl Reader<'_> {
             // torch's `output_padding` adds less than a step.
             let least = ((from - 1) * stride + dilation * size.saturating_sub(1) + 1).saturating_sub(2 * padding);
             if !(least..least + stride.max(dilation)).contains(&to) {
-                return Err(layer.wrong(format!("the window makes {least} of {from}, the shape {shape:?} has {to}")));
+                return Err(layer.wrong(format!("the window maps {from} to {least}, the shape {shape:?} has {to}")));
             }
         }
         // The window of a convolution from the target to the source (torch, ConvTranspose).
         let window = Sliding::new((&shape, &source.shape), (kh, kw), [stride, padding, dilation], groups);
         let Some(synapses) = window.and_then(Sliding::synapses) else {
             return Err(layer.unsupported(
-                format!("it would have more than {MOST_LISTED} synapses, which are listed one by one"),
+                format!("it would have more than {MOST_LISTED} synapses, each of which is listed"),
                 "a transposed convolution has no compact form here",
             ));
         };

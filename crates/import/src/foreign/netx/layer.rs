@@ -116,9 +116,9 @@ pub(super) fn input_of_window(
     match (stride, height, width) {
         ((1, 1), Some(height), Some(width)) => Ok(vec![channels, height, width]),
         _ => Err(wrong_option(format!(
-            "layer {} ({}) is the first, and the file does not say how large its input is",
+            "layer {} ({}) is the first, and the size of its input is missing from the file",
             layer.number, layer.kind
         ))
-        .help("add --input-shape CHANNELS,HEIGHT,WIDTH")),
+        .help("give it with --input-shape CHANNELS,HEIGHT,WIDTH")),
     }
 }

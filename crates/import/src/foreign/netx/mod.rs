@@ -37,7 +37,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut notes = Vec::new();
     let written = restore(root, export::GROUP, (["layer", "simulation"], "layers"), export::export);
     if let Some(Ok(_)) = &written {
-        options.refuse_unused("a model of nsim, which is restored as it was", &[])?;
+        options.refuse_unused("a model of nsim, restored unchanged", &[])?;
     }
     if let Some(imported) = restored("lava-dl netx", written, options, &mut notes)? {
         return Ok(imported);
@@ -104,21 +104,24 @@ impl Reader<'_> {
     fn layer(&mut self, number: u32, group: &Group) -> Result<()> {
         let Some(kind) = group.text("type") else {
             let members: Vec<&str> = group.items.keys().take(8).map(String::as_str).collect();
-            return Err(wrong(format!("layer {number} does not say its type; it holds {}", listed(&members))));
+            return Err(wrong(format!(
+                "field 'type' of layer {number} is missing; the layer holds {}",
+                listed(&members)
+            )));
         };
         let layer = Layer { number, kind: kind.to_string(), group };
         if layer.is_complex() != layer.group.text("neuron/type").is_some_and(|kind| kind.contains("RF_"))
             || layer.is_complex() && kind != "dense"
         {
             return Err(layer.unsupported(
-                "complex weights go with resonate-and-fire neurons, and those with complex weights",
-                "imported are dense layers with weight/real and weight/imag and neurons RF_* or ADRF_*",
+                "complex weights require resonate-and-fire neurons, which in turn require complex weights",
+                "supported are dense layers with weight/real and weight/imag and neurons RF_* or ADRF_*",
             ));
         }
         let known = fields(kind);
         if let (false, Some(key)) = (known.is_empty(), group.items.keys().find(|key| !known.contains(&key.as_str()))) {
             return Err(layer.unsupported(
-                format!("layers of the type '{kind}' do not have a field '{key}'"),
+                format!("layers of type '{kind}' do not support field '{key}'"),
                 "remove it if the network does not depend on it",
             ));
         }
@@ -132,15 +135,15 @@ impl Reader<'_> {
             "convT" | "unpool" => self.transposed(&layer),
             "average" => self.average(&layer),
             other => Err(layer.unsupported(
-                format!("layers of the type '{other}' are not imported"),
-                "imported are input, flatten, dense, dense_rec, conv, pool, convT, unpool and average",
+                format!("layers of type '{other}' are not supported"),
+                "supported types: input, flatten, dense, dense_rec, conv, pool, convT, unpool and average",
             )),
         }
     }
 
     fn input(&mut self, layer: &Layer<'_>) -> Result<()> {
         if self.last.is_some() {
-            return Err(layer.wrong("an input layer is not the first"));
+            return Err(layer.wrong("an input layer comes after another layer"));
         }
         let shape = layer.shape()?;
         let parameters = match layer.group.group("neuron") {
@@ -173,7 +176,7 @@ impl Reader<'_> {
                 self.push("input", shape, Some(parameters.into()));
             }
             (None, Some(_)) => {
-                return Err(wrong_option("the input layer has no neuron that an image could drive"));
+                return Err(wrong_option("the input layer has no neurons, so an image cannot drive it"));
             }
             (parameters, None) => {
                 if parameters.is_some() {
@@ -244,7 +247,7 @@ impl Reader<'_> {
         let Some(last) = &self.last else { return Err(layer.wrong("there is nothing before it")) };
         match layer.group.get("shape") {
             Some(_) if units(&layer.shape()?) != Some(last.units()) => {
-                Err(layer.wrong(format!("its shape is {:?}, {} units arrive", layer.shape()?, last.units())))
+                Err(layer.wrong(format!("its shape is {:?}, but its input has {} units", layer.shape()?, last.units())))
             }
             _ => Ok(()),
         }
@@ -256,7 +259,7 @@ impl Reader<'_> {
         };
         self.model.output = last.name;
         if !last.delays.is_empty() && last.delays.iter().any(|&delay| delay != 0) {
-            self.notes.push("the delay of the last layer's spikes has no reader and is left out".to_string());
+            self.notes.push("nothing receives the last layer's spikes, so their delay is dropped".to_string());
         }
         self.model.threshold = self.options.threshold.unwrap_or_default();
         if self.model.threshold == ThresholdTest::Inclusive {
@@ -275,8 +278,9 @@ impl Reader<'_> {
                 for population in self.model.populations.iter_mut().filter(|p| p.loihi.is_some()) {
                     population.start_step += first;
                 }
-                self.notes
-                    .push(format!("layer k of compartments starts at step k + {first}, its bias and resets with it"));
+                self.notes.push(format!(
+                    "layer k of compartments starts at step k + {first}, and so do its bias and its resets"
+                ));
             }
             None => {
                 self.model.populations.iter_mut().for_each(|population| population.start_step = 0);
@@ -289,7 +293,7 @@ impl Reader<'_> {
         if let Some((name, _)) = exponents.iter().find(|(_, given)| given.is_some())
             && !self.model.populations.iter().any(sends_changes)
         {
-            let message = format!("{name} says nothing of a network without SDNN neurons");
+            let message = format!("{name} applies only to networks with SDNN neurons");
             return Err(wrong_option(message).help("leave it out"));
         }
         if let Some(interval) = self.options.reset_interval {
@@ -315,7 +319,8 @@ fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>> {
     let scale = if array.dtype().ends_with("u1") { 255.0 } else { 1.0 };
     let tensor = array.tensor()?;
     if let Some(outside) = tensor.reals().find(|real| !(0.0..=scale).contains(real)) {
-        let message = format!("{outside} is no brightness: 8-bit unsigned integers, or numbers from 0 to 1, are");
+        let message =
+            format!("{outside} is not a brightness: an image has 8-bit unsigned integers, or numbers from 0 to 1");
         return Err(Diagnostic::new("import.image", message)
             .help("divide the image by its greatest possible value, or store it as uint8")
             .in_file(path));

@@ -24,7 +24,8 @@ impl Reader<'_> {
             Some(_) => self.neuron(layer, shape)?,
             None => {
                 self.notes.push(format!(
-                    "layer {}: no neuron, so an integrator without leak (u keeps all, v shows u) that never spikes",
+                    "layer {}: no neuron, so it becomes an integrator without leak (u is the sum of all input, v is u) \
+                    that never spikes",
                     layer.number
                 ));
                 integrator(0.0, 4096.0).into()
@@ -44,7 +45,7 @@ impl Reader<'_> {
                 NeuronKind::SigmaDelta => neurons.parameters.push(("bias_mant", biases)),
                 kind => {
                     let help = "remove the bias, or give the layer neurons that have one";
-                    return Err(layer.unsupported(format!("{} neurons have no bias", kind.name()), help));
+                    return Err(layer.unsupported(format!("{} neurons do not support a bias", kind.name()), help));
                 }
             }
         }
@@ -65,7 +66,7 @@ impl Reader<'_> {
                 if expanded > MOST_EXPANDED {
                     return Err(layer.unsupported(
                         format!("'{key}' of each channel becomes {all} numbers"),
-                        "at most 4,194,304 numbers are made of those that a file gives by channel",
+                        "all numbers that a file gives by channel expand to at most 4,194,304 together",
                     ));
                 }
                 let per_channel = (all / shape[0]) as usize;
@@ -77,7 +78,7 @@ impl Reader<'_> {
 
     pub(super) fn neuron(&mut self, layer: &Layer<'_>, shape: &[u64]) -> Result<Neurons> {
         let Some(kind) = layer.group.text("neuron/type") else {
-            return Err(layer.wrong("its neuron does not say its type"));
+            return Err(layer.wrong("field 'type' of its neuron is missing"));
         };
         match kind {
             "CUBA" => {}
@@ -186,7 +187,7 @@ fn is_graded(layer: &Layer<'_>) -> bool {
 fn check_binary(layer: &Layer<'_>, kind: &str) -> Result<()> {
     match is_graded(layer) {
         true => Err(layer.unsupported(
-            format!("its spikes are graded, and those of {kind} neurons carry no value here"),
+            format!("its spikes are graded, but {kind} neurons do not support graded spikes"),
             "export the network with graded_spike=False",
         )),
         false => Ok(()),
@@ -198,7 +199,7 @@ fn check_fields(layer: &Layer<'_>, kind: &str, known: &str) -> Result<()> {
     let mut keys = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
     match keys.find(|key| !known.split(' ').any(|known| known == *key)) {
         Some(key) => Err(layer.unsupported(
-            format!("its neuron has a field '{key}', which neurons of the type {kind} do not have"),
+            format!("its neuron has field '{key}', which neurons of type {kind} do not support"),
             "remove it if the network does not depend on it",
         )),
         None => Ok(()),

@@ -47,8 +47,8 @@ impl Reader<'_> {
         let encoded = encode::encode(whole, exponent as i64);
         if encoded.changed > 0 {
             self.lose(format!(
-                "layer {}: {} of {} numbers of '{key}' fit no synapse format; they are rounded to even steps and \
-                 clipped",
+                "layer {}: {} of {} numbers of '{key}' do not fit into one synapse format with the others; they are \
+                 rounded to even steps and clipped",
                 layer.number,
                 encoded.changed,
                 given.len()
@@ -90,7 +90,7 @@ impl Reader<'_> {
         let kind = std::mem::replace(&mut projection.kind, ProjectionKind::Sparse(Vec::new()));
         let synapses = listed(kind, &source.shape, target).ok_or_else(|| {
             layer.unsupported(
-                format!("its delays differ, so its synapses are listed one by one, and it has more than {MOST_LISTED}"),
+                format!("its delays differ, so more than {MOST_LISTED} synapses would be listed individually"),
                 "give all units of the layer before it one delay",
             )
         })?;

@@ -13,9 +13,9 @@ use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// How layers without neurons between them become one.
-const JOINED: &str = "put a neuron between them, or join them into one layer: a convolution of stride s and a pool \
-                      without padding behind it are read as one convolution, with kernels of k + (p - 1) s places";
+/// Help to join layers without neurons between them.
+const JOINED: &str = "put a neuron between them, or join them into one layer. A convolution of stride s followed by a \
+                      pool without padding is read as one convolution with kernels of size k + (p - 1) s";
 
 impl Reader<'_> {
     /// The linear map of `nodes` after a population of the shape `source`.
@@ -50,8 +50,8 @@ impl Reader<'_> {
                 let (start, end, axes) = (dim("start_dim", 1.0), dim("end_dim", -1.0), connection.shape.len() as f64);
                 if !(start == 0.0 || start == 1.0) || !(end == -1.0 || end >= axes - 1.0) {
                     return Err(unsupported(
-                        format!("node '{name}' flattens the axes {start} to {end} only, of {:?}", connection.shape),
-                        "flatten all axes: start_dim 0 (or 1, behind a batch), end_dim -1",
+                        format!("node '{name}' flattens only the axes {start} to {end} of {:?}", connection.shape),
+                        "flatten all axes: start_dim 0 (or 1, after a batch axis), end_dim -1",
                     ));
                 }
                 connection.shape = vec![units];
@@ -74,7 +74,7 @@ impl Reader<'_> {
                 };
                 if sources != units {
                     return Err(wrong(format!(
-                        "node '{name}': its weight is {:?} and {units} units arrive",
+                        "node '{name}': its weight is {:?}, but its input has {units} units",
                         numbers.shape()
                     )));
                 }
@@ -121,7 +121,7 @@ impl Reader<'_> {
                 let steps: Vec<u32> = steps.iter().map(|&steps| steps as u32).collect();
                 connection.delay = sum_of_delays(&connection.delay, &steps);
             }
-            other => return Err(wrong(format!("node '{name}' of the type '{other}' is in the middle of a way"))),
+            other => return Err(wrong(format!("node '{name}' of type '{other}' cannot be between two other nodes"))),
         }
         Ok(connection)
     }
@@ -134,8 +134,8 @@ impl Reader<'_> {
             let Some(most) = steps.iter().copied().max_by(|a, b| off(*a).total_cmp(&off(*b))) else { continue };
             if off(most) > 1e-3 {
                 self.notes.push(format!(
-                    "node '{name}': {} of its {} delays are no whole number of steps and are rounded, the furthest \
-                     from {most:.3} to {} (--dt gives other steps)",
+                    "node '{name}': {} of its {} delays are not whole numbers of steps and are rounded; the largest \
+                     change is from {most:.3} to {} (--dt sets the timestep)",
                     steps.iter().filter(|steps| off(**steps) > 1e-3).count(),
                     steps.len(),
                     most.round_ties_even()
@@ -150,11 +150,11 @@ impl Reader<'_> {
         if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {
             let pool = self.flat.nodes[name].kind.ends_with("Pool2d");
             return Err(unsupported(
-                format!("before node '{name}' a bias was added, without a neuron in between"),
+                format!("a bias is added before node '{name}', without a neuron in between"),
                 if pool {
                     JOINED
                 } else {
-                    "multiply the bias with the weights and add the product to the bias behind them"
+                    "multiply the bias by the weights of the node and add the product to its own bias"
                 },
             ));
         }
@@ -162,7 +162,7 @@ impl Reader<'_> {
         let equal = delay.windows(2).all(|pair| pair[0] == pair[1]);
         if !equal && !matches!(connection.linear, Linear::Diagonal(_)) {
             return Err(unsupported(
-                format!("between node '{name}' and the weights before it each unit has a delay of its own"),
+                format!("each unit has its own delay between node '{name}' and the weights before it"),
                 "put a neuron between the two, or give all these units one delay",
             ));
         }
@@ -190,7 +190,7 @@ impl Reader<'_> {
         let node = &self.flat.nodes[name];
         let bad = |what: String| wrong(format!("node '{name}': {what}"));
         let &[channels, height, width] = shape else {
-            return Err(bad(format!("the shape {shape:?} that arrives has no height and width")));
+            return Err(bad(format!("its input of shape {shape:?} has no height and width")));
         };
         let line = node.kind == "Conv1d";
         let pair = |key: &str, default: usize, least: f64| -> Result<(usize, usize)> {
@@ -213,7 +213,7 @@ impl Reader<'_> {
             let plane: Vec<f64> = plane.reals().collect();
             let arrives = [height as f64, width as f64];
             if !(plane == arrives || (line && plane == arrives[1..])) {
-                return Err(bad(format!("its input_shape is {plane:?}, {height} x {width} arrive")));
+                return Err(bad(format!("its input_shape is {plane:?}, but its input is {height} x {width}")));
             }
         }
         let (size, out, groups, kernel) = if conv {
@@ -227,7 +227,7 @@ impl Reader<'_> {
             if per_group.checked_mul(groups) != Some(channels) || out % groups != 0 || out == 0 || size.0 * size.1 == 0
             {
                 return Err(bad(format!(
-                    "its weight is {:?} in {groups} groups, {channels} channels arrive",
+                    "its weight is {:?} in {groups} groups, but its input has {channels} channels",
                     numbers.shape()
                 )));
             }
@@ -269,7 +269,7 @@ impl Reader<'_> {
             side(width, size.1, stride.1, padding.1 + after.1, dilation.1),
         );
         let (Some(to_h), Some(to_w)) = target else {
-            return Err(bad(format!("its window is larger than the {height} x {width} that arrive")));
+            return Err(bad(format!("its window is larger than its input of {height} x {width}")));
         };
         if product(&[out, to_h, to_w]).is_none() {
             return Err(bad(format!("it makes more than {MOST_UNITS} units")));
@@ -285,7 +285,7 @@ impl Reader<'_> {
         if shape.is_empty() || shape.iter().product::<f64>() == units as f64 {
             return Ok(());
         }
-        Err(wrong(format!("node '{name}' has the shape {shape:?}, and {units} units arrive")))
+        Err(wrong(format!("node '{name}' has shape {shape:?}, but its input has {units} units")))
     }
 
     pub(super) fn too_many(&self, name: &str) -> Diagnostic {

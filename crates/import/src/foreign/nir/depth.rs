@@ -43,7 +43,7 @@ impl Reader<'_> {
         let arrives = depth(from) + u32::from(!looping);
         if arrives > depth(to) {
             self.notes.push(format!(
-                "the loop from '{from}' to '{to}' takes {} steps more than where all layers answer in one",
+                "the loop from '{from}' to '{to}' takes additional steps ({}), as each layer takes a step on the chip",
                 arrives - depth(to)
             ));
         }

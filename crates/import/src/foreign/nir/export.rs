@@ -44,7 +44,7 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     let integers = |population: &&PopulationDesc| population.payload.is_some() || population.message_bits.is_some();
     if let Some(population) = model.populations.iter().find(integers) {
         let name = &population.name;
-        return Err(unsupported(format!("population '{name}', whose messages carry integers, cannot be exported")));
+        return Err(unsupported(format!("population '{name}' cannot be exported: its messages carry integers")));
     }
     let dt = model.timestep_ms / 1e3;
     let mut graph = Graph { dt, ..Graph::default() };
@@ -55,7 +55,7 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
         graph.population(population)?;
         if population.loihi.is_some() && wires.entering(&population.name).is_empty() {
             graph.notes.push(format!(
-                "'{}' has no input: nir.read of Python gives it an input of its own, which a file that it writes keeps",
+                "'{}' has no input: Python's nir.read adds one, and nir.write then writes it to the file",
                 population.name
             ));
         }
@@ -97,7 +97,7 @@ pub(in crate::foreign) fn restore(
     Some(restored(metadata, metadata.text(TEXT)?).and_then(|model| match export(&model) {
         // Another version of nsim may write this model differently.
         Ok((again, _)) if parts.iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
-        Ok(_) => Err(format!("its {what} are not those that it was written with")),
+        Ok(_) => Err(format!("its {what} differ from the model in its metadata")),
         Err(problem) => Err(problem.to_string()),
     }))
 }
@@ -111,16 +111,17 @@ fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
             Item::Group(entry) => entry.text("key").zip(entry.numbers("numbers")),
             _ => None,
         };
-        let (key, numbers) = entry.ok_or("an array of its metadata is none")?;
+        let (key, numbers) = entry.ok_or("an entry of its metadata is not an array")?;
         let reals: Vec<f64> = numbers.reals().collect();
         let numbers_of = if numbers.is_integer() {
             let whole: Option<Vec<i32>> =
                 reals.iter().map(|&x| (f64::from(x as i32) == x).then_some(x as i32)).collect();
-            tensor::Numbers::Integers(whole.ok_or("an array of its metadata is beyond 32 bits")?)
+            tensor::Numbers::Integers(whole.ok_or("an array of its metadata has numbers beyond 32 bits")?)
         } else {
             tensor::Numbers::Reals(reals)
         };
-        let tensor = Tensor::new(numbers.shape().to_vec(), numbers_of).ok_or("an array of its metadata is none")?;
+        let tensor =
+            Tensor::new(numbers.shape().to_vec(), numbers_of).ok_or("an entry of its metadata is not an array")?;
         arrays.insert(ArrayRef::Safetensors(ARRAYS.to_string(), key.to_string()), tensor);
     }
     let network = Network::new(file, source, arrays).map_err(|problem| problem.to_string())?;
@@ -262,7 +263,9 @@ impl Graph {
         let units = population.units() as usize;
         let name = &population.name;
         if population.units() > MOST_MATRIX {
-            return Err(unsupported(format!("'{name}' has {units} units: parameters of NIR are one for each")));
+            return Err(unsupported(format!(
+                "'{name}' has {units} units: a parameter in NIR has one value for each unit"
+            )));
         }
         let Some(parameters) = &population.loihi else {
             self.nodes.insert(name, node("Input").with("shape", shape(&population.shape)));
@@ -283,7 +286,7 @@ impl Graph {
             NeuronKind::If => (Parameter::Same(1.0), Parameter::Same(0.0)),
             kind => {
                 let kind = kind.name();
-                return Err(unsupported(format!("'{name}' has {kind} neurons, which no node of NIR describes")));
+                return Err(unsupported(format!("'{name}' has {kind} neurons, which NIR does not support")));
             }
         };
         let threshold = get("vth_mant").or(get("vth")).cloned().unwrap_or(Parameter::Same(NOTHING));
@@ -312,7 +315,7 @@ impl Graph {
         self.nodes.insert(name, neuron);
         if population.kind == NeuronKind::SoftReset {
             self.notes.push(format!(
-                "NIR has no reset by subtraction: other tools will reset '{name}' to zero, only nsim sees what it does"
+                "NIR has no reset by subtraction: other tools will reset '{name}' to zero, and only nsim will subtract"
             ));
         }
         let usual = [("refractory", 1.0), ("vmin_exp", 23.0), ("vmax_exp", 7.0)];
@@ -323,7 +326,7 @@ impl Graph {
             .chain((population.start_step > 0).then_some("start_step"))
             .collect();
         if !lost.is_empty() {
-            self.notes.push(format!("NIR has no {}: only nsim will see that of '{name}'", lost.join(", ")));
+            self.notes.push(format!("NIR has no {}: only nsim reads this part of '{name}'", lost.join(", ")));
         }
         Ok(())
     }
@@ -337,8 +340,7 @@ impl Graph {
         let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
         if matrix && target.shape.len() > 1 {
             self.notes.push(format!(
-                "weights from {} make a line of '{}', which is {:?}: nir.read of Python will refuse the file, nsim \
-                 reads it",
+                "weights from {} flatten '{}' of shape {:?}: Python's nir.read will refuse the file, nsim reads it",
                 projection.from.join(" and "),
                 target.name,
                 target.shape
@@ -483,7 +485,7 @@ impl Graph {
         let (&[out, inner, kh, kw], &[_, from_h, from_w], &[_, to_h, to_w]) =
             (axes, source.shape.as_slice(), target.shape.as_slice())
         else {
-            return Err(unsupported(format!("the convolution to '{}' has no volumes", target.name)));
+            return Err(unsupported(format!("the convolution to '{}' does not connect volumes", target.name)));
         };
         let axis = |(from, to), kernel, stride, before, dilation| Axis { from, to, kernel, stride, before, dilation };
         let rows = axis((from_h, to_h), kh as u64, stride.0, before.0, dilation.0);
@@ -501,7 +503,7 @@ impl Graph {
                 ));
                 let own = |axis: Axis| (axis.kernel..=*sizes.end()).find_map(|size| axis.widened(size));
                 own(rows).zip(own(columns)).ok_or_else(|| {
-                    unsupported(format!("the paddings of the convolution to '{}' have no form in NIR", target.name))
+                    unsupported(format!("NIR does not support the paddings of the convolution to '{}'", target.name))
                 })?
             }
         };
@@ -512,7 +514,7 @@ impl Graph {
         let in_one = groups > 1 && (out * all * height * width) as u64 <= MOST_MATRIX;
         if groups > 1 && !in_one {
             self.notes.push(format!(
-                "the convolution to '{}' has {groups} groups: nir.read of Python will refuse the file, nsim reads it",
+                "the convolution to '{}' has {groups} groups: Python's nir.read will refuse the file, nsim reads it",
                 target.name
             ));
         }

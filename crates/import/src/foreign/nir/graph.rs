@@ -18,12 +18,12 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
     if depth > DEEPEST {
         return Err(wrong(format!("graphs are nested deeper than {DEEPEST}")));
     }
-    let nodes = graph.group("nodes").ok_or_else(|| wrong("a graph has no group 'nodes'"))?;
+    let nodes = graph.group("nodes").ok_or_else(|| wrong("group 'nodes' of a graph is missing"))?;
     let mut graphs: BTreeMap<&str, (Vec<String>, Vec<String>)> = BTreeMap::new();
     let mut names: BTreeSet<&str> = BTreeSet::new();
     for (name, item) in &nodes.items {
-        let Item::Group(node) = item else { return Err(wrong(format!("node '{name}' is no group"))) };
-        let kind = node.text("type").ok_or_else(|| wrong(format!("node '{name}' does not say its type")))?;
+        let Item::Group(node) = item else { return Err(wrong(format!("node '{name}' is not a group"))) };
+        let kind = node.text("type").ok_or_else(|| wrong(format!("node '{name}': field 'type' is missing")))?;
         names.insert(name);
         let full = format!("{prefix}{name}");
         if full.len() > 512 || flat.nodes.len() >= MOST_NODES {
@@ -47,12 +47,12 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
         Some(Item::Texts(shape, texts)) if shape.len() == 2 && shape[1] == 2 => texts,
         Some(Item::Texts(_, texts)) if texts.is_empty() => &[],
         Some(Item::Numbers(numbers)) if numbers.is_empty() => &[],
-        _ => return Err(wrong("a graph's 'edges' are no pairs of names")),
+        _ => return Err(wrong("'edges' of a graph is not a list of pairs of names")),
     };
     for pair in edges.chunks_exact(2) {
         for end in pair {
             if !names.contains(end.as_str()) {
-                return Err(wrong(format!("an edge names '{end}', which is no node")));
+                return Err(wrong(format!("an edge names '{end}', which is not a node")));
             }
         }
         let single = |end: &String| vec![format!("{prefix}{end}")];
@@ -158,7 +158,7 @@ impl Reader<'_> {
             for (from, _) in self.flat.edges.iter().filter(|(_, end)| end == last) {
                 let mut longer = path.clone();
                 if path.contains(from) && !is_population(&self.flat.nodes[from].kind) {
-                    return Err(wrong(format!("node '{from}' feeds itself without a neuron in between")));
+                    return Err(wrong(format!("node '{from}' is in a loop without a neuron")));
                 }
                 longer.push(from.clone());
                 if is_population(&self.flat.nodes[from].kind) {
@@ -170,7 +170,7 @@ impl Reader<'_> {
                     open.push(longer);
                 }
                 if paths.len() + open.len() > MOST_PATHS {
-                    return Err(wrong(format!("more than {MOST_PATHS} ways lead to '{to}'")));
+                    return Err(wrong(format!("'{to}' receives input over more than {MOST_PATHS} paths")));
                 }
             }
         }

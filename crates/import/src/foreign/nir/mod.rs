@@ -63,7 +63,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         return Ok(Imported { reset: Some(reset), ..imported });
     }
     if graph.text("type") != Some("NIRGraph") {
-        return Err(wrong("its root is no NIRGraph"));
+        return Err(wrong("its root is not a NIRGraph"));
     }
     let mut flat = Flat::default();
     unfold(graph, "", 0, &mut flat)?;
@@ -105,7 +105,7 @@ pub(super) fn restored(
     let mut model = match written {
         Some(Ok(model)) => model,
         Some(Err(why)) => {
-            notes.push(format!("written by nsim, but {why}: read as any other file"));
+            notes.push(format!("written by nsim, but {why}: read like a file of another tool"));
             return Ok(None);
         }
         None => return Ok(None),
@@ -122,10 +122,10 @@ pub(super) fn restored(
     if let Some(option) = contradicted.or(other_test).or(decay).or(other_step.then_some("--dt")) {
         let dt = model.timestep_ms;
         let message = format!("the file holds a model of nsim with a timestep of {dt} ms, which {option} contradicts");
-        return Err(wrong_option(message).help("leave the option out: the model is restored as it was"));
+        return Err(wrong_option(message).help("remove the option: the model is restored unchanged"));
     }
     model.decision = options.decision.unwrap_or(model.decision);
-    let notes = vec!["written by nsim and unchanged since: restored as it was".to_string()];
+    let notes = vec!["written by nsim and not modified since: restored unchanged".to_string()];
     Ok(Some(Imported { kind, model, notes, layers: Vec::new(), assumed: None, reset: None }))
 }
 
@@ -197,19 +197,19 @@ impl Reader<'_> {
         self.output(&order)?;
         match self.options.reset {
             None if unsaid => self.assumed.push(
-                "the file does not say how neurons reset; as on the chip v returns to zero: --reset subtract-later of \
-                 nsim import reads a network of snnTorch that subtracts, --reset subtract one of sinabs (SingleSpike; \
-                 its MultiSpike has no counterpart), and --reset zero confirms zero"
+                "the file has no field for the reset, so v returns to zero, as on the chip. For a network that \
+                 subtracts, give --reset subtract-later of nsim import (snnTorch) or --reset subtract (sinabs with \
+                 SingleSpike; MultiSpike is not supported). --reset zero confirms zero"
                     .to_string(),
             ),
             Some(reset @ (ResetMode::Subtract | ResetMode::SubtractLater)) if unsaid => {
                 let when = match reset {
                     ResetMode::Subtract => "when they spike",
-                    _ => "in the step after their spike, of which a synapse to themselves takes what decays too early",
+                    _ => "in the step after their spike, with a self-synapse for the part that decays too early",
                 };
                 self.notes.push(format!(
-                    "neurons subtract their threshold {when} (SoftReset), as --reset {} says: Loihi 1 has no such \
-                     compartment; nsim convert makes them reset to zero and measures the loss",
+                    "neurons subtract their threshold {when} (SoftReset), because of --reset {}. Loihi 1 has no such \
+                     compartment; nsim convert changes it to a reset to zero and measures the loss",
                     reset.name()
                 ));
             }
@@ -225,15 +225,15 @@ impl Reader<'_> {
             let unknown = |key: &&String| !known.contains(&key.as_str()) && !WITHOUT_MEANING.contains(&key.as_str());
             if let (false, Some(key)) = (known.is_empty(), node.group.items.keys().find(unknown)) {
                 return Err(unsupported(
-                    format!("node '{name}' has a field '{key}', which nodes of the type '{}' do not have", node.kind),
+                    format!("node '{name}' has field '{key}', which nodes of type '{}' do not support", node.kind),
                     "remove it if the network does not depend on it",
                 ));
             }
             if known.is_empty() {
                 return Err(unsupported(
-                    format!("node '{name}' is of the type '{}'", node.kind),
-                    "imported are Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, Threshold, \
-                     Conv1d, Conv2d, SumPool2d, AvgPool2d, Flatten, Delay and graphs of them",
+                    format!("node '{name}' has type '{}', which is not supported", node.kind),
+                    "supported types: Input, Output, Linear, Affine, Scale, CubaLIF, LIF, IF, CubaLI, LI, I, \
+                     Threshold, Conv1d, Conv2d, SumPool2d, AvgPool2d, Flatten, Delay and graphs of them",
                 ));
             }
         }

@@ -86,7 +86,7 @@ impl Reader<'_> {
     /// The timestep in seconds: given by option, or implied by all nodes.
     pub(super) fn timestep(&mut self) -> Result<f64> {
         if let Some(dt) = self.options.dt_ms {
-            self.notes.push(format!("timestep {dt} ms, as --dt says"));
+            self.notes.push(format!("timestep {dt} ms, from --dt"));
             return Ok(dt / 1e3);
         }
         let (mut found, mut timed): (Vec<(String, f64)>, bool) = (Vec::new(), false);
@@ -116,17 +116,17 @@ impl Reader<'_> {
             }
         }
         if !timed {
-            self.notes.push("nothing in the file depends on the timestep: 1 ms".to_string());
+            self.notes.push("timestep 1 ms: nothing in the file depends on it".to_string());
             return Ok(1e-3);
         }
         let ask = |message: String| {
             wrong_option(message).help(
-                "say how long a timestep is: --dt MS, for example --dt 0.1. No timestep suits the time constants that \
-                 Norse writes: nsim.from_torch reads its modules",
+                "give the timestep with --dt MS, for example --dt 0.1. No timestep suits the time constants that Norse \
+                 writes: read its modules with nsim.from_torch",
             )
         };
         let Some((_, first)) = found.first().cloned() else {
-            return Err(ask("the timestep is not in the file, and its nodes do not imply one".to_string()));
+            return Err(ask("the file has no timestep, and its nodes do not imply one".to_string()));
         };
         if let Some((name, other)) =
             found.iter().find(|(_, dt)| (dt / first - 1.0).abs().partial_cmp(&1e-3) != Some(Ordering::Less))
@@ -175,8 +175,8 @@ impl Reader<'_> {
             if self.options.decay == Some(DecayRule::Exponential) {
                 if let Some(&tau) = tau.values().iter().find(|&&tau| dt > tau) {
                     long.borrow_mut().push(format!(
-                        "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so that a step leaves \
-                         {:.2} % of the state: a network of Norse or snnTorch is read by nsim.from_torch",
+                        "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so one step keeps \
+                         {:.2} % of the state; nsim.from_torch reads networks of Norse and snnTorch",
                         dt * 1e3,
                         format!("{:.4e}", tau * 1e3).parse().unwrap_or(tau * 1e3),
                         100.0 * (-dt / tau).exp()
@@ -187,8 +187,8 @@ impl Reader<'_> {
             if !all(&tau, |tau| dt <= tau * (1.0 + 1e-6)) {
                 let message = format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3);
                 return Err(wrong_option(message).help(
-                    "give a shorter one with --dt MS; time constants of a file are in seconds. A tool whose states \
-                     decay by exp(-dt / tau) is read with --decay exponential",
+                    "give a shorter timestep with --dt MS; time constants in the file are in seconds. For tools whose \
+                     states decay by exp(-dt / tau), give --decay exponential",
                 ));
             }
             Ok(tau.map(|tau| (dt / tau).min(1.0)))
@@ -209,7 +209,7 @@ impl Reader<'_> {
         let spiking = resets(&node.kind);
         if spiking && !all(&get("v_reset", Some(0.0))?, |v| v == 0.0) {
             return Err(unsupported(
-                format!("node '{name}' resets to another value than 0"),
+                format!("node '{name}' resets to a value other than 0"),
                 "a compartment of Loihi returns to zero",
             ));
         }
@@ -221,8 +221,8 @@ impl Reader<'_> {
         // Thresholds of 0 are mantissas of 0; next to others, weights would have no scale.
         if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0) && !all(threshold, |x| x == 0.0)) {
             return Err(unsupported(
-                format!("node '{name}' has a threshold below 0, or one of 0 beside others"),
-                "a threshold mantissa is not negative, and weights are scaled by it",
+                format!("node '{name}' has a threshold below 0, or both a threshold of 0 and others"),
+                "a threshold mantissa cannot be negative, and weights are scaled by the threshold",
             ));
         }
         let times = |fraction: &Parameter, key: &str, default: f64| -> Result<Parameter> {

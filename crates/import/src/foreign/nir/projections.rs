@@ -17,8 +17,8 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 /// The diagnostic for too many listed synapses.
 fn beyond_listed() -> Diagnostic {
     unsupported(
-        format!("more than {MOST_LISTED} synapses would be listed one by one"),
-        "projections that are no matrix and no window are listed",
+        format!("more than {MOST_LISTED} synapses would be listed individually"),
+        "projections are listed by synapse unless they are a matrix or a window",
     )
 }
 
@@ -42,7 +42,7 @@ impl Reader<'_> {
         }
         if waits {
             self.notes
-                .push("layers start a step later than their depth: a bias reaches the first current then".to_string());
+                .push("layers start one step after their depth, when a bias first reaches the current".to_string());
         }
         let started = self.depths.iter_mut().filter(|(name, _)| self.flat.nodes[*name].kind != "Input");
         started.for_each(|(_, depth)| *depth += u32::from(waits));
@@ -62,7 +62,7 @@ impl Reader<'_> {
             let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
             if product(&arrived.shape) != Some(units) {
                 return Err(wrong(format!(
-                    "{:?} arrives at '{name}', which has {shape:?}: its shape differs from that of its parameters",
+                    "'{name}' receives shape {:?}, but its parameters have shape {shape:?}",
                     arrived.shape
                 )));
             }
@@ -74,7 +74,7 @@ impl Reader<'_> {
             if !new && earlier > 0 {
                 return Err(unsupported(
                     format!("'{name}' receives a sum of layers with biases through another layer with a bias"),
-                    "fold the biases of what is summed into that of the layer behind the sum",
+                    "fold the biases of the summed layers into the bias of the layer after the sum",
                 ));
             }
             if let Some(added) = arrived.bias.as_ref().filter(|_| new) {
@@ -93,7 +93,7 @@ impl Reader<'_> {
             let kind = ProjectionKind::Dense(tensor(vec![units, 1], weights));
             projections.push(ProjectionDesc::new(&source, &self.names[name], kind));
             self.notes.push(format!(
-                "'{name}': its current keeps a bias, which '{source}', a compartment that spikes in every step, brings"
+                "'{name}': its current needs a bias, so '{source}', a compartment that spikes in every step, was added"
             ));
         }
         let to = self.names[name].clone();
@@ -114,16 +114,20 @@ impl Reader<'_> {
             }
             if bias.iter().any(|&b| b != 0.0) {
                 let register: Vec<f64> = bias.iter().map(|b| b * scale * 64.0).collect();
-                let exponent =
-                    (0..=7).find(|&e| register.iter().all(|b| (b / f64::from(1 << e)).abs() <= 4095.0)).ok_or_else(
-                        || unsupported(format!("the bias of '{name}' is beyond its weights"), "scale it down"),
-                    )?;
+                let exponent = (0..=7)
+                    .find(|&e| register.iter().all(|b| (b / f64::from(1 << e)).abs() <= 4095.0))
+                    .ok_or_else(|| {
+                        unsupported(
+                            format!("the bias of '{name}' is outside the range of its weights"),
+                            "scale it down",
+                        )
+                    })?;
                 let mantissas = register.iter().map(|b| (b / f64::from(1 << exponent)).round_ties_even()).collect();
                 parameters.push(("bias_mant", Parameter::from_values(mantissas)));
                 parameters.push(("bias_exp", Parameter::Same(f64::from(exponent))));
             }
             let spikes = if neuron.threshold.is_none() { "never spikes" } else { "spikes above 0" };
-            self.notes.push(format!("'{name}' {spikes}: its v counts {} for a unit", scale * 64.0));
+            self.notes.push(format!("'{name}' {spikes}: a potential of 1 in the file is v = {}", scale * 64.0));
         } else if bias.iter().any(|&b| b != 0.0) {
             parameters.push(("bias", Parameter::from_values(bias)));
         }
@@ -233,8 +237,8 @@ impl Reader<'_> {
         let longest = waits + before.iter().max().unwrap_or(&0) + behind.iter().max().unwrap_or(&0);
         if f64::from(longest) > LONGEST_DELAY {
             return Err(unsupported(
-                format!("delays from '{from}' to '{to}', with the wait for spikes of longer ways, are {longest} steps"),
-                "the delay field holds 0 to 62 steps: skip fewer layers",
+                format!("delays from '{from}' to '{to}', padded to the longest path, are {longest} steps"),
+                "the delay field holds 0 to 62 steps: shorten the skip connection",
             ));
         }
         let projection = |kind| ProjectionDesc::new(&self.names[from], &self.names[to], kind);
@@ -265,11 +269,11 @@ impl Reader<'_> {
             let last = order.iter().rev().find(|name| neurons(name)).ok_or_else(|| wrong("it has no neurons"))?;
             self.model.output = self.names[last].clone();
             self.drain(&last.clone());
-            self.notes.push(format!("no way leads to an output; '{}' is taken for it", self.model.output));
+            self.notes.push(format!("no path leads to an output node; '{}' is used as the output", self.model.output));
             return Ok(());
         };
         if outputs.len() > 1 {
-            self.notes.push(format!("there are {} outputs; '{output}' is taken", outputs.len()));
+            self.notes.push(format!("there are {} outputs; '{output}' is used", outputs.len()));
         }
         let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
         self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;
@@ -291,7 +295,7 @@ impl Reader<'_> {
         let population = PopulationDesc::loihi(&name, shape, integrator(4096.0, 4096.0));
         self.model.populations.push(PopulationDesc { start_step, ..population });
         self.notes
-            .push(format!("weights lead to '{output}' without a neuron: '{name}' shows their sum of each step as v"));
+            .push(format!("weights lead to '{output}' without a neuron: the v of '{name}' is their sum in each step"));
         self.incoming(&output, &Discrete::memoryless(None))?;
         self.model.output = name;
         self.drain(&output);
@@ -304,9 +308,8 @@ impl Reader<'_> {
         self.model.drain = depth;
         if depth > 0 {
             self.notes.push(format!(
-                "layer k starts at step k, as a spike takes a step from layer to layer; {depth} more after the last \
-                 step of the input (drain), as the tools that train such networks let a spike pass all layers in one \
-                 step"
+                "layer k starts at step k, as a spike takes one step from layer to layer. In training tools a spike \
+                 passes all layers in one step, so more steps follow the last step of the input (drain {depth})"
             ));
         }
     }

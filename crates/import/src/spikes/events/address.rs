@@ -99,17 +99,17 @@ pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         sink.size(width, height);
     }
     if let Some(version) = number("Version").filter(|&version| version != 2) {
-        return Err(wrong(format!("version {version} of .dat is not read; version 2 is"))
+        return Err(wrong(format!("version {version} of .dat is not supported; version 2 is"))
             .help("write it again with the tools of its camera: metavision_file_to_dat -i FILE"));
     }
     let mut kind = [0; 2];
     if !fill(input, &mut kind, sink)? {
-        return Err(wrong("the file ends behind its header"));
+        return Err(wrong("the file ends after its header"));
     }
     if !matches!(kind, [0 | 12 | 40, 8]) {
         let named = if kind[0] == 14 { " (external triggers)" } else { "" };
         let message = format!("its records are of type {}{named} and {} bytes, not events of pixels", kind[0], kind[1]);
-        return Err(wrong(message).help("the types 0, 12 and 40 of 8 bytes are read"));
+        return Err(wrong(message).help("supported are the types 0, 12 and 40 of 8 bytes"));
     }
     let mut bytes = [0; 8];
     // 32 bits of microseconds overflow after 71 minutes.
@@ -126,7 +126,7 @@ pub fn dat(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
         }
         before = time;
         if word >> 28 > 1 {
-            return Err(wrong(format!("event {index} has the polarity {}; 0 and 1 are known", word >> 28)));
+            return Err(wrong(format!("event {index} has polarity {}, expected 0 or 1", word >> 28)));
         }
         index += 1;
         let t_us = (turns << 32) + i64::from(time);

@@ -98,12 +98,12 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
     if !there || &magic != MAGIC {
         let version = magic.strip_prefix(AEDAT).map(|rest| String::from_utf8_lossy(rest).trim().to_string());
         let what = match &version {
-            Some(version) => format!("this is AEDAT {}, and AEDAT 4.0 is read", version.escape_debug()),
-            None => "this is no AEDAT4".to_string(),
+            Some(version) => format!("AEDAT {} is not supported; AEDAT 4.0 is", version.escape_debug()),
+            None => "this is not an AEDAT4 file".to_string(),
         };
         return Err(wrong(what).help(
-            "DV converts AEDAT 2 and 3 to AEDAT4 when it opens them; rows of text with the header t_us,x,y,p are read \
-             too",
+            "DV converts AEDAT 2 and 3 to AEDAT4 when it opens them; rows of text with the header t_us,x,y,p are \
+             supported too",
         ));
     }
     let mut at = magic.len() as u64;
@@ -153,7 +153,9 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
         let packet = unpack(packed, compression)?;
         budget.grow(at - std::mem::replace(&mut earned, at));
         if let Err(exceeded) = budget.bytes(packet.len() as u64) {
-            return Err(wrong(format!("its packets decompress to more than recordings of events do: {exceeded}")));
+            return Err(wrong(format!(
+                "its packets decompress to more bytes than a recording of events may have: {exceeded}"
+            )));
         }
         // The size precedes the root's offset and the identifier.
         let events = packet.get(4..).filter(|buffer| buffer.get(4..8) == Some(b"EVTS"));
@@ -208,7 +210,7 @@ fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>> {
                     .map_err(|error| damaged(&error))?;
             decoder.take(limit).read_to_end(&mut plain).map_err(|error| damaged(&error))?;
         }
-        other => return Err(wrong(format!("compression {other} is not known"))),
+        other => return Err(wrong(format!("compression {other} is not supported"))),
     }
     if plain.len() > MOST_PACKET {
         return Err(wrong(format!("a packet decompresses to more than {MOST_PACKET} bytes")));
@@ -219,7 +221,7 @@ fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>> {
 /// The next bytes, allocated as they are read; `None`, with a count, when the input ends early.
 fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
     if size > MOST_PACKET {
-        return Err(wrong(format!("a packet at byte {at} claims {size} bytes, more than {MOST_PACKET}")));
+        return Err(wrong(format!("a packet at byte {at} has a length of {size} bytes, more than {MOST_PACKET}")));
     }
     let mut bytes = Vec::new();
     input.take(size as u64).read_to_end(&mut bytes).map_err(|error| unreadable(&error))?;

@@ -95,7 +95,7 @@ impl Bins {
             (None, None, None) => of_population
                 .or(*assumed)
                 .or_else(|| u32::try_from(expected.units / u64::from(planes)).ok().map(|n| (n, 1)))
-                .ok_or_else(|| wrong("nothing says how large the sensor is").help("add size=W,H to the source"))?,
+                .ok_or_else(|| wrong("the size of the sensor is missing").help("add size=W,H to the source"))?,
         };
         let (left, top) = options.crop.map_or((0, 0), |crop| (crop.0, crop.1));
         let (columns, rows) = (size.0.div_ceil(pool.0), size.1.div_ceil(pool.1));
@@ -156,7 +156,8 @@ impl Bins {
                 format!("an event at {t_us} us falls into step {step}, beyond {MOST_STEPS}"),
             )
             .help(
-                "give the number of timesteps (steps=N), a longer bin (bin_ms=T), or another beginning (start=first)",
+                "give the number of timesteps (steps=N), a longer bin (bin_ms=T), or start at the first event \
+                (start=first)",
             )),
         }
     }
@@ -172,7 +173,7 @@ impl Bins {
         let short = span < step && events > 2 && span > 0.0;
         if short || span > gaps * 1e6 || gaps > span * 1e3 && span > 0.0 {
             let message = format!(
-                "nothing says the unit of the times; as microseconds they are implausible: {events} events in {} ms",
+                "the unit of the times is missing, and microseconds are implausible: {events} events in {} ms",
                 span / 1e3
             );
             return Err(unit_unknown(message));
@@ -190,7 +191,7 @@ impl Bins {
             Some(steps) => steps,
             None if self.settled.is_empty() => {
                 return Err(Diagnostic::new("input.empty", "no event falls into the window")
-                    .help("a recording of silence says how long it is: steps=N"));
+                    .help("give the number of steps of a silent recording: steps=N"));
             }
             None => self.last_step + 1,
         };

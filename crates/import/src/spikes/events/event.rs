@@ -107,7 +107,7 @@ pub(super) fn rows(
         number += 1;
         let outcome = match std::str::from_utf8(&line) {
             _ if line.len() > longest => Err(wrong(format!("it is longer than {longest} bytes"))),
-            Err(_) => Err(wrong("it is no text")),
+            Err(_) => Err(wrong("it is not text")),
             Ok(text) => match text.trim_start_matches('\u{feff}').trim() {
                 text if text.is_empty() || text.starts_with('#') => continue,
                 text => row(text, sink),

@@ -48,11 +48,11 @@ pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) ->
         Some("2.0") if camera.is_some() => Err(no_streams("EVT2")),
         Some("2.0") => evt2(input, sink),
         Some("3.0") => evt3(camera, input, sink),
-        Some("2.1") => Err(wrong("EVT2.1 is not read: sensors differ in its byte order")
+        Some("2.1") => Err(wrong("EVT2.1 is not supported: its byte order depends on the sensor")
             .help("convert it with the tools of its camera: metavision_file_to_dat -i FILE")),
         Some(other) => {
             let other: String = other.chars().take(40).collect();
-            Err(wrong(format!("the encoding '{other}' is not read; EVT2 and EVT3 are"))
+            Err(wrong(format!("encoding '{other}' is not supported; EVT2 and EVT3 are"))
                 .help("convert it with the tools of its camera: metavision_file_to_dat -i FILE"))
         }
         None => Err(wrong("the header names no encoding").help("a .raw file begins with lines such as '% evt 3.0'")),

@@ -56,7 +56,7 @@ fn observable<'a>(root: &'a Group, population: &str) -> Result<&'a Group> {
     chosen.ok_or_else(|| {
         let names: Vec<String> = found.iter().take(8).map(|(node, name, _)| format!("{node}/{name}")).collect();
         wrong(format!("which of the observables {} is for '{population}'?", names.join(", ")))
-            .help("name the node like the population, and its observable 'spikes'")
+            .help("give the node the name of the population, and its observable the name 'spikes'")
     })
 }
 
@@ -76,7 +76,7 @@ pub fn read(
     let gridded = kind(group) == Some("TimeGriddedData");
     let least = least.filter(|_| gridded);
     if *options != (EventOptions { bin_us, steps, least, ..EventOptions::default() }) {
-        let message = "NIR data has channels and times: bin_ms and steps are its only options, and least of a grid";
+        let message = "NIR data supports only the options bin_ms and steps, and least for data on a grid";
         return Err(Diagnostic::new("input.option", message));
     }
     let of_grid = ArrayOptions { least, ..ArrayOptions::default() };
@@ -115,10 +115,10 @@ pub fn read(
             if (grid_us - step_us).abs() > step_us * 1e-6 {
                 let (grid, step) = (grid_us / 1e3, step_us / 1e3);
                 return Err(wrong(format!("a step of its grid (dt) is {grid} ms, a timestep {step} ms"))
-                    .help(format!("FILE?bin_ms={grid} takes each step of the grid as a timestep")));
+                    .help(format!("FILE?bin_ms={grid} makes each step of the grid a timestep")));
             }
             if options.steps.is_some_and(|wanted| wanted as usize != steps) {
-                let message = format!("the grid has {steps} steps: steps= is for events");
+                let message = format!("the grid has {steps} steps, and steps= applies to events only");
                 return Err(Diagnostic::new("input.option", message));
             }
             check(units as f64)?;
@@ -156,7 +156,7 @@ pub fn read(
                 if let Some(value) = values.as_ref().map(|values| values.get(at).copied().unwrap_or(f64::NAN))
                     && value != 1.0
                 {
-                    return Err(wrong(format!("an event carries the value {value}; events of the value 1 are spikes"))
+                    return Err(wrong(format!("an event has the value {value}, expected 1 (a spike)"))
                         .help("write the events without values, as EventData"));
                 }
                 let step = (seconds / bin_s + 1e-6).floor();
@@ -167,7 +167,7 @@ pub fn read(
             }
             Ok(recordings)
         }
-        other => Err(wrong(format!("an observable of the kind '{}'", other.unwrap_or("?")))),
+        other => Err(wrong(format!("an observable of type '{}' is not supported", other.unwrap_or("?")))),
     }
 }
 

@@ -28,7 +28,7 @@ pub fn decode(format: EventFormat, options: &EventOptions, input: &mut dyn BufRe
         return Err(no_streams("this format"));
     }
     if unit.is_some() && format != EventFormat::Text {
-        return Err(Diagnostic::new("input.option", "the format says the unit of its times: unit= is for text"));
+        return Err(Diagnostic::new("input.option", "the format defines the unit of its times: unit= is for text"));
     }
     match format {
         // On a taller sensor, row 240 has pixels.
@@ -111,7 +111,7 @@ pub fn report(path: &Path, counts: &Counts) {
         *counts;
     let (first, last) = span_us.unwrap_or((0, 0));
     let mut line = format!(
-        "{}: {:.3} ms, {} events used, {dropped} dropped, {clock_turns} turns of the clock repaired",
+        "{}: {:.3} ms, {} events used, {dropped} dropped, {clock_turns} wraps of the clock corrected",
         path.display(),
         (last - first) as f64 / 1e3,
         events - dropped
@@ -119,15 +119,15 @@ pub fn report(path: &Path, counts: &Counts) {
     for (count, what) in [
         (merged, "merged into spikes with others"),
         (disordered, "out of order"),
-        (faint, "bins below the least"),
-        (not_events, "records that are no events of pixels"),
+        (faint, "bins below the option least"),
+        (not_events, "records that are not pixel events"),
     ] {
         if count > 0 {
             line += &format!(", {count} {what}");
         }
     }
     if let Some(bytes) = cut_bytes {
-        line += &format!("; the file is cut off, and its last {bytes} bytes are no whole record");
+        line += &format!("; the file is cut off, and its last {bytes} bytes are not a whole record");
     }
     if dropped + disordered + faint + clock_turns > 0 || cut_bytes.is_some() {
         tracing::warn!(target: RECORDING, "{line}");

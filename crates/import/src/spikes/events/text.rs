@@ -35,8 +35,9 @@ struct Columns {
 
 /// The diagnostic for times of unknown unit that are implausible as microseconds.
 pub(super) fn unit_unknown(message: String) -> Diagnostic {
-    Diagnostic::new("input.unit", message)
-        .help("name the times t_s, t_ms, t_us or t_ns, or say their unit in the source: FILE?unit=s (or ms, us, ns)")
+    Diagnostic::new("input.unit", message).help(
+        "name the column of times t_s, t_ms, t_us or t_ns, or give the unit in the source: FILE?unit=s (or ms, us, ns)",
+    )
 }
 
 impl Columns {
@@ -51,8 +52,10 @@ impl Columns {
         let mut times = names.iter().enumerate().filter_map(|(place, name)| Some((place, unit(name)?)));
         let (time, unit) = times.next()?;
         let refused = match (times.next(), find(&SEVERAL)) {
-            (Some((other, _)), _) => Some(format!("'{}' and '{}' are both times", names[time], names[other])),
-            (None, place) => place.map(|place| format!("a column '{}' keeps several recordings apart", names[place])),
+            (Some((other, _)), _) => {
+                Some(format!("'{}' and '{}' are both columns of times", names[time], names[other]))
+            }
+            (None, place) => place.map(|place| format!("column '{}' numbers several recordings", names[place])),
         };
         const POLARITY: [&str; 3] = ["p", "polarity", "pol"];
         let twice = [&["x"][..], &["y"], &POLARITY].into_iter().find_map(|wanted| {
@@ -74,7 +77,7 @@ impl Columns {
                 .parse::<f64>()
                 .ok()
                 .filter(|x| x.is_finite())
-                .ok_or_else(|| wrong(format!("{name} '{shown}' is no number")))
+                .ok_or_else(|| wrong(format!("{name} '{shown}' is not a number")))
         };
         let place = |column: Option<usize>, name: &str| -> Result<u32> {
             let Some(column) = column else { return Ok(0) };
@@ -102,7 +105,7 @@ impl Columns {
         let t_us = self.unit.unwrap_or(TimeUnit::Microseconds).microseconds(time);
         if self.unit.is_none() && (time.fract() != 0.0 || t_us.abs() > MOST_US) {
             return Err(unit_unknown(format!(
-                "nothing says the unit of the time {time}, which is not one of whole microseconds"
+                "the unit of the times is missing, and {time} is not a plausible whole number of microseconds"
             )));
         }
         if t_us.abs() > MOST_US {
@@ -129,12 +132,12 @@ pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Si
             return sink.event(columns.event(text)?);
         }
         let help = "a header names t_us, x, y and p in any order; y and p may be absent";
-        let mut named = Columns::from_header(text).ok_or_else(|| wrong("it is no header of events").help(help))?;
+        let mut named = Columns::from_header(text).ok_or_else(|| wrong("it is not a header of events").help(help))?;
         if let Some(why) = &named.refused {
             return Err(wrong(why).help("write a file for each recording, with the columns t_us, x, y and p"));
         }
         if named.unit.is_some_and(|unit| said.is_some_and(|said| said != unit)) {
-            let message = "unit= contradicts the unit in the name of the times";
+            let message = "unit= contradicts the unit in the name of the column of times";
             return Err(Diagnostic::new("input.option", message).help("leave unit= out"));
         }
         named.unit = named.unit.or(said);
@@ -178,12 +181,12 @@ mod tests {
         assert_eq!(read("# made by hand\r\np, y ,T_ms,x,more\r\n1,2,0.005,1,7\r\n\r\n-1,4,0.009,3,7").unwrap(), meant);
         assert_eq!(read("x,timestamp\n1,5\n").unwrap(), [(5, 1, 0, true)]);
         for (wrong, what) in [
-            ("1,2,3\n", "no header"),
-            ("t,x,y\n1,2\n", "row 2: y '' is no number"),
+            ("1,2,3\n", "not a header"),
+            ("t,x,y\n1,2\n", "row 2: y '' is not a number"),
             ("t,x\n1,-1\n", "x -1"),
             ("t,x,p\n1,1,2\n", "polarity 2"),
             ("t,x,p,pol\n1,1,1,0\n", "'p' and 'pol' are the same field"),
-            ("t,x\nNaN,1\n", "no number"),
+            ("t,x\nNaN,1\n", "not a number"),
         ] {
             let error = read(wrong).unwrap_err();
             assert!(error.code == "input.events" && error.message.contains(what), "{wrong}: {error}");
