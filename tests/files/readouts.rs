@@ -226,8 +226,14 @@ fn a_conversion_keeps_what_decides() {
           Dense(from: ["hidden"], to: "out", weights: Uniform(low: -4, high: 6, seed: 2))],
         output: "out", decision: SumOfV)"#;
     std::fs::write(folder.join("srm.ron"), model).unwrap();
+    for name in ["out.nir", "out.net"] {
+        let (code, _, error) = nsim(folder, format!("export container-tactile-srm -o {name}").as_str());
+        assert!(code == 3 && error.contains("'hidden' has spike response neurons"), "{code}: {error}");
+        assert!(error.contains("nsim convert MODEL --input INPUT -o FILE.ron") && !folder.join(name).exists());
+    }
     let convert = object(folder, "convert srm.ron --input in.npy -o loihi.ron", 0);
     assert!(convert["class_agreement"].is_number(), "{convert}");
+    object(folder, "export loihi.ron -o out.nir", 0);
     let (trained, converted) = ("run srm.ron --input in.npy", "run loihi.ron --input in.npy");
     let (trained, converted) = (object(folder, trained, 0), object(folder, converted, 0));
     assert_eq!((&trained["decision"], &converted["decision"]), (&"sum_of_v".into(), &"sum_of_v".into()));

@@ -9,7 +9,7 @@
 //! Errors: `export.unsupported` for a model without a form in netx.
 
 use crate::foreign::hdf5::{Group, Item, Numbers};
-use crate::foreign::nir::export::{MOST_MATRIX, text_of};
+use crate::foreign::nir::export::{MOST_MATRIX, check_neurons, text_of};
 use crate::foreign::window::Step;
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -84,6 +84,7 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 /// `export.unsupported` for populations that do not form a chain, real parameters, kinds of neurons
 /// or projections that netx lacks, weights that are not whole.
 pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
+    check_neurons(model)?;
     let mut notes = Vec::new();
     let mut layers = Group::default();
     let is_input = |population: &PopulationDesc| population.loihi.is_none() && population.srm.is_none();

@@ -38,9 +38,20 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 /// Refuses a model with spike response neurons, whose kernels no format of other tools holds.
 ///
 /// # Errors
-/// `export.unsupported` for what has no form in NIR: spike response neurons, messages that carry
-/// integers, lists of synapses beyond 2^24 places.
+/// `export.unsupported`.
+pub(in crate::foreign) fn check_neurons(model: &NetworkFile) -> Result<()> {
+    let Some(population) = model.populations.iter().find(|population| population.srm.is_some()) else { return Ok(()) };
+    let message = format!("'{}' has spike response neurons, which other tools do not support", population.name);
+    Err(unsupported(message).help("convert them to Loihi neurons: nsim convert MODEL --input INPUT -o FILE.ron"))
+}
+
+/// The tree of a file, and notes on properties of the model that NIR lacks.
+///
+/// # Errors
+/// `export.unsupported` for a model without a form in NIR: spike response neurons, neuron kinds of
+/// Loihi 2, messages that carry integers, lists of synapses beyond 2^24 places.
 pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
+    check_neurons(model)?;
     let integers = |population: &&PopulationDesc| population.payload.is_some() || population.message_bits.is_some();
     if let Some(population) = model.populations.iter().find(integers) {
         let name = &population.name;
@@ -416,7 +427,7 @@ impl Graph {
             ProjectionKind::Sparse(synapses) => {
                 if rows.checked_mul(columns).is_none_or(|all| all > MOST_MATRIX) {
                     return Err(unsupported(format!(
-                        "the listed synapses to '{}' are a matrix of {rows} x {columns} in NIR, more than \
+                        "the listed synapses to '{}' become a matrix of {rows} x {columns} in NIR, more than \
                          {MOST_MATRIX} numbers",
                         target.name
                     )));
@@ -497,7 +508,7 @@ impl Graph {
             Some(both) => both,
             None => {
                 self.notes.push(format!(
-                    "the kernel to '{}' is {kh} x {kw} and cannot be made square: nir.read of Python may refuse the \
+                    "the kernel to '{}' is {kh} x {kw} and cannot be made square: Python's nir.read may refuse the \
                      file, nsim reads it",
                     target.name
                 ));
