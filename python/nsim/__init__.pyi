@@ -13,19 +13,19 @@ Spikes = Union[Array, Events, Dictionary[str, Union[Array, Events]], str, Sequen
 __version__: str
 
 class Error(Exception):
-    """What nsim cannot do."""
+    """A failure of nsim."""
 
     code: str
     """A stable name: 'model.unknown', 'input.shape', 'map.does-not-fit', 'usage', .."""
     place: Optional[str]
     """FILE:LINE:COLUMN, or FILE."""
     help: Optional[str]
-    """What to change."""
+    """The remedy."""
     reasons: list[dict[str, Any]]
     """Every problem; where a network does not fit, the `reasons` of `nsim map --format json`."""
 
 class Warning(UserWarning):
-    """What stands out in a run, such as a population that never spikes."""
+    """A warning of a run, such as a population that never spikes."""
 
 class Events:
     """Spikes as rows (sample, step, channel), or one sample as records with the fields t, x, y and p."""
@@ -35,8 +35,9 @@ class Events:
     ) -> None: ...
     def __len__(self) -> int: ...
 
-def load(model: Path) -> Network:
-    """Loads a model file or a shipped model."""
+def load(model: Path, **options: Any) -> Network:
+    """Loads a model file or a shipped model. Options complete the file of another tool: `dt_ms`, `neuron`, `reset`, `decay`,
+    `threshold`, `decision`, `input_shape`."""
 
 def from_nir(
     graph: Any,
@@ -46,12 +47,13 @@ def from_nir(
     reset: Optional[str] = None,
     decay: Optional[str] = None,
     threshold: Optional[str] = None,
+    decision: Optional[str] = None,
 ) -> Network:
     """A `nir.NIRGraph` as a network, as `nsim import` reads its file; `dt_ms` is the timestep in ms."""
 
 def from_torch(module: Any, sample: Any, *, export: Any = None, **options: Any) -> Network:
-    """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`. Of snnTorch, what would spike
-    otherwise is refused; others are exported to NIR by Norse or nirtorch."""
+    """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`. A network
+    of snnTorch or Norse that would spike differently is refused; modules of other tools need `export`, their exporter to NIR."""
 
 def sweep(
     sweep: Path, *, threads: Optional[int] = None, client: Any = None, parts: Optional[int] = None
@@ -60,7 +62,7 @@ def sweep(
 
 class Table:
     csv: str
-    """What `nsim sweep -o` writes."""
+    """The text that `nsim sweep -o` writes."""
     @property
     def columns(self) -> list[str]: ...
     @property
@@ -83,7 +85,7 @@ class Network:
         """Populations and projections as in a model file; weights are `[target, source]`, a kernel, or a SciPy sparse array."""
     @property
     def notes(self) -> list[str]:
-        """By which conventions another tool's network was read."""
+        """Conventions by which another tool's network was read."""
     @property
     def name(self) -> str: ...
     @property
@@ -102,7 +104,7 @@ class Network:
         seed: int = 0,
         mapping: Optional[Path] = None,
     ) -> Mapping:
-        """The network on the cores of a target, as `nsim map` places it; `mapping` is a saved one."""
+        """This network on the cores of a target, as in `nsim map`; `mapping` is a saved mapping."""
     def energy(
         self,
         spikes: Spikes = None,
@@ -126,7 +128,7 @@ class Network:
         seed: Optional[int] = None,
         time_first: bool = False,
     ) -> Energy:
-        """What `nsim energy` reports; of 1 copy unless `copies` says more or `deployment` is 'paper'."""
+        """The report of `nsim energy`, for 1 copy unless `copies` is greater or `deployment` is 'paper'."""
 
     def agree(
         self,
@@ -149,7 +151,7 @@ class Network:
         seed: Optional[int] = None,
         time_first: bool = False,
     ) -> Agreement:
-        """Where and why the integers disagree with the network that was trained: `nsim agree`."""
+        """Disagreement of the integers with the trained network, and its causes: `nsim agree`."""
 
     def convert(
         self,
@@ -168,7 +170,7 @@ class Network:
         seed: Optional[int] = None,
         time_first: bool = False,
     ) -> Conversion:
-        """The network in integers, searched for on samples: `nsim convert`."""
+        """The network in integers, by a search on samples: `nsim convert`."""
     def report(
         self,
         path: Path,
@@ -179,9 +181,9 @@ class Network:
         force: bool = False,
         **options: Any,
     ) -> "PathLike[str]":
-        """Writes the page of `nsim report`; the other options are those of `energy`."""
+        """Writes the page of `nsim report`; the other options are as in `energy`."""
     def save(self, path: Path, *, force: bool = False) -> list[str]:
-        """Writes a model file, and its arrays beside it."""
+        """Writes a model file, and its arrays next to it."""
 
 class Conversion:
     @property
@@ -189,17 +191,17 @@ class Conversion:
         """The network in integers."""
     @property
     def class_agreement(self) -> Optional[float]:
-        """On samples that were held out; without any, on those that were searched on."""
+        """Share on held-out samples; without any, on the samples of the search."""
     @property
     def stages(self) -> list[dict[str, Any]]: ...
     @property
     def layers(self) -> list[dict[str, Any]]: ...
     def save(self, path: Path, *, force: bool = False) -> list[str]:
-        """Writes what `nsim convert -o` writes."""
+        """Writes the files of `nsim convert -o`."""
     def table(self) -> Any:
         """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
-        """What `nsim convert --format json` prints."""
+        """The object that `nsim convert --format json` prints."""
     def _repr_html_(self) -> str: ...
 
 class Training:
@@ -221,11 +223,11 @@ class Training:
     def csv(self) -> str:
         """The history as `nsim train --log` writes it."""
     def save(self, path: Path, *, force: bool = False) -> list["PathLike[str]"]:
-        """Writes what `nsim train -o` writes."""
+        """Writes the files of `nsim train -o`."""
     def table(self) -> Any:
         """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
-        """What `nsim train --format json` prints."""
+        """The object that `nsim train --format json` prints."""
     def _repr_html_(self) -> str: ...
 
 def train(
@@ -252,7 +254,7 @@ class Agreement:
     def table(self) -> Any:
         """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
-        """What `nsim agree --format json` prints."""
+        """The object that `nsim agree --format json` prints."""
     def _repr_html_(self) -> str: ...
 
 class Mapping:
@@ -272,17 +274,17 @@ class Mapping:
     def seed(self) -> int: ...
     @property
     def compartments(self) -> int:
-        """Of all copies."""
+        """Compartments of all copies."""
     @property
     def populations(self) -> list[tuple[str, str, list[int]]]:
         """(name, kind, shape) of one copy as it runs; kind is 'input' or 'integers'."""
     @property
     def output(self) -> str:
-        """The population whose spikes are the answer."""
+        """The output population, which decides the class."""
     def projections(self) -> list[dict[str, Any]]:
         """Integer weights of one copy, `[target, source]` or `[C', C / groups, kh, kw]`, with exponent, delay and window."""
     def to_ron(self) -> str:
-        """What `nsim map -o` writes."""
+        """The text that `nsim map -o` writes."""
     def run(
         self,
         spikes: Spikes = None,
@@ -297,7 +299,7 @@ class Mapping:
     ) -> Run:
         """Runs `[channels.., T]`, `[samples, channels.., T]`, a dictionary of such arrays, sources, or the model's scene."""
     def session(self, seed: Optional[int] = None) -> Session:
-        """Opens a session, to be stepped from a loop."""
+        """Opens a session, which a loop steps."""
     def energy(
         self,
         spikes: Spikes = None,
@@ -332,16 +334,16 @@ class Mapping:
         seed: Optional[int] = None,
         time_first: bool = False,
     ) -> dict[str, Any]:
-        """How long a timestep takes to simulate on one thread."""
+        """Time to simulate a timestep on one thread."""
     def report(self, path: Path, spikes: Spikes = None, *, force: bool = False, **options: Any) -> "PathLike[str]":
-        """Writes the page of `nsim report`; the other options are those of `energy`."""
+        """Writes the page of `nsim report`; the other options are as in `energy`."""
 
 class Session:
     """A mapping after some timestep."""
 
     def step(self, inputs: Union[dict[str, Channels], Channels, None] = None) -> None:
-        """One timestep with the channels of each input population that spike: their numbers, or a truth value each;
-        of an input population that sends integers, one for each channel."""
+        """Runs one timestep with the channels of each input population that spike: their numbers, or a truth value each;
+        an input population that sends integers takes an integer for each channel."""
     @property
     def steps(self) -> int:
         """Timesteps since the session was opened or reset."""
@@ -350,7 +352,7 @@ class Session:
     def restore(self, snapshot: Snapshot) -> None: ...
     def reset(self) -> None: ...
     def energy(self, **options: Any) -> Energy:
-        """What the timesteps so far cost; options are those of `Mapping.energy`."""
+        """Cost of the timesteps so far; options are as in `Mapping.energy`."""
     def __enter__(self) -> Session: ...
     def __exit__(self, *exception: object) -> None: ...
 
@@ -358,20 +360,20 @@ class Snapshot:
     """The state of a session after some timestep."""
 
 class Population:
-    """What a population of a session did in the last timestep."""
+    """Spikes and state of a population of a session after the last timestep."""
 
     @property
     def spikes(self) -> NDArray[np.int32]:
-        """Who spiked, ascending."""
+        """Numbers of the units that spiked, ascending."""
     @property
     def values(self) -> NDArray[np.int32]:
-        """What each of these spikes carried, 1 for a binary spike."""
+        """Integer of each of these spikes, 1 for a binary spike."""
     @property
     def v(self) -> NDArray[np.int32]: ...
     @property
     def u(self) -> NDArray[np.int32]: ...
     def state(self, name: str) -> NDArray[np.int32]:
-        """A word of state of each neuron by its name, such as sigma."""
+        """A word of state of each neuron by the name of the word, such as sigma."""
     def __len__(self) -> int: ...
 
 class Run:
@@ -383,7 +385,7 @@ class Run:
         """Spikes of each output, `[samples, outputs]`; all 0 where a potential decides."""
     @property
     def scores(self) -> NDArray[np.float64]:
-        """What decides, `[samples, outputs]`: spikes, or what is read of the potential."""
+        """Scores of the decision, `[samples, outputs]`: spikes, or numbers of the potential."""
     @property
     def predicted(self) -> list[Optional[int]]: ...
     @property
@@ -399,9 +401,9 @@ class Run:
     def activity(self) -> dict[str, Any]: ...
     @property
     def warnings(self) -> list[dict[str, Any]]:
-        """What stands out: code, population, message."""
+        """Warnings: code, population, message."""
     def probe(self, name: str) -> NDArray[np.int32]:
-        """What `run(probe=[name])` recorded, `[samples, compartments, T]`."""
+        """The recording of `run(probe=[name])`, `[samples, compartments, T]`."""
     def samples(self) -> Any:
         """A data frame with a row for each sample: sample, label, predicted, steps, counts_0 and so on."""
     def neurobench(self) -> dict[str, Any]:
@@ -411,21 +413,21 @@ class Run:
     def table(self) -> Any:
         """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
-        """What `nsim run --format json` prints."""
+        """The object that `nsim run --format json` prints."""
     def _repr_html_(self) -> str: ...
     def __len__(self) -> int: ...
 
 class Energy:
     @property
     def energy_uj(self) -> Optional[float]:
-        """Of a timestep of one copy."""
+        """Energy of a timestep of one copy, in uJ."""
     @property
     def latency_us(self) -> Optional[float]:
-        """Of a timestep."""
+        """Time of a timestep, in us."""
     @property
     def rows(self) -> list[dict[str, Any]]: ...
     def table(self) -> Any:
         """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:
-        """What `nsim energy --format json` prints."""
+        """The object that `nsim energy --format json` prints."""
     def _repr_html_(self) -> str: ...
