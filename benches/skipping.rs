@@ -24,7 +24,7 @@ use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::{Plan, prune};
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::front::front;
-use nsim::session::{Keep, digest, run_sample};
+use nsim::session::{Keep, Session, digest};
 
 /// Rounds in which every row is timed once.
 const ROUNDS: usize = 25;
@@ -108,8 +108,8 @@ type Did = (String, u64, u64, u64);
 fn measure(scene: &Scene) {
     let rows = rows(scene);
     let images: Vec<Arc<Image>> = rows.iter().map(|row| Image::new(&row.program, 1).unwrap()).collect();
-    let mut machines: Vec<Machine> = (rows.iter().zip(&images))
-        .map(|(row, image)| Machine::new(image, Settings { skip: row.skip, per_step: false }))
+    let mut sessions: Vec<Session> = (rows.iter().zip(&images))
+        .map(|(row, image)| Session::new(Machine::new(image, Settings { skip: row.skip, per_step: false }), 1))
         .collect();
     let keeps: Vec<Keep> = rows
         .iter()
@@ -120,11 +120,11 @@ fn measure(scene: &Scene) {
         .collect();
     let mut times: Vec<Vec<f64>> = vec![Vec::new(); rows.len()];
     let mut did: Vec<Did> = Vec::new();
-    for (machine, keep) in machines.iter_mut().zip(&keeps) {
+    for (session, keep) in sessions.iter_mut().zip(&keeps) {
         let (mut outcomes, mut visited) = (Vec::new(), 0);
         for sample in &scene.samples {
-            let outcome = run_sample(machine, sample, keep, ());
-            visited += outcome.totals.compartment_updates - machine.skipped_updates();
+            let outcome = session.run(sample, keep, ());
+            visited += outcome.totals.compartment_updates - session.engine().skipped_updates();
             outcomes.push(outcome);
         }
         let sum = |of: fn(&nsim::session::Outcome) -> u64| outcomes.iter().map(of).sum::<u64>();
@@ -134,10 +134,10 @@ fn measure(scene: &Scene) {
     // Times of a few microseconds are measured over several repeats.
     let repeats = (20_000 / (did[0].1 as usize).max(1)).max(1);
     for _ in 0..ROUNDS {
-        for ((machine, keep), times) in machines.iter_mut().zip(&keeps).zip(&mut times) {
+        for ((session, keep), times) in sessions.iter_mut().zip(&keeps).zip(&mut times) {
             let begin = Instant::now();
             for sample in std::iter::repeat_n(&scene.samples, repeats).flatten() {
-                black_box(run_sample(machine, sample, keep, ()));
+                black_box(session.run(sample, keep, ()));
             }
             times.push(begin.elapsed().as_secs_f64() * 1e6 / repeats as f64);
         }

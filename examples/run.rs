@@ -9,7 +9,7 @@ use nsim::ir::base::id::ChannelId;
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
-use nsim::session::{Keep, run_sample};
+use nsim::session::{Keep, Session};
 
 /// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {
@@ -24,9 +24,8 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let sample = Sample::new(100, &spikes, None)?;
 
     let image = Image::new(program, 1)?;
-    let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
-    let keep = Keep::new(program.output());
-    let outcome = run_sample(&mut machine, &sample, &keep, ());
+    let mut session = Session::new(Machine::new(&image, Settings { skip: true, per_step: false }), 1);
+    let outcome = session.run(&sample, &Keep::new(program.output()), ());
 
     println!("class {:?}, spikes of each output {:?}", outcome.class(), outcome.counts);
     println!("{} synaptic events in {} steps", outcome.totals.synaptic_events, outcome.steps);

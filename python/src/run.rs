@@ -5,7 +5,7 @@ use std::sync::Arc;
 use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Quantised;
-use nsim::ir::spikes::{Copies, Sample};
+use nsim::ir::spikes::Sample;
 use nsim::report::run::RunReport;
 use nsim::session::cores::core_rows;
 use nsim::session::decision::{EarlyExit, Rule};
@@ -90,9 +90,7 @@ fn simulated(
     progress: samples::Progress<'_>,
 ) -> Result<samples::Run<()>, Diagnostic> {
     let compiled = mapping.compiled();
-    // Copies share no input channels: each sees the whole sample.
-    let copies = Copies { copies: compiled.options.copies, channels: compiled.one.channels() };
-    let running = Running { copies, progress, ..Running::new(keep) };
+    let running = Running { copies: compiled.options.copies, progress, ..Running::new(keep) };
     let division = Division::new(&compiled.program, samples.len());
     match mapping.image(division) {
         Some(image) => Ok(fast_on(image, division, samples, running, || ())),

@@ -8,8 +8,8 @@ use nsim::ir::graph::Shape;
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
+use nsim::session::Session as Stepped;
 use nsim::session::samples::{Division, laid_out};
-use nsim::session::session::Session as Stepped;
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
@@ -285,14 +285,14 @@ impl Population {
         Ok(match &population.units {
             Units::Input(first) => {
                 let carried = |value| population.message.factor().unwrap_or(value);
-                let own = stepped.shown().iter().filter_map(|&(channel, value)| {
+                let own = stepped.shown().filter_map(|(channel, value)| {
                     Some((channel.0.checked_sub(first.0).filter(|&number| number < units)?, carried(value)))
                 });
                 own.collect()
             }
             Units::Compartments { first, .. } => {
                 let spikes = stepped.spikes(*first, units);
-                spikes.into_iter().map(|(i, value)| (network.index_shown(self.id, i), value)).collect()
+                spikes.into_iter().map(|(i, value)| (network.index_before_pruning(self.id, i), value)).collect()
             }
         })
     }
@@ -314,10 +314,11 @@ impl Population {
             return Err(usage(message, &format!("their state is: {}", known.join(", "))));
         };
         let engine = stepped.engine();
-        // Compartments that pruning took away rest at 0.
-        let mut values = vec![0; network.units_shown(self.id) as usize];
+        // Pruned compartments have state 0.
+        let mut values = vec![0; network.units_before_pruning(self.id) as usize];
         for i in 0..population.shape.len() {
-            values[network.index_shown(self.id, i) as usize] = engine.state(CompartmentId(first.0 + i), column);
+            values[network.index_before_pruning(self.id, i) as usize] =
+                engine.state(CompartmentId(first.0 + i), column);
         }
         Ok(PyArray1::from_vec(py, values))
     }
@@ -357,6 +358,6 @@ impl Population {
     }
 
     fn __len__(&self, py: Python<'_>) -> usize {
-        self.session.borrow(py).network().units_shown(self.id) as usize
+        self.session.borrow(py).network().units_before_pruning(self.id) as usize
     }
 }

@@ -43,7 +43,7 @@ impl Shown {
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        let outputs = network.units_shown(network.parts().output);
+        let outputs = network.units_before_pruning(network.parts().output);
         Shown::of_classes(outputs.into(), network, scene, spikes, keywords)
     }
 

@@ -240,7 +240,7 @@ fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
             continue;
         }
         let Some(source) = source(population, what) else { continue };
-        if let Some(lost) = network.kept(id).map(|kept| network.units_shown(id) - kept.len() as u32) {
+        if let Some(lost) = network.kept_units(id).map(|kept| network.units_before_pruning(id) - kept.len() as u32) {
             let name = &population.name;
             let message = format!("--probe {text}: {lost} compartments of '{name}' were pruned and have no registers");
             let help = "map again without --prune, or prune in this run (--prune), which does not prune probed \

@@ -77,7 +77,7 @@ pub fn trace(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> T
         let silent = sample.next_spike(step) - step;
         let rested = [silent, u32::from(step.is_multiple_of(3))]
             .into_iter()
-            .find(|&n| (1..=silent).contains(&n) && engine.rest(n));
+            .find(|&n| (1..=silent).contains(&n) && engine.skip_idle(n));
         if rested.is_none() {
             engine.step(sample.input(step));
         }

@@ -23,6 +23,7 @@ use nsim::ir::quantised::connectivity::SynapseFormat;
 use nsim::ir::quantised::{Neuron, Quantised};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
+use nsim::session::Session;
 
 /// Options for programs that are run alone: no places are searched for.
 pub fn unsearched() -> Options {
@@ -32,10 +33,24 @@ pub fn unsearched() -> Options {
 /// Every engine that must give equal results, ready to begin: the interpreter, and the machine on
 /// as few cores as possible. Only the number of compartments limits a core.
 pub fn engines(network: &Quantised) -> Vec<(&'static str, Box<dyn Engine>)> {
+    let machine = machines(network);
+    let [fast, unskipped] = [true, false].map(|skip| Box::new(machine(skip)));
+    vec![("golden", Box::new(Golden::new(network))), ("fast", fast), ("fast without skipping", unskipped)]
+}
+
+/// These engines, each in a session.
+pub fn sessions(network: &Quantised) -> Vec<(&'static str, Box<Session<dyn Engine>>)> {
+    let machine = machines(network);
+    let [fast, unskipped] = [true, false].map(|skip| Box::new(Session::new(machine(skip), 1)));
+    let golden = Box::new(Session::new(Golden::new(network), 1));
+    vec![("golden", golden), ("fast", fast), ("fast without skipping", unskipped)]
+}
+
+/// Machines with skipping or without.
+fn machines(network: &Quantised) -> impl Fn(bool) -> Machine {
     let compiled = compile(network.clone(), &compare::roomy("oheo-gulch"), &unsearched()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
-    let machine = |skip| Box::new(Machine::new(&image, Settings { skip, per_step: false }));
-    vec![("golden", Box::new(Golden::new(network))), ("fast", machine(true)), ("fast without skipping", machine(false))]
+    move |skip| Machine::new(&image, Settings { skip, per_step: false })
 }
 
 /// A folder of recorded data, in `$NSIM_DATA` or `../shared/data` next to the repository. Without

@@ -11,7 +11,7 @@ use nsim::ir::graph::{PerCompartment, Shape, Window};
 use nsim::ir::mapping::{MappedCore, MappingFile, Run};
 use nsim::ir::neurons::{Emits, NeuronKind, ParameterField, Port, Role, Storage};
 use nsim::ir::placement::Mesh;
-use nsim::ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
+use nsim::ir::quantised::connectivity::{Connectivity, SeparateSum, SynapseFormat};
 use nsim::ir::quantised::{Child, Neuron, Quantised, Units};
 use nsim::ir::spikes::{Message, Sample};
 pub use nsim_testing::Draw;
@@ -275,7 +275,7 @@ pub fn mixed(seed: u64) -> Quantised {
     for projection in parts.projections.iter_mut() {
         let table = kinds[projection.target].table();
         if !table.registers && draw.chance(35) {
-            projection.format.apart = Some(Apart { number: draw.from(0, 3) as u8, wraps: draw.chance(50) });
+            projection.format.apart = Some(SeparateSum { number: draw.from(0, 3) as u8, wraps: draw.chance(50) });
             if draw.chance(50) {
                 projection.format.exponent = WeightExponent::new(draw.from(-8, -1)).unwrap();
             }

@@ -12,11 +12,12 @@ use nsim::golden::Golden;
 use nsim::import::model::load_model;
 use nsim::ir::activity::Activity;
 use nsim::ir::quantised::Quantised;
+use nsim::ir::spikes::Engine;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::front::front;
 use nsim::session::observers::Passed;
-use nsim::session::{Keep, Outcome, run_sample};
+use nsim::session::{Keep, Outcome, Session};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -52,10 +53,8 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
         .map(|seed| {
             let network = common::random::network(seed);
             let sample = common::random::sample(&network, seed);
-            let mut engines = common::engines(&network);
-            let run = |engine: &mut dyn nsim::ir::spikes::Engine, rule| {
-                run_sample(engine, &sample, &keep(&network, rule), ())
-            };
+            let mut engines = common::sessions(&network);
+            let run = |session: &mut Session<dyn Engine>, rule| session.run(&sample, &keep(&network, rule), ());
             let whole = run(engines[0].1.as_mut(), None);
             [Rule::Certain, margin(1 + seed as u32 % 5)].map(|rule| {
                 let what = format!("network {seed}, {rule}");
@@ -73,7 +72,7 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
                 let noted = Outcome { decided_at, decided_class, steps_saved, ..skipping_aside(&whole) };
                 assert_eq!(noted.class_when_decided(), golden.class(), "{what}");
                 for (name, engine) in &mut engines {
-                    let outcome = run_sample(engine.as_mut(), &sample, &watched, ());
+                    let outcome = engine.run(&sample, &watched, ());
                     assert_eq!(skipping_aside(&outcome), noted, "{what}, {name}, watched");
                 }
                 u32::from(golden.decided_at.is_some())
@@ -98,22 +97,26 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
         let outcomes: Vec<[Outcome; 2]> = samples
             .par_iter()
             .map(|sample| {
-                let mut golden = Golden::new(network);
-                let early = run_sample(&mut golden, sample, &keep(network, Some(rule)), ());
-                let mut machine = Machine::new(&image, Settings { per_step: true, ..Settings::default() });
-                // The whole sample, with the counts of the steps that the early one runs.
+                let mut golden = Session::new(Golden::new(network), 1);
+                let early = golden.run(sample, &keep(network, Some(rule)), ());
+                let settings = Settings { per_step: true, ..Settings::default() };
+                let mut session = Session::new(Machine::new(&image, settings), 1);
+                // The whole sample, with the counts of the steps of the shortened one.
                 let mut counted = Activity::new(compiled.program.cores().len());
                 let mut left = early.steps;
-                let whole =
-                    run_sample(&mut machine, sample, &keep(network, None), |machine: &Machine, passed: Passed| {
-                        counted.add_steps(machine.last_step(), u64::from(passed.steps.min(left)));
-                        left -= passed.steps.min(left);
-                    });
+                let whole = session.run(sample, &keep(network, None), |machine: &Machine, passed: Passed| {
+                    counted.add_steps(machine.last_step(), u64::from(passed.steps.min(left)));
+                    left -= passed.steps.min(left);
+                });
                 assert_begins(&early, &whole, &rule.to_string());
-                machine.take_activity();
-                let fast = run_sample(&mut machine, sample, &keep(network, Some(rule)), ());
+                session.engine_mut().take_activity();
+                let fast = session.run(sample, &keep(network, Some(rule)), ());
                 assert_eq!(skipping_aside(&fast), early);
-                assert_eq!(machine.take_activity(), counted, "the first steps of the whole sample, core by core");
+                assert_eq!(
+                    session.engine_mut().take_activity(),
+                    counted,
+                    "the first steps of the whole sample, core by core"
+                );
                 [early, whole]
             })
             .collect();
@@ -125,11 +128,10 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
         if rule == Rule::Certain {
             assert_eq!(same, samples.len());
         }
-        // One sample is one of many to a machine that goes on: nothing is left of the one that
-        // ended early.
-        let mut machine = Machine::new(&image, Settings::default());
+        // A machine that runs more samples keeps nothing of one that ended early.
+        let mut session = Session::new(Machine::new(&image, Settings::default()), 1);
         for (sample, [early, _]) in samples.iter().zip(&outcomes).take(20) {
-            let again = run_sample(&mut machine, sample, &keep(network, Some(rule)), ());
+            let again = session.run(sample, &keep(network, Some(rule)), ());
             assert_eq!(&skipping_aside(&again), early);
         }
     }

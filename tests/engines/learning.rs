@@ -17,7 +17,7 @@ use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::{Engine, Sample, Spikes};
 use nsim::machine::plastic::places::PlasticProjection;
 use nsim::machine::{Image, Machine, Settings};
-use nsim::session::session::Session;
+use nsim::session::Session;
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 200;
@@ -133,7 +133,7 @@ fn ranks_learn_the_same() {
                     machine.begin(sample.steps());
                     for (step, writes) in (0..).zip(writes) {
                         writes.iter().for_each(|(id, weights)| write(&projections, &mut machine, *id, weights));
-                        if !sample.at(step).is_empty() || !machine.rest(1) {
+                        if !sample.at(step).is_empty() || !machine.skip_idle(1) {
                             machine.step(sample.input(step));
                         }
                     }

@@ -13,7 +13,7 @@ use nsim::ir::base::id::ChannelId;
 use nsim::ir::base::units::{Femtojoules, Picoseconds};
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Quantised;
-use nsim::ir::spikes::{Copies, Sample};
+use nsim::ir::spikes::Sample;
 use nsim::session::cores::core_rows;
 use nsim::session::populations::ByPopulation;
 use nsim::session::priced::Metered;
@@ -125,11 +125,10 @@ fn copies_count_together() {
         let options = Options { copies, ..unsearched() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
         let keep = Keep::new(compiled.program.output());
-        let copies = Copies { copies, channels: network.channels() };
         let running = Running { copies, ..Running::new(&keep) };
         let run = nsim::session::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
         let rows = ByPopulation::new(&compiled.one, &run.counts);
-        compare(&compiled, &target, &samples, &rows, &format!("{} copies", copies.copies));
+        compare(&compiled, &target, &samples, &rows, &format!("{} copies", copies));
         rows
     };
     let (one, three) = (rows(1), rows(3));
@@ -188,7 +187,7 @@ fn assert_rows_add_up(compiled: &Mapping, target: &Target, samples: &[&Sample], 
     }
     let activity = &run.activity;
     assert_eq!(sum("synaptic_events"), activity.totals().synaptic_events, "{what}");
-    assert_eq!((sum("messages"), sum("hops")), (activity.messages(), activity.hops().links()), "{what}");
+    assert_eq!((sum("messages"), sum("hops")), (activity.messages(), activity.hops().total_links()), "{what}");
     for (name, part) in energy(activity, &run.meter.tables()[0]).parts() {
         assert_eq!(u128::from(sum(&format!("energy_pj.{name}"))), part.0, "{what}: {name}");
     }

@@ -23,7 +23,7 @@ use nsim::machine::plastic::places::PlasticProjection;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::Plan;
 use nsim::quantise::relays::relayed;
-use nsim::session::session::Session;
+use nsim::session::Session;
 use nsim_testing::sparse;
 use rayon::prelude::*;
 
@@ -101,7 +101,7 @@ pub fn trace<E: Engine>(
     let mut steps = Vec::new();
     for (step, writes) in (0..).zip(writes) {
         writes.iter().for_each(|(id, weights)| write(engine, *id, weights));
-        if !sample.at(step).is_empty() || !engine.rest(1) {
+        if !sample.at(step).is_empty() || !engine.skip_idle(1) {
             engine.step(sample.input(step));
         }
         steps.push(shown(engine, &kinds));

@@ -24,7 +24,7 @@ use nsim::ir::spikes::{Engine, Sample, Stimulus};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::bound::may_fire;
 use nsim::quantise::prune::{Plan, check_stimulus, prune};
-use nsim::session::{Keep, digest, run_sample};
+use nsim::session::{Keep, Session, digest};
 use nsim_testing::cases;
 use rayon::prelude::*;
 
@@ -91,14 +91,15 @@ fn stimulus(samples: Vec<Sample>) -> Stimulus {
     Stimulus { samples, origin: vec!["these samples".to_string()], seed: None }
 }
 
-/// The number in the whole network of each compartment of the pruned one.
-fn numbers(pruned: &Quantised) -> Vec<CompartmentId> {
-    let before = pruned.original().populations();
+/// The compartments of the whole network that remain in the pruned one.
+fn numbers(before: &Quantised, pruned: &Quantised) -> Vec<CompartmentId> {
+    let before = before.populations();
     let mut numbers = Vec::new();
     for (id, population) in pruned.populations().enumerate() {
         let Some(first) = before[id].first_compartment() else { continue };
         assert_eq!(before[id].name, population.name);
-        let shown = (0..population.shape.len()).map(|index| CompartmentId(first.0 + pruned.index_shown(id, index)));
+        let shown =
+            (0..population.shape.len()).map(|index| CompartmentId(first.0 + pruned.index_before_pruning(id, index)));
         numbers.extend(shown);
     }
     assert_eq!(numbers.len(), pruned.compartments() as usize);
@@ -109,12 +110,12 @@ fn numbers(pruned: &Quantised) -> Vec<CompartmentId> {
 pub fn assert_same(
     whole: &mut dyn Engine,
     engines: &mut [(String, &mut dyn Engine)],
-    pruned: &Quantised,
+    (before, pruned): (&Quantised, &Quantised),
     sample: &Sample,
     what: &str,
 ) {
-    let numbers = numbers(pruned);
-    let mut left = vec![false; pruned.original().compartments() as usize];
+    let numbers = numbers(before, pruned);
+    let mut left = vec![false; before.compartments() as usize];
     numbers.iter().for_each(|id| left[id.0 as usize] = true);
     whole.begin(sample.steps());
     engines.iter_mut().for_each(|(_, small)| small.begin(sample.steps()));
@@ -143,10 +144,10 @@ const SETTINGS: [(usize, bool); 6] = [(1, true), (1, false), (2, true), (2, fals
 
 type Counts = BTreeMap<Kind, (u64, u64)>;
 
-/// Adds what was pruned, and of how much.
-fn count(pruned: &Quantised, counts: &mut Counts) {
+/// Adds the numbers of pruned items and of all items, by kind.
+fn count(before: &Quantised, pruned: &Quantised, counts: &mut Counts) {
     let record = pruned.pruned().unwrap();
-    let before = &record.original;
+    assert_eq!(record.before, before.sizes());
     let synapses = record.count(Kind::ZeroSynapse) + record.count(Kind::LooseSynapse);
     assert_eq!(before.synapses(), pruned.synapses() + synapses);
     let compartments = record.count(Kind::SilentCompartment) + record.count(Kind::UnreachableCompartment);
@@ -192,10 +193,10 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
     ] {
         let pruned = prune(&whole, &plan).unwrap();
         if let Some(counts) = counts {
-            count(&pruned, counts);
+            count(&whole, &pruned, counts);
         }
         for &id in plan.probed.iter().chain([&whole.parts().output]) {
-            assert!(pruned.kept(id).is_none(), "network {seed}: what is looked at stays whole");
+            assert!(pruned.kept_units(id).is_none(), "network {seed}: what is looked at stays whole");
         }
         // The compiler checks the program against the pruned network.
         let compiled = compile(pruned.clone(), chip, &plain()).unwrap();
@@ -215,14 +216,14 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
             {
                 engines.push((format!("{shares} shares, skip {skip}"), machine));
             }
-            assert_same(&mut golden, &mut engines, &pruned, sample, &format!("network {seed}, {plan:?}"));
+            assert_same(&mut golden, &mut engines, (&whole, &pruned), sample, &format!("network {seed}, {plan:?}"));
         }
         if plan.scene.as_ref().is_some_and(|scene| !scene.dead.is_empty()) {
             assert_eq!(check_stimulus(&pruned, &[&loud], 0).unwrap_err().code, "input.pruned");
         }
     }
     let keep = Keep::new(whole.output());
-    let outcome = run_sample(&mut golden, &shown, &keep, ());
+    let outcome = Session::new(golden, 1).run(&shown, &keep, ());
     (fixed, scene, [outcome.totals.spikes, outcome.spikes.len() as u64])
 }
 
@@ -264,9 +265,9 @@ fn recorded_touch_is_told_apart_the_same() {
         let compiled = compile(network.clone(), &chip, &plain()).unwrap();
         assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
         let image = Image::new(&compiled.program, shares).unwrap();
-        let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+        let mut session = Session::new(Machine::new(&image, Settings { skip, per_step: false }), 1);
         let keep = Keep::new(compiled.program.output());
-        let run = || samples.iter().map(|s| run_sample(&mut machine, s, &keep, ())).collect();
+        let run = || samples.iter().map(|s| session.run(s, &keep, ())).collect();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(shares).build().unwrap();
         let outcomes: Vec<_> = pool.install(run);
         (digest(&outcomes), outcomes.iter().map(|o| o.totals.synaptic_events).sum::<u64>())

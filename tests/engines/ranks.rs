@@ -12,8 +12,8 @@ use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::units::Picoseconds;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::{Output, Parts, Quantised};
-use nsim::ir::ranks::Share;
-use nsim::ir::spikes::{Copies, Sample};
+use nsim::ir::ranks::RankShare;
+use nsim::ir::spikes::Sample;
 use nsim::machine::ranks::threads::ranks;
 use nsim::machine::ranks::transport::Ranks;
 use nsim::session::decision::{EarlyExit, Rule};
@@ -25,9 +25,9 @@ use rayon::prelude::*;
 const NETWORKS: u64 = 240;
 const MOST_RANKS: u32 = 4;
 
-/// The share of a rank among several; all of it where there is one.
-pub fn share(rank: u32, ranks: u32, whole: bool) -> Share {
-    if ranks > 1 { Share { rank, ranks, whole } } else { Share::ALL }
+/// The share of one rank among several, or everything for a single rank.
+pub fn share(rank: u32, ranks: u32, whole: bool) -> RankShare {
+    if ranks > 1 { RankShare { rank, ranks, whole } } else { RankShare::ALL }
 }
 
 /// Runs each rank on its own thread; returns the first rank's result.
@@ -72,7 +72,7 @@ impl Case {
         Case { network, target, samples, copies, skip: !seed.is_multiple_of(7), what }
     }
 
-    fn compiled(&self, share: Share) -> Mapping {
+    fn compiled(&self, share: RankShare) -> Mapping {
         let options = Options { copies: self.copies, share, ..unsearched() };
         compile(self.network.clone(), &self.target, &options).unwrap_or_else(|e| panic!("{}: {e}", self.what))
     }
@@ -86,14 +86,13 @@ impl Case {
             if count > 1 {
                 let whole = self.compiled(share(rank, count, true));
                 assert_eq!(whole.program.part(rank).unwrap(), **program, "{}: part {rank} of {count}", self.what);
-                assert_eq!(program.synapses_of(|core| !program.holds(core)), 0, "{}", self.what);
+                assert_eq!(program.synapses_of(|core| !program.is_local(core)), 0, "{}", self.what);
             }
             let Output { first, count, .. } = program.output();
             let probe = |quantity| Probe { first, count, quantity };
             let probes = Quantity::ALL.iter().map(|(quantity, _)| probe(*quantity)).collect();
             let keep = Keep { probes, ..Keep::new(program.output()) };
-            let copies = Copies { copies: self.copies, channels: self.network.channels() };
-            let running = Running { copies, skip: self.skip, ranks, ..Running::new(&keep) };
+            let running = Running { copies: self.copies, skip: self.skip, ranks, ..Running::new(&keep) };
             fast(program, &samples, running, || ()).unwrap()
         })
     }

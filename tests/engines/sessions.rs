@@ -10,14 +10,13 @@ use nsim::import::model::load_model;
 use nsim::ir::base::fixed::Payload;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::quantised::{Output, Quantised};
-use nsim::ir::spikes::{Copies, Engine, Message, Sample};
+use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
 use nsim::session::inputs::stimulus;
 use nsim::session::obtain::{Request, obtain};
 use nsim::session::samples::{Running, fast};
-use nsim::session::session::Session;
-use nsim::session::{Keep, Outcome, Probe, Quantity, digest, run_copies};
+use nsim::session::{Keep, Outcome, Probe, Quantity, Session, digest};
 
 /// Spikes, u and v of the first copy after a step.
 type Seen = (Vec<(u32, i32)>, Vec<(i32, i32)>);
@@ -64,11 +63,8 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
         let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
         let probes = [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into();
         let keep = Keep { probes, ..Keep::new(network.output()) };
-        let mut machine = Machine::new(&image, Settings::default());
-        let channels = network.channels();
-        let ran = run_copies(&mut machine, &sample, Copies { copies, channels }, &keep, ());
-
         let mut session = Session::open(&image, &mapped.one, copies);
+        let ran = Session::new(Machine::new(&image, Settings::default()), copies).run(&sample, &keep, ());
         let (n, steps) = (network.compartments() as usize, sample.steps() as usize);
         let mut middle = None;
         let mut all = Vec::new();
@@ -103,6 +99,9 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
             step(&mut session, &sample, t);
             assert!(seen(&session, &network) == all[t as usize], "network {seed}: step {t} after a reset");
         }
+        assert_eq!(session.run(&sample, &keep, ()), ran, "network {seed}: a run after steps");
+        step(&mut session, &sample, 0);
+        assert!(seen(&session, &network) == all[0] && session.steps() == 1, "network {seed}: a step after a run");
     }
     assert!(spikes > 10_000 && graded > 100, "{spikes} spikes, {graded} of them graded");
 }

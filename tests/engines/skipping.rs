@@ -6,7 +6,7 @@ use crate::common;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
 
-use crate::common::{Builder, biased, engines, neuron};
+use crate::common::{Builder, biased, neuron, sessions};
 use nsim::compile::{Mapping, Options, compile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
@@ -21,7 +21,7 @@ use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
 use nsim::session::observers::Passed;
-use nsim::session::{Keep, Outcome, Probe, Quantity, run_sample};
+use nsim::session::{Keep, Outcome, Probe, Quantity, Session};
 use rayon::prelude::*;
 
 /// Output spikes, and u and v of every compartment.
@@ -55,7 +55,7 @@ fn on_small_cores(model: &str) -> Mapping {
 /// no spike in the previous step, every register zero.
 fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u64, u64) {
     let (mut idle, mut at_rest) = (0, true);
-    let outcome = run_sample(&mut Golden::new(network), sample, keep, |engine: &Golden, passed: Passed| {
+    let outcome = Session::new(Golden::new(network), 1).run(sample, keep, |engine: &Golden, passed: Passed| {
         idle += u64::from(at_rest && sample.at(passed.first).is_empty());
         let zero = (0..network.compartments()).map(CompartmentId).all(|c| engine.u(c) == 0 && engine.v(c) == 0);
         at_rest = engine.spikes().is_empty() && zero;
@@ -77,11 +77,11 @@ fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(shards).build().unwrap();
         let run = |samples: &[Sample]| -> Vec<_> {
             let image = Image::new(&compiled.program, shards).unwrap();
-            let mut machine = Machine::new(&image, Settings { skip, per_step: false });
+            let mut session = Session::new(Machine::new(&image, Settings { skip, per_step: false }), 1);
             let one = |sample| {
-                let outcome = run_sample(&mut machine, sample, &keep, ());
-                let skipped = machine.skipped_updates();
-                (essence(outcome), machine.take_activity(), skipped)
+                let outcome = session.run(sample, &keep, ());
+                let skipped = session.engine().skipped_updates();
+                (essence(outcome), session.engine_mut().take_activity(), skipped)
             };
             samples.iter().map(one).collect()
         };
@@ -95,7 +95,7 @@ fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
         }
         // Core by core: messages, events of both kinds, updates, spikes; and hops of each kind.
         let of_cores: Vec<Activity> = fast.into_iter().map(|(_, activity, _)| activity).collect();
-        assert!(of_cores.iter().all(|activity| activity.messages() > 0 && activity.hops().links() > 0));
+        assert!(of_cores.iter().all(|activity| activity.messages() > 0 && activity.hops().total_links() > 0));
         assert_eq!(
             activity.get_or_insert_with(|| of_cores.clone()),
             &of_cores,
@@ -143,8 +143,8 @@ fn agreed(network: &Quantised, sample: &Sample) -> (Outcome, u64) {
     let keep = keep(network);
     let mut agreed: Option<(Outcome, u64)> = None;
     let mut skipped_steps = 0;
-    for (name, mut engine) in engines(network) {
-        let (outcome, traces, skipped) = essence(run_sample(engine.as_mut(), sample, &keep, ()));
+    for (name, mut engine) in sessions(network) {
+        let (outcome, traces, skipped) = essence(engine.run(sample, &keep, ()));
         let expected = agreed.get_or_insert_with(|| (outcome.clone(), traces));
         assert_eq!((&outcome, traces), (&expected.0, expected.1), "{name}");
         match name {

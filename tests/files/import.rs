@@ -22,7 +22,7 @@ use nsim::ir::spikes::Sample;
 use nsim::ir::tensor::Tensor;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
-use nsim::session::{Keep, Probe, Quantity, run_sample};
+use nsim::session::{Keep, Probe, Quantity, Session};
 
 /// (step, unit) of each spike.
 type Spikes = BTreeSet<(u32, u32)>;
@@ -36,12 +36,12 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
     let (first, count) = (population.first_compartment().unwrap(), population.shape.len());
     let output = Output { first, count, decision: ReadOut::Spikes, start_step: 0 };
     let image = Image::new(&compiled.program, 1).unwrap();
-    let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+    let mut session = Session::new(Machine::new(&image, Settings { skip: true, per_step: false }), 1);
     let events: Vec<_> =
         inputs.into_iter().filter(|event| event.0 < steps).map(|(step, c)| (step, ChannelId(c))).collect();
     let sample = Sample::new(steps, &events, None).unwrap();
     let probes = vec![Probe { first, count, quantity: Quantity::Spikes }];
-    let outcome = run_sample(&mut machine, &sample, &Keep { output, probes, early_exit: None }, ());
+    let outcome = session.run(&sample, &Keep { output, probes, early_exit: None }, ());
     outcome.spikes.into_iter().collect()
 }
 

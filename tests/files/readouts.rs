@@ -15,7 +15,7 @@ use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::rng;
 use nsim::ir::quantised::{Parts, Quantised};
 use nsim::session::decision::{EarlyExit, Rule};
-use nsim::session::{Keep, Outcome, Probe, Quantity, run_sample};
+use nsim::session::{Keep, Outcome, Probe, Quantity};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -50,9 +50,9 @@ fn every_engine_decides_by_the_potentials_that_a_probe_reads() {
             let network = Quantised::new(Parts { decision, ..random.parts().clone() }).unwrap();
             let sample = random::sample(&network, seed);
             let mut classes = Vec::new();
-            for (name, mut engine) in common::engines(&network) {
+            for (name, mut engine) in common::sessions(&network) {
                 let what = format!("network {seed}, {name}");
-                let mut run = |rule| run_sample(engine.as_mut(), &sample, &keep(&network, rule), ());
+                let mut run = |rule| engine.run(&sample, &keep(&network, rule), ());
                 let whole = run(None);
                 let from = (network.output().start_step as usize).min(whole.steps as usize);
                 let rows = whole.probes[0].chunks(sample.steps().max(1) as usize).map(|row| row[from..].to_vec());

@@ -16,7 +16,7 @@ use nsim::ir::graph::Shape;
 use nsim::ir::hardware::{Chip, Target};
 use nsim::ir::quantised::Quantised;
 use nsim::ir::resource::Resource;
-use nsim::ir::spikes::{Copies, Engine, Sample};
+use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::Keep;
 use nsim::session::priced::{Metered, run_priced};
@@ -185,7 +185,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
     for seed in 0..160 {
         let (network, target) = (random::network(seed), small_chips(seed));
         let copies = [2, 3, 7, 12][seed as usize / 4 % 4];
-        let (sample, channels) = (random::sample(&network, seed), network.channels());
+        let sample = random::sample(&network, seed);
         let placement = CopyPlacement::ALL[seed as usize % 2];
         let Ok(compiled) = compile(network, &target, &options(copies, placement)) else { continue };
         let work = HostWork::default();
@@ -220,7 +220,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
             // There are no groups here: the whole program runs on its own cores.
             let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
             let settings = Arc::new(settings(&routes));
-            let running = Running { copies: Copies { copies, channels }, per_step: true, ..Running::new(&keep) };
+            let running = Running { copies, per_step: true, ..Running::new(&keep) };
             let whole =
                 samples::fast(&compiled.program, &[&sample], running, || StepMeter::new(settings.clone())).unwrap();
             assert_eq!(fast.activity, whole.activity, "seed {seed}");

@@ -214,7 +214,7 @@ impl Ladder {
                 source: source.index(),
                 target: target.index(),
                 delays: vec![projection.delay.get().into()],
-                restores: analytic::stands_for_reset(&projection.name),
+                restores: analytic::is_reset_name(&projection.name),
                 synapses: Synapses::new(projection, sources, targets, factor),
             }
         };
@@ -236,7 +236,7 @@ impl Ladder {
                 source,
                 target,
                 delays: vec![projection.delay.get().into()],
-                restores: analytic::stands_for_reset(&projection.name),
+                restores: analytic::is_reset_name(&projection.name),
                 synapses: integer_synapses(projection, self.populations[source].count, rescale * payload),
             }
         };

@@ -121,8 +121,8 @@ impl SynapseCode {
 pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Result<u32, Difference> {
     check_frame(network, program)?;
     check_parameters(network, program)?;
-    // A part has not all messages of a core that it does not hold.
-    if program.held_rank().is_none() {
+    // A part lacks some messages of cores that are not local.
+    if program.local_rank().is_none() {
         let compared = compared(network, program, copies);
         let shifts = compared.iter().filter(|&&compared| !compared).count() as u32;
         let complete = || program.synapses_of(|_| true) == network.synapses();
@@ -131,7 +131,7 @@ pub fn check_copies(network: &Quantised, program: &Program, copies: u32) -> Resu
         }
         return check_synapses(network, program, |_| true).map(|()| 0);
     }
-    check_synapses(network, program, |core| program.holds(core)).map(|()| 0)
+    check_synapses(network, program, |core| program.is_local(core)).map(|()| 0)
 }
 
 /// Checks the synapses of the cores that are to be compared.
@@ -185,18 +185,18 @@ fn is_skipped(program: &Program, source: u32, compared: impl Fn(CoreId) -> bool)
 }
 
 fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference> {
-    let (meant, found) = (network.parts(), program.parts());
+    let (expected, actual) = (network.parts(), program.parts());
     let populations = network.populations().iter().map(Compartments::in_population);
     let rules = [
         (program.channels() == network.channels(), "number of input channels"),
         (program.compartments() == network.compartments(), "number of compartments"),
-        (found.populations.iter().copied().eq(populations), "list of populations"),
-        (network.populations().iter().all(|p| carries_the_same(network, p, program)), "payload of a population"),
-        (found.output == meant.output, "output population"),
+        (actual.populations.iter().copied().eq(populations), "list of populations"),
+        (network.populations().iter().all(|p| has_equal_messages(network, p, program)), "payload of a population"),
+        (actual.output == expected.output, "output population"),
         (program.output() == network.output(), "decision"),
-        (found.semantics == meant.semantics, "semantics"),
-        (found.threshold == meant.threshold, "threshold test"),
-        (found.reset == meant.reset, "reset"),
+        (actual.semantics == expected.semantics, "semantics"),
+        (actual.threshold == expected.threshold, "threshold test"),
+        (actual.reset == expected.reset, "reset"),
     ];
     match rules.into_iter().find(|(holds, _)| !holds) {
         Some((_, what)) => Err(Difference::Frame(what)),
@@ -204,7 +204,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
     }
 }
 
-fn carries_the_same(network: &Quantised, population: &Population, program: &Program) -> bool {
+fn has_equal_messages(network: &Quantised, population: &Population, program: &Program) -> bool {
     let (first, graded) = (network.first_source(population), &program.parts().graded);
     let mut source = first;
     // Up to the next begin or end of a payload, all sources send messages of one kind.
@@ -223,13 +223,13 @@ fn check_parameters(network: &Quantised, program: &Program) -> Result<(), Differ
     for population in network.populations() {
         let Units::Compartments { first, neurons, start_step } = &population.units else { continue };
         let differs = |id: &CompartmentId| {
-            let meant = Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step };
+            let expected = Compartment { neuron: neurons.get(id.0 - first.0), start_step: *start_step };
             let seat = program.seats()[*id];
             let found = program.cores().get(seat.core).and_then(|image| {
                 let slot = usize::from(seat.slot);
                 (image.ids.get(slot) == Some(id)).then(|| program.classes()[image.class].compartments.get(slot))?
             });
-            found != Some(&meant)
+            found != Some(&expected)
         };
         let ids = (first.0..first.0 + population.shape.len()).into_par_iter().map(CompartmentId);
         if let Some(id) = ids.find_first(differs) {
@@ -309,8 +309,8 @@ struct Decoder {
     messages: Vec<(u16, u16)>,
     /// Begin of each source's synapses in `meant`, and the end of the last.
     first: Vec<usize>,
-    meant: Vec<SynapseCode>,
-    /// Of the formats of a core.
+    expected: Vec<SynapseCode>,
+    /// Codes of the formats of a core.
     formats: Vec<SynapseCode>,
     /// Index in `decoded` of the next synapse of each source; `decoded` has the length of `meant`.
     next: Vec<usize>,
@@ -326,10 +326,10 @@ impl Decoder {
         (first_source, indices): (u32, Range<u32>),
         (program, compared): (&Program, impl Fn(CoreId) -> bool),
     ) {
-        self.meant.clear();
+        self.expected.clear();
         self.first.clear();
         for index in indices {
-            self.first.push(self.meant.len());
+            self.first.push(self.expected.len());
             if is_skipped(program, first_source + index, &compared) {
                 continue;
             }
@@ -338,11 +338,11 @@ impl Decoder {
                 let wanted = |target| compared(program.seats()[CompartmentId(first.0 + target)].core);
                 let code = SynapseCode::of_format(projection.format);
                 projection.connectivity.for_each_wanted(index, wanted, |target, weight| {
-                    self.meant.push(code.with(CompartmentId(first.0 + target), weight, projection.delay));
+                    self.expected.push(code.with(CompartmentId(first.0 + target), weight, projection.delay));
                 });
             }
         }
-        self.first.push(self.meant.len());
+        self.first.push(self.expected.len());
     }
 
     /// D(s), up to the number of synapses of R(s).
@@ -364,7 +364,7 @@ impl Decoder {
             }
         }
         self.decoded.clear();
-        self.decoded.resize(self.meant.len(), SynapseCode(0));
+        self.decoded.resize(self.expected.len(), SynapseCode(0));
         self.next.clear();
         self.next.extend_from_slice(&self.first[..sources.len()]);
         let mut begin = 0;
@@ -393,9 +393,9 @@ impl Decoder {
     fn first_that_differs(&mut self) -> Option<(u32, usize)> {
         for (source, &next) in self.next.iter().enumerate() {
             let range = self.first[source]..self.first[source + 1];
-            let (meant, decoded) = (&self.meant[range.clone()], &self.decoded[range.clone()]);
-            if next != range.end || !self.tally.is_equal(meant, decoded) {
-                return Some((source as u32, meant.len()));
+            let (expected, decoded) = (&self.expected[range.clone()], &self.decoded[range.clone()]);
+            if next != range.end || !self.tally.is_equal(expected, decoded) {
+                return Some((source as u32, expected.len()));
             }
         }
         None

@@ -61,9 +61,9 @@ pub enum Unfaithful {
     Unreached(CompartmentId),
 }
 
-/// A synapse as its source means it: target, format, weight, and the steps from its spike to its
-/// arrival but one.
-type Meant = (u32, SynapseFormat, i16, i64);
+/// A synapse as required by its source: target, format, weight, and the steps from its spike to its
+/// arrival, less one.
+type ArrivingSynapse = (u32, SynapseFormat, i16, i64);
 
 /// Checks the rule.
 ///
@@ -89,21 +89,21 @@ pub fn check(original: &Quantised, relayed: &Quantised, later: &IdVec<Population
 }
 
 fn check_frame(original: &Quantised, relayed: &Quantised, later: &IdVec<PopulationId, u32>) -> Result<(), Unfaithful> {
-    let (meant, found) = (original.parts(), relayed.parts());
+    let (expected, actual) = (original.parts(), relayed.parts());
     let rules = [
-        (later.len() == meant.populations.len(), "the list of populations"),
-        (meant.populations.len() <= found.populations.len(), "the list of populations"),
+        (later.len() == expected.populations.len(), "the list of populations"),
+        (expected.populations.len() <= actual.populations.len(), "the list of populations"),
         (original.channels() == relayed.channels(), "the number of input channels"),
-        (found.output == meant.output, "the output population"),
-        (found.decision == meant.decision, "the decision"),
-        (found.semantics == meant.semantics && found.semantics == Semantics::Hardware, "the semantics"),
-        (found.threshold == meant.threshold, "the threshold test"),
-        (found.reset == meant.reset, "the reset"),
+        (actual.output == expected.output, "the output population"),
+        (actual.decision == expected.decision, "the decision"),
+        (actual.semantics == expected.semantics && actual.semantics == Semantics::Hardware, "the semantics"),
+        (actual.threshold == expected.threshold, "the threshold test"),
+        (actual.reset == expected.reset, "the reset"),
     ];
     if let Some((_, what)) = rules.into_iter().find(|(holds, _)| !holds) {
         return Err(Unfaithful::Frame(what.to_string()));
     }
-    for ((id, a), b) in meant.populations.enumerate().zip(found.populations.iter()) {
+    for ((id, a), b) in expected.populations.enumerate().zip(actual.populations.iter()) {
         if !same_population(a, b, later[id]) {
             return Err(Unfaithful::Frame(format!("population {}", a.name)));
         }
@@ -111,19 +111,19 @@ fn check_frame(original: &Quantised, relayed: &Quantised, later: &IdVec<Populati
     Ok(())
 }
 
-fn same_population(meant: &Population, found: &Population, later: u32) -> bool {
-    let same_units = match (&meant.units, &found.units) {
+fn same_population(expected: &Population, actual: &Population, later: u32) -> bool {
+    let same_units = match (&expected.units, &actual.units) {
         (Units::Input(a), Units::Input(b)) => a == b && later == 0,
         (
             Units::Compartments { first: a, neurons: of_a, start_step: from_a },
             Units::Compartments { first: b, neurons: of_b, start_step: from_b },
         ) => {
             let same = |index| of_a.get(index) == of_b.get(index);
-            a == b && from_a.checked_add(later) == Some(*from_b) && (0..meant.shape.len()).all(same)
+            a == b && from_a.checked_add(later) == Some(*from_b) && (0..expected.shape.len()).all(same)
         }
         _ => false,
     };
-    meant.name == found.name && meant.shape == found.shape && meant.message == found.message && same_units
+    expected.name == actual.name && expected.shape == actual.shape && expected.message == actual.message && same_units
 }
 
 /// Follows spikes through relays.
@@ -140,21 +140,21 @@ impl Walk<'_> {
         sources: Range<u32>,
         later: &IdVec<PopulationId, u32>,
     ) -> Result<(), Unfaithful> {
-        let (mut meant, mut found): (Vec<Meant>, Vec<Meant>) = (Vec::new(), Vec::new());
+        let (mut expected, mut reached): (Vec<ArrivingSynapse>, Vec<ArrivingSynapse>) = (Vec::new(), Vec::new());
         for index in sources {
-            meant.clear();
+            expected.clear();
             for (_, projection, first) in self.original.targets_of(population) {
                 let shift = i64::from(later[projection.target]) - i64::from(later[population]);
                 let arrives = i64::from(projection.delay.get()) + shift;
                 projection.connectivity.for_each_from(index, |target, weight| {
-                    meant.push((first.0 + target, projection.format, weight, arrives));
+                    expected.push((first.0 + target, projection.format, weight, arrives));
                 });
             }
-            found.clear();
-            self.follow(population, index, 0, &mut found)?;
-            meant.sort_unstable();
-            found.sort_unstable();
-            if meant != found {
+            reached.clear();
+            self.follow(population, index, 0, &mut reached)?;
+            expected.sort_unstable();
+            reached.sort_unstable();
+            if expected != reached {
                 let population = self.original.populations()[population].name.clone();
                 return Err(Unfaithful::Synapses { population, index });
             }
@@ -169,7 +169,7 @@ impl Walk<'_> {
         population: PopulationId,
         index: u32,
         after: i64,
-        found: &mut Vec<Meant>,
+        reached: &mut Vec<ArrivingSynapse>,
     ) -> Result<(), Unfaithful> {
         let own = self.original.compartments();
         let from = &self.relayed.populations()[population];
@@ -179,7 +179,7 @@ impl Walk<'_> {
             projection.connectivity.for_each_from(index, |target, weight| {
                 let target = first.0 + target;
                 if target < own {
-                    found.push((target, projection.format, weight, arrives));
+                    reached.push((target, projection.format, weight, arrives));
                 } else {
                     relays.push((target, scaled(projection.format, weight), arrives + 1));
                 }
@@ -189,17 +189,16 @@ impl Walk<'_> {
             let id = CompartmentId(relay);
             let again = self.reached[(relay - own) as usize].swap(true, Ordering::Relaxed);
             let (population, index) = self.relayed.population_of(id);
-            if again || !self.passes_on(from, &self.relayed.populations()[population], index, weight) {
+            if again || !self.relays_every_spike(from, &self.relayed.populations()[population], index, weight) {
                 return Err(Unfaithful::Relay(id));
             }
-            self.follow(population, index, after, found)?;
+            self.follow(population, index, after, reached)?;
         }
         Ok(())
     }
 
-    /// Whether a compartment spikes when a spike of this population arrives over this weight, and
-    /// otherwise never.
-    fn passes_on(&self, from: &Population, relays: &Population, index: u32, weight: i32) -> bool {
+    /// Whether a compartment spikes exactly if a spike of this population arrives over this weight.
+    fn relays_every_spike(&self, from: &Population, relays: &Population, index: u32, weight: i32) -> bool {
         let Units::Compartments { neurons, start_step, .. } = &relays.units else { return false };
         let neuron = neurons.get(index);
         let starts = if let Units::Compartments { start_step, .. } = from.units { start_step } else { 0 };

@@ -61,8 +61,8 @@ fn distance(from: u32, to: u32, height: u32, width: u32) -> Option<(i64, i64)> {
     (from / plane == to / plane).then_some((to_row - row, to_column - column))
 }
 
-/// Sources, the numbers that they may have once something is added to theirs, and what that is.
-type Added = (Range<u32>, Range<i64>, i64);
+/// Sources, the valid range of their numbers after an addition, and the number to add.
+type ShiftedSources = (Range<u32>, Range<i64>, i64);
 
 /// Bounds on the rows and columns of sources of a population.
 struct Bounds {
@@ -142,9 +142,9 @@ impl Shifts<'_> {
         pairs().all(|pair| apart(pair) == Some(by)).then_some(Shift { copies, positions: Some((id, by)) })
     }
 
-    /// What a shift adds to the numbers of sources of the first core of a class; `None` where it
-    /// takes some of them out of their population, or the network is not the same there.
-    fn added(&self, class: ClassId, Shift { copies, positions }: Shift) -> Option<Vec<Added>> {
+    /// Returns the numbers that a shift adds to the sources of the first core of a class. `None`
+    /// where a source would leave its population, or the network differs there.
+    fn shifted_sources(&self, class: ClassId, Shift { copies, positions }: Shift) -> Option<Vec<ShiftedSources>> {
         let (network, channels) = (self.network, self.network.channels());
         let of_copies = |is_channel: bool| {
             let size = self.sizes.map_or(0, |sizes| if is_channel { sizes.channels } else { sizes.compartments });
@@ -200,15 +200,15 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
     let all: Vec<CoreId> = program.cores().ids().collect();
     let of = |&core: &CoreId| match is_first(core) {
         true => None,
-        false => shifts.added(class(core), shifts.between(firsts[class(core)], core)?),
+        false => shifts.shifted_sources(class(core), shifts.between(firsts[class(core)], core)?),
     };
-    let found: IdVec<CoreId, Option<Vec<Added>>> = all.par_iter().map(of).collect::<Vec<_>>().into();
+    let found: IdVec<CoreId, Option<Vec<ShiftedSources>>> = all.par_iter().map(of).collect::<Vec<_>>().into();
     let compared: IdVec<CoreId, AtomicBool> = found.iter().map(|added| AtomicBool::new(added.is_none())).collect();
     let look_at = |source: u32, messages: Messages<'_>| {
         for message in messages {
             let Some(added) = &found[message.core] else { continue };
             let of_first = sources[class(message.core)][usize::from(message.axon)];
-            let leads = |(range, within, by): &Added| {
+            let leads = |(range, within, by): &ShiftedSources| {
                 let source = i64::from(source);
                 range.contains(&of_first) && within.contains(&source) && i64::from(of_first) + by == source
             };

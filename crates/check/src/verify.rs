@@ -40,8 +40,8 @@ use nsim_ir::neurons::{Family, Stack};
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
-    AxonTarget, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, Messages, PopulationAxon, Program, Stored,
-    Synapse,
+    AxonTarget, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, InputTable, Messages, PopulationAxon,
+    Program, Synapse,
 };
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
@@ -300,8 +300,8 @@ fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
     }
 }
 
-/// Whether each list belongs to a table; checks population axons.
-fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<Vec<bool>, Violation> {
+/// Checks population axons; returns whether each list belongs to a table.
+fn verify_populations(core: CoreId, inputs: &InputTable, limits: &Limits) -> Result<Vec<bool>, Violation> {
     let wrong = |what| Err(Violation::Population { place: core.to_string(), what });
     let mut in_table = vec![false; inputs.lists.len()];
     if inputs.populations.is_empty() {
@@ -368,9 +368,9 @@ fn verify_populations(core: CoreId, inputs: &Stored, limits: &Limits) -> Result<
     }
 }
 
-/// Words of a core's lists, those of a table as many times the longest as it has lists; and the
-/// most of one list.
-fn words_of(inputs: &Stored, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) {
+/// Returns the words of a core's lists, and of its longest list. A table takes its longest list
+/// times its number of lists.
+fn words_of(inputs: &InputTable, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) {
     let widest = of_lists.iter().copied().max().unwrap_or(0);
     let discrete =
         of_lists.iter().zip(in_table).filter(|(_, in_table)| !**in_table).map(|(words, _)| u64::from(*words));

@@ -7,29 +7,29 @@ use petgraph::unionfind::UnionFind;
 
 use crate::mapping::Mapping;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id};
-use nsim_ir::groups::{CoreGroups, OneCopy, Together};
+use nsim_ir::groups::{CopySizes, CoreGroups, GroupMembers};
 
 impl Mapping {
-    /// Numbers of one copy.
-    pub fn one_copy(&self) -> OneCopy {
+    /// Sizes of one copy.
+    pub fn one_copy(&self) -> CopySizes {
         let one = &self.one;
         let populations = one.populations().len() as u32;
-        OneCopy { compartments: one.compartments(), channels: one.channels(), populations }
+        CopySizes { compartments: one.compartments(), channels: one.channels(), populations }
     }
 
-    /// Cores and copies that belong together, by their first core.
-    pub fn together(&self) -> Vec<Together> {
+    /// Groups of cores and copies that belong together, ordered by their first core.
+    pub fn together(&self) -> Vec<GroupMembers> {
         let (program, one) = (&self.program, self.one.compartments());
         let mut joined = UnionFind::new(program.cores().len());
         let first = |copy: u32| program.seats()[CompartmentId(copy * one)].core.index();
         for (core, image) in program.cores().iter().enumerate() {
             image.ids.iter().for_each(|id| _ = joined.union(core, first(id.0 / one)));
         }
-        let mut groups: Vec<Together> = Vec::new();
+        let mut groups: Vec<GroupMembers> = Vec::new();
         let mut number = vec![None; program.cores().len()];
         for core in 0..program.cores().len() {
             let group = *number[joined.find(core)].get_or_insert(groups.len());
-            groups.resize(groups.len().max(group + 1), Together::default());
+            groups.resize(groups.len().max(group + 1), GroupMembers::default());
             groups[group].cores.push(CoreId::new(core));
         }
         for copy in 0..self.options.copies {

@@ -33,9 +33,9 @@ fn scene(dead: &[u32]) -> Plan {
 fn a_pruned_population_is_counted_as_the_model_counts_it() {
     let pruned = prune(&fan([100, 0, 100, 0]).build(), &Plan::fixed()).unwrap();
     let hidden = PopulationId(1);
-    assert_eq!(pruned.kept(hidden), Some(&[0, 2][..]));
-    assert_eq!((pruned.index_shown(hidden, 1), pruned.index_of_shown(hidden, 2)), (2, Some(1)));
-    assert_eq!((pruned.index_of_shown(hidden, 3), pruned.units_shown(hidden)), (None, 4));
+    assert_eq!(pruned.kept_units(hidden), Some(&[0, 2][..]));
+    assert_eq!((pruned.index_before_pruning(hidden, 1), pruned.index_after_pruning(hidden, 2)), (2, Some(1)));
+    assert_eq!((pruned.index_after_pruning(hidden, 3), pruned.units_before_pruning(hidden)), (None, 4));
 }
 
 #[test]

@@ -23,7 +23,7 @@ use nsim_ir::neurons::NeuronKind;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::quantised::{Inconsistent, Note, Parts, Quantised, Units};
-use nsim_ir::ranks::{RankAssignment, Share};
+use nsim_ir::ranks::{RankAssignment, RankShare};
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
 use nsim_partition::large::{counted_in_boxes, is_large};
@@ -170,7 +170,7 @@ impl Front {
         let mut parts = Parts { gathers: true, ..self.one.parts().clone() };
         let gathered = Quantised::new(parts.clone()).map_err(CompileError::fault)?;
         let places = Places::for_network(&gathered, target.limits());
-        if !places.are_of_need() {
+        if !places.are_required() {
             return Ok(());
         }
         for (id, population) in gathered.populations().enumerate() {
@@ -403,7 +403,7 @@ impl Placed {
         let limits = partitioned.counted_on(target).limits().clone();
         let Partitioned { one, all: quantised, partition, lattices, boxes, rates, mut clock } = partitioned;
         drop(boxes);
-        let Share { rank, ranks, whole } = options.share;
+        let RankShare { rank, ranks, whole } = options.share;
         let assignment = (ranks > 1).then(|| {
             let owners = assign(&quantised, &partition, &placement, ranks).into();
             RankAssignment { ranks, owners, held: (!whole).then_some(rank) }
@@ -450,7 +450,7 @@ impl Unchecked {
         let Mapping { quantised: network, partition, program, options, .. } = &mapping;
         let target = &*mapping.counted_on(target);
         let used = clock.stage("verify", || verify::used(program, target)).map_err(CompileError::fault)?;
-        if program.held_rank().is_none() {
+        if program.local_rank().is_none() {
             verify::confirm(partition, &used).map_err(CompileError::Fault)?;
         }
         let check = || equivalence::check_copies(network, program, options.copies);

@@ -5,19 +5,19 @@
 //! the longest of several parts counts, all their constants are charged.
 
 use crate::deployment::Host;
-use crate::estimate::Case;
+use crate::estimate::EstimateInput;
 use crate::job::Accounting;
 use crate::transport::Transport;
 use nsim_ir::hardware::constants::StepForm;
 
-/// Whether a run counts something that this constant is multiplied with.
-pub fn is_charged(case: &Case<'_>, constant: &str) -> bool {
+/// Whether a run has a count that multiplies this constant.
+pub fn is_charged(case: &EstimateInput<'_>, constant: &str) -> bool {
     let (sum, hops, deployment) = (case.activity.sum(), case.activity.hops(), case.deployment);
     let timing = &case.meter.settings().timing;
     let (rails, x86) = (case.accounting == Accounting::Rails, deployment.x86_cores > 0);
     // (21) has no term for routes and buffers.
     let follows = case.meter.tables()[case.preset].step == StepForm::Sum;
-    let links = hops.links() > 0;
+    let links = hops.total_links() > 0;
     match constant {
         "synapse_dense_energy" | "synapse_dense_time" => sum.events_dense > 0,
         "synapse_sparse_energy" | "synapse_sparse_time" => sum.events_sparse > 0,
@@ -77,11 +77,11 @@ mod tests {
                 false => paper(),
             };
             let accounting = if rails { Accounting::Rails } else { Accounting::Profiler };
-            let figures = |constants: &Constants, asked: &str| {
+            let figures = |constants: &Constants, constant: &str| {
                 let (activity, meter) = run(&steps, vec![CostTable::new(constants).unwrap()], None);
-                let case = Case { accounting, ..Case::new(&activity, &meter, &deployment) };
-                let shown = estimate(&case);
-                ((shown.rows, shown.breakdown_pj, shown.time_us), is_charged(&case, asked))
+                let case = EstimateInput { accounting, ..EstimateInput::new(&activity, &meter, &deployment) };
+                let figures = estimate(&case);
+                ((figures.rows, figures.breakdown_pj, figures.time_us), is_charged(&case, constant))
             };
             let constants = preset(preset_name);
             for name in Constants::NAMES {

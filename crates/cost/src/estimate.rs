@@ -211,7 +211,7 @@ impl ByStatus {
 
 /// Input of an estimate.
 #[derive(Debug, Clone, Copy)]
-pub struct Case<'a> {
+pub struct EstimateInput<'a> {
     /// Counts of the whole run.
     pub activity: &'a Activity,
     /// Its steps, under every preset.
@@ -238,10 +238,10 @@ pub struct Case<'a> {
     pub steps_per_sample: Option<u32>,
 }
 
-impl<'a> Case<'a> {
-    /// All copies of a deployment as fast as possible, energy physical, under the first preset.
+impl<'a> EstimateInput<'a> {
+    /// Returns the case of all copies as fast as possible, energy physical, under the first preset.
     pub fn new(activity: &'a Activity, meter: &'a StepMeter, deployment: &'a Deployment) -> Self {
-        Case {
+        EstimateInput {
             activity,
             meter,
             preset: 0,
@@ -365,7 +365,7 @@ pub struct Spent {
 ///
 /// # Panics
 /// When the meter has no such preset: a mistake of the caller.
-pub fn spent(case: &Case<'_>, steps: &StepSums) -> Spent {
+pub fn spent(case: &EstimateInput<'_>, steps: &StepSums) -> Spent {
     let price = case.price(&case.meter.tables()[case.preset]);
     let time_us = case.time(steps) as f64 / 1e6;
     let dynamic_fj = steps.energy.0 as f64 * price.events + price.step_fj * steps.steps as f64;
@@ -406,7 +406,7 @@ fn log_factor(parts: &[Part]) -> Option<f64> {
     Some(squares.sum::<Option<f64>>()?.sqrt())
 }
 
-impl Case<'_> {
+impl EstimateInput<'_> {
     /// Time of steps in ps, exact.
     fn time(&self, steps: &StepSums) -> u128 {
         match self.mode {
@@ -553,7 +553,7 @@ impl Case<'_> {
 ///
 /// # Panics
 /// When the meter lacks the preset or the activity's steps: a mistake of the caller.
-pub fn estimate(case: &Case<'_>) -> Estimate {
+pub fn estimate(case: &EstimateInput<'_>) -> Estimate {
     assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
     let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
     let job = case.job(table, &lane.whole);
@@ -586,8 +586,8 @@ pub fn estimate(case: &Case<'_>) -> Estimate {
         let part = |(name, energy): (&'static str, Femtojoules)| (name, energy.0 as f64 / per_step);
         energy(case.activity, table).parts().into_iter().map(part).collect()
     });
-    let asked = case.meter.settings().distribution == Some((case.preset, price));
-    let distribution = asked.then(|| case.meter.distribution());
+    let is_requested = case.meter.settings().distribution == Some((case.preset, price));
+    let distribution = is_requested.then(|| case.meter.distribution());
     let spread = |of: fn(&Distribution) -> &Quantiles| Some(of(distribution?).spread()?.map(|fj| fj / 1e9));
     let names = StepTime::default().parts().map(|(name, _)| name);
     let mean_us = |part: usize| (names[part], lane.whole.parts[part] as f64 / 1e6 / steps);
@@ -632,9 +632,9 @@ pub(crate) mod tests {
         run(&[StepActivity::new(1)], vec![table("sanafe-calibrated"), table("davies2018")], None)
     }
 
-    fn case<'a>((activity, meter): &'a (Activity, StepMeter), deployment: &'a Deployment) -> Case<'a> {
-        let case = Case::new(activity, meter, deployment);
-        Case { hardware: "loihi", copies_counted: 1, steps_per_sample: Some(150), ..case }
+    fn case<'a>((activity, meter): &'a (Activity, StepMeter), deployment: &'a Deployment) -> EstimateInput<'a> {
+        let case = EstimateInput::new(activity, meter, deployment);
+        EstimateInput { hardware: "loihi", copies_counted: 1, steps_per_sample: Some(150), ..case }
     }
 
     /// A copy on one chip of the board of the paper.
@@ -699,7 +699,8 @@ pub(crate) mod tests {
     fn a_meter_on_the_board_shows_chips_and_x86_cores_and_no_neuron_core_at_rest() {
         let run = silent();
         let (one, packed) = (on_one_chip(), Deployment { cores_used: 100, ..on_one_chip() });
-        let rails = |deployment| estimate(&Case { accounting: Accounting::Rails, ..case(&run, deployment) }).rows;
+        let rails =
+            |deployment| estimate(&EstimateInput { accounting: Accounting::Rails, ..case(&run, deployment) }).rows;
         assert_eq!(rails(&one), rails(&packed), "cores in use add nothing");
         let [boot, idle, total] = <[EnergyRow; 3]>::try_from(rails(&one)).unwrap();
         assert!((boot.total_mw.unwrap() - 32.0 * 28.43).abs() < 1e-9);
@@ -732,7 +733,7 @@ pub(crate) mod tests {
         let errors =
             [error(FigureClass::Static, 2.0), error(FigureClass::X86Dynamic, 1.2), error(FigureClass::Time, 3.0)];
         let paper = paper();
-        let found = estimate(&Case { errors: &errors, ..case(&run, &paper) });
+        let found = estimate(&EstimateInput { errors: &errors, ..case(&run, &paper) });
         let [x86, neuron, total] = &found.rows[..] else { panic!() };
         // Of the neuron cores' events nothing is known, and there are none.
         assert!((neuron.high.unwrap().total_mw.unwrap() / neuron.total_mw.unwrap() - 2.0).abs() < 1e-9);
@@ -745,14 +746,14 @@ pub(crate) mod tests {
         let edp = (high.edp_pjs.unwrap() / total.edp_pjs.unwrap()).ln();
         assert!((edp - power.hypot(2.0 * 3f64.ln())).abs() < 1e-9);
         assert!(low.energy_uj.unwrap() < total.energy_uj.unwrap());
-        // Held to a millisecond a step is as long as that, unless it may take longer.
-        let slow = estimate(&Case { errors: &errors, mode: Mode::Realtime, ..case(&run, &paper) });
+        // A step paced by a millisecond takes a millisecond, unless it may take longer.
+        let slow = estimate(&EstimateInput { errors: &errors, mode: Mode::Realtime, ..case(&run, &paper) });
         assert_eq!(
             (slow.rows[2].low.unwrap().latency_us, slow.rows[2].high.unwrap().latency_us),
             (Some(1e3), Some(1e3))
         );
         // A class that is not known leaves its sums without bounds.
-        let found = estimate(&Case { errors: &errors[1..], ..case(&run, &paper) });
+        let found = estimate(&EstimateInput { errors: &errors[1..], ..case(&run, &paper) });
         assert_eq!((found.rows[2].low.unwrap().total_mw, found.rows[2].low.unwrap().energy_uj), (None, None));
     }
 
@@ -807,15 +808,15 @@ pub(crate) mod tests {
         assert_eq!(parts[2], ("compartment", 5345.0));
         assert_eq!(parts[6], ("hop", 8.5));
 
-        // Held to 1 ms, the same energy is spread over a longer time.
-        let slow = estimate(&Case { mode: Mode::Realtime, ..offline });
+        // Paced by 1 ms, equal energy is spread over a longer time.
+        let slow = estimate(&EstimateInput { mode: Mode::Realtime, ..offline });
         near(slow.rows[1].latency_us.unwrap(), 1000.0);
         near(slow.rows[1].dynamic_mw.unwrap(), (quiet_fj + busy_fj) / 2e9);
         near(slow.rows[0].dynamic_mw.unwrap(), 21.0);
         // The distribution was stored for another price.
         assert_eq!(slow.per_timestep_uj, None);
         // Counted for both copies together, one copy is half.
-        let halved = estimate(&Case { copies_counted: 2, ..offline });
+        let halved = estimate(&EstimateInput { copies_counted: 2, ..offline });
         near(halved.rows[1].dynamic_mw.unwrap(), neuron.dynamic_mw.unwrap() / 2.0);
     }
 
@@ -832,7 +833,7 @@ pub(crate) mod tests {
     #[test]
     fn the_published_convention_needs_samples_of_one_length() {
         let (run, paper) = (silent(), paper());
-        let uneven = Case { convention: Convention::Published, steps_per_sample: None, ..case(&run, &paper) };
+        let uneven = EstimateInput { convention: Convention::Published, steps_per_sample: None, ..case(&run, &paper) };
         let found = estimate(&uneven);
         assert_eq!(found.rows[2].energy_uj, None);
         assert!(found.rows[2].total_mw.is_some());
@@ -853,7 +854,7 @@ pub(crate) mod tests {
             let tables = vec![CostTable::new(&constants).unwrap(), table("davies2018")];
             let price = step_price(&tables[0], &deployment, copies_counted, (mode, Accounting::Profiler));
             let run = run(&steps, tables, Some(price));
-            let found = estimate(&Case {
+            let found = estimate(&EstimateInput {
                 copies_counted,
                 errors: &constants.errors,
                 mode,

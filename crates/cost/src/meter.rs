@@ -168,9 +168,9 @@ impl StepMeter {
     pub fn add_all(&mut self, steps: &[(StepActivity, u32, bool)]) {
         self.memory.resize_with(self.memory.len().max(steps.len()), QueueMemory::default);
         let MeterSettings { tables, timing, routes, .. } = &*self.settings;
-        let followed = steps.par_iter().zip(&mut self.memory);
-        let followed = followed.map(|((step, ..), memory)| routes.step_times(step, tables, *timing, memory));
-        for ((step, times, decided), step_times) in steps.iter().zip(followed.collect::<Vec<_>>()) {
+        let timed = steps.par_iter().zip(&mut self.memory);
+        let timed = timed.map(|((step, ..), memory)| routes.step_times(step, tables, *timing, memory));
+        for ((step, times, decided), step_times) in steps.iter().zip(timed.collect::<Vec<_>>()) {
             self.add_timed((step, *times, *decided), &step_times);
         }
     }
@@ -320,14 +320,14 @@ pub(crate) mod tests {
                 (0..times).for_each(|_| one_by_one.add(step, 1, decided));
                 if i < cut { first.add(step, times, decided) } else { second.add(step, times, decided) }
             }
-            let mut at_once = whole.fresh();
+            let mut batch = whole.fresh();
             let alike = |(i, step): (usize, &StepActivity)| (step.clone(), 1 + i as u32 % 3, i > 6);
-            at_once.add_all(&steps.iter().enumerate().map(alike).collect::<Vec<_>>());
+            batch.add_all(&steps.iter().enumerate().map(alike).collect::<Vec<_>>());
             whole.merge(&second);
             whole.merge(&first);
             prop_assert_eq!(one_by_one.lanes(), whole.lanes());
-            prop_assert_eq!(at_once.lanes(), whole.lanes());
-            prop_assert_eq!(at_once.slowest_steps(), whole.slowest_steps());
+            prop_assert_eq!(batch.lanes(), whole.lanes());
+            prop_assert_eq!(batch.slowest_steps(), whole.slowest_steps());
             prop_assert_eq!(one_by_one.distribution(), whole.distribution());
             prop_assert_eq!(one_by_one.steps(), activity.steps());
             prop_assert_eq!(one_by_one.slowest_steps(), whole.slowest_steps());

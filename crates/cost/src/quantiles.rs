@@ -134,12 +134,12 @@ mod tests {
 
     #[test]
     fn so_many_at_once_are_as_many_one_by_one() {
-        let mut at_once = Quantiles::default();
-        at_once.add(7.5, 1_000_000_000_000);
-        at_once.add(9.0, 0);
-        at_once.add(2.5, 1);
-        assert_eq!((at_once.count, at_once.percentile(0)), (1_000_000_000_001, Some(2.5)));
-        assert!((at_once.percentile(50).unwrap() / 7.5 - 1.0).abs() <= 2f64.powi(-10));
+        let mut batch = Quantiles::default();
+        batch.add(7.5, 1_000_000_000_000);
+        batch.add(9.0, 0);
+        batch.add(2.5, 1);
+        assert_eq!((batch.count, batch.percentile(0)), (1_000_000_000_001, Some(2.5)));
+        assert!((batch.percentile(50).unwrap() / 7.5 - 1.0).abs() <= 2f64.powi(-10));
     }
 
     #[test]

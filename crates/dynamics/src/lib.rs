@@ -22,7 +22,7 @@ use std::num::NonZeroU32;
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::OutOfRange;
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
-use nsim_ir::neurons::{NeuronKind, Role, Row};
+use nsim_ir::neurons::{NeuronKind, ParameterRow, Role};
 use nsim_ir::quantised::{Neuron, Population, Quantised};
 
 /// The description of a kind with the registers of Loihi 1.
@@ -47,7 +47,7 @@ pub fn neuron(of: NeuronKind, values: &[i64]) -> Result<Neuron, OutOfRange> {
     if of.table().registers {
         return (kind(of).neuron)(values);
     }
-    let mut row = Row::EMPTY;
+    let mut row = ParameterRow::EMPTY;
     for ((place, parameter), &value) in row.0.iter_mut().zip(of.parameters()).zip(values) {
         *place = parameter.field.check(value)? as i32;
     }

@@ -6,13 +6,12 @@
 use crate::published::baseline::{BaselineFile, DenseLayer};
 use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
 use nsim_cost::job::Mode;
-use nsim_dynamics::synapses::Enumerate;
 use nsim_files::shipped::{BASELINES, Shipped};
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::hardware::constants::Status;
+use nsim_ir::pruned::ProjectionSize;
 use nsim_ir::quantised::Quantised;
-use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::spanned::{Spanned, parse};
 
 /// Sizes that decide whether two networks are the same workload for dense hardware.
@@ -27,12 +26,11 @@ pub struct NetworkShape {
 impl NetworkShape {
     /// The shape of one copy of a network, as it was before any pruning.
     pub fn of_network(network: &Quantised) -> Self {
-        let network = network.original();
         let inputs = network.inputs().map(|(_, population)| population.shape.len());
-        let dense = network.projections().iter().filter(|p| matches!(p.connectivity, Connectivity::Dense { .. }));
-        let size = |id| network.populations()[id].shape.len();
-        let layers: Vec<DenseLayer> =
-            dense.map(|projection| DenseLayer { from: size(projection.source), to: size(projection.target) }).collect();
+        let before = network.sizes_before();
+        let dense = before.projections.iter().filter(|projection| projection.dense);
+        let layer = |of: &ProjectionSize| DenseLayer { from: before.units[of.source], to: before.units[of.target] };
+        let layers: Vec<DenseLayer> = dense.map(layer).collect();
         let others = network.projections().len() - layers.len();
         NetworkShape::new(inputs.collect(), layers, others)
     }
@@ -74,14 +72,14 @@ pub struct Work {
 impl Work {
     /// The work of a network, as it was before any pruning.
     pub fn of_network(network: &Quantised) -> Self {
-        let network = network.original();
-        let size = |id| network.populations()[id].shape.len();
-        let synapses = |projection: &nsim_ir::quantised::Projection| -> u64 {
-            (0..size(projection.source)).map(|source| projection.connectivity.count_from(source)).sum()
-        };
-        let projections = network.projections().iter().map(|p| (size(p.source), size(p.target), synapses(p)));
-        let layers = network.populations().iter().filter(|population| population.first_compartment().is_some());
-        Work { projections: projections.collect(), layers: layers.map(|population| population.shape.len()).collect() }
+        let before = network.sizes_before();
+        let size = |of: &ProjectionSize| (before.units[of.source], before.units[of.target], of.synapses);
+        let layers =
+            network.populations().enumerate().filter(|(_, population)| population.first_compartment().is_some());
+        Work {
+            projections: before.projections.iter().map(size).collect(),
+            layers: layers.map(|(id, _)| before.units[id]).collect(),
+        }
     }
 
     /// Seconds of a window at a peak rate and bandwidth, without overheads: equation (18).

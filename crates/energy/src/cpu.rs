@@ -25,7 +25,7 @@ use nsim_ir::program::Program;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spikes::Sample;
 use nsim_machine::{Image, Machine, Settings};
-use nsim_session::{Keep, run_sample};
+use nsim_session::{Keep, Session};
 
 /// Maximum number of weights of dense matrices: 256 MiB.
 const MOST_WEIGHTS: u64 = 1 << 26;
@@ -260,12 +260,12 @@ pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Resu
 /// The reason why the program cannot run.
 pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
     let image = Image::new(program, 1).map_err(|error| error.to_string())?;
-    let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
+    let mut session = Session::new(Machine::new(&image, Settings { skip: true, per_step: false }), 1);
     let keep = Keep::new(program.output());
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     Ok(timed(timesteps, budget, || {
         for sample in samples {
-            black_box(run_sample(&mut machine, black_box(sample), &keep, ()));
+            black_box(session.run(black_box(sample), &keep, ()));
         }
     }))
 }
@@ -296,7 +296,7 @@ mod tests {
 
     fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {
         let keep = Keep::new(network.output());
-        run_sample(&mut Golden::new(network), sample, &keep, ()).counts
+        Session::new(Golden::new(network), 1).run(sample, &keep, ()).counts
     }
 
     #[test]

@@ -14,7 +14,7 @@ use crate::published::scenario::{ScenarioFile, shipped_for};
 use crate::report::table::{EnergyReport, Part};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
-use nsim_cost::estimate::{ByStatus, Case, Convention, FigureSource, step_price};
+use nsim_cost::estimate::{ByStatus, Convention, EstimateInput, FigureSource, step_price};
 use nsim_cost::job::Accounting;
 use nsim_cost::{Deployment, MeterSettings, StepMeter};
 use nsim_ir::hardware::Target;
@@ -142,7 +142,7 @@ pub fn evaluate(
     let watched = EarlyExit::watched(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;
     let by_status = ByStatus::new(&target.constants()[0], deployment.chips_used)?;
-    let case = Case {
+    let case = EstimateInput {
         copies_counted: workload.copies,
         hardware: target.chip().hardware(),
         errors: target.errors(&target.constants()[0]),
@@ -151,7 +151,7 @@ pub fn evaluate(
         accounting,
         convention,
         steps_per_sample,
-        ..Case::new(&run.activity, &run.meter, &deployment)
+        ..EstimateInput::new(&run.activity, &run.meter, &deployment)
     };
     let one = OneCopy {
         network: alone.map_or(&compiled.one, |(network, _)| network),

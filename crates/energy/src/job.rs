@@ -6,12 +6,12 @@ use std::collections::BTreeSet;
 
 use nsim_cost::charged::is_charged;
 use nsim_cost::constants::CostTable;
-use nsim_cost::estimate::{Bound, Case, EnergyRow, estimate, spent};
+use nsim_cost::estimate::{Bound, EnergyRow, EstimateInput, estimate, spent};
 use nsim_cost::model::{CORE_TIMES, StepTime, energy};
 use nsim_files::shipped::{CONSTANTS, Shipped};
 use nsim_files::table::three;
 use nsim_ir::hardware::Target;
-use nsim_ir::hardware::constants::{BARRIER, Constants, SET, Status, Unit};
+use nsim_ir::hardware::constants::{BARRIER, Constants, SET_OPTION, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
 use nsim_session::{Outcome, median_decision};
@@ -19,9 +19,8 @@ use nsim_session::{Outcome, median_decision};
 /// Level of intervals that follow from errors over published works.
 const LEVEL: f64 = 0.8;
 
-/// What ending samples when they are decided, at this cost, would save of the whole run: equation
-/// (16).
-pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], decision: &PerDecision) -> Saved {
+/// Savings of the whole run if samples ended at their decisions, at this cost: equation (16).
+pub fn saved(rule: Rule, case: &EstimateInput<'_>, outcomes: &[Outcome], decision: &PerDecision) -> Saved {
     let lane = &case.meter.lanes()[case.preset];
     let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
@@ -42,8 +41,8 @@ pub fn saved(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], decision: &PerDe
     }
 }
 
-/// The mean cost of a sample until it is decided; `accuracy` is that of the classes then.
-pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy: Option<f64>) -> PerDecision {
+/// The mean cost of a sample until it is decided; `accuracy` is the accuracy at that time.
+pub fn per_decision(rule: Rule, case: &EstimateInput<'_>, outcomes: &[Outcome], accuracy: Option<f64>) -> PerDecision {
     let until_decided = &case.meter.lanes()[case.preset].until_decided;
     let (spent, samples) = (spent(case, until_decided), outcomes.len().max(1) as f64);
     let decided = outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as f64;
@@ -59,9 +58,9 @@ pub fn per_decision(rule: Rule, case: &Case<'_>, outcomes: &[Outcome], accuracy:
     }
 }
 
-/// What a reader has to know of the constants of the `total` row, a sentence each: whose they
-/// are, which are absent, which were set in vain, and which figures have no interval, and why.
-pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<String> {
+/// Remarks on the constants of the `total` row, a sentence each: their hardware, absent constants,
+/// constants without effect, figures without an interval.
+pub fn of_constants(target: &Target, case: &EstimateInput<'_>, total: &EnergyRow) -> Vec<String> {
     let preset = &target.constants()[case.preset];
     let theirs = &preset.hardware;
     let foreign = !target.is_measured_by(preset) && !theirs.is_empty();
@@ -83,8 +82,8 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
     let stated: Vec<&str> = stated.map(|(name, _)| name).filter(|_| target.chip().x86_cores == 0).collect();
     let is = if stated.len() == 1 { "is" } else { "are" };
     let unused = (!stated.is_empty())
-        .then(|| format!("{} {is} not charged: {} has no x86 core.", stated.join(", "), target.chip().hardware()));
-    let set = preset.stated_in.iter().filter(|(_, from)| *from == SET).map(|(name, _)| *name);
+        .then(|| format!("{} {is} not counted: {} has no x86 core.", stated.join(", "), target.chip().hardware()));
+    let set = preset.stated_in.iter().filter(|(_, from)| *from == SET_OPTION).map(|(name, _)| *name);
     let vain: Vec<&str> = set.filter(|name| !is_charged(case, name)).collect();
     let vain = (!vain.is_empty()).then(|| {
         let why = match target.chip().x86_cores_in_use {
@@ -102,9 +101,9 @@ pub fn of_constants(target: &Target, case: &Case<'_>, total: &EnergyRow) -> Vec<
 /// Maximum number of constants of a kind that a remark names as borrowed from other hardware.
 const NAMED: usize = 3;
 
-/// Number of constants of other hardware in a preset that is not shipped, and which of them
-/// energy, time and power are owed to most.
-fn borrowed(preset: &Constants, case: &Case<'_>) -> Option<String> {
+/// Remark on a preset that is not shipped: its number of constants of other hardware, and their
+/// greatest contributions to energy, time and power.
+fn borrowed(preset: &Constants, case: &EstimateInput<'_>) -> Option<String> {
     if preset.borrowed.is_empty() || Shipped::find(CONSTANTS, &preset.name).is_some() {
         return None;
     }
@@ -162,8 +161,8 @@ fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> O
     ];
     let is_without = |(_, figure, low): &Figure| figure.is_some() && total.low.and_then(|all| low(&all)).is_none();
     let names: Vec<&str> = figures.iter().filter(|figure| is_without(figure)).map(|(name, ..)| *name).collect();
-    let (has_base, hardware) = (preset.stated_in.values().any(|from| from != SET), target.chip().hardware());
-    let is_changed = |name: &&str| preset.stated_in.get(name).map_or(has_base, |from| from == SET);
+    let (has_base, hardware) = (preset.stated_in.values().any(|from| from != SET_OPTION), target.chip().hardware());
+    let is_changed = |name: &&str| preset.stated_in.get(name).map_or(has_base, |from| from == SET_OPTION);
     let changed: Vec<&str> = Constants::NAMES.iter().copied().chain([BARRIER]).filter(is_changed).collect();
     let why = match changed.as_slice() {
         _ if !target.is_measured_by(preset) => format!("the constants' errors on {hardware} are unknown"),
@@ -182,7 +181,7 @@ fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> O
 pub fn report(
     model: &str,
     target: &Target,
-    case: &Case<'_>,
+    case: &EstimateInput<'_>,
     samples: u64,
     baselines: Vec<(EnergyRow, String)>,
 ) -> EnergyReport {

@@ -9,7 +9,7 @@ use super::workload::Workload;
 use crate::published::measurement::load_measurements;
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::Mapping;
-use nsim_cost::estimate::{Case, Convention, EnergyRow, FigureSource, estimate};
+use nsim_cost::estimate::{Convention, EnergyRow, EstimateInput, FigureSource, estimate};
 use nsim_cost::job::Mode;
 use nsim_cost::{CostTable, Deployment, HostWork};
 use nsim_ir::hardware::Target;
@@ -53,14 +53,14 @@ pub fn rows(
     let settings = metered.settings(vec![CostTable::new(&target.constants()[0])?], &deployment, options.transport);
     let samples = workload.samples();
     let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
-    let case = Case {
+    let case = EstimateInput {
         copies_counted: 1,
         hardware: target.chip().hardware(),
         errors: target.errors(&target.constants()[0]),
         mode: options.mode,
         convention: options.convention,
         steps_per_sample: workload.steps_per_sample(),
-        ..Case::new(&run.activity, &run.meter, &deployment)
+        ..EstimateInput::new(&run.activity, &run.meter, &deployment)
     };
     let named = |row: EnergyRow| EnergyRow { hardware: format!("{}, as in {}", row.hardware, scenario.work), ..row };
     Ok(estimate(&case).rows.into_iter().map(named).collect())

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use nsim_compile::{CopyPlacement, Mapping, Options, compile};
-use nsim_cost::estimate::Case;
+use nsim_cost::estimate::EstimateInput;
 use nsim_cost::job::{Convention, DeployedCores, Mode};
 use nsim_cost::transport::Words;
 use nsim_cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Timing, Transport};
@@ -196,13 +196,13 @@ fn report(deployment: &Deployment, mode: Mode, convention: Convention) -> Energy
     let (activity, meter) = run(&steps(), vec![table], deployment.tiles_used, &compiled);
     let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
     let row = gpu.row(&vtsnn(), Some(150), MS, mode, convention).unwrap();
-    let case = Case {
+    let case = EstimateInput {
         copies_counted: 1,
         hardware: "loihi",
         mode,
         convention,
         steps_per_sample: Some(150),
-        ..Case::new(&activity, &meter, deployment)
+        ..EstimateInput::new(&activity, &meter, deployment)
     };
     let report = job::report("vtsnn-slip", &target, &case, 1, vec![(row, gpu.source())]);
     EnergyReport { seed: Some(7), input: vec!["scene".to_string()], ..report }

@@ -6,7 +6,7 @@ use nsim_cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use nsim_ir::base::id::CompartmentId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
-use nsim_ir::spikes::{Copies, Sample, Stimulus};
+use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_machine::ranks::transport::Ranks;
 use nsim_session::cores::core_rows;
 use nsim_session::decision::EarlyExit;
@@ -63,12 +63,7 @@ impl<'j> Workload<'j> {
         self.order.iter().map(|&sample| &self.given[sample]).collect()
     }
 
-    /// The copies, all of which see each sample.
-    pub fn shown(&self) -> Copies {
-        Copies { copies: self.copies, channels: self.compiled.one.channels() }
-    }
-
-    /// What its steps are metered under: sums alone.
+    /// Returns the settings of its meter, for sums only.
     pub fn metered(&self, tables: Vec<CostTable>, deployment: &Deployment, transport: Transport) -> MeterSettings {
         self.metered.settings(tables, deployment, transport)
     }
@@ -95,7 +90,7 @@ impl<'j> Workload<'j> {
     /// # Errors
     /// A constant that does not fit an integer.
     pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
-        let rates = Rates::of_copy(&run.counts, &self.compiled.one, run.activity.steps());
+        let rates = Rates::from_counts(&run.counts, &self.compiled.one, run.activity.steps());
         Ok(self.compiled.score_at(&rates, self.target)?)
     }
 

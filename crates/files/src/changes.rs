@@ -13,7 +13,7 @@ use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
-use nsim_ir::hardware::constants::{Constants, SET, Status, classes_of};
+use nsim_ir::hardware::constants::{Constants, SET_OPTION, Status, classes_of};
 use nsim_ir::locate;
 use nsim_ir::resource::Limits;
 
@@ -238,7 +238,9 @@ pub fn constants(constants: &mut Constants) -> Result<()> {
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
         constant.findings.clear();
         constants.borrowed.retain(|name| *name != path);
-        constants.stated_in.extend(Constants::NAMES.iter().find(|name| **name == path).map(|name| (*name, SET.into())));
+        constants
+            .stated_in
+            .extend(Constants::NAMES.iter().find(|name| **name == path).map(|name| (*name, SET_OPTION.into())));
         constants.forget_errors(classes_of(&path));
     }
     Ok(())

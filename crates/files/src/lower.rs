@@ -12,7 +12,7 @@ use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
 use crate::synapses::{Listed, SynapseArrays};
-use nsim_ir::base::diagnostic::{Diagnostic, Span, gathered};
+use nsim_ir::base::diagnostic::{Diagnostic, Span, collect_all};
 use nsim_ir::base::fixed::{Delay, MessageBits, Payload};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
 use nsim_ir::base::rng;
@@ -78,14 +78,14 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
                 .help("give each population its own name"));
         }
     }
-    // What names a population that has a problem would have one too.
-    gathered::<()>(problems)?;
+    // Projections of a refused population would only repeat its error.
+    collect_all::<()>(problems)?;
     let output = lowering.find(&nodes, &file.output, "output", || lowering.at(lowering.whole, "output"));
     let joined = file.projections.iter().enumerate().map(|(index, desc)| {
         let span = projections.get(index).copied().unwrap_or_default();
         lowering.projection((desc, span), &nodes, &mut graph)
     });
-    gathered(joined.chain([output.clone().map(drop)]))?;
+    collect_all(joined.chain([output.clone().map(drop)]))?;
     let output = output?;
     let size = graph[output].shape.len();
     if matches!(graph[output].kind, PopulationKind::Input) {

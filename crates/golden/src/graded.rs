@@ -1,25 +1,25 @@
 //! Equations (35) to (38) of `docs/loihi2.md`.
 
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 use crate::outcome::{Outcome, sent, word};
 
-/// Equation (35): a step of a neuron that sends what arrives; `rectified` if its sign counts.
-pub(crate) fn vector(row: &Row, arrived: i64, rectified: bool) -> Outcome {
+/// Equation (35): a step of a neuron that sends its arrivals; `rectified` if their sign counts.
+pub(crate) fn vector(row: &ParameterRow, arrived: i64, rectified: bool) -> Outcome {
     let size = if rectified { arrived } else { arrived.abs() };
     sent(if size > i64::from(row.0[0]) { arrived } else { 0 }, false)
 }
 
 /// Equation (36): a step of a neuron that sends a product.
-pub(crate) fn product(row: &Row, [a, b]: [i64; 2]) -> Outcome {
-    let Row([threshold, exp, ..]) = *row;
+pub(crate) fn product(row: &ParameterRow, [a, b]: [i64; 2]) -> Outcome {
+    let ParameterRow([threshold, exp, ..]) = *row;
     let mut wrapped = false;
     let product = word((a * b).div_euclid(1 << exp), &mut wrapped);
     sent(if product.abs() > i64::from(threshold) { product } else { 0 }, wrapped)
 }
 
-/// Equation (37): a step of a neuron that sends a product with the step before.
-pub(crate) fn delayed_product(row: &Row, words: &mut [i64; 4], [a, b]: [i64; 2]) -> Outcome {
+/// Equation (37): a step of a neuron that sends a product with the previous step's arrivals.
+pub(crate) fn delayed_product(row: &ParameterRow, words: &mut [i64; 4], [a, b]: [i64; 2]) -> Outcome {
     (words[0], words[1]) = (a, words[0]);
     let mut wrapped = false;
     let product = word(words[1] * b, &mut wrapped);

@@ -23,7 +23,7 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
 use crate::outcome::{Outcome, decay, wrap};
-use crate::synapses::{Sum, Synapse, connections_by_source, exponents, scaled, synapses};
+use crate::synapses::{DelayedSum, Synapse, connections_by_source, exponents, scaled, synapses};
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::Decay;
@@ -33,12 +33,12 @@ use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port, Role};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Neuron, Quantised, Reset, SpikeSource, Units};
-use nsim_ir::source_counts::LeftField;
+use nsim_ir::source_counts::OverflowCounts;
 use nsim_ir::spikes::{Engine, Message, Spikes};
 
 /// Greatest latency from a spike to the update that it enters, in steps: delay field 62, and one
 /// step between compartments.
-const LONGEST_WAY: usize = 63;
+const LONGEST_LATENCY: usize = 63;
 
 /// The weights of a plastic projection, source by source.
 #[derive(Debug, Clone)]
@@ -62,15 +62,15 @@ impl Plastic {
 struct Arrivals {
     /// Plain sums, by port.
     plain: [i64; 2],
-    /// The separate sums and their ports.
-    apart: Vec<(Port, Sum, i64)>,
-    /// Synapses that it arrives over.
+    /// Separate sums, with their ports.
+    separate: Vec<(Port, DelayedSum, i64)>,
+    /// Number of synapses with an arriving spike.
     events: u64,
 }
 
 impl Arrivals {
     fn are_zero(&self) -> bool {
-        self.plain == [0; 2] && self.apart.iter().all(|sum| sum.2 == 0)
+        self.plain == [0; 2] && self.separate.iter().all(|sum| sum.2 == 0)
     }
 
     /// Rules (19), (39) and (40): by port, the sums of weights times messages, and whether one
@@ -79,11 +79,11 @@ impl Arrivals {
     fn by_port(&self, neuron: &Neuron) -> ([i64; 2], bool) {
         let mut ports = self.plain.map(|sum| (sum / 64).div_euclid(1 << neuron.shift));
         let mut wrapped = false;
-        for (port, Sum { apart, shift, .. }, sum) in &self.apart {
+        for (port, DelayedSum { separate, shift, .. }, sum) in &self.separate {
             let shifted = (sum / 64).div_euclid(1 << shift);
-            let kept = if apart.wraps { wrap(shifted, 23) } else { shifted };
-            ports[port.index()] += kept;
-            wrapped |= kept != shifted;
+            let narrowed = if separate.wraps { wrap(shifted, 23) } else { shifted };
+            ports[port.index()] += narrowed;
+            wrapped |= narrowed != shifted;
         }
         (ports, wrapped)
     }
@@ -140,8 +140,8 @@ pub struct Golden {
     graded: bool,
     totals: Totals,
     overflow: Overflow,
-    /// Of each compartment, over all samples.
-    left_fields: IdVec<CompartmentId, LeftField>,
+    /// Overflows of each compartment, over all samples.
+    overflows: IdVec<CompartmentId, OverflowCounts>,
     plastic: BTreeMap<ProjectionId, Plastic>,
     rule: Option<Arc<dyn LearningRule>>,
 }
@@ -180,7 +180,7 @@ impl Golden {
         });
         let plastic = plastic.collect();
         let parts = network.parts();
-        let left_fields = compartments.ids().map(|_| LeftField::default()).collect();
+        let overflows = compartments.ids().map(|_| OverflowCounts::default()).collect();
         Golden {
             semantics: parts.semantics,
             threshold: parts.threshold,
@@ -196,7 +196,7 @@ impl Golden {
             graded: network.populations().iter().any(|population| population.message != Message::Spike),
             totals: Totals::default(),
             overflow: Overflow::default(),
-            left_fields,
+            overflows,
             plastic,
             rule: None,
         }
@@ -220,7 +220,7 @@ impl Golden {
         let Some((projection, number)) = synapse.plastic else { return synapse.adds };
         let between = u32::from(matches!(synapse.source, SpikeSource::Compartment(_)));
         let plastic = &self.plastic[&projection];
-        scaled(plastic.weights(self.done + between - synapse.way)[number].into(), exponents(plastic.format).0)
+        scaled(plastic.weights(self.done + between - synapse.latency)[number].into(), exponents(plastic.format).0)
     }
 
     /// Changes all plastic weights by this rule in the samples that begin from now on.
@@ -253,9 +253,9 @@ impl Golden {
         }
     }
 
-    /// How often values of each compartment left their fields, over all samples so far.
-    pub fn left_fields(&self) -> &IdVec<CompartmentId, LeftField> {
-        &self.left_fields
+    /// Number of overflows of each compartment, over all samples so far.
+    pub fn overflows(&self) -> &IdVec<CompartmentId, OverflowCounts> {
+        &self.overflows
     }
 
     /// Value of the source's spike `ago` steps before the step that is being computed, if it spiked
@@ -272,7 +272,7 @@ impl Golden {
     fn events_in_flight(&self) -> u64 {
         let arrives = |synapse: &Synapse, ago: u32| {
             let spiked_in = self.done - 1 - ago;
-            spiked_in + synapse.way >= self.done && spiked_in + synapse.way < self.steps
+            spiked_in + synapse.latency >= self.done && spiked_in + synapse.latency < self.steps
         };
         if self.done >= self.steps {
             return 0;
@@ -280,7 +280,7 @@ impl Golden {
         let mut events = 0;
         for synapse in self.compartments.iter().flat_map(|compartment| &compartment.incoming) {
             // The latest step is the first row of the histories.
-            for ago in 0..self.done.min(synapse.way + 1) {
+            for ago in 0..self.done.min(synapse.latency + 1) {
                 events += u64::from(arrives(synapse, ago) && self.carried(synapse.source, ago).is_some());
             }
         }
@@ -291,14 +291,14 @@ impl Golden {
     fn arrivals(&self, compartment: CompartmentId) -> Arrivals {
         let mut arrivals = Arrivals::default();
         for synapse in &self.compartments[compartment].incoming {
-            let Some(payload) = self.carried(synapse.source, synapse.way) else { continue };
+            let Some(payload) = self.carried(synapse.source, synapse.latency) else { continue };
             let adds = self.adds(synapse) * payload;
             arrivals.events += 1;
-            match synapse.apart {
+            match synapse.separate {
                 None => arrivals.plain[synapse.port.index()] += adds,
-                Some(own) => match arrivals.apart.iter_mut().find(|sum| (sum.0, sum.1) == (synapse.port, own)) {
+                Some(own) => match arrivals.separate.iter_mut().find(|sum| (sum.0, sum.1) == (synapse.port, own)) {
                     Some((_, _, sum)) => *sum += adds,
-                    None => arrivals.apart.push((synapse.port, own, adds)),
+                    None => arrivals.separate.push((synapse.port, own, adds)),
                 },
             }
         }
@@ -370,14 +370,18 @@ impl Golden {
             // Steps and compartments ascend, so the first one found is the earliest.
             self.overflow.first.get_or_insert((step, id));
         }
-        self.left_fields[id].wrapped += u64::from(outcome.q_wrapped) + u64::from(outcome.u_wrapped);
-        self.left_fields[id].clipped += u64::from(outcome.v_clipped);
-        self.left_fields[id].cut += u64::from(outcome.v_clipped && self.compartments[id].state.v > 0);
+        self.overflows[id].wrapped += u64::from(outcome.q_wrapped) + u64::from(outcome.u_wrapped);
+        self.overflows[id].clipped += u64::from(outcome.v_clipped);
+        self.overflows[id].cut += u64::from(outcome.v_clipped && self.compartments[id].state.v > 0);
         outcome.spiked
     }
 }
 
 impl Engine for Golden {
+    fn channels(&self) -> u32 {
+        self.channel_messages.len() as u32
+    }
+
     fn begin(&mut self, steps: u32) {
         self.steps = steps;
         for compartment in self.compartments.iter_mut() {
@@ -408,8 +412,8 @@ impl Engine for Golden {
         // This step's own row is not read: a compartment's spike arrives a step later at the
         // earliest.
         self.compartment_history.push_front(vec![None; self.compartments.len()]);
-        self.channel_history.truncate(LONGEST_WAY + 1);
-        self.compartment_history.truncate(LONGEST_WAY + 1);
+        self.channel_history.truncate(LONGEST_LATENCY + 1);
+        self.compartment_history.truncate(LONGEST_LATENCY + 1);
 
         let spikes: Vec<CompartmentId> = self.compartments.ids().filter(|&id| self.update(id, step)).collect();
         for &id in &spikes {

@@ -1,6 +1,6 @@
 //! Equations (28) to (32) of `docs/loihi2.md`.
 
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 use crate::outcome::{Outcome, decay, sent, word};
 
@@ -26,8 +26,8 @@ fn integrate(words: &mut [i64; 4], [du, dv]: [i32; 2], [mantissa, exponent]: [i3
 }
 
 /// A step of a LIF neuron with two thresholds: equation (29).
-pub(crate) fn ternary(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([du, dv, high, low, mantissa, exponent, ..]) = *row;
+pub(crate) fn ternary(row: &ParameterRow, words: &mut [i64; 4], arrived: i64) -> Outcome {
+    let ParameterRow([du, dv, high, low, mantissa, exponent, ..]) = *row;
     let [u_wrapped, v_clipped] = integrate(words, [du, dv], [mantissa, exponent], arrived);
     let sign = i64::from(words[1] > 64 * i64::from(high)) - i64::from(words[1] < 64 * i64::from(low));
     if sign != 0 {
@@ -38,14 +38,14 @@ pub(crate) fn ternary(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome 
 
 /// Equation (30): whether this step of a LIF neuron with a reset begins at zero. lava counts steps
 /// from 1.
-pub(crate) fn resets(row: &Row, step: u32) -> bool {
-    let Row([.., interval, offset, _]) = *row;
+pub(crate) fn resets(row: &ParameterRow, step: u32) -> bool {
+    let ParameterRow([.., interval, offset, _]) = *row;
     (i64::from(step) + 1 - i64::from(offset)) % i64::from(interval) == 0
 }
 
 /// A step of a LIF neuron, after its reset.
-pub(crate) fn resetting(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([du, dv, vth, mantissa, exponent, ..]) = *row;
+pub(crate) fn resetting(row: &ParameterRow, words: &mut [i64; 4], arrived: i64) -> Outcome {
+    let ParameterRow([du, dv, vth, mantissa, exponent, ..]) = *row;
     let [u_wrapped, v_clipped] = integrate(words, [du, dv], [mantissa, exponent], arrived);
     let spiked = words[1] > 64 * i64::from(vth);
     if spiked {
@@ -63,8 +63,8 @@ fn integrate_wide(words: &mut [i64; 4], [du, dv]: [i32; 2], arrived: i64) -> boo
 }
 
 /// A step of a LIF neuron that sends its voltage: equation (31).
-pub(crate) fn graded(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([du, dv, vth, ..]) = *row;
+pub(crate) fn graded(row: &ParameterRow, words: &mut [i64; 4], arrived: i64) -> Outcome {
+    let ParameterRow([du, dv, vth, ..]) = *row;
     let wrapped = integrate_wide(words, [du, dv], arrived);
     if words[1] <= 64 * i64::from(vth) {
         return sent(0, wrapped);
@@ -92,8 +92,8 @@ pub(crate) fn adapt(
 }
 
 /// A step of a LIF neuron with an adaptive threshold in lava's integers.
-pub(crate) fn adaptive_lava(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([du, dv, dtheta, dr, rest, step, mantissa, exponent]) = *row;
+pub(crate) fn adaptive_lava(row: &ParameterRow, words: &mut [i64; 4], arrived: i64) -> Outcome {
+    let ParameterRow([du, dv, dtheta, dr, rest, step, mantissa, exponent]) = *row;
     let [mut u_wrapped, v_clipped] = integrate(words, [du, dv], [mantissa, exponent], arrived);
     let voltage = words[1];
     let spiked = adapt([dtheta, dr, rest, step], words, Some(voltage), &mut u_wrapped);
@@ -101,8 +101,8 @@ pub(crate) fn adaptive_lava(row: &Row, words: &mut [i64; 4], arrived: i64) -> Ou
 }
 
 /// A step of a LIF neuron with an adaptive threshold in lava-dl's integers.
-pub(crate) fn adaptive_lava_dl(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([du, dv, dtheta, dr, rest, step, ..]) = *row;
+pub(crate) fn adaptive_lava_dl(row: &ParameterRow, words: &mut [i64; 4], arrived: i64) -> Outcome {
+    let ParameterRow([du, dv, dtheta, dr, rest, step, ..]) = *row;
     let mut u_wrapped = integrate_wide(words, [du, dv], arrived);
     let voltage = words[1];
     let spiked = adapt([dtheta, dr, rest, step], words, Some(voltage), &mut u_wrapped);

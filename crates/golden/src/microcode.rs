@@ -3,13 +3,13 @@
 //! Numbers have 128 bits, so that a result beyond 64 bits is detected.
 
 use nsim_ir::microcode::{Assignment, Expression, MOST_WORDS, Microcode, Node, Operation, Overflow, Variable};
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 use crate::outcome::Outcome;
 
 /// The values of names in a step.
 struct Names<'s> {
-    row: &'s Row,
+    row: &'s ParameterRow,
     arrived: [i64; 2],
     words: &'s mut [i64; MOST_WORDS],
     temporaries: Vec<i128>,
@@ -94,7 +94,7 @@ fn applied(operation: Operation, of: &[i128]) -> i128 {
 }
 
 /// A step of a neuron.
-pub(crate) fn step(code: &Microcode, row: &Row, words: &mut [i64; MOST_WORDS], arrived: [i64; 2]) -> Outcome {
+pub(crate) fn step(code: &Microcode, row: &ParameterRow, words: &mut [i64; MOST_WORDS], arrived: [i64; 2]) -> Outcome {
     let mut outcome = Outcome::default();
     let mut names = Names { row, arrived, words, temporaries: vec![0; code.temporaries()] };
     names.assign(code, code.update(), &mut outcome);
@@ -193,21 +193,21 @@ mod tests {
     /// The instructions agree with the tree in words, messages, reports and idleness.
     #[test]
     fn random_trees_are_the_same_as_their_instructions() {
-        let (mut compared, mut seen) = (0, [0u32; 5]);
+        let (mut compared, mut seen_counts) = (0, [0u32; 5]);
         for number in 0..600 {
             let mut texts = Texts { seed: number.into(), drawn: 0, names: Vec::new() };
             // A tree whose results may need more than 64 bits is refused.
             let Ok(kind) = MicrocodeKind::new(texts.declaration(number)) else { continue };
             let lanes = 1 + texts.below(64) as usize;
             let row = |texts: &mut Texts| {
-                let mut row = Row::EMPTY;
+                let mut row = ParameterRow::EMPTY;
                 row.0[0] = texts.below(10) as i32;
                 row.0[1] = texts.below(1001) as i32 - 500;
                 row.0[2] = texts.bits() as i32 >> texts.below(32);
                 row
             };
-            let mut rows: Vec<Row> = (0..lanes).map(|_| row(&mut texts)).collect();
-            // Parameters that all neurons share, 0 among them, leave instructions out.
+            let mut rows: Vec<ParameterRow> = (0..lanes).map(|_| row(&mut texts)).collect();
+            // Shared parameters, 0 among them, let specialisation remove instructions.
             for place in 0..3 {
                 let shared = [None, Some(0), Some(1), Some(rows[0].0[place])][texts.below(4) as usize];
                 rows.iter_mut().for_each(|row| row.0[place] = shared.unwrap_or(row.0[place]));
@@ -243,17 +243,17 @@ mod tests {
                     woken |= step == 0 && active;
                     let outcome = super::step(kind.code(), &rows[lane], &mut words[lane], arrived);
                     let is_in = |set: u64| set >> lane & 1 == 1;
-                    let meant = [outcome.spiked, outcome.u_wrapped, outcome.v_clipped, active];
+                    let expected = [outcome.spiked, outcome.u_wrapped, outcome.v_clipped, active];
                     let found = [effects.emitted, effects.wrapped, effects.clipped, effects.active].map(is_in);
-                    let said = || format!("{:#?}, lane {lane}, step {step}", kind.code().declaration());
-                    assert_eq!(meant, found, "{}", said());
+                    let context = || format!("{:#?}, lane {lane}, step {step}", kind.code().declaration());
+                    assert_eq!(expected, found, "{}", context());
                     let column = |word: usize| i64::from(columns[lane / CHUNK * 3 + word][lane % CHUNK]);
-                    assert_eq!(words[lane][..3], [column(0), column(1), column(2)], "{}", said());
+                    assert_eq!(words[lane][..3], [column(0), column(1), column(2)], "{}", context());
                     if let (Some(value), true) = (outcome.value, outcome.spiked) {
-                        assert_eq!(value, of(&sent).into(), "{}", said());
-                        seen[4] += 1;
+                        assert_eq!(value, of(&sent).into(), "{}", context());
+                        seen_counts[4] += 1;
                     }
-                    meant.iter().zip(&mut seen).for_each(|(meant, seen)| *seen += u32::from(*meant));
+                    expected.iter().zip(&mut seen_counts).for_each(|(meant, seen)| *seen += u32::from(*meant));
                     compared += 1;
                 }
                 if step == 0 {
@@ -261,6 +261,6 @@ mod tests {
                 }
             }
         }
-        assert!(compared > 100_000 && seen.iter().all(|seen| *seen > 1_000), "{compared}, {seen:?}");
+        assert!(compared > 100_000 && seen_counts.iter().all(|seen| *seen > 1_000), "{compared}, {seen_counts:?}");
     }
 }

@@ -1,13 +1,13 @@
 //! Equations (25) to (27), (33) and (34) of `docs/loihi2.md`.
 
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 use crate::lif::adapt;
 use crate::outcome::{Outcome, sent, word};
 
 /// A step of a resonate-and-fire neuron, of the kind with reset if `izhikevich`.
-pub(crate) fn step(row: &Row, words: &mut [i64; 4], [real, imag]: [i64; 2], izhikevich: bool) -> Outcome {
-    let Row([sin, cos, threshold, state_exp, decay_bits, ..]) = *row;
+pub(crate) fn step(row: &ParameterRow, words: &mut [i64; 4], [real, imag]: [i64; 2], izhikevich: bool) -> Outcome {
+    let ParameterRow([sin, cos, threshold, state_exp, decay_bits, ..]) = *row;
     let (sin, cos, threshold) = (i64::from(sin), i64::from(cos), i64::from(threshold));
     let (re, im) = (words[0], words[1]);
     // Each product is rounded separately, toward zero, by the division.
@@ -22,8 +22,8 @@ pub(crate) fn step(row: &Row, words: &mut [i64; 4], [real, imag]: [i64; 2], izhi
 }
 
 /// A step of a resonator with an adaptive threshold: equation (33).
-pub(crate) fn adaptive(row: &Row, words: &mut [i64; 4], [real, imag]: [i64; 2], izhikevich: bool) -> Outcome {
-    let Row([sin, cos, dtheta, dr, threshold, step, state_exp, _]) = *row;
+pub(crate) fn adaptive(row: &ParameterRow, words: &mut [i64; 4], [real, imag]: [i64; 2], izhikevich: bool) -> Outcome {
+    let ParameterRow([sin, cos, dtheta, dr, threshold, step, state_exp, _]) = *row;
     let (re, im) = (words[0], words[1]);
     let of = |factor: i32, x: i64| i64::from(factor) * x / 4096;
     let mut u_wrapped = false;
@@ -38,8 +38,8 @@ pub(crate) fn adaptive(row: &Row, words: &mut [i64; 4], [real, imag]: [i64; 2], 
 }
 
 /// A step of a resonator that sends its real part: equation (34).
-pub(crate) fn zero(row: &Row, words: &mut [i64; 4], [real, imag]: [i64; 2]) -> Outcome {
-    let Row([sin, cos, threshold, ..]) = *row;
+pub(crate) fn zero(row: &ParameterRow, words: &mut [i64; 4], [real, imag]: [i64; 2]) -> Outcome {
+    let ParameterRow([sin, cos, threshold, ..]) = *row;
     let (u, v) = (words[0], words[1]);
     let of = |factor: i32, x: i64| (i64::from(factor) * x).div_euclid(1 << 15);
     let mut wrapped = false;

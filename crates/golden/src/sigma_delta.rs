@@ -1,6 +1,6 @@
 //! Equations (20) to (24) of `docs/loihi2.md`.
 
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 use crate::outcome::{Outcome, sent, word};
 
@@ -24,8 +24,8 @@ fn change(x: i64, words: Changes<'_>, threshold: i64, state_exp: i32, cum_error:
 }
 
 /// A step of a SigmaDelta neuron.
-pub(crate) fn sigma_delta(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([threshold, bias, spike_exp, state_exp, relu, cum_error, corrected, _]) = *row;
+pub(crate) fn sigma_delta(row: &ParameterRow, words: &mut [i64; 4], arrived: i64) -> Outcome {
+    let ParameterRow([threshold, bias, spike_exp, state_exp, relu, cum_error, corrected, _]) = *row;
     let one = 1i64 << (spike_exp + state_exp);
     let [sigma, act, residue, error] = words;
     let mut wrapped = false;
@@ -45,8 +45,8 @@ pub(crate) fn sigma_delta(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outc
 }
 
 /// A step of a Delta neuron.
-pub(crate) fn delta(row: &Row, words: &mut [i64; 4], arrived: i64) -> Outcome {
-    let Row([threshold, spike_exp, state_exp, cum_error, ..]) = *row;
+pub(crate) fn delta(row: &ParameterRow, words: &mut [i64; 4], arrived: i64) -> Outcome {
+    let ParameterRow([threshold, spike_exp, state_exp, cum_error, ..]) = *row;
     let one = 1i64 << (spike_exp + state_exp);
     let [act, residue, error, _] = words;
     let mut wrapped = false;

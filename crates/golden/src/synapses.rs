@@ -7,7 +7,7 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, ProjectionId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::Window;
 use nsim_ir::neurons::Port;
-use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
+use nsim_ir::quantised::connectivity::{Connectivity, SeparateSum, SynapseFormat};
 use nsim_ir::quantised::{Projection, Quantised, SpikeSource, Units};
 
 /// An incoming synapse of a compartment.
@@ -15,22 +15,22 @@ use nsim_ir::quantised::{Projection, Quantised, SpikeSource, Units};
 pub struct Synapse {
     /// Source of its spikes.
     pub source: SpikeSource,
-    /// Steps from a spike to the update that it enters: equation (2).
-    pub way: u32,
-    /// What a binary spike adds: equation (1).
+    /// Latency from a spike to the update that it enters, in steps: equation (2).
+    pub latency: u32,
+    /// Contribution of a binary spike: equation (1).
     pub adds: i64,
     /// Port whose sum it adds to.
     pub port: Port,
-    /// A sum of its own, which is added to that one.
-    pub apart: Option<Sum>,
-    /// Its plastic projection, and its number there.
+    /// Separate sum, which is added to the port's.
+    pub separate: Option<DelayedSum>,
+    /// Its plastic projection, and the index of its weight there.
     pub plastic: Option<(ProjectionId, usize)>,
 }
 
 /// A sum that is narrowed separately: rules (39) and (40).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Sum {
-    pub apart: Apart,
+pub struct DelayedSum {
+    pub separate: SeparateSum,
     pub delay: u32,
     /// Shift toward minus infinity, in bits.
     pub shift: u32,
@@ -56,18 +56,19 @@ pub fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
         let first_target = target.first_compartment().expect("a target has compartments").0;
         let delay = u32::from(projection.delay.get());
         for (number, (from, to, weight)) in connections_by_source(network, projection).into_iter().enumerate() {
-            let (source, way) = match source.units {
+            let (source, latency) = match source.units {
                 Units::Input(first) => (SpikeSource::Channel(ChannelId(first.0 + from)), delay),
                 Units::Compartments { first, .. } => {
                     (SpikeSource::Compartment(CompartmentId(first.0 + from)), 1 + delay)
                 }
             };
             let SynapseFormat { port, apart, plastic, .. } = projection.format;
-            let (exponent, of_sum) = exponents(projection.format);
+            let (exponent, sum_exponent) = exponents(projection.format);
             let adds = scaled(weight, exponent);
-            let apart = apart.map(|apart| Sum { apart, delay, shift: of_sum.unsigned_abs().into() });
+            let separate =
+                apart.map(|separate| DelayedSum { separate, delay, shift: sum_exponent.unsigned_abs().into() });
             let plastic = plastic.then_some((id, number));
-            all.push((CompartmentId(first_target + to), Synapse { source, way, adds, port, apart, plastic }));
+            all.push((CompartmentId(first_target + to), Synapse { source, latency, adds, port, separate, plastic }));
         }
     }
     all

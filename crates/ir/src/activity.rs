@@ -128,8 +128,8 @@ pub struct HopCounts {
 }
 
 impl HopCounts {
-    /// Links crossed.
-    pub fn links(&self) -> u64 {
+    /// Links crossed in any direction.
+    pub fn total_links(&self) -> u64 {
         self.east_west + self.north_south
     }
 

@@ -6,11 +6,11 @@
 use crate::quantised::Quantised;
 use crate::source_counts::SourceCounts;
 
-/// Steps that a rate counts the spikes of.
-pub const UNIT: f64 = 1e6;
-/// What a source that never spiked in a profile run counts nonetheless, a spike in a million steps:
-/// it decides only between what is otherwise equal.
-const LEAST: u64 = 1;
+/// Number of steps over which a rate counts spikes.
+pub const RATE_STEPS: f64 = 1e6;
+/// The least rate, a spike in a million steps, also of a source that never spiked in a profile run.
+/// It only breaks ties.
+const LEAST_RATE: u64 = 1;
 
 /// Rates of all sources: channels first, then compartments.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,9 +19,9 @@ pub enum Rates {
     Assumed(u64),
     /// Rates measured in a run.
     Profile {
-        /// Spikes of each channel in [`UNIT`] steps, then of each compartment.
-        of: Vec<u64>,
-        /// Channels.
+        /// Spikes of each channel in [`RATE_STEPS`] steps, then of each compartment.
+        per_source: Vec<u64>,
+        /// Number of channels.
         channels: u32,
     },
 }
@@ -29,13 +29,16 @@ pub enum Rates {
 impl Rates {
     /// An assumed rate for every source, in spikes a step.
     pub fn assumed(rate: f64) -> Self {
-        Rates::Assumed(((rate * UNIT).round() as u64).max(LEAST))
+        Rates::Assumed(((rate * RATE_STEPS).round() as u64).max(LEAST_RATE))
     }
 
     /// Rates from the spikes of each channel and each compartment in `steps` steps.
     pub fn profile(channels: &[u64], compartments: &[u64], steps: u64) -> Self {
-        let rate = |&spikes: &u64| ((spikes as f64 * UNIT / steps.max(1) as f64).round() as u64).max(LEAST);
-        Rates::Profile { of: channels.iter().chain(compartments).map(rate).collect(), channels: channels.len() as u32 }
+        let rate = |&spikes: &u64| ((spikes as f64 * RATE_STEPS / steps.max(1) as f64).round() as u64).max(LEAST_RATE);
+        Rates::Profile {
+            per_source: channels.iter().chain(compartments).map(rate).collect(),
+            channels: channels.len() as u32,
+        }
     }
 
     /// Rates from the counts of `steps` steps of one network, or of several copies with equal
@@ -43,7 +46,7 @@ impl Rates {
     ///
     /// # Panics
     /// When the counts are of fewer channels or compartments than the network has.
-    pub fn of_copy(counts: &SourceCounts, network: &Quantised, steps: u64) -> Self {
+    pub fn from_counts(counts: &SourceCounts, network: &Quantised, steps: u64) -> Self {
         let channels = &counts.channels.as_slice()[..network.channels() as usize];
         let compartments = &counts.compartments.as_slice()[..network.compartments() as usize];
         Rates::profile(channels, compartments, steps)
@@ -54,7 +57,7 @@ impl Rates {
     pub fn rate_of(&self, source: u32) -> u64 {
         match self {
             Rates::Assumed(rate) => *rate,
-            Rates::Profile { of, .. } => of.get(source as usize).copied().unwrap_or(LEAST),
+            Rates::Profile { per_source, .. } => per_source.get(source as usize).copied().unwrap_or(LEAST_RATE),
         }
     }
 
@@ -63,10 +66,11 @@ impl Rates {
     pub fn copies(&self, copies: u32) -> Rates {
         match self {
             Rates::Assumed(rate) => Rates::Assumed(*rate),
-            Rates::Profile { of, channels } => {
-                let (inputs, own) = of.split_at(*channels as usize);
-                let of = inputs.repeat(copies as usize).into_iter().chain(own.repeat(copies as usize)).collect();
-                Rates::Profile { of, channels: channels * copies }
+            Rates::Profile { per_source, channels } => {
+                let (inputs, own) = per_source.split_at(*channels as usize);
+                let per_source =
+                    inputs.repeat(copies as usize).into_iter().chain(own.repeat(copies as usize)).collect();
+                Rates::Profile { per_source, channels: channels * copies }
             }
         }
     }

@@ -43,8 +43,8 @@ pub struct Group {
 
 /// Sizes of a network of which a program has copies.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct OneCopy {
-    /// Compartments.
+pub struct CopySizes {
+    /// Number of compartments.
     pub compartments: u32,
     /// Number of input channels.
     pub channels: u32,
@@ -65,17 +65,17 @@ pub struct CoreGroups {
 
 /// Cores and copies of a group, ascending.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Together {
+pub struct GroupMembers {
     /// The cores.
     pub cores: Vec<CoreId>,
     /// The copies whose compartments are all on these cores.
     pub copies: Vec<u32>,
 }
 
-/// Which group is of which kind: for each group the first group that is like it.
-fn first_alike(program: &Program, one: OneCopy, together: &[Together]) -> Vec<usize> {
+/// For each group, the index of the first identical group.
+fn first_identical(program: &Program, one: CopySizes, together: &[GroupMembers]) -> Vec<usize> {
     let mut known = HashMap::new();
-    let key = |group: &Together| -> Vec<Vec<(usize, u32)>> {
+    let key = |group: &GroupMembers| -> Vec<Vec<(usize, u32)>> {
         let member = |id: &CompartmentId| {
             let copy = group.copies.binary_search(&(id.0 / one.compartments)).unwrap_or(usize::MAX);
             (copy, id.0 % one.compartments)
@@ -90,28 +90,35 @@ impl CoreGroups {
     ///
     /// # Errors
     /// [`NotClosed`] when a group sends messages to another.
-    pub fn new(program: &Program, one: OneCopy, together: &[Together]) -> Result<Self, NotClosed> {
-        CoreGroups::of_alike(program, one, together, &first_alike(program, one, together))
+    pub fn new(program: &Program, one: CopySizes, together: &[GroupMembers]) -> Result<Self, NotClosed> {
+        CoreGroups::from_first_identical(program, one, together, &first_identical(program, one, together))
     }
 
     /// Groups of a program of copies, each of its own kind.
     ///
     /// # Errors
     /// As [`CoreGroups::new`].
-    pub fn each(program: &Program, one: OneCopy, together: &[Together]) -> Result<Self, NotClosed> {
-        CoreGroups::of_alike(program, one, together, &(0..together.len()).collect::<Vec<_>>())
+    pub fn each(program: &Program, one: CopySizes, together: &[GroupMembers]) -> Result<Self, NotClosed> {
+        CoreGroups::from_first_identical(program, one, together, &(0..together.len()).collect::<Vec<_>>())
     }
 
-    fn of_alike(program: &Program, one: OneCopy, together: &[Together], alike: &[usize]) -> Result<Self, NotClosed> {
+    fn from_first_identical(
+        program: &Program,
+        one: CopySizes,
+        together: &[GroupMembers],
+        first_identical: &[usize],
+    ) -> Result<Self, NotClosed> {
         let whole = program.parts();
-        let firsts: Vec<usize> = (0..alike.len()).filter(|&number| alike[number] == number).collect();
-        let kept_copies: Vec<u32> = firsts.iter().flat_map(|&first| together[first].copies.iter().copied()).collect();
+        let firsts: Vec<usize> =
+            (0..first_identical.len()).filter(|&number| first_identical[number] == number).collect();
+        let selected_copies: Vec<u32> =
+            firsts.iter().flat_map(|&first| together[first].copies.iter().copied()).collect();
         let mut new_core = vec![None; whole.cores.len()];
-        let kept_cores = firsts.iter().flat_map(|&first| &together[first].cores);
-        for (number, core) in kept_cores.clone().enumerate() {
+        let selected_cores = firsts.iter().flat_map(|&first| &together[first].cores);
+        for (number, core) in selected_cores.clone().enumerate() {
             new_core[core.index()] = Some(CoreId::new(number));
         }
-        let new_copy: HashMap<u32, u32> = kept_copies.iter().copied().zip(0..).collect();
+        let new_copy: HashMap<u32, u32> = selected_copies.iter().copied().zip(0..).collect();
         let closed = || NotClosed("a group of cores sends messages to another".to_string());
         let core = |core: CoreId| new_core[core.index()].ok_or_else(closed);
         let target = |to: &AxonTarget| Ok(AxonTarget { core: core(to.core)?, ..*to });
@@ -121,7 +128,7 @@ impl CoreGroups {
         };
         let (mut cores, mut classes) = (Vec::new(), IdVec::new());
         let mut new_class = HashMap::new();
-        for &number in kept_cores.clone() {
+        for &number in selected_cores.clone() {
             let mut image = whole.cores[number].clone();
             image.ids = Arc::new(image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?);
             let axons_out = image.axons_out.renumbered(core)?;
@@ -130,7 +137,7 @@ impl CoreGroups {
             cores.push(CoreImage { axons_out, class, ..image });
         }
         let (mut channels, mut seats, mut populations) = (Csr::default(), Vec::new(), Vec::new());
-        for (number, &copy) in (0u32..).zip(&kept_copies) {
+        for (number, &copy) in (0u32..).zip(&selected_copies) {
             for channel in copy * one.channels..(copy + 1) * one.channels {
                 let list = whole.channels.get(channel as usize).iter();
                 channels.push(list.map(target).collect::<Result<Vec<_>, NotClosed>>()?);
@@ -147,7 +154,7 @@ impl CoreGroups {
                 populations.push(whole.populations[PopulationId(id)].map(moved));
             }
         }
-        let graded = graded_of(whole, one, &kept_copies);
+        let graded = graded_of(whole, one, &selected_copies);
         let parts = Parts {
             classes,
             cores: cores.into(),
@@ -156,14 +163,14 @@ impl CoreGroups {
             populations: populations.into(),
             graded,
             assignment: whole.assignment.as_ref().map(|assignment| {
-                let owners: Vec<u32> = kept_cores.clone().map(|&core| assignment.owners[core]).collect();
+                let owners: Vec<u32> = selected_cores.clone().map(|&core| assignment.owners[core]).collect();
                 RankAssignment { owners: IdVec::from(owners).into(), ..assignment.clone() }
             }),
             ..*whole
         };
         let mut kinds: Vec<Kind> = Vec::new();
         for &first in &firsts {
-            let Together { cores, copies } = &together[first];
+            let GroupMembers { cores, copies } = &together[first];
             let last = kinds.last();
             let begin = |get: fn(&Kind) -> &Range<u32>| last.map_or(0, |kind| get(kind).end);
             let next = |begin: u32, many: usize| begin..begin + many as u32;
@@ -174,12 +181,12 @@ impl CoreGroups {
                 copies: copies.len() as u32,
             });
         }
-        let group = |(group, &alike): (&Together, &usize)| Group {
-            kind: firsts.binary_search(&alike).expect("each group is like one that comes first"),
+        let group = |(group, &first): (&GroupMembers, &usize)| Group {
+            kind: firsts.binary_search(&first).expect("each group is like one that comes first"),
             sites: group.cores.iter().map(|&core| whole.cores[core].site).collect(),
             cores: group.cores.clone(),
         };
-        let groups = together.iter().zip(alike).map(group).collect();
+        let groups = together.iter().zip(first_identical).map(group).collect();
         Ok(CoreGroups { program: Program::new(parts)?.into(), kinds, groups })
     }
 
@@ -189,8 +196,8 @@ impl CoreGroups {
     }
 }
 
-/// Payloads of the sources of these copies, which are numbered anew.
-fn graded_of(whole: &Parts, one: OneCopy, copies: &[u32]) -> Vec<Graded> {
+/// Payloads of the sources of these copies, renumbered.
+fn graded_of(whole: &Parts, one: CopySizes, copies: &[u32]) -> Vec<Graded> {
     let mut graded = Vec::new();
     let mut of_range = |from: Range<u32>, to: u32| {
         let later = whole.graded.partition_point(|part| part.sources.end <= from.start);

@@ -24,9 +24,9 @@ pub struct AxonTarget {
 
 /// An input axon of one of the destination cores of a core.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Reached {
-    /// Which of these cores.
-    pub core: u16,
+pub struct IndexedTarget {
+    /// Index into the destination cores.
+    pub core_index: u16,
     /// The input axon on that core.
     pub axon: u16,
 }
@@ -36,16 +36,16 @@ pub struct Reached {
 #[serde(try_from = "Vec<Vec<AxonTarget>>")]
 pub struct AxonsOut {
     cores: Vec<CoreId>,
-    lists: Arc<Csr<Reached>>,
+    lists: Arc<Csr<IndexedTarget>>,
 }
 
 impl AxonsOut {
     /// Builds messages from the destination cores and the index lists by slot.
     ///
     /// # Errors
-    /// [`NotClosed`] when a message goes to none of the cores.
-    pub fn new(cores: Vec<CoreId>, lists: Arc<Csr<Reached>>) -> Result<Self, NotClosed> {
-        let closed = lists.items().iter().all(|reached| usize::from(reached.core) < cores.len());
+    /// [`NotClosed`] when an index is outside `cores`.
+    pub fn new(cores: Vec<CoreId>, lists: Arc<Csr<IndexedTarget>>) -> Result<Self, NotClosed> {
+        let closed = lists.items().iter().all(|reached| usize::from(reached.core_index) < cores.len());
         if closed { Ok(AxonsOut { cores, lists }) } else { Err(NotClosed) }
     }
 
@@ -70,7 +70,10 @@ impl AxonsOut {
         let numbers: Vec<Option<u16>> = self.cores.iter().map(number).collect();
         let mut lists = Csr::default();
         for list in self.lists.iter() {
-            lists.push(list.iter().filter_map(|to| Some(Reached { core: numbers[usize::from(to.core)]?, ..*to })));
+            lists.push(
+                list.iter()
+                    .filter_map(|to| Some(IndexedTarget { core_index: numbers[usize::from(to.core_index)]?, ..*to })),
+            );
         }
         lists.shrink_to_fit();
         AxonsOut { cores, lists: lists.into() }
@@ -81,8 +84,8 @@ impl AxonsOut {
         &self.cores
     }
 
-    /// By slot the messages to these cores, which other cores may share.
-    pub fn lists(&self) -> &Arc<Csr<Reached>> {
+    /// Index lists by slot, which other cores may share.
+    pub fn lists(&self) -> &Arc<Csr<IndexedTarget>> {
         &self.lists
     }
 
@@ -99,7 +102,7 @@ impl AxonsOut {
     /// The messages of a slot's spike.
     #[inline]
     pub fn get(&self, slot: usize) -> Messages<'_> {
-        Messages::Reached(&self.cores, self.lists.get(slot).iter())
+        Messages::Indexed(&self.cores, self.lists.get(slot).iter())
     }
 
     /// The messages by slot.
@@ -109,7 +112,7 @@ impl AxonsOut {
 
     /// All messages, in the order of slots.
     pub fn items(&self) -> Messages<'_> {
-        Messages::Reached(&self.cores, self.lists.items().iter())
+        Messages::Indexed(&self.cores, self.lists.items().iter())
     }
 }
 
@@ -122,7 +125,7 @@ impl TryFrom<Vec<Vec<AxonTarget>>> for AxonsOut {
         cores.dedup();
         let reached = |to: &AxonTarget| {
             let core = u16::try_from(cores.partition_point(|&core| core < to.core)).map_err(|_| NotClosed)?;
-            Ok(Reached { core, axon: to.axon })
+            Ok(IndexedTarget { core_index: core, axon: to.axon })
         };
         let lists = lists.iter().map(|list| list.iter().map(reached).collect::<Result<Vec<_>, _>>());
         let lists = Csr::try_from(lists.collect::<Result<Vec<_>, _>>()?)?;
@@ -142,8 +145,8 @@ impl Serialize for AxonsOut {
 pub enum Messages<'a> {
     /// Messages of an input channel.
     Channel(std::slice::Iter<'a, AxonTarget>),
-    /// Of a compartment, to some of these cores.
-    Reached(&'a [CoreId], std::slice::Iter<'a, Reached>),
+    /// Messages of compartments: the destination cores, and indices into them.
+    Indexed(&'a [CoreId], std::slice::Iter<'a, IndexedTarget>),
 }
 
 impl Iterator for Messages<'_> {
@@ -153,8 +156,8 @@ impl Iterator for Messages<'_> {
     fn next(&mut self) -> Option<AxonTarget> {
         match self {
             Messages::Channel(list) => list.next().copied(),
-            Messages::Reached(cores, list) => {
-                list.next().map(|to| AxonTarget { core: cores[usize::from(to.core)], axon: to.axon })
+            Messages::Indexed(cores, list) => {
+                list.next().map(|to| AxonTarget { core: cores[usize::from(to.core_index)], axon: to.axon })
             }
         }
     }
@@ -163,7 +166,7 @@ impl Iterator for Messages<'_> {
     fn nth(&mut self, place: usize) -> Option<AxonTarget> {
         match self {
             Messages::Channel(list) => *list = list.as_slice().get(place..).unwrap_or_default().iter(),
-            Messages::Reached(_, list) => *list = list.as_slice().get(place..).unwrap_or_default().iter(),
+            Messages::Indexed(_, list) => *list = list.as_slice().get(place..).unwrap_or_default().iter(),
         }
         self.next()
     }
@@ -172,7 +175,7 @@ impl Iterator for Messages<'_> {
     fn size_hint(&self) -> (usize, Option<usize>) {
         match self {
             Messages::Channel(list) => list.size_hint(),
-            Messages::Reached(_, list) => list.size_hint(),
+            Messages::Indexed(_, list) => list.size_hint(),
         }
     }
 }

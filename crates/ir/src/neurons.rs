@@ -85,9 +85,9 @@ named_variants!(NeuronKind {
 pub struct KindTable {
     /// Its parameters, in the order in which they are written.
     pub parameters: &'static [ParameterField],
-    /// The words that it carries from one step to the next, in addition to a refractory counter.
-    pub state: &'static [Column],
-    /// Number of its sums of arrivals: 1, or 2 where a projection says which one it adds to.
+    /// Words of state, in addition to a refractory counter.
+    pub state: &'static [StateWord],
+    /// Number of sums of arrivals: 1, or 2 where a projection selects the one that it adds to.
     pub ports: u8,
     /// The content of its messages.
     pub emits: Emits,
@@ -97,7 +97,7 @@ pub struct KindTable {
 
 /// A word of state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Column {
+pub struct StateWord {
     /// Its name in `docs/semantics.md` and in probes.
     pub name: &'static str,
     /// Bits, the sign included.
@@ -207,27 +207,27 @@ pub enum Conversion {
 /// table; zeros after them.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Deserialize, Serialize)]
 #[serde(from = "Option<[i32; 8]>", into = "Option<[i32; 8]>")]
-pub struct Row(pub [i32; 8]);
+pub struct ParameterRow(pub [i32; 8]);
 
-impl From<Option<[i32; 8]>> for Row {
-    fn from(row: Option<[i32; 8]>) -> Row {
-        Row(row.unwrap_or_default())
+impl From<Option<[i32; 8]>> for ParameterRow {
+    fn from(row: Option<[i32; 8]>) -> ParameterRow {
+        ParameterRow(row.unwrap_or_default())
     }
 }
 
-impl From<Row> for Option<[i32; 8]> {
-    fn from(row: Row) -> Self {
+impl From<ParameterRow> for Option<[i32; 8]> {
+    fn from(row: ParameterRow) -> Self {
         Some(row.0).filter(|row| *row != [0; 8])
     }
 }
 
-impl Row {
-    /// That of a compartment with registers.
-    pub const EMPTY: Row = Row([0; 8]);
+impl ParameterRow {
+    /// The row of a compartment with registers.
+    pub const EMPTY: ParameterRow = ParameterRow([0; 8]);
 
     /// The parameters that are stored in `place`, zeros for the others.
     #[must_use]
-    pub fn stored_in(mut self, kind: NeuronKind, place: Storage) -> Row {
+    pub fn stored_in(mut self, kind: NeuronKind, place: Storage) -> ParameterRow {
         let table = kind.table();
         if !table.registers {
             let others = table.parameters.iter().zip(&mut self.0).filter(|(parameter, _)| parameter.storage != place);
@@ -280,8 +280,8 @@ const REFRACTORY: ParameterField = optional("refractory", Refractory::FIELD, Sto
 const VMIN: ParameterField = optional("vmin_exp", VminExponent::FIELD, Storage::Each, 23);
 const VMAX: ParameterField = optional("vmax_exp", VmaxExponent::FIELD, Storage::Each, 7);
 
-const U: Column = Column { name: "u", bits: UV_BITS + 1 };
-const V: Column = Column { name: "v", bits: UV_BITS + 1 };
+const U: StateWord = StateWord { name: "u", bits: UV_BITS + 1 };
+const V: StateWord = StateWord { name: "v", bits: UV_BITS + 1 };
 
 const LOIHI: KindTable = KindTable {
     parameters: &[
@@ -311,8 +311,8 @@ const SPIKE_EXP: ParameterField = optional("spike_exp", range("spike exponent", 
 const STATE_EXP: ParameterField = optional("state_exp", range("state exponent", 0, 7), Storage::Profile, 0);
 const CUM_ERROR: ParameterField = optional("cum_error", range("cumulated error (0 or 1)", 0, 1), Storage::Profile, 0);
 
-const fn word(name: &'static str) -> Column {
-    Column { name, bits: 32 }
+const fn word(name: &'static str) -> StateWord {
+    StateWord { name, bits: 32 }
 }
 
 const fn sine(low: i64, high: i64, help: &'static str) -> ParameterField {
@@ -342,7 +342,7 @@ static RESONATOR: KindTable = KindTable {
         STATE_EXP,
         optional("decay_bits", range("bits of the decay", 1, 15), Storage::Profile, 12),
     ],
-    state: &[Column { name: "re", bits: UV_BITS + 1 }, Column { name: "im", bits: UV_BITS + 1 }],
+    state: &[StateWord { name: "re", bits: UV_BITS + 1 }, StateWord { name: "im", bits: UV_BITS + 1 }],
     ports: 2,
     emits: Emits::Spikes,
     registers: false,
@@ -386,7 +386,7 @@ const SIGMA: KindTable =
 static SIGMA_TABLE: KindTable = SIGMA;
 
 /// Current and voltage of lava's neurons.
-const IN_24_BITS: [Column; 2] = [U, V];
+const IN_24_BITS: [StateWord; 2] = [U, V];
 /// A threshold mantissa, in units of 64 of the state.
 const MANTISSA: ParameterField =
     required("vth_mant", ThresholdMantissa::FIELD, Storage::Threshold, "give the threshold mantissa");
@@ -605,14 +605,14 @@ impl<'de> Deserialize<'de> for NeuronKind {
 /// Equal declarations are one kind, which is stored until the process ends. So a neuron refers to
 /// its kind by 8 bytes, and names of parameters and words are static, as for every other kind.
 #[derive(Clone, Copy)]
-pub struct MicrocodeKind(&'static Stated);
+pub struct MicrocodeKind(&'static MicrocodeTable);
 
-struct Stated {
+struct MicrocodeTable {
     code: Microcode,
     table: KindTable,
 }
 
-static STATED: Mutex<Vec<&'static Stated>> = Mutex::new(Vec::new());
+static MICROCODE_KINDS: Mutex<Vec<&'static MicrocodeTable>> = Mutex::new(Vec::new());
 
 impl MicrocodeKind {
     /// The kind of a declaration.
@@ -624,13 +624,13 @@ impl MicrocodeKind {
             let message = format!("'{}' is the name of another kind: choose another one", declaration.name);
             return Err(Problem { path: "name".to_string(), at: 0, message });
         }
-        let code = Microcode::new(declaration, Row::EMPTY.0.len())?;
-        let mut stated = STATED.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(same) = stated.iter().find(|kind| kind.code == code) {
+        let code = Microcode::new(declaration, ParameterRow::EMPTY.0.len())?;
+        let mut kinds = MICROCODE_KINDS.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(same) = kinds.iter().find(|kind| kind.code == code) {
             return Ok(MicrocodeKind(same));
         }
-        let kind: &Stated = Box::leak(Box::new(Stated { table: table_of(&code), code }));
-        stated.push(kind);
+        let kind: &MicrocodeTable = Box::leak(Box::new(MicrocodeTable { table: table_of(&code), code }));
+        kinds.push(kind);
         Ok(MicrocodeKind(kind))
     }
 
@@ -655,7 +655,7 @@ fn table_of(code: &Microcode) -> KindTable {
         let help = "give a value, or a default in the kind's parameters";
         ParameterField { default, ..required(name, field, Storage::Each, help) }
     };
-    let column = |word: &crate::microcode::Word| Column { name: leaked(&word.name), bits: word.bits };
+    let column = |word: &crate::microcode::Word| StateWord { name: leaked(&word.name), bits: word.bits };
     KindTable {
         parameters: parameters.iter().map(parameter).collect::<Vec<_>>().leak(),
         state: state.iter().map(column).collect::<Vec<_>>().leak(),

@@ -64,10 +64,10 @@ impl IndexMut<Resource> for CoreUsage {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum PartitionError {
     /// A compartment has no seat.
-    #[error("compartment {0} sits on no core")]
-    Homeless(CompartmentId),
-    /// A compartment has two seats, or is not of this network.
-    #[error("compartment {0} sits on more than one core, or does not exist")]
+    #[error("compartment {0} is on no core")]
+    Unassigned(CompartmentId),
+    /// A compartment has two seats, or is not in this network.
+    #[error("compartment {0} is on more than one core, or does not exist")]
     Misplaced(CompartmentId),
     /// The usage of some core is missing.
     #[error("there are {cores} cores, but usage for {given} of them")]
@@ -200,7 +200,11 @@ pub fn seats(
             }
         }
     }
-    seats.into_iter().enumerate().map(|(i, seat)| seat.ok_or(PartitionError::Homeless(CompartmentId::new(i)))).collect()
+    seats
+        .into_iter()
+        .enumerate()
+        .map(|(i, seat)| seat.ok_or(PartitionError::Unassigned(CompartmentId::new(i))))
+        .collect()
 }
 
 #[cfg(test)]
@@ -210,7 +214,7 @@ mod tests {
     #[test]
     fn every_compartment_sits_exactly_once() {
         let n = CompartmentId;
-        assert_eq!(seats(2, &vec![vec![n(0)]].into()), Err(PartitionError::Homeless(n(1))));
+        assert_eq!(seats(2, &vec![vec![n(0)]].into()), Err(PartitionError::Unassigned(n(1))));
         assert_eq!(seats(2, &vec![vec![n(0)], vec![n(1), n(0)]].into()), Err(PartitionError::Misplaced(n(0))));
         assert_eq!(seats(1, &vec![vec![n(0), n(1)]].into()), Err(PartitionError::Misplaced(n(1))));
         let both = seats(2, &vec![vec![n(1)], vec![n(0)]].into()).unwrap();

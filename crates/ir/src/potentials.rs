@@ -31,11 +31,11 @@ impl Potentials {
 
     /// Adds a step, after which each output has the given potential.
     pub fn add(&mut self, potential: impl Fn(u32) -> f64) {
-        self.rest(1, potential);
+        self.add_constant(1, potential);
     }
 
-    /// Adds steps after each of which every output has the same potential.
-    pub fn rest(&mut self, steps: u32, potential: impl Fn(u32) -> f64) {
+    /// Adds steps during which the potential of each output is constant.
+    pub fn add_constant(&mut self, steps: u32, potential: impl Fn(u32) -> f64) {
         if steps == 0 {
             return;
         }
@@ -117,7 +117,7 @@ mod tests {
                     potentials.add(|output| -1.0 - f64::from(output));
                 }
                 let held = |output| 3.0 * f64::from(output);
-                one.rest(rests, held);
+                one.add_constant(rests, held);
                 (0..rests).for_each(|_| other.add(held));
                 assert_eq!(one, other);
             }

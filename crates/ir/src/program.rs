@@ -27,7 +27,7 @@ use crate::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec, Popu
 pub use crate::messages::{AxonTarget, AxonsOut, Messages};
 use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
-use crate::quantised::connectivity::{Apart, SynapseFormat};
+use crate::quantised::connectivity::{SeparateSum, SynapseFormat};
 use crate::quantised::{Neuron, Output, Population, Reset};
 use crate::ranks::RankAssignment;
 use crate::spikes::Message;
@@ -95,15 +95,15 @@ pub enum InputAxon {
 
 /// A stored list as an input axon selects it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Selected<'a> {
+pub struct SelectedList<'a> {
     /// Added to every slot.
     pub base: u16,
     /// The synapses as they are stored.
     pub stored: &'a [Synapse],
 }
 
-impl<'a> Selected<'a> {
-    /// The synapses with the slots that they lead to.
+impl<'a> SelectedList<'a> {
+    /// The synapses with the slots of their targets.
     #[inline]
     pub fn synapses(self) -> impl ExactSizeIterator<Item = Synapse> + Clone + 'a {
         self.stored.iter().map(move |synapse| Synapse { slot: synapse.slot + self.base, ..*synapse })
@@ -113,8 +113,8 @@ impl<'a> Selected<'a> {
 /// A core's lists of synapses and the input axons that select them.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct Stored {
-    /// The lists: the tables of population axons, then those of discrete axons.
+pub struct InputTable {
+    /// The tables of population axons, then the lists of discrete axons.
     pub lists: Csr<Synapse>,
     /// Population axons; usually few or none.
     pub populations: Vec<PopulationAxon>,
@@ -126,10 +126,10 @@ pub struct Stored {
     pub plain: u32,
 }
 
-impl Stored {
-    /// Lists of discrete axons.
+impl InputTable {
+    /// Input axons that are all discrete, one for each list.
     pub fn discrete(lists: Csr<Synapse>) -> Self {
-        Stored { plain: lists.len() as u32, lists, ..Stored::default() }
+        InputTable { plain: lists.len() as u32, lists, ..InputTable::default() }
     }
 
     /// Input axons of a core with population axons, one for each source that reaches it.
@@ -141,7 +141,7 @@ impl Stored {
         let plain = axons.iter().rev().enumerate().take_while(discrete).count();
         axons.truncate(axons.len() - plain);
         axons.shrink_to_fit();
-        Stored { lists, populations, axons, plain: plain as u32 }
+        InputTable { lists, populations, axons, plain: plain as u32 }
     }
 
     /// Number of sources that reach the core.
@@ -158,8 +158,8 @@ impl Stored {
     #[inline]
     pub fn axon(&self, axon: usize) -> InputAxon {
         self.axons.get(axon).copied().unwrap_or_else(|| {
-            let behind = self.len() - axon;
-            InputAxon::Discrete { list: (self.lists.len() - behind) as u32 }
+            let from_end = self.len() - axon;
+            InputAxon::Discrete { list: (self.lists.len() - from_end) as u32 }
         })
     }
 
@@ -177,13 +177,13 @@ impl Stored {
 
     /// The list that an input axon selects.
     #[inline]
-    pub fn get(&self, axon: usize) -> Selected<'_> {
+    pub fn get(&self, axon: usize) -> SelectedList<'_> {
         let (list, base) = self.selected(axon);
-        Selected { base, stored: self.lists.get(list) }
+        SelectedList { base, stored: self.lists.get(list) }
     }
 
     /// The lists that the input axons select, in order.
-    pub fn iter(&self) -> impl ExactSizeIterator<Item = Selected<'_>> {
+    pub fn iter(&self) -> impl ExactSizeIterator<Item = SelectedList<'_>> {
         (0..self.len()).map(|axon| self.get(axon))
     }
 
@@ -198,7 +198,7 @@ impl Stored {
     /// Every synapse, with the slot of its target. A synapse that several sources share comes once
     /// for each.
     pub fn synapses(&self) -> impl Iterator<Item = Synapse> {
-        self.iter().flat_map(Selected::synapses)
+        self.iter().flat_map(SelectedList::synapses)
     }
 
     /// Number of synapses; a synapse that several sources share counts once for each.
@@ -266,13 +266,13 @@ pub struct CoreClass {
     /// Formats of the synapses.
     pub formats: Vec<CoreFormat>,
     /// Input axons and the synapses that they select.
-    pub inputs: Stored,
+    pub inputs: InputTable,
 }
 
 impl CoreClass {
     /// A class of cores whose tables another process stores.
     pub fn without_tables(compartments: Vec<Compartment>) -> Self {
-        CoreClass { compartments, formats: Vec::new(), inputs: Stored::default() }
+        CoreClass { compartments, formats: Vec::new(), inputs: InputTable::default() }
     }
 
     /// The error of a synapse to a missing sum; every synapse must have an existing target.
@@ -284,7 +284,7 @@ impl CoreClass {
             let table = self.compartments[usize::from(synapse.slot)].neuron.kind.table();
             let SynapseFormat { port, apart, .. } = self.formats[usize::from(synapse.format)].synapse;
             port.index() < usize::from(table.ports)
-                && apart.is_none_or(|apart| !table.registers && usize::from(apart.number) < Apart::MOST)
+                && apart.is_none_or(|apart| !table.registers && usize::from(apart.number) < SeparateSum::MOST)
         };
         let closed = (0..self.inputs.len()).all(|axon| self.inputs.get(axon).synapses().all(has_sum));
         (!closed).then_some("a synapse leads to a sum that its compartment does not have")
@@ -371,10 +371,10 @@ pub struct Parts {
     pub assignment: Option<RankAssignment>,
 }
 
-/// Which input axons a message has been seen to reach.
-struct Marks(IdVec<CoreId, Box<[AtomicU64]>>);
+/// Input axons that a message has reached, one bit each.
+struct AxonMarks(IdVec<CoreId, Box<[AtomicU64]>>);
 
-impl Marks {
+impl AxonMarks {
     fn new(parts: &Parts) -> Self {
         let of = |core| {
             // The bits after the last axon are set.
@@ -382,17 +382,17 @@ impl Marks {
             let word = |first: usize| AtomicU64::new(u64::MAX.checked_shl((axons - first) as u32).unwrap_or(0));
             (0..axons).step_by(64).map(word).collect()
         };
-        Marks(parts.cores.ids().map(of).collect())
+        AxonMarks(parts.cores.ids().map(of).collect())
     }
 
-    /// Whether a message leads to an input axon that none did before.
-    fn reach(&self, target: AxonTarget) -> bool {
+    /// Marks an input axon; returns whether it exists and no message reached it before.
+    fn mark(&self, target: AxonTarget) -> bool {
         let bit = 1 << (target.axon % 64);
         let word = self.0.get(target.core).and_then(|words| words.get(usize::from(target.axon / 64)));
         word.is_some_and(|word| word.fetch_or(bit, Ordering::Relaxed) & bit == 0)
     }
 
-    fn all(&self, core: CoreId) -> bool {
+    fn all_marked(&self, core: CoreId) -> bool {
         self.0[core].iter().all(|word| word.load(Ordering::Relaxed) == u64::MAX)
     }
 }
@@ -428,8 +428,8 @@ impl Parts {
         firsts
     }
 
-    /// What of a core points nowhere; the tables of its class are looked at with its `first` core.
-    fn not_closed(&self, core: CoreId, first: bool, marks: &Marks) -> Option<&'static str> {
+    /// The first error in the tables of a core; its class is checked with the `first` core only.
+    fn not_closed(&self, core: CoreId, first: bool, marks: &AxonMarks) -> Option<&'static str> {
         let (image, class) = (&self.cores[core], self.class_of(core));
         let slots = class.compartments.len();
         let seat = |(slot, id): (usize, &CompartmentId)| self.seats.get(*id) == Some(&Seat { core, slot: slot as u16 });
@@ -452,7 +452,7 @@ impl Parts {
         if let Some(what) = first.then(|| class.sums_not_closed()).flatten() {
             return Some(what);
         }
-        let reach = image.axons_out.items().all(|target| marks.reach(target));
+        let reach = image.axons_out.items().all(|target| marks.mark(target));
         (!reach).then_some("an output axon leads nowhere or shares its input axon")
     }
 }
@@ -504,23 +504,23 @@ impl Program {
         if let Some(core) = parts.cores.ids().find(|&core| !parts.class_of(core).inputs.has_lists()) {
             return wrong(core, "it has more discrete input axons than lists");
         }
-        let marks = Marks::new(&parts);
-        let core = |marks: &Marks, core| {
+        let marks = AxonMarks::new(&parts);
+        let core = |marks: &AxonMarks, core| {
             let core = CoreId::new(core);
             let first = firsts[parts.cores[core].class] == Some(core);
             parts.not_closed(core, first, marks).map(|what| (core, what))
         };
         if (0..parts.cores.len()).into_par_iter().any(|index| core(&marks, index).is_some()) {
-            // Of two that share an input axon the second is reported, in any order of threads.
-            let marks = Marks::new(&parts);
+            // Of two that share an input axon the second is reported, for any order of threads.
+            let marks = AxonMarks::new(&parts);
             if let Some((core, what)) = (0..parts.cores.len()).find_map(|index| core(&marks, index)) {
                 return wrong(core, what);
             }
         }
-        if !parts.channels.items().par_iter().all(|&target| marks.reach(target)) {
+        if !parts.channels.items().par_iter().all(|&target| marks.mark(target)) {
             return Err(NotClosed("an input channel leads nowhere or shares its input axon".to_string()));
         }
-        if let Some(core) = parts.cores.ids().find(|&core| !marks.all(core)) {
+        if let Some(core) = parts.cores.ids().find(|&core| !marks.all_marked(core)) {
             return wrong(core, "an input axon is reached by no source");
         }
         let seated: usize = parts.cores.iter().map(|image| image.ids.len()).sum();
@@ -553,13 +553,13 @@ impl Program {
         self.parts
     }
 
-    /// Whether the tables of a core are held here, rather than by another process.
-    pub fn holds(&self, core: CoreId) -> bool {
-        self.parts.assignment.as_ref().is_none_or(|assignment| assignment.holds(core))
+    /// Whether this process stores the tables of a core.
+    pub fn is_local(&self, core: CoreId) -> bool {
+        self.parts.assignment.as_ref().is_none_or(|assignment| assignment.is_local(core))
     }
 
-    /// The rank whose part of a program this is; `None` of a whole one.
-    pub fn held_rank(&self) -> Option<u32> {
+    /// The rank whose part of a program this is; `None` for a whole program.
+    pub fn local_rank(&self) -> Option<u32> {
         self.parts.assignment.as_ref().and_then(|assignment| assignment.held)
     }
 
@@ -579,19 +579,19 @@ impl Program {
         };
         let mut channels = Csr::default();
         for list in whole.channels.iter() {
-            channels.push(list.iter().copied().filter(|target| assignment.holds(target.core)));
+            channels.push(list.iter().copied().filter(|target| assignment.is_local(target.core)));
         }
         channels.shrink_to_fit();
         // A class becomes two: one of local cores, with tables, and one of cores of other ranks.
         let mut classes = IdVec::new();
         let mut known: HashMap<(ClassId, bool), ClassId> = HashMap::new();
         let image = |(core, image): (CoreId, &CoreImage)| {
-            let held = assignment.holds(core);
+            let held = assignment.is_local(core);
             let class = *known.entry((image.class, held)).or_insert_with(|| {
                 let class = &whole.classes[image.class];
                 classes.push(if held { class.clone() } else { CoreClass::without_tables(class.compartments.clone()) })
             });
-            let axons_out = image.axons_out.filtered(|core| assignment.holds(core));
+            let axons_out = image.axons_out.filtered(|core| assignment.is_local(core));
             CoreImage { site: image.site, class, ids: image.ids.clone(), axons_out }
         };
         let cores: Vec<CoreImage> = whole.cores.enumerate().map(image).collect();

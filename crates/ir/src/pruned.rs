@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::base::id::{IdVec, PopulationId};
 use crate::base::names::named_variants;
 
 named_variants! {
@@ -32,4 +33,26 @@ pub struct Row {
     pub reason: String,
     /// Number of parts of each population or projection, in the order of the file.
     pub of: Vec<(String, u64)>,
+}
+
+/// Sizes of a network.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+pub struct Sizes {
+    /// Number of units of each population.
+    pub units: IdVec<PopulationId, u32>,
+    /// Sizes of its projections, in the order of the file.
+    pub projections: Vec<ProjectionSize>,
+}
+
+/// Size of a projection.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+pub struct ProjectionSize {
+    /// Source population.
+    pub source: PopulationId,
+    /// Target population.
+    pub target: PopulationId,
+    /// Number of synapses.
+    pub synapses: u64,
+    /// Whether it connects every source to every target.
+    pub dense: bool,
 }

@@ -11,8 +11,8 @@ use crate::base::id::{CoreId, IdVec};
 
 /// One of the processes that run a program together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Share {
-    /// Its number.
+pub struct RankShare {
+    /// Number of this process, below `ranks`.
     pub rank: u32,
     /// Number of ranks.
     pub ranks: u32,
@@ -21,9 +21,9 @@ pub struct Share {
     pub whole: bool,
 }
 
-impl Share {
-    /// The only process.
-    pub const ALL: Share = Share { rank: 0, ranks: 1, whole: true };
+impl RankShare {
+    /// The share of a single process.
+    pub const ALL: RankShare = RankShare { rank: 0, ranks: 1, whole: true };
 }
 
 /// The cores of a program, assigned to ranks.
@@ -44,8 +44,8 @@ impl RankAssignment {
         self.owners.len() == cores && self.owners.iter().all(|&owner| owner < self.ranks)
     }
 
-    /// Whether the tables of a core are held.
-    pub fn holds(&self, core: CoreId) -> bool {
+    /// Whether the tables of a core are stored here.
+    pub fn is_local(&self, core: CoreId) -> bool {
         self.held.is_none_or(|rank| self.owners[core] == rank)
     }
 }

@@ -11,8 +11,8 @@ use crate::base::id::{ChannelId, CompartmentId, Id, IdVec};
 
 /// Counts of overflows of one compartment.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
-pub struct LeftField {
-    /// Accumulators and currents that wrapped.
+pub struct OverflowCounts {
+    /// Number of accumulators and currents that wrapped.
     pub wrapped: u64,
     /// Number of voltages that were clipped.
     pub clipped: u64,
@@ -20,7 +20,7 @@ pub struct LeftField {
     pub cut: u64,
 }
 
-impl AddAssign for LeftField {
+impl AddAssign for OverflowCounts {
     fn add_assign(&mut self, more: Self) {
         self.wrapped += more.wrapped;
         self.clipped += more.clipped;
@@ -35,8 +35,8 @@ pub struct SourceCounts {
     pub channels: IdVec<ChannelId, u64>,
     /// Spikes of each compartment.
     pub compartments: IdVec<CompartmentId, u64>,
-    /// What left its field; empty where nothing did.
-    pub left_fields: IdVec<CompartmentId, LeftField>,
+    /// Overflows of each compartment; empty where there are none.
+    pub overflows: IdVec<CompartmentId, OverflowCounts>,
 }
 
 impl SourceCounts {
@@ -45,7 +45,7 @@ impl SourceCounts {
         SourceCounts {
             channels: vec![0; channels].into(),
             compartments: vec![0; compartments].into(),
-            left_fields: IdVec::new(),
+            overflows: IdVec::new(),
         }
     }
 
@@ -53,11 +53,11 @@ impl SourceCounts {
     ///
     /// # Panics
     /// When the compartment is not of this network.
-    pub fn add_left_field(&mut self, compartment: CompartmentId, more: LeftField) {
-        if self.left_fields.is_empty() {
-            self.left_fields = vec![LeftField::default(); self.compartments.len()].into();
+    pub fn add_overflows(&mut self, compartment: CompartmentId, more: OverflowCounts) {
+        if self.overflows.is_empty() {
+            self.overflows = vec![OverflowCounts::default(); self.compartments.len()].into();
         }
-        self.left_fields.as_mut_slice()[compartment.index()] += more;
+        self.overflows.as_mut_slice()[compartment.index()] += more;
     }
 
     /// Adds the counts of another part of the run.
@@ -69,12 +69,12 @@ impl SourceCounts {
         assert_eq!(self.compartments.len(), other.compartments.len(), "counts of another network");
         self.channels.iter_mut().zip(&other.channels).for_each(|(sum, more)| *sum += more);
         self.compartments.iter_mut().zip(&other.compartments).for_each(|(sum, more)| *sum += more);
-        let left = other.left_fields.enumerate().filter(|(_, left)| **left != LeftField::default());
-        left.for_each(|(compartment, left)| self.add_left_field(compartment, *left));
+        let more = other.overflows.enumerate().filter(|(_, more)| **more != OverflowCounts::default());
+        more.for_each(|(compartment, more)| self.add_overflows(compartment, *more));
     }
 
-    /// What left its field at a compartment.
-    pub fn left_field(&self, compartment: CompartmentId) -> LeftField {
-        self.left_fields.get(compartment).copied().unwrap_or_default()
+    /// Overflows of a compartment.
+    pub fn overflows(&self, compartment: CompartmentId) -> OverflowCounts {
+        self.overflows.get(compartment).copied().unwrap_or_default()
     }
 }

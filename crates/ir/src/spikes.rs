@@ -76,35 +76,7 @@ pub struct Sample {
     values: Vec<i32>,
 }
 
-/// Copies of a network that all see the same sample, each on channels of its own.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Copies {
-    /// Number of copies.
-    pub copies: u32,
-    /// Input channels of one.
-    pub channels: u32,
-}
-
-impl Copies {
-    /// The network itself.
-    pub const ONE: Copies = Copies { copies: 1, channels: 0 };
-
-    /// The input of all copies, from that of one.
-    pub fn input<'s>(self, one: Spikes<'s>, (shown, values): &'s mut (Vec<ChannelId>, Vec<i32>)) -> Spikes<'s> {
-        if self.copies == 1 {
-            return one;
-        }
-        shown.clear();
-        values.clear();
-        for first in (0..self.copies).map(|copy| copy * self.channels) {
-            shown.extend(one.ids.iter().map(|channel| ChannelId(channel.0 + first)));
-            values.extend(one.values);
-        }
-        Spikes { ids: shown, values }
-    }
-}
-
-/// Why spikes do not make a sample.
+/// Reason why events do not make a sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum SampleError {
     /// An event lies at or after the end.
@@ -321,16 +293,17 @@ impl<I: Id> Spike for GradedSpike<I> {
 /// Interface of an engine, by which probes, digests and comparisons read its state after a step.
 /// The engine is chosen at run time.
 pub trait Engine {
-    /// Clears state, spikes in flight and everything counted; the coming sample has this many
-    /// steps.
+    /// Number of input channels of its network.
+    fn channels(&self) -> u32;
+    /// Clears state, spikes in flight and all counts before a sample of `steps` steps.
     fn begin(&mut self, steps: u32);
     /// Runs one timestep with these input channels spiking (ascending, each once). Spikes of a
     /// population with a payload carry that payload.
     fn step(&mut self, input: Spikes<'_>);
-    /// Passes over this many steps without input, if nothing at all would happen in them: then
-    /// every register stays as it is, and counts are as if they had been computed. Otherwise
-    /// does nothing and returns false. With 0 it only says whether that is so.
-    fn rest(&mut self, steps: u32) -> bool {
+    /// Skips `steps` steps without input and returns true, if the network is idle in them.
+    /// Registers then stay as they are, and counts are as if the steps were computed. Otherwise
+    /// does nothing and returns false. With 0 it only returns whether the network is idle.
+    fn skip_idle(&mut self, steps: u32) -> bool {
         let _ = steps;
         false
     }

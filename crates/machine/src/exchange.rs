@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use crate::bits::{UNCHECKED, write_ones};
+use crate::bits::{UNCHECKED_ONES, write_ones};
 use nsim_ir::base::id::{CompartmentId, Id};
 
 /// Moves ids in the upper range after all others and sorts them; payloads, if there are any, move
@@ -44,7 +44,7 @@ pub(crate) fn sort(
         for &id in &ids[begin..] {
             marks[place(id) / 64] |= 1 << (place(id) % 64);
         }
-        ids.resize(total + UNCHECKED, CompartmentId(0));
+        ids.resize(total + UNCHECKED_ONES, CompartmentId(0));
         let mut end = begin;
         for (first, marks) in (first.0..).step_by(64).zip(marks) {
             end = write_ones(ids, end, std::mem::take(marks), |bit| CompartmentId(first.wrapping_add(bit)));

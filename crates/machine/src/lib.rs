@@ -131,8 +131,8 @@ impl Machine {
     /// # Panics
     /// When the image is of no part, or the ranks hold parts of different mappings.
     pub fn of_part(image: &Arc<Image>, settings: Settings, ranks: &Ranks, shown: Option<(CompartmentId, u32)>) -> Self {
-        let at_once = settings.per_step || shown.is_some();
-        let others = Some(Exchange::new(image.program(), ranks, shown, at_once));
+        let immediately = settings.per_step || shown.is_some();
+        let others = Some(Exchange::new(image.program(), ranks, shown, immediately));
         Machine { others, ..Machine::new(image, settings) }
     }
 
@@ -202,7 +202,7 @@ impl Machine {
 
     /// The state of a compartment's shard and its lane there; `None` where another rank has it.
     fn lane(&self, compartment: CompartmentId) -> Option<(&ShardState, usize)> {
-        self.image.holds(compartment).then(|| {
+        self.image.is_local(compartment).then(|| {
             let (shard, lane) = self.image.lane(compartment);
             (&self.shards[shard], lane)
         })
@@ -266,7 +266,7 @@ impl Machine {
         let input = &StepInput {
             phase,
             step: self.step,
-            left,
+            remaining: left,
             arch: self.arch,
             channels: messages.ids,
             channel_values: messages.values,
@@ -309,7 +309,7 @@ impl Machine {
             }
             self.payloads.extend_from_slice(&state.payloads);
         }
-        if let Some(from) = image.sorts_from {
+        if let Some(from) = image.sorted_from {
             let range = from..CompartmentId::new(image.compartments());
             let spikes = (&mut self.spikes, self.payloads.as_mut_slice());
             exchange::sort(spikes, range, &mut self.marks, &mut self.by_id);
@@ -358,13 +358,13 @@ impl Machine {
     /// Ends a step, once the other ranks' spikes have been requested.
     fn finish_step(&mut self, left: u32) {
         let ends = left <= 1;
-        if !self.others.as_ref().is_some_and(|others| others.at_once || ends) {
+        if !self.others.as_ref().is_some_and(|others| others.immediately || ends) {
             return;
         }
         self.take_remote();
         let Some(others) = &self.others else { return };
         self.shown.clear();
-        if let Some((first, size)) = others.shown {
+        if let Some((first, size)) = others.observed {
             self.shown.extend_from_slice(&self.spikes);
             self.shown.extend(self.remote.iter().filter(|spike| spike.0.wrapping_sub(first.0) < size));
         }
@@ -376,6 +376,10 @@ impl Machine {
 }
 
 impl Engine for Machine {
+    fn channels(&self) -> u32 {
+        self.image.channels
+    }
+
     fn begin(&mut self, steps: u32) {
         self.shards.iter_mut().zip(&self.image.shards).for_each(|(state, shard)| state.clear(shard));
         (self.step, self.steps) = (0, steps);
@@ -418,7 +422,7 @@ impl Engine for Machine {
         self.take_remote();
     }
 
-    fn rest(&mut self, steps: u32) -> bool {
+    fn skip_idle(&mut self, steps: u32) -> bool {
         if !self.settings.skip {
             return false;
         }
@@ -450,7 +454,7 @@ impl Engine for Machine {
 
     fn spikes(&self) -> &[CompartmentId] {
         match &self.others {
-            Some(others) if others.shown.is_some() => &self.shown,
+            Some(others) if others.observed.is_some() => &self.shown,
             _ => &self.spikes,
         }
     }
@@ -460,7 +464,7 @@ impl Engine for Machine {
     }
 
     fn state(&self, compartment: CompartmentId, column: usize) -> i32 {
-        if !self.image.holds(compartment) {
+        if !self.image.is_local(compartment) {
             return 0;
         }
         let (shard, lane) = self.image.lane(compartment);
@@ -480,7 +484,7 @@ impl Engine for Machine {
     }
 
     fn potential(&self, compartment: CompartmentId) -> f64 {
-        if !self.image.holds(compartment) {
+        if !self.image.is_local(compartment) {
             return 0.0;
         }
         self.state(compartment, self.image.neuron(compartment).kind.potential()).into()

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use nsim_ir::base::names::named_variants;
-use nsim_ir::ranks::Share;
+use nsim_ir::ranks::RankShare;
 
 /// Default firing rate of a source, in spikes a step: one spike in 100 steps.
 pub const DEFAULT_RATE: f64 = 0.01;
@@ -129,8 +129,8 @@ pub struct Options {
     /// Most synapses of a core, respected by tiles and boxes; `None` for no bound but the limits. A
     /// kernel is stored once, so limits of memory alone do not bound a core's work.
     pub most_synapses: Option<u64>,
-    /// For which of the processes that run it together the program is written.
-    pub share: Share,
+    /// Share of the process, of several that run the program together, for which it is written.
+    pub share: RankShare,
 }
 
 impl Default for Options {
@@ -144,7 +144,7 @@ impl Default for Options {
             place: true,
             effort: Effort::Work(DEFAULT_EFFORT_S),
             most_synapses: None,
-            share: Share::ALL,
+            share: RankShare::ALL,
         }
     }
 }

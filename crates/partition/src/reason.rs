@@ -32,8 +32,8 @@ pub struct Reason {
     pub limit: u64,
     /// Use of the cores that one mapping takes; `None` where `need` is a bound for every mapping.
     #[serde(skip)]
-    pub taken: Option<Taken>,
-    /// What to change.
+    pub taken: Option<MappingUse>,
+    /// Advice to the user.
     pub help: String,
 }
 
@@ -43,11 +43,11 @@ fn by_name<S: serde::Serializer>(resource: &Capacity, serializer: S) -> Result<S
 
 /// Use of the cores that a mapping takes; another mapping may need fewer.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Taken {
-    /// What each holds was not counted.
+pub enum MappingUse {
+    /// The use of each core was not counted.
     Uncounted,
-    /// Most of them belong to one population.
-    Mostly(Box<Tightest>),
+    /// The population with the most cores.
+    Tightest(Box<Tightest>),
 }
 
 /// Number of cores of a population in a mapping, and the resource that fills them most.
@@ -112,7 +112,7 @@ impl fmt::Display for Reason {
             (Capacity::Cores, _) => {
                 let takes = if self.taken.is_some() { "this mapping takes" } else { "any mapping takes at least" };
                 write!(f, "{takes} {need} cores, the target has {limit}")?;
-                if let Some(Taken::Mostly(most)) = &self.taken {
+                if let Some(MappingUse::Tightest(most)) = &self.taken {
                     let Tightest { population, cores, resource, need, limit, assumed } = &**most;
                     let assumed = if *assumed { " (assumed: no source gives it)" } else { "" };
                     let what = resource.heading().unwrap_or_default();
@@ -171,7 +171,7 @@ impl Reason {
     /// where the use of the cores was not counted.
     pub fn of_mapping(target: &Target, copies: u32, cores: u64, of_each: BTreeMap<PopulationId, Tightest>) -> Self {
         let most = of_each.into_values().max_by_key(|one| one.cores);
-        let taken = Some(most.map_or(Taken::Uncounted, |most| Taken::Mostly(Box::new(most))));
+        let taken = Some(most.map_or(MappingUse::Uncounted, |most| MappingUse::Tightest(Box::new(most))));
         let bound = Reason::of_cores(target, copies, cores);
         let help = bound.help.replacen("with at least", "of", 1);
         Reason { taken, help, ..bound }

@@ -137,7 +137,7 @@ pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) ->
 pub fn own_synapses(
     (srm, timestep_ms): (&SrmParameters, f64),
     (keep_u, keep_v): (f64, f64),
-    (given_back, refractory): (f64, f64),
+    (mean_excess, refractory): (f64, f64),
     count: usize,
 ) -> Vec<f64> {
     let tau = srm.tau_ref_ms / timestep_ms;
@@ -148,8 +148,8 @@ pub fn own_synapses(
     let before = |k: usize, by: usize| k.checked_sub(by).map_or(0.0, nu);
     let weight = |k: usize| {
         let given = match k {
-            1 => given_back * keep_v,
-            2 => -given_back * keep_v * keep_u,
+            1 => mean_excess * keep_v,
+            2 => -mean_excess * keep_v * keep_u,
             _ => 0.0,
         };
         given + nu(k) - (keep_u + keep_v) * before(k, 1) + keep_u * keep_v * before(k, 2)
@@ -201,7 +201,7 @@ fn parameters(fit: &Fit) -> NeuronParameters {
 const ITSELF: &str = " -> itself";
 
 /// Whether a projection of this name is one of [`Fit::own`].
-pub fn stands_for_reset(name: &str) -> bool {
+pub fn is_reset_name(name: &str) -> bool {
     name.contains(ITSELF)
 }
 

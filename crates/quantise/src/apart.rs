@@ -15,7 +15,7 @@ use std::collections::BTreeSet;
 use nsim_ir::base::fixed::{UV_BITS, WeightExponent};
 use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph::Graph;
-use nsim_ir::quantised::connectivity::{Apart, Connectivity};
+use nsim_ir::quantised::connectivity::{Connectivity, SeparateSum};
 use nsim_ir::quantised::{Population, Projection};
 use nsim_ir::spikes::Message;
 
@@ -58,12 +58,12 @@ pub(crate) fn assign(
         (projection.format.port, number, number.map(|_| projection.delay))
     });
     let sums = sums.collect::<BTreeSet<_>>().len();
-    if sums > Apart::MOST {
+    if sums > SeparateSum::MOST {
         return Err(TooMany(sums));
     }
     for (number, group) in groups.iter().enumerate() {
         for &id in group {
-            projections[id].format.apart = Some(Apart { number: number as u8, wraps: number < wraps });
+            projections[id].format.apart = Some(SeparateSum { number: number as u8, wraps: number < wraps });
         }
     }
     Ok(Some(groups.len() - wraps))

@@ -24,7 +24,7 @@ use crate::carry;
 use crate::exponents::{Detail, assigned};
 use nsim_dynamics as neuron;
 use nsim_ir::arithmetic::{Semantics, WeightRounding};
-use nsim_ir::base::diagnostic::{Diagnostic, Result, Span, gathered};
+use nsim_ir::base::diagnostic::{Diagnostic, Result, Span, collect_all};
 use nsim_ir::base::fixed::{
     BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
     WeightBits, WeightExponent,
@@ -32,7 +32,7 @@ use nsim_ir::base::fixed::{
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph::{self, Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
 use nsim_ir::neurons::{Conversion, ParameterField};
-use nsim_ir::quantised::connectivity::{Apart, Connectivity, SynapseFormat};
+use nsim_ir::quantised::connectivity::{Connectivity, SeparateSum, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};
 
 /// Turns real parameters into integers.
@@ -83,7 +83,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         .projections()
         .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]));
     let mut projections: IdVec<ProjectionId, Projection> =
-        gathered(problems.into_iter().chain(projections))?.into_iter().collect();
+        collect_all(problems.into_iter().chain(projections))?.into_iter().collect();
     stage.narrow_sums(&mut populations, &mut projections)?;
     if detail >= Detail::Carried {
         carry::carry(graph, &populations, &scales, &mut projections);
@@ -212,9 +212,11 @@ impl Stage<'_> {
                         continue;
                     }
                     Err(TooMany(sums)) => {
-                        let message =
-                            format!("its arrivals make {sums} sums that lava narrows apart, at most {}", Apart::MOST);
-                        return refused(message, "fewer delays, or weights that are multiples of 2^-weight_exp");
+                        let message = format!(
+                            "its input makes {sums} sums that lava wraps separately, the limit is {}",
+                            SeparateSum::MOST
+                        );
+                        return refused(message, "use fewer delays, or weights that are multiples of 2^-weight_exp");
                     }
                 }
             }
@@ -363,7 +365,7 @@ impl Stage<'_> {
             return Err(self.error("model.semantics", message, population.span));
         }
         let integers = p.kind.parameters().iter().map(|parameter| self.parameter(name, p, parameter, scale));
-        let integers = gathered(integers)?;
+        let integers = collect_all(integers)?;
         let neuron = |index: u32| {
             let values: Vec<i64> = integers.iter().map(|values| values.get(index)).collect();
             neuron::neuron(p.kind, &values)

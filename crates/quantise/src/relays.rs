@@ -81,8 +81,8 @@ fn refused(message: String) -> Diagnostic {
     Diagnostic::new("map.relays", message)
 }
 
-/// What the compartments of a population need.
-struct Need {
+/// Relays that the compartments of a population need.
+struct RelayNeed {
     /// The population.
     of: PopulationId,
     /// Relays of each of its compartments.
@@ -103,8 +103,8 @@ fn count(network: &Quantised, of: PopulationId, index: u32) -> (u64, u64) {
     (all, without_delay)
 }
 
-/// The needs of all populations that have any.
-fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
+/// The needs of all populations that need relays.
+fn needs(network: &Quantised, most: u32) -> Result<Vec<RelayNeed>, Diagnostic> {
     let most = u64::from(most.max(2));
     let mut needs = Vec::new();
     for (of, population) in network.populations().enumerate().filter(|(_, p)| p.first_compartment().is_some()) {
@@ -123,16 +123,17 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<Need>, Diagnostic> {
                 let name = &population.name;
                 return Err(refused(format!("population {name} sends graded spikes, which relays do not support")));
             }
-            needs.push(Need { of, relays, tight });
+            needs.push(RelayNeed { of, relays, tight });
         }
     }
     Ok(needs)
 }
 
-/// The steps by which each population comes later, so that relays have the time that they need.
-fn padded(network: &Quantised, needs: &[Need]) -> Result<IdVec<PopulationId, u32>, Diagnostic> {
+/// Steps by which each population is later, so that relays have the delay that they need.
+fn padded(network: &Quantised, needs: &[RelayNeed]) -> Result<IdVec<PopulationId, u32>, Diagnostic> {
     let least = |projection: &Projection| {
-        let goes_over = |need: &Need| need.of == projection.source && (need.tight || projection.delay > Delay::MIN);
+        let goes_over =
+            |need: &RelayNeed| need.of == projection.source && (need.tight || projection.delay > Delay::MIN);
         i64::from(needs.iter().any(goes_over))
     };
     let mut later: IdVec<PopulationId, i64> = network.populations().iter().map(|_| 0).collect();
@@ -347,7 +348,7 @@ struct Division<'a> {
     first: Vec<CompartmentId>,
     /// Whether each outgoing projection has delay to spare.
     can_wait: Vec<bool>,
-    need: &'a Need,
+    need: &'a RelayNeed,
     most: u32,
 }
 
@@ -400,7 +401,7 @@ impl Division<'_> {
 
 /// Divides the synapses of a population among its compartments and their relays; returns the
 /// synapses of the relays.
-fn split(network: &Quantised, parts: &mut Parts, need: &Need, most: u32, relays: PopulationId) -> Connectivity {
+fn split(network: &Quantised, parts: &mut Parts, need: &RelayNeed, most: u32, relays: PopulationId) -> Connectivity {
     let outgoing: Vec<ProjectionId> = network.outgoing(need.of).to_vec();
     let division = Division {
         network,

@@ -55,8 +55,8 @@ struct Population {
 #[derive(Debug)]
 struct Projection<F> {
     target: usize,
-    /// Steps from a spike to its arrival, at least 1 from a compartment's.
-    way: u32,
+    /// Latency in steps from a spike to its arrival, at least 1 for a compartment's spike.
+    latency: u32,
     synapses: Synapses<F>,
 }
 
@@ -113,7 +113,7 @@ impl<F: Real> Model<F> {
             slots = slots.max(from_compartment as usize + 1);
             projections[source.index()].push(Projection {
                 target: target.index(),
-                way: from_compartment - u32::from(input && !srm),
+                latency: from_compartment - u32::from(input && !srm),
                 synapses: Synapses::new(
                     projection,
                     populations[source.index()].count,
@@ -230,10 +230,10 @@ impl<'m, F: Real> Reference<'m, F> {
 
     /// Sends a spike of this step over every projection that leaves its population.
     fn send(&mut self, population: usize, index: u32) {
-        for &Projection { target, way, ref synapses } in &self.model.projections[population] {
-            let slot = (self.step as usize + way as usize) % self.model.slots;
+        for &Projection { target, latency, ref synapses } in &self.model.projections[population] {
+            let slot = (self.step as usize + latency as usize) % self.model.slots;
             let events = synapses.deliver(index, &mut self.arrivals[target][slot]);
-            if u64::from(self.step) + u64::from(way) < u64::from(self.steps) {
+            if u64::from(self.step) + u64::from(latency) < u64::from(self.steps) {
                 self.totals.synaptic_events += events;
             }
         }
@@ -241,6 +241,10 @@ impl<'m, F: Real> Reference<'m, F> {
 }
 
 impl<F: Real> Engine for Reference<'_, F> {
+    fn channels(&self) -> u32 {
+        self.model.populations.iter().filter(|p| matches!(p.kind, Kind::Input)).map(|p| p.count).sum()
+    }
+
     fn begin(&mut self, steps: u32) {
         self.units.iter_mut().for_each(Units::clear);
         self.arrivals.iter_mut().flatten().for_each(|sums| sums.fill(F::default()));

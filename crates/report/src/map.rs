@@ -10,7 +10,7 @@ use serde::{Serialize, Serializer};
 use serde_json::json;
 
 use crate::charts::results;
-use nsim_compile::explore::choice::{Candidate, Found, front};
+use nsim_compile::explore::choice::{Candidate, ScoredCandidate, front};
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
@@ -40,7 +40,7 @@ pub struct Question<'a> {
     /// The relays that were added to it.
     pub relays: Option<&'a AddedRelays>,
     /// Candidates of mappings, where several were compared.
-    pub found: &'a [Found],
+    pub found: &'a [ScoredCandidate],
 }
 
 /// Outcome of a request.
@@ -323,10 +323,10 @@ impl<'a> MapResult<'a> {
     }
 }
 
-/// Candidates of mappings.
-fn pareto_rows(found: &[Found]) -> Vec<ParetoRow> {
+/// Rows of the candidates, with the front marked.
+fn pareto_rows(found: &[ScoredCandidate]) -> Vec<ParetoRow> {
     let front = front(found);
-    let row = |one: &Found| {
+    let row = |one: &ScoredCandidate| {
         let Score { cores, energy_uj, step_us, static_mw, .. } = one.score;
         let on_front = front.iter().any(|other| std::ptr::eq(*other, one));
         ParetoRow { candidate: one.candidate, cores, energy_uj, step_us, static_mw, on_front }

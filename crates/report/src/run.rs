@@ -157,7 +157,7 @@ impl RunReport<'_> {
         let first = sample.and_then(|sample| {
             let (step, compartment) = self.outcomes[sample].overflow.first?;
             let (population, index) = self.network.population_of(compartment);
-            let index = self.network.index_shown(population, index);
+            let index = self.network.index_before_pruning(population, index);
             let name = &self.network.populations()[population].name;
             Some(json!({ "population": name, "compartment": index, "sample": sample, "step": step }))
         });
@@ -194,7 +194,7 @@ impl RunReport<'_> {
             activity: Events {
                 totals,
                 messages: self.activity.map(Activity::messages),
-                hops: self.activity.map(|activity| activity.hops().links()),
+                hops: self.activity.map(|activity| activity.hops().total_links()),
             },
             skipped: json!({ "timesteps": skipped, "compartment_updates": self.skipped_updates }),
             overflow: self.overflow_json(),

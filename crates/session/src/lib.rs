@@ -25,56 +25,10 @@ pub mod steps;
 pub mod timeline;
 pub mod warnings;
 
-use observers::{Observer, Outputs, Passed, Recording, integer};
 use sha2::{Digest, Sha256};
 
-use nsim_ir::spikes::{Copies, Engine, Sample};
-
 pub use outcome::{Keep, Outcome, Probe, Quantity};
-
-/// Runs one sample; an observer sees the engine after each step, or after steps in which nothing
-/// happened.
-pub fn run_sample<E: Engine + ?Sized>(
-    engine: &mut E,
-    sample: &Sample,
-    keep: &Keep,
-    observer: impl Observer<E>,
-) -> Outcome {
-    run_copies(engine, sample, Copies::ONE, keep, observer)
-}
-
-/// Runs one sample on this many copies of its network; an observer sees the engine as in
-/// [`run_sample`].
-pub fn run_copies<E: Engine + ?Sized>(
-    engine: &mut E,
-    sample: &Sample,
-    copies: Copies,
-    keep: &Keep,
-    mut observer: impl Observer<E>,
-) -> Outcome {
-    let steps = sample.steps();
-    let mut probes = Recording::new(&keep.probes, steps, integer::<E>);
-    let mut outputs = Outputs::new(keep, steps);
-    let (mut shown, mut step) = ((Vec::new(), Vec::new()), 0);
-    engine.begin(steps);
-    while step < steps && !outputs.is_over() {
-        let silent = sample.at(step).is_empty();
-        let rests = if silent { outputs.may_rest(engine, step, sample.next_spike(step)) } else { 0 };
-        let at_rest = rests > 0 && engine.rest(rests);
-        if !at_rest {
-            engine.step(copies.input(sample.input(step), &mut shown));
-        }
-        let steps = if at_rest { rests } else { 1 };
-        let passed = Passed { first: step, steps, at_rest, decided: outputs.is_decided() };
-        outputs.see(engine, passed);
-        probes.see(engine, passed);
-        observer.see(engine, passed);
-        step += steps;
-    }
-    engine.settle();
-    let (totals, overflow) = (engine.totals(), engine.overflow());
-    Outcome { probes: probes.kept, totals, overflow, ..outputs.outcome(step) }
-}
+pub use session::Session;
 
 /// The share of samples whose class is their label; `None` unless all have one.
 pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {

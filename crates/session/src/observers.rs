@@ -90,8 +90,8 @@ impl<'k> Outputs<'k> {
         self.decides_at = None;
         match &self.decision {
             _ if self.margin.is_some() && !self.is_decided() => 0,
-            // A decision in silence takes its time, which is lost where the engine is not idle.
-            Some(_) if !engine.rest(0) => 0,
+            // A decision in silence is expensive, and useless where the engine is not idle.
+            Some(_) if !engine.skip_idle(0) => 0,
             Some(decision) => {
                 self.decides_at = decision.decided_in_silence(step, next);
                 self.decides_at.map_or(next, |decided| decided + 1) - step
@@ -137,7 +137,8 @@ impl<E: Engine + ?Sized> Observer<E> for Outputs<'_> {
             *decision = None;
         }
         if let Some(potentials) = &mut outcome.potentials {
-            potentials.rest((step + steps).saturating_sub(output.start_step.max(step)), |o| potential(first + o));
+            potentials
+                .add_constant((step + steps).saturating_sub(output.start_step.max(step)), |o| potential(first + o));
             let decides = margin.is_some_and(|margin| step >= output.start_step && potentials.lead() >= margin);
             if decides && outcome.decided_at.is_none() {
                 outcome.decide(step);

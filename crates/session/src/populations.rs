@@ -70,7 +70,7 @@ impl ByPopulation {
                     let mut row = PopulationCounts { name, compartments: units, ..PopulationCounts::default() };
                     for number in numbers_in_copies(first.0, size, network.compartments(), copies) {
                         let compartment = CompartmentId(number);
-                        let (spikes, left) = (counts.compartments[compartment], counts.left_field(compartment));
+                        let (spikes, left) = (counts.compartments[compartment], counts.overflows(compartment));
                         row.spikes += spikes;
                         row.silent += u64::from(spikes == 0);
                         row.clipped += left.clipped;

@@ -9,7 +9,7 @@ use super::observers::Passed;
 use super::samples::{Meter, Run, Running, fast};
 use super::{Keep, Outcome};
 use nsim_compile::Mapping;
-use nsim_cost::estimate::{Case, Estimate, estimate, step_price};
+use nsim_cost::estimate::{Estimate, EstimateInput, estimate, step_price};
 use nsim_cost::job::{Accounting, Mode};
 use nsim_cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Transport};
 use nsim_ir::activity::{Activity, CoreCounts, StepActivity};
@@ -19,7 +19,7 @@ use nsim_ir::base::units::Picoseconds;
 use nsim_ir::groups::CoreGroups;
 use nsim_ir::hardware::Target;
 use nsim_ir::program::Program;
-use nsim_ir::spikes::{Copies, Sample};
+use nsim_ir::spikes::Sample;
 
 impl Meter for StepMeter {
     fn see(&mut self, step: &StepActivity, passed: Passed) {
@@ -146,9 +146,7 @@ impl<'c> Metered<'c> {
         running: Running<'_>,
         new_meter: impl Fn() -> M + Sync,
     ) -> Result<Run<M>> {
-        // Copies share no input channels: each sees the whole sample.
-        let copies = Copies { copies: self.copies_run(), channels: self.compiled.one.channels() };
-        fast(self.program(), samples, Running { copies, per_step: true, ..running }, new_meter)
+        fast(self.program(), samples, Running { copies: self.copies_run(), per_step: true, ..running }, new_meter)
     }
 
     /// Runs samples and meters each step. Counts by core and sums cover all copies, outcomes the
@@ -219,7 +217,7 @@ pub fn run_priced(compiled: &Mapping, target: &Target, samples: &[Sample]) -> Re
     let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
     let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
-    let case = Case::new(&run.activity, &run.meter, &deployment);
-    let estimate = estimate(&Case { steps_per_sample: steps_per_sample(&samples), ..case });
+    let case = EstimateInput::new(&run.activity, &run.meter, &deployment);
+    let estimate = estimate(&EstimateInput { steps_per_sample: steps_per_sample(&samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })
 }

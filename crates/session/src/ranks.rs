@@ -38,12 +38,12 @@ pub struct RankRow {
 impl RankRow {
     /// Returns the row of this process, for its part of a program or for a whole program.
     pub fn here(program: &Program, rank: u32) -> Self {
-        let own = || program.cores().enumerate().filter(|(core, _)| program.holds(*core)).map(|(_, image)| image);
+        let own = || program.cores().enumerate().filter(|(core, _)| program.is_local(*core)).map(|(_, image)| image);
         RankRow {
             rank,
             chips: own().map(|image| image.site.chip).collect::<BTreeSet<u32>>().len() as u32,
             compartments: own().map(|image| image.ids.len() as u64).sum(),
-            synapses: program.synapses_of(|core| program.holds(core)),
+            synapses: program.synapses_of(|core| program.is_local(core)),
             peak_mib: peak_mib(),
         }
     }
@@ -63,7 +63,7 @@ pub fn peak_mib() -> Option<f64> {
 /// `run.part` when the program is not distributed or is another rank's part: a caller's error.
 pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Diagnostic> {
     let wrong = |what: String| Diagnostic::new("run.part", what);
-    match program.held_rank() {
+    match program.local_rank() {
         Some(rank) if rank == ranks.rank() => Ok(program.clone()),
         Some(rank) => Err(wrong(format!("rank {} holds the part of rank {rank}", ranks.rank()))),
         None => Ok(program.part(ranks.rank()).map_err(|error| wrong(error.to_string()))?.into()),

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use super::decision::Rule;
 use super::observers::{Observer, Passed, Recording};
 use super::ranks::{Found, RankRow, add_outcome, part_of, peak_mib};
-use super::{Keep, Outcome, Quantity, run_copies, run_sample};
+use super::{Keep, Outcome, Quantity, Session};
 use nsim_golden::Golden;
 use nsim_ir::activity::{Activity, StepActivity};
 use nsim_ir::arithmetic::ReadOut;
@@ -21,8 +21,8 @@ use nsim_ir::base::id::CompartmentId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
-use nsim_ir::source_counts::{LeftField, SourceCounts};
-use nsim_ir::spikes::{Copies, Engine, Sample};
+use nsim_ir::source_counts::{OverflowCounts, SourceCounts};
+use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::ranks::transport::Ranks;
 use nsim_machine::{Image, Machine, Settings};
 use nsim_reference::{Model, Real, Reference};
@@ -41,9 +41,9 @@ pub type Progress<'a> = &'a (dyn Fn() + Sync);
 pub struct Running<'a> {
     /// Results to store of each sample.
     pub keep: &'a Keep,
-    /// The copies of the program, all of which see the sample.
-    pub copies: Copies,
-    /// Whether work that cannot change anything is skipped.
+    /// Number of copies of the network in the program; each receives the sample.
+    pub copies: u32,
+    /// Whether work that cannot change a result is skipped.
     pub skip: bool,
     /// Whether the counts of each step are stored, for a meter.
     pub per_step: bool,
@@ -56,7 +56,7 @@ pub struct Running<'a> {
 impl<'a> Running<'a> {
     /// Returns settings of one copy in one process, without counts of each step.
     pub fn new(keep: &'a Keep) -> Self {
-        Running { keep, copies: Copies::ONE, skip: true, per_step: false, progress: &|| (), ranks: None }
+        Running { keep, copies: 1, skip: true, per_step: false, progress: &|| (), ranks: None }
     }
 }
 
@@ -167,14 +167,14 @@ fn on_ranks<M: Meter>(
     let shown = keep.early_exit.as_ref().map(|_| (keep.output.first, keep.output.count));
     let run_all = || {
         let machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);
-        in_turn(machine, samples, running, &new_meter)
+        in_turn(Session::new(machine, running.copies), samples, running, &new_meter)
     };
     // Sharing a step from outside the pool would wake a thread for each step.
     let mut run = if shards > 1 { rayon::scope(|_| run_all()) } else { run_all() };
     let here = RankRow { peak_mib: peak_mib(), ..here };
     let Run { outcomes, activity, counts, skipped_updates, ranks: rows, .. } = &mut run;
     rows.push(here);
-    for other in ranks.gathered::<_, Found>(&(&*outcomes, &*activity, &*counts, *skipped_updates, here)) {
+    for other in ranks.gather::<_, Found>(&(&*outcomes, &*activity, &*counts, *skipped_updates, here)) {
         let (of_samples, of_cores, of_compartments, skipped, row) = other;
         outcomes.iter_mut().zip(of_samples).for_each(|(sum, other)| add_outcome(sum, other, shown.is_some()));
         activity.merge_same_steps(&of_cores);
@@ -196,27 +196,27 @@ pub fn fast_on<M: Meter>(
 ) -> Run<M> {
     let Running { skip, per_step, .. } = running;
     let begin = Instant::now();
-    let machine = || Machine::new(image, Settings { skip, per_step });
+    let session = || Session::new(Machine::new(image, Settings { skip, per_step }), running.copies);
     let run = if division.shards > 1 {
-        // A step that is shared from outside the pool would wake a thread each time.
-        rayon::scope(|_| in_turn(machine(), samples, running, &new_meter))
+        // Sharing a step from outside the pool would wake a thread for each step.
+        rayon::scope(|_| in_turn(session(), samples, running, &new_meter))
     } else if division.in_turn {
-        in_turn(machine(), samples, running, &new_meter)
+        in_turn(session(), samples, running, &new_meter)
     } else {
-        at_once(machine, samples, running, &new_meter)
+        at_once(session, samples, running, &new_meter)
     };
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
 
 /// Runs samples sequentially in a session; of several processes only rank 0 is metered.
 fn in_turn<M: Meter>(
-    mut machine: Machine,
+    mut session: Session,
     samples: &[&Sample],
     running: Running<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
-    let run = uncounted(&mut machine, samples, running, new_meter);
-    let (activity, counts) = machine.take_counts();
+    let run = uncounted(&mut session, samples, running, new_meter);
+    let (activity, counts) = session.into_engine().take_counts();
     Run { activity, counts, ..run }
 }
 
@@ -226,7 +226,7 @@ const PARTS: usize = 16;
 /// Runs samples in parallel, in a session for each thread; a thread that finishes a part takes the
 /// next one. Counts are summed once, over all machines.
 fn at_once<M: Meter>(
-    new_machine: impl Fn() -> Machine + Sync,
+    new_session: impl Fn() -> Session + Sync,
     samples: &[&Sample],
     running: Running<'_>,
     new_meter: impl Fn() -> M + Sync,
@@ -235,21 +235,21 @@ fn at_once<M: Meter>(
     let parts: Vec<&[&Sample]> = samples.chunks(samples.len().div_ceil(PARTS * threads).max(1)).collect();
     let next = AtomicUsize::new(0);
     let of_thread = |_| {
-        let (mut machine, mut runs) = (None, Vec::new());
+        let (mut session, mut runs) = (None, Vec::new());
         loop {
             let place = next.fetch_add(1, Ordering::Relaxed);
             let Some(part) = parts.get(place) else { break };
-            let machine = machine.get_or_insert_with(&new_machine);
-            runs.push((place, uncounted(machine, part, running, &new_meter)));
+            let session = session.get_or_insert_with(&new_session);
+            runs.push((place, uncounted(session, part, running, &new_meter)));
         }
-        (machine, runs)
+        (session, runs)
     };
-    let (machines, runs): (Vec<_>, Vec<_>) = (0..threads).into_par_iter().with_max_len(1).map(of_thread).unzip();
-    let sum = machines.into_iter().flatten().reduce(|mut sum, more| {
+    let (sessions, runs): (Vec<_>, Vec<_>) = (0..threads).into_par_iter().with_max_len(1).map(of_thread).unzip();
+    let sum = sessions.into_iter().flatten().map(Session::into_engine).reduce(|mut sum, more| {
         sum.absorb(&more);
         sum
     });
-    let (activity, counts) = sum.unwrap_or_else(new_machine).take_counts();
+    let (activity, counts) = sum.unwrap_or_else(|| new_session().into_engine()).take_counts();
     let mut runs: Vec<(usize, Run<M>)> = runs.into_iter().flatten().collect();
     runs.sort_unstable_by_key(|(place, _)| *place);
     let (outcomes, meter) = (Vec::with_capacity(samples.len()), new_meter());
@@ -264,23 +264,23 @@ fn at_once<M: Meter>(
 
 /// Runs samples sequentially in a session, whose machine accumulates their counts.
 fn uncounted<M: Meter>(
-    machine: &mut Machine,
+    session: &mut Session,
     samples: &[&Sample],
     running: Running<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
-    let Running { keep, copies, progress, ranks, .. } = running;
+    let Running { keep, progress, ranks, .. } = running;
     let is_first = ranks.is_none_or(|ranks| ranks.rank() == 0);
     let (mut outcomes, mut meter, mut skipped_updates) = (Vec::with_capacity(samples.len()), new_meter(), 0);
     for sample in samples {
         let mut of_sample = new_meter();
-        outcomes.push(run_copies(machine, sample, copies, keep, |machine: &Machine, passed| {
+        outcomes.push(session.run(sample, keep, |machine: &Machine, passed| {
             if is_first {
                 of_sample.see(machine.last_step(), passed);
             }
         }));
         meter.merge(of_sample);
-        skipped_updates += machine.skipped_updates();
+        skipped_updates += session.engine().skipped_updates();
         progress();
     }
     let (activity, counts) = (Activity::default(), SourceCounts::default());
@@ -333,18 +333,18 @@ fn add_inputs(counts: &mut SourceCounts, sample: &Sample, steps: u32) {
 pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Run<()> {
     let begin = Instant::now();
     let run = in_parts(samples, |part| {
-        let mut engine = Golden::new(network);
+        let mut session = Session::new(Golden::new(network), 1);
         let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
         let run = |sample: &&Sample| {
             let add = |engine: &Golden, _| add_spikes(&mut counts, engine.spikes());
-            let outcome = run_sample(&mut engine, sample, keep, add);
+            let outcome = session.run(sample, keep, add);
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
             outcome
         };
         let outcomes = part.iter().map(run).collect();
-        let left = engine.left_fields().enumerate().filter(|(_, left)| **left != LeftField::default());
-        left.for_each(|(compartment, left)| counts.add_left_field(compartment, *left));
+        let left = session.engine().overflows().enumerate().filter(|(_, left)| **left != OverflowCounts::default());
+        left.for_each(|(compartment, left)| counts.add_overflows(compartment, *left));
         Run { outcomes, counts, ..Run::default() }
     });
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
@@ -374,7 +374,7 @@ pub fn reference<F: Real>(
     let begin = Instant::now();
     let plain = Keep { probes: Vec::new(), ..keep.clone() };
     let run = in_parts(samples, |part| {
-        let mut engine = Reference::new(model);
+        let mut session = Session::new(Reference::new(model), 1);
         let mut counts = SourceCounts::new(channels as usize, compartments as usize);
         let run = |sample: &&Sample| {
             let read = |engine: &Reference<'_, F>, quantity, compartment| match quantity {
@@ -382,7 +382,7 @@ pub fn reference<F: Real>(
                 _ => engine.potential(compartment),
             };
             let mut traces = Recording::new(&keep.probes, sample.steps(), read);
-            let outcome = run_sample(&mut engine, sample, &plain, |engine: &Reference<'_, F>, passed| {
+            let outcome = session.run(sample, &plain, |engine: &Reference<'_, F>, passed| {
                 traces.see(engine, passed);
                 add_spikes(&mut counts, engine.spikes());
             });

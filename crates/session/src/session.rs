@@ -19,66 +19,124 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId, ProjectionId};
 use nsim_ir::learning::{LONGEST_EPOCH, LearningRule};
 use nsim_ir::quantised::Quantised;
-use nsim_ir::spikes::{Copies, Engine, Sample, Spikes};
+use nsim_ir::spikes::{Engine, Sample, Spikes};
 use nsim_machine::plastic::places::PlasticProjection;
 use nsim_machine::{Image, Machine, Settings};
 
-/// Input spikes that are stored, 12 bytes each; later ones are counted only.
+use crate::observers::{Observer, Outputs, Passed, Recording, integer};
+use crate::outcome::{Keep, Outcome};
+
+/// Maximum number of stored input spikes, 12 bytes each; later ones only reach the engine.
 const MOST_KEPT: usize = 1 << 26;
 
 /// The remedy where a network has no plastic projection.
 const MAKE_PLASTIC: &str = "set `format.plastic` of a projection before the network is mapped";
 
-/// An engine after some step.
+/// Channels that spike in a step, and the value of each.
+type Input = (Vec<ChannelId>, Vec<i32>);
+
+/// An engine between two steps, with its stored input.
 #[derive(Debug, Clone)]
-pub struct Session {
-    machine: Machine,
-    copies: Copies,
+pub struct Session<E: ?Sized = Machine> {
+    /// Number of copies of the network in the engine; each receives equal input on its own
+    /// channels.
+    copies: u32,
     plastic: Arc<[PlasticProjection]>,
     /// Whether weights were written.
     is_written: bool,
     /// Input spikes of one copy: (step, channel, value).
     kept: Vec<(u32, ChannelId, i32)>,
     steps: u32,
+    /// Whether the engine has begun the sample that is stepped.
+    is_begun: bool,
     /// Whether an input spike was not stored.
     is_cut: bool,
     /// The last step's input, of one copy.
-    shown: Vec<(ChannelId, i32)>,
-    /// Scratch memory: the next step's input, until it is the last's.
+    shown: Input,
+    /// Scratch memory: the next step's input as it is given.
     given: Vec<(ChannelId, i32)>,
     /// Scratch memory: the input of all copies.
-    all: (Vec<ChannelId>, Vec<i32>),
+    all: Input,
+    engine: E,
 }
 
-impl Session {
-    /// A session before its first step, over `copies` of a network with the same input.
-    pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
-        let mut session = Session {
-            machine: Machine::new(image, Settings::default()),
-            copies: Copies { copies, channels: one.channels() },
-            plastic: PlasticProjection::all(image, one, copies).into(),
+impl<E: Engine> Session<E> {
+    /// Returns a session before its first step, over `copies` copies of a network with equal input.
+    pub fn new(engine: E, copies: u32) -> Self {
+        Session {
+            copies,
+            plastic: Arc::new([]),
             is_written: false,
             kept: Vec::new(),
             steps: 0,
+            is_begun: false,
             is_cut: false,
-            shown: Vec::new(),
+            shown: Input::default(),
             given: Vec::new(),
-            all: (Vec::new(), Vec::new()),
-        };
-        session.reset();
-        session
+            all: Input::default(),
+            engine,
+        }
     }
 
-    /// Goes back to before the first step, as a sample's end does; weights too.
+    /// The engine.
+    pub fn into_engine(self) -> E {
+        self.engine
+    }
+}
+
+impl<E: Engine + ?Sized> Session<E> {
+    /// Runs one sample from its first step; an observer sees the engine after each step, or after
+    /// steps in which nothing happened. A later [`Self::step`] is a first step again.
+    pub fn run(&mut self, sample: &Sample, keep: &Keep, mut observer: impl Observer<E>) -> Outcome {
+        let steps = sample.steps();
+        let mut probes = Recording::new(&keep.probes, steps, integer::<E>);
+        let mut outputs = Outputs::new(keep, steps);
+        self.forget();
+        self.engine.begin(steps);
+        let mut step = 0;
+        while step < steps && !outputs.is_over() {
+            let silent = sample.at(step).is_empty();
+            let rests = if silent { outputs.may_rest(&mut self.engine, step, sample.next_spike(step)) } else { 0 };
+            let at_rest = rests > 0 && self.engine.skip_idle(rests);
+            if !at_rest {
+                advance(&mut self.engine, sample.input(step), self.copies, &mut self.all);
+            }
+            let steps = if at_rest { rests } else { 1 };
+            let passed = Passed { first: step, steps, at_rest, decided: outputs.is_decided() };
+            outputs.see(&self.engine, passed);
+            probes.see(&self.engine, passed);
+            observer.see(&self.engine, passed);
+            step += steps;
+        }
+        self.engine.settle();
+        let (totals, overflow) = (self.engine.totals(), self.engine.overflow());
+        Outcome { probes: probes.kept, totals, overflow, ..outputs.outcome(step) }
+    }
+
+    /// Resets the session, weights included, to before the first step.
     pub fn reset(&mut self) {
-        // A sample without end: every delivery is counted.
-        self.machine.begin(u32::MAX);
-        self.kept.clear();
-        self.shown.clear();
-        (self.steps, self.is_cut, self.is_written) = (0, false, self.machine.learns());
+        self.forget();
+        // The sample has no end, so every delivery is counted.
+        self.engine.begin(u32::MAX);
+        self.is_begun = true;
     }
 
-    /// Steps so far.
+    /// Forgets the input so far.
+    fn forget(&mut self) {
+        self.kept.clear();
+        self.shown.0.clear();
+        self.shown.1.clear();
+        (self.steps, self.is_begun, self.is_cut, self.is_written) = (0, false, false, false);
+    }
+
+    /// Resets the session, unless the engine has begun the sample that is stepped.
+    fn begin(&mut self) {
+        if !self.is_begun {
+            self.reset();
+        }
+    }
+
+    /// Number of steps so far.
     pub fn steps(&self) -> u32 {
         self.steps
     }
@@ -97,24 +155,24 @@ impl Session {
             given.sort_by_key(|(channel, _)| *channel);
             given.dedup_by_key(|(channel, _)| *channel);
         }
-        let Copies { copies, channels } = self.copies;
+        let channels = self.engine.channels() / self.copies.max(1);
         if let Some((last, _)) = given.last().filter(|(last, _)| last.0 >= channels) {
             let message = format!("channel {} is not one of the network's {channels}", last.0);
             return Err(Diagnostic::new("session.channel", message).help("channels are counted from 0"));
         }
-        std::mem::swap(&mut self.shown, given);
-        self.is_cut |= self.kept.len() + self.shown.len() > MOST_KEPT || self.steps == u32::MAX - 1;
+        self.begin();
+        let given = &self.given;
+        self.is_cut |= self.kept.len() + given.len() > MOST_KEPT || self.steps == u32::MAX - 1;
         if !self.is_cut {
-            self.kept.extend(self.shown.iter().map(|&(channel, value)| (self.steps, channel, value)));
+            self.kept.extend(given.iter().map(|&(channel, value)| (self.steps, channel, value)));
         }
-        let (ids, values) = &mut self.all;
+        let (ids, values) = &mut self.shown;
         ids.clear();
         values.clear();
-        for first in (0..copies).map(|copy| copy * channels) {
-            ids.extend(self.shown.iter().map(|(channel, _)| ChannelId(channel.0 + first)));
-            values.extend(self.shown.iter().map(|(_, value)| value));
-        }
-        self.machine.step(Spikes { ids, values });
+        ids.extend(given.iter().map(|(channel, _)| channel));
+        values.extend(given.iter().map(|(_, value)| value));
+        let (ids, values) = &self.shown;
+        advance(&mut self.engine, Spikes { ids, values }, self.copies, &mut self.all);
         self.steps = self.steps.saturating_add(1);
         Ok(())
     }
@@ -122,24 +180,26 @@ impl Session {
     /// Skips steps without input, if the engine would be idle in them, and returns true; otherwise
     /// does nothing and returns false.
     pub fn skip(&mut self, steps: u32) -> bool {
-        let rests = self.machine.rest(steps);
+        self.begin();
+        let rests = self.engine.skip_idle(steps);
         if rests && steps > 0 {
-            self.shown.clear();
+            self.shown.0.clear();
+            self.shown.1.clear();
             self.steps = self.steps.saturating_add(steps);
         }
         rests
     }
 
-    /// The channels of one copy that spiked in the last step, ascending, with what they carried.
-    pub fn shown(&self) -> &[(ChannelId, i32)] {
-        &self.shown
+    /// Returns the channels of one copy that spiked in the last step, ascending, with their values.
+    pub fn shown(&self) -> impl Iterator<Item = (ChannelId, i32)> {
+        self.shown.0.iter().copied().zip(self.shown.1.iter().copied())
     }
 
     /// Returns the compartments that spiked in the last step, of `count` from `first` on, with
     /// their payloads. Compartments are counted from `first`, ascending.
     pub fn spikes(&self, first: CompartmentId, count: u32) -> Vec<(u32, i32)> {
-        let payloads = self.machine.payloads().iter().copied().chain(std::iter::repeat(1));
-        let spikes = self.machine.spikes().iter().zip(payloads);
+        let payloads = self.engine.payloads().iter().copied().chain(std::iter::repeat(1));
+        let spikes = self.engine.spikes().iter().zip(payloads);
         let mut own: Vec<(u32, i32)> = spikes
             .filter_map(|(spike, payload)| Some((spike.0.checked_sub(first.0).filter(|&i| i < count)?, payload)))
             .collect();
@@ -148,11 +208,42 @@ impl Session {
     }
 
     /// The engine, for its registers.
-    pub fn engine(&self) -> &impl Engine {
-        &self.machine
+    pub fn engine(&self) -> &E {
+        &self.engine
     }
 
-    /// Changes the weights of all plastic projections by this rule, and goes back to before the
+    /// The engine, for its counts.
+    pub fn engine_mut(&mut self) -> &mut E {
+        &mut self.engine
+    }
+}
+
+/// Steps all copies, each with the input of one.
+fn advance<E: Engine + ?Sized>(engine: &mut E, one: Spikes<'_>, copies: u32, (ids, values): &mut Input) {
+    if copies == 1 {
+        return engine.step(one);
+    }
+    ids.clear();
+    values.clear();
+    let channels = engine.channels() / copies.max(1);
+    for first in (0..copies).map(|copy| copy * channels) {
+        ids.extend(one.ids.iter().map(|channel| ChannelId(channel.0 + first)));
+        values.extend(one.values);
+    }
+    engine.step(Spikes { ids, values });
+}
+
+impl Session {
+    /// Returns a session before its first step, over `copies` copies of a network, with access to
+    /// its plastic weights.
+    pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
+        let plastic = PlasticProjection::all(image, one, copies).into();
+        let mut session = Session { plastic, ..Session::new(Machine::new(image, Settings::default()), copies) };
+        session.reset();
+        session
+    }
+
+    /// Sets the learning rule of all plastic projections, and resets the session to before the
     /// first step.
     ///
     /// # Errors
@@ -167,7 +258,7 @@ impl Session {
             let message = "a rule has no weights to change, as the network has no plastic projection".to_string();
             return Err(Diagnostic::new("session.rule.not-plastic", message).help(MAKE_PLASTIC));
         }
-        self.machine.set_rule(rule);
+        self.engine.set_rule(rule);
         self.reset();
         Ok(())
     }
@@ -178,7 +269,7 @@ impl Session {
     /// # Errors
     /// `session.weights.not-plastic`.
     pub fn weights(&self, projection: ProjectionId) -> Result<Vec<i16>> {
-        Ok(self.plastic(projection)?.places[0].iter().map(|&place| self.machine.weight(place)).collect())
+        Ok(self.plastic(projection)?.places[0].iter().map(|&place| self.engine.weight(place)).collect())
     }
 
     /// Sets the weights of a plastic projection, in every copy of the network. They apply from the
@@ -200,7 +291,8 @@ impl Session {
             let help = format!("give multiples of {step} from {low} to {high}");
             return Err(Diagnostic::new("session.weights.range", message).help(help));
         }
-        let (plastic, machine) = (Arc::clone(&self.plastic), &mut self.machine);
+        self.begin();
+        let (plastic, machine) = (Arc::clone(&self.plastic), &mut self.engine);
         for copy in plastic.iter().filter(|plastic| plastic.id == projection).flat_map(|plastic| &plastic.places) {
             copy.iter().zip(weights).for_each(|(&place, &weight)| machine.set_weight(place, weight));
         }
@@ -223,8 +315,9 @@ impl Session {
     /// `session.too-long`; `session.weights.written` when a run of the sample would not have the
     /// weights that were written.
     pub fn sample(&self) -> Result<Sample> {
-        if self.is_written {
-            let message = "weights were written or learned, which a run of what was shown would not have".to_string();
+        if self.is_written || self.engine.learns() {
+            let message =
+                "weights were written or learned, so a run of the same input would not reproduce them".to_string();
             let help = "call reset() and step without writing weights, in a session without rule";
             return Err(Diagnostic::new("session.weights.written", message).help(help));
         }

@@ -99,7 +99,7 @@ impl<'r> Recorder<'r, '_> {
         row.iter_mut().for_each(|spikes| *spikes = *spikes / run.max(1) * all);
         let routes = &self.meter.settings().routes;
         let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
-        self.cells.extend([sum.synaptic_events(), sum.messages_in, hops.links()]);
+        self.cells.extend([sum.synaptic_events(), sum.messages_in, hops.total_links()]);
         self.cells.extend(self.meter.last_time().parts().map(|(_, part)| part.0));
         // The meter of a recorder has at least one preset.
         let energy = self.meter.tables().first().map(|table| energy_of_counts(sum, hops, table));

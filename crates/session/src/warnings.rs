@@ -300,7 +300,7 @@ fn watched(
                 }
                 let neuron = neurons.get(index);
                 let fires_from = neuron::fields(&neuron, *start_step, parts.semantics, parts.threshold).fires_from;
-                let index = run.network.index_shown(*id, index);
+                let index = run.network.index_before_pruning(*id, index);
                 let here = Nearest { index, potential, fires_from, neuron };
                 if best.is_none_or(|best| here.share() > best.share()) {
                     *best = Some(here);
@@ -316,7 +316,7 @@ fn first_overflow(run: Finished<'_>) -> Option<(PopulationId, String)> {
     let firsts = run.outcomes.iter().enumerate();
     let (sample, (step, compartment)) = firsts.filter_map(|(i, outcome)| Some((i, outcome.overflow.first?))).next()?;
     let (population, index) = run.network.population_of(compartment);
-    let index = run.network.index_shown(population, index);
+    let index = run.network.index_before_pruning(population, index);
     Some((population, format!(", first at compartment {index}, sample {sample}, step {step}")))
 }
 
@@ -341,8 +341,8 @@ fn silent_classes(run: Finished<'_>) -> Option<String> {
     })
 }
 
-/// What leaves room to values that wrap or clip, and no spike otherwise.
-const HALVE: &str = "lower the weight_exp of what leads to it by 1, and halve vth_mant and bias_mant: the same spikes \
+/// Advice that avoids wrapping and clipping, and leaves all spikes unchanged.
+const HALVE: &str = "lower the weight_exp of its inputs by 1, and halve vth_mant and bias_mant: the same spikes \
                      at half the values";
 
 /// Returns the advice that raises the upper bound of voltages.

@@ -39,7 +39,7 @@ use nsim_session::error::Error;
 use nsim_session::observers::Passed;
 use nsim_session::obtain::mapped_as_usual;
 use nsim_session::priced::Metered;
-use nsim_session::{Keep, run_sample};
+use nsim_session::{Keep, Session};
 
 /// A form of the network, and an engine that runs it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -284,14 +284,14 @@ impl<'a> Subject<'a> {
             _ => None,
         };
         let skip = variant != Variant::Fast { skip: false };
-        let mut machine = Machine::new(&image, Settings { skip, per_step: meter.is_some() });
+        let mut session = Session::new(Machine::new(&image, Settings { skip, per_step: meter.is_some() }), 1);
         let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
         let alone = meter.is_none() && early_exit.is_none();
         let keep = Keep { early_exit, ..Keep::new(network.output()) };
         let times = self.timed(|| {
             for sample in &given {
                 if alone {
-                    drive(&mut machine, sample);
+                    drive(session.engine_mut(), sample);
                     continue;
                 }
                 let mut seen = meter.as_ref().map(StepMeter::fresh);
@@ -300,15 +300,15 @@ impl<'a> Subject<'a> {
                         seen.add(machine.last_step(), passed.steps, false);
                     }
                 };
-                black_box(run_sample(&mut machine, sample, &keep, add));
+                black_box(session.run(sample, &keep, add));
                 black_box(&seen);
             }
         });
-        let mut traces = self.traces(&mut machine, network, merged);
+        let mut traces = self.traces(session.engine_mut(), network, merged);
         if keep.early_exit.is_some() {
             for (trace, sample) in traces.iter_mut().zip(&given) {
-                let until = run_sample(&mut machine, sample, &keep, ()).steps;
-                // The omitted steps have no spikes; potentials are not there to compare.
+                let until = session.run(sample, &keep, ()).steps;
+                // Skipped steps have no spikes, and no potentials to compare.
                 let steps = trace.steps;
                 *trace = Trace { steps, potentials: Vec::new(), ..std::mem::take(trace).until(until) };
             }

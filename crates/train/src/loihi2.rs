@@ -8,7 +8,7 @@
 use super::surrogate::Surrogate;
 use super::trace::Trace;
 use nsim_dynamics::kinds::{Block, CHUNK, MOST_LANES, updater};
-use nsim_ir::neurons::{NeuronKind, Row};
+use nsim_ir::neurons::{NeuronKind, ParameterRow};
 
 /// Neurons of one kind: `Rf`, `SigmaDelta` with a rectification, or `Sigma`.
 #[derive(Debug, Clone, PartialEq)]
@@ -16,7 +16,7 @@ pub struct Loihi2 {
     /// Their kind.
     pub kind: NeuronKind,
     /// Parameters of each neuron, in the order of the kind's table.
-    pub rows: Vec<Row>,
+    pub rows: Vec<ParameterRow>,
     /// Cosine and sine of the rotation by a step, which also decays; by neuron, of `Rf` alone.
     pub turns: Vec<[f32; 2]>,
     /// Threshold in the units of the trained weights; infinite where the state is read out.
@@ -30,7 +30,7 @@ pub struct Loihi2 {
 impl Loihi2 {
     pub(super) fn forward(&self, drive: &[f32], trace: &mut Trace) {
         let n = self.rows.len();
-        let block = |rows: &[Row]| {
+        let block = |rows: &[ParameterRow]| {
             let updater = updater(self.kind, rows)?;
             let mut columns = vec![[0; CHUNK]; rows.len().div_ceil(CHUNK) * updater.words()];
             updater.clear(&mut columns);

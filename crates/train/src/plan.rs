@@ -12,7 +12,7 @@ use nsim_files::training::{LossDesc, NeuronDesc, OptimiserDesc, TimesDesc, Train
 use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, ThresholdMantissa, WeightExponent};
-use nsim_ir::neurons::{NeuronKind, Row, Storage};
+use nsim_ir::neurons::{NeuronKind, ParameterRow, Storage};
 use nsim_ir::quantised::Neuron;
 use nsim_quantise::analytic::{early_peak, keep};
 use nsim_reference::kernel::{Alpha, Kernel};
@@ -137,7 +137,7 @@ fn loss(problems: &Problems, file: &TrainingFile, layers: &[Layer]) -> Result<Lo
                 "layer '{}' decides by its potential (theta inf, or Sigma), but its spikes are needed",
                 layer.name
             );
-            let help = "give it a threshold such as theta: 10; only the last layer is read out by its potential, with \
+            let help = "give it a threshold such as theta: 10; only the last layer may decide by its potential, with \
                         the loss Potential(decision: LastV, temperature: 1)";
             return refused(message, help);
         }
@@ -244,7 +244,8 @@ fn cells(
                 [part(libm::cos(angle)), part(libm::sin(angle))]
             };
             let turns: Vec<[i32; 2]> = period.into_iter().zip(tau).map(turn).collect();
-            let row = |&[cos, sin]: &[i32; 2], threshold| Row([sin, cos, threshold, RF_STATE_EXP, 12, 0, 0, 0]);
+            let row =
+                |&[cos, sin]: &[i32; 2], threshold| ParameterRow([sin, cos, threshold, RF_STATE_EXP, 12, 0, 0, 0]);
             let share = |x| x as f32 / 4096.0;
             loihi2(problems, span, NeuronKind::Rf, (weight_scale, theta, RF_STATE_EXP), |threshold| {
                 (
@@ -255,13 +256,13 @@ fn cells(
         }
         NeuronDesc::SigmaDelta { weight_scale, theta } => {
             let parts = (weight_scale, theta, 0);
-            // vth_mant, and of the rest only relu.
-            let row = |threshold| Row([threshold, 0, 0, 0, 1, 0, 0, 0]);
+            // Only vth_mant and relu are set.
+            let row = |threshold| ParameterRow([threshold, 0, 0, 0, 1, 0, 0, 0]);
             loihi2(problems, span, NeuronKind::SigmaDelta, parts, |threshold| (vec![row(threshold); n], Vec::new()))
         }
         NeuronDesc::Sigma { weight_scale } => {
             let parts = (weight_scale, f64::INFINITY, 0);
-            loihi2(problems, span, NeuronKind::Sigma, parts, |_| (vec![Row::EMPTY; n], Vec::new()))
+            loihi2(problems, span, NeuronKind::Sigma, parts, |_| (vec![ParameterRow::EMPTY; n], Vec::new()))
         }
     }
 }
@@ -276,7 +277,7 @@ fn loihi2(
     span: Span,
     kind: NeuronKind,
     (scale, theta, state_exp): (f64, f64, i32),
-    build: impl FnOnce(i32) -> (Vec<Row>, Vec<[f32; 2]>),
+    build: impl FnOnce(i32) -> (Vec<ParameterRow>, Vec<[f32; 2]>),
 ) -> Result<(Cells, Option<Mantissas>)> {
     let scale = problems.number(span, "weight_scale", scale, 1e-6, 1e6)?;
     let mantissas = Mantissas { scale: scale as f32, exponent: WeightExponent::ZERO };

@@ -280,7 +280,7 @@ fn step_rows(
 fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
     let Some(ranks) = ranks::several() else { return (measured, bytes, synapses) };
     let (mut totals, mut sums) = (measured.totals, (bytes, synapses));
-    for (other, bytes, synapses) in ranks.gathered::<_, (Totals, u64, u64)>(&(totals, bytes, synapses)) {
+    for (other, bytes, synapses) in ranks.gather::<_, (Totals, u64, u64)>(&(totals, bytes, synapses)) {
         totals += other;
         sums = (sums.0 + bytes, sums.1 + synapses);
     }

@@ -17,7 +17,6 @@ use nsim_energy::evaluate::Evaluated;
 use nsim_energy::sanafe::Export;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
-use nsim_ir::spikes::Copies;
 use nsim_session::error::Error;
 
 pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
@@ -30,8 +29,8 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
             output::write_picture(path, &svg, context)?;
         }
         if let Some(folder) = &args.export_sanafe {
-            let Copies { copies, channels } = workload.shown();
-            let (table, sample) = (&run.meter.tables()[0], workload.samples()[0].copies(copies, channels));
+            let channels = workload.compiled.one.channels();
+            let (table, sample) = (&run.meter.tables()[0], workload.samples()[0].copies(workload.copies, channels));
             let tiles_used = deployment.tiles_used;
             let export = Export { compiled: workload.compiled, table, sample: &sample, tiles_used };
             let mut batch = io::write::Batch::new(context.force);

@@ -222,8 +222,8 @@ fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(Pop
             let index = match index {
                 None => None,
                 Some(index) if what != What::Raster => {
-                    let shown = index.parse().ok().and_then(|index| network.index_of_shown(id, index));
-                    let units = network.units_shown(id);
+                    let shown = index.parse().ok().and_then(|index| network.index_after_pruning(id, index));
+                    let units = network.units_before_pruning(id);
                     let name = &network.populations()[id].name;
                     Some(shown.ok_or_else(|| {
                         Error::Usage(format!("--probe {text}: '{name}' has compartments 0 to {}", units.max(1) - 1))

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use crate::cli::context::refuse_if;
 use nsim_ir::program::Program;
-use nsim_ir::ranks::Share;
+use nsim_ir::ranks::RankShare;
 use nsim_machine::ranks::transport::Ranks;
 use nsim_session::error::Error;
 use nsim_session::ranks::RankRow;
@@ -58,11 +58,11 @@ pub fn price() {
     WHOLE.store(true, Ordering::SeqCst);
 }
 
-/// What of a program this process is to hold.
-pub fn share() -> Share {
-    several().map_or(Share::ALL, |ranks| {
+/// Share of a program for this process.
+pub fn share() -> RankShare {
+    several().map_or(RankShare::ALL, |ranks| {
         let whole = ranks.rank() == 0 && WHOLE.load(Ordering::SeqCst);
-        Share { rank: ranks.rank(), ranks: ranks.ranks(), whole }
+        RankShare { rank: ranks.rank(), ranks: ranks.ranks(), whole }
     })
 }
 
@@ -95,15 +95,15 @@ pub fn finish() {
 pub fn before_failing() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {
-        use nsim_machine::ranks::mpi::{another_has_failed, tell_failed};
+        use nsim_machine::ranks::mpi::{another_rank_failed, report_failure};
         let until = Instant::now() + MOMENT * ranks.rank().min(LONGEST);
         while Instant::now() < until {
-            if another_has_failed() {
+            if another_rank_failed() {
                 return;
             }
             std::thread::sleep(Duration::from_millis(10));
         }
-        tell_failed(ranks);
+        report_failure(ranks);
         nsim_files::write::be_silent(false);
     }
 }
@@ -114,7 +114,7 @@ pub fn is_said_elsewhere() -> bool {
     if let Some(ranks) = several() {
         let until = Instant::now() + HEARING;
         while ranks.rank() == 0 && Instant::now() < until {
-            if nsim_machine::ranks::mpi::another_has_failed() {
+            if nsim_machine::ranks::mpi::another_rank_failed() {
                 return true;
             }
             std::thread::sleep(Duration::from_millis(1));

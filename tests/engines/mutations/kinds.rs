@@ -13,7 +13,7 @@ use nsim::ir::base::fixed::{
 use nsim::ir::base::id::{ClassId, CompartmentId, CoreId, Id, PopulationId};
 use nsim::ir::neurons::{NeuronKind, Port};
 use nsim::ir::program::{AxonTarget, AxonsOut, CoreClass, CoreFormat, InputAxon, Parts, PopulationAxon, Synapse};
-use nsim::ir::quantised::connectivity::Apart;
+use nsim::ir::quantised::connectivity::SeparateSum;
 use nsim::ir::quantised::{Neuron, Reset};
 use nsim::ir::spikes::Message;
 
@@ -334,7 +334,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     }),
     ("sum of a format", |p, d| {
         format_field(p, d, Anything, |f, d| {
-            let apart = Apart { number: d.from(0, 70) as u8, wraps: d.chance(50) };
+            let apart = SeparateSum { number: d.from(0, 70) as u8, wraps: d.chance(50) };
             f.synapse.apart = Some(apart).filter(|_| d.chance(80));
         })
     }),

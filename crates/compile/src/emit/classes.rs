@@ -16,11 +16,11 @@ use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, IdVec};
 use nsim_ir::partition::Partition;
 use nsim_ir::quantised::Quantised;
-use nsim_partition::resources::by_core::Key;
 use nsim_partition::resources::formats::Formats;
+use nsim_partition::resources::sorted_synapses::Key;
 
-/// Cores whose keys are found side by side: the keys of all take the memory of their compartments.
-const TOGETHER: usize = 1 << 10;
+/// Cores whose keys are found in parallel: all keys take the memory of all compartments.
+const CHUNK: usize = 1 << 10;
 
 /// The classes of cores.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -85,7 +85,7 @@ impl<'n> CoreClasses<'n> {
     pub fn new(network: &'n Quantised, partition: &Partition, copies: u32, holds: impl Fn(CoreId) -> bool) -> Self {
         let of_copy = [network.channels(), network.compartments()].map(|units| units / copies.max(1));
         let windows = Windows::new(network, copies);
-        let found = |&core: &CoreId| {
+        let key_and_place = |&core: &CoreId| {
             let held = &partition.members()[core];
             let copy = copy_of(held, of_copy[1]);
             match windows.pattern(held, copy * of_copy[1]) {
@@ -98,8 +98,8 @@ impl<'n> CoreClasses<'n> {
         };
         let all: Vec<CoreId> = partition.members().ids().collect();
         let mut places = IdVec::new();
-        let some = all.chunks(TOGETHER).flat_map(|some| some.par_iter().map(found).collect::<Vec<_>>());
-        let classes = Classes::by_key(all.iter().zip(some).map(|(&core, (key, place))| {
+        let keyed = all.chunks(CHUNK).flat_map(|chunk| chunk.par_iter().map(key_and_place).collect::<Vec<_>>());
+        let classes = Classes::by_key(all.iter().zip(keyed).map(|(&core, (key, place))| {
             places.push(place);
             (holds(core), key)
         }));

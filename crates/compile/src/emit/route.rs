@@ -20,7 +20,7 @@ use crate::emit::classes::{Classes, CoreClasses, Shift};
 use crate::emit::tables::Tables;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
-use nsim_ir::messages::{AxonTarget, AxonsOut, Reached};
+use nsim_ir::messages::{AxonTarget, AxonsOut, IndexedTarget};
 use nsim_ir::partition::{Partition, Seat};
 use nsim_ir::placement::Placement;
 use nsim_ir::program::{Compartments, CoreClass, CoreImage, Graded, Parts, Program};
@@ -43,7 +43,7 @@ pub fn route(
     copies: u32,
     limits: &Limits,
 ) -> Result<Program, String> {
-    let holds = |core: CoreId| places.1.as_ref().is_none_or(|assignment| assignment.holds(core));
+    let holds = |core: CoreId| places.1.as_ref().is_none_or(|assignment| assignment.is_local(core));
     let classes = CoreClasses::new(network, partition, copies, holds);
     route_classes(network, partition, places, &classes, limits)
 }
@@ -60,7 +60,7 @@ pub(crate) fn route_classes(
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
     let (channels, classes) = (network.channels(), &found.classes);
-    let holds = |core: CoreId| assignment.as_ref().is_none_or(|assignment| assignment.holds(core));
+    let holds = |core: CoreId| assignment.as_ref().is_none_or(|assignment| assignment.is_local(core));
     let written = Tables::new(network, partition, limits).of_classes(found, holds)?;
     let (written, of_first): (Vec<CoreClass>, Vec<Vec<u32>>) = written.into_iter().unzip();
     let all: Vec<CoreId> = partition.members().ids().collect();
@@ -203,10 +203,10 @@ fn axons_out(
     if let Some((core, _)) = sent.enumerate().find(|(_, sent)| sent.len() > 1 << 16) {
         return Err(core);
     }
-    let alike = Classes::by_key(sent.enumerate().map(key));
-    // Some senders at a time read what each core receives, core by core: their part lies together.
+    let sender_classes = Classes::by_key(sent.enumerate().map(key));
+    // Each task reads the messages of consecutive senders, core by core: they are contiguous.
     let lists = |firsts: &[CoreId]| {
-        let mut messages: Vec<Vec<(u16, Reached)>> = vec![Vec::new(); firsts.len()];
+        let mut messages: Vec<Vec<(u16, IndexedTarget)>> = vec![Vec::new(); firsts.len()];
         let mut reached = vec![0u32; firsts.len()];
         for (senders, received) in received {
             let begin = senders.partition_point(|sender| *sender < firsts[0]);
@@ -215,25 +215,26 @@ fn axons_out(
                 let Ok(place) = firsts.binary_search(sender) else { continue };
                 let part = received.firsts[number] as usize..received.firsts[number + 1] as usize;
                 let core = reached[place] as u16;
-                let reached_by = |&message: &u32| ((message >> 16) as u16, Reached { core, axon: message as u16 });
+                let reached_by =
+                    |&message: &u32| ((message >> 16) as u16, IndexedTarget { core_index: core, axon: message as u16 });
                 messages[place].extend(received.messages[part].iter().map(reached_by));
                 reached[place] += 1;
             }
         }
-        let by_slot = |(&core, messages): (&CoreId, Vec<(u16, Reached)>)| {
-            let put_all = |put: &mut dyn FnMut(usize, Reached)| {
+        let by_slot = |(&core, messages): (&CoreId, Vec<(u16, IndexedTarget)>)| {
+            let put_all = |put: &mut dyn FnMut(usize, IndexedTarget)| {
                 messages.iter().for_each(|&(slot, reached)| put(slot.into(), reached));
             };
             Arc::new(Csr::by_row(slots(core), put_all))
         };
         firsts.iter().zip(messages).map(by_slot).collect::<Vec<_>>()
     };
-    let some = alike.firsts.len().div_ceil(PARTS * rayon::current_num_threads()).max(1);
-    let lists = alike.firsts.as_slice().par_chunks(some).flat_map_iter(lists);
-    let lists: IdVec<ClassId, Arc<Csr<Reached>>> = lists.collect::<Vec<_>>().into();
+    let some = sender_classes.firsts.len().div_ceil(PARTS * rayon::current_num_threads()).max(1);
+    let lists = sender_classes.firsts.as_slice().par_chunks(some).flat_map_iter(lists);
+    let lists: IdVec<ClassId, Arc<Csr<IndexedTarget>>> = lists.collect::<Vec<_>>().into();
     let of_core = |(core, sent): (CoreId, &Vec<(CoreId, u32)>)| {
         let cores: Vec<CoreId> = sent.iter().map(|(to, _)| *to).collect();
-        AxonsOut::new(cores, lists[alike.of[core]].clone()).map_err(|_| core)
+        AxonsOut::new(cores, lists[sender_classes.of[core]].clone()).map_err(|_| core)
     };
     sent.enumerate().map(of_core).collect()
 }

@@ -9,14 +9,14 @@ use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::partition::Partition;
-use nsim_ir::program::{Compartment, CoreClass, CoreFormat, InputAxon, PopulationAxon, Stored, Synapse};
+use nsim_ir::program::{Compartment, CoreClass, CoreFormat, InputAxon, InputTable, PopulationAxon, Synapse};
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::Limits;
 use nsim_partition::resources::axon_sharing::{EqualPlace, Places};
-use nsim_partition::resources::by_core::{self, Key};
 use nsim_partition::resources::exact::{StoredLists, group_of, longest_delays};
 use nsim_partition::resources::formats::Formats;
 use nsim_partition::resources::packing::{Compression, Group, Widths, stored};
+use nsim_partition::resources::sorted_synapses::{self, Key};
 use rayon::prelude::*;
 
 /// Common input of the tables of every core.
@@ -62,7 +62,7 @@ impl<'a> Tables<'a> {
             let (seats, cores) = (self.partition.seats(), self.partition.cores());
             let longest = longest_delays(network, seats, cores, counts);
             let wanted = (counts, |core: CoreId| is_left[core]);
-            let mut others = by_core::by_core(network, &self.formats, seats, cores, wanted, |core, keys| {
+            let mut others = sorted_synapses::by_core(network, &self.formats, seats, cores, wanted, |core, keys| {
                 is_left[core].then(|| self.class(core, keys, longest[core]))
             });
             left.iter().for_each(|&class| written[class.index()] = others[firsts[class].index()].take());
@@ -104,7 +104,7 @@ fn parameters(network: &Quantised, held: &[CompartmentId]) -> Vec<Compartment> {
 }
 
 /// The formats of a core, its input axons with their lists, and the source of each input axon.
-type Written = (Vec<CoreFormat>, Stored, Vec<u32>);
+type Written = (Vec<CoreFormat>, InputTable, Vec<u32>);
 
 /// Writes the lists of a core's image.
 struct Writer<'a> {
@@ -145,7 +145,7 @@ impl Writer<'_> {
 
     /// Writes a list, with slots relative to a base.
     fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
-        for group in by_core::groups(list) {
+        for group in sorted_synapses::groups(list) {
             let number = self.number(group_of(group, self.formats))?;
             for key in group {
                 let delay = Delay::new(key.delay().into()).ok()?;
@@ -170,17 +170,17 @@ fn write_lists(
     let (runs, lists) = (stored.stores_runs(limits), Csr::with_capacity(0, keys.len()));
     let mut writer = Writer { formats, widths, limits, runs, known: Vec::new(), last: None, lists };
     let shared: Vec<_> = stored.shared(limits).filter(|&(_, places)| places > 0).collect();
-    let sources: Vec<u32> = by_core::lists(keys).map(|list| list[0].source()).collect();
+    let sources: Vec<u32> = sorted_synapses::lists(keys).map(|list| list[0].source()).collect();
     u16::try_from(sources.len().saturating_sub(1)).ok()?;
     if shared.is_empty() {
-        by_core::lists(keys).try_for_each(|list| writer.list(list, 0))?;
+        sorted_synapses::lists(keys).try_for_each(|list| writer.list(list, 0))?;
         writer.lists.shrink_to_fit();
-        return Some((writer.known, Stored::discrete(writer.lists), sources));
+        return Some((writer.known, InputTable::discrete(writer.lists), sources));
     }
-    let all: Vec<&[Key]> = by_core::lists(keys).collect();
+    let all: Vec<&[Key]> = sorted_synapses::lists(keys).collect();
     let (mut populations, mut members) = (Vec::new(), vec![None; all.len()]);
-    for (alike, places) in shared {
-        let (first, table) = (&alike[0], writer.lists.len() as u32);
+    for (equal_places, places) in shared {
+        let (first, table) = (&equal_places[0], writer.lists.len() as u32);
         let atoms = first.atoms();
         let mut of_atoms = first.lists.iter().peekable();
         for atom in 0..atoms {
@@ -189,7 +189,7 @@ fn write_lists(
                 None => writer.lists.end(),
             }
         }
-        for EqualPlace { base, lists, .. } in &alike[..places as usize] {
+        for EqualPlace { base, lists, .. } in &equal_places[..places as usize] {
             let axon = u16::try_from(populations.len()).ok()?;
             populations.push(PopulationAxon { table, atoms, base: *base });
             lists.iter().for_each(|&(atom, number)| members[number as usize] = Some(InputAxon::Member { axon, atom }));
@@ -203,5 +203,5 @@ fn write_lists(
         }
     }
     writer.lists.shrink_to_fit();
-    Some((writer.known, Stored::with_populations(writer.lists, populations, axons), sources))
+    Some((writer.known, InputTable::with_populations(writer.lists, populations, axons), sources))
 }

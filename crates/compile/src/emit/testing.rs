@@ -238,8 +238,8 @@ pub fn proved(compiled: &Mapping, limits: &Limits, what: &str) -> usize {
         let memory = encode(class, limits);
         let words = compiled.partition.usage()[core][Resource::SynapseWords];
         assert_eq!((memory.bits.len() / WORD) as u64, words, "{what} {core}: words");
-        let meant: Vec<Vec<Synapse>> = class.inputs.iter().map(|list| list.synapses().collect()).collect();
-        assert_eq!(decode(&memory, class, limits), Some(meant), "{what} {core}");
+        let expected: Vec<Vec<Synapse>> = class.inputs.iter().map(|list| list.synapses().collect()).collect();
+        assert_eq!(decode(&memory, class, limits), Some(expected), "{what} {core}");
     }
     let formats = compiled.program.classes().iter().flat_map(|class| &class.formats);
     formats.filter(|format| format.skip_bits.is_some()).count()

@@ -16,24 +16,23 @@ use nsim_ir::base::id::{CompartmentId, Id, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph::{PerCompartment, Window};
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Neuron, Quantised, Units};
-use nsim_partition::resources::by_core::Key;
 use nsim_partition::resources::formats::Formats;
 use nsim_partition::resources::receptive_field::{ReceptiveField, WindowAxis};
+use nsim_partition::resources::sorted_synapses::Key;
 
-/// The sources of an axis that reach a core, counted from the first, and what each reaches.
-type Reached = Vec<(u32, ReceptiveField)>;
+/// Sources of an axis that reach a core, relative to the first, and the field of each.
+type ReachedSources = Vec<(u32, ReceptiveField)>;
 
 /// Parameters of a core that decide its tables.
 #[derive(Debug, PartialEq, Eq, Hash)]
 pub struct Pattern {
     /// The population, in the first copy.
     population: PopulationId,
-    /// Compartments in slot order, counted from the first row and column that is held.
-    held: Vec<u32>,
-    /// By window: which rows and columns reach which of the core's, counted from the first that
-    /// does.
-    reached: Vec<[Reached; 2]>,
-    /// Their neurons, where each has parameters of its own.
+    /// Compartments in slot order, relative to the first row and column that is held.
+    members: Vec<u32>,
+    /// By window: rows and columns of sources, relative to the first, with the field of each.
+    reached: Vec<[ReachedSources; 2]>,
+    /// Their neurons, where each has separate parameters.
     neurons: Vec<Neuron>,
 }
 
@@ -98,17 +97,17 @@ pub struct Windows<'n> {
     into: IdVec<PopulationId, Option<Vec<Incoming<'n>>>>,
 }
 
-/// Where compartments of a population are.
-struct Held {
+/// Compartments of one population, with their rows and columns.
+struct CoreWindows {
     population: PopulationId,
     indices: Vec<u32>,
     rows: Range<u32>,
     columns: Range<u32>,
     width: u32,
     height: u32,
-    /// By window into it: the first row and column that reach these, and which of them each
-    /// reaches.
-    reached: Vec<[(u32, Reached); 2]>,
+    /// By window into it: the first row and column that reach these compartments, and the fields of
+    /// all rows and columns that do.
+    reached: Vec<[(u32, ReachedSources); 2]>,
 }
 
 impl<'n> Windows<'n> {
@@ -119,9 +118,9 @@ impl<'n> Windows<'n> {
         Windows { network, into }
     }
 
-    /// These compartments, this many compartments later than in the first copy; `None` where they
-    /// are of several populations, or something else than windows leads into theirs.
-    fn held(&self, held: &[CompartmentId], later: u32) -> Option<(Held, &[Incoming<'n>])> {
+    /// Returns these compartments, `later` compartments after the first copy; `None` where they
+    /// belong to several populations, or theirs has other inputs than windows.
+    fn core_windows(&self, held: &[CompartmentId], later: u32) -> Option<(CoreWindows, &[Incoming<'n>])> {
         let (id, _) = self.network.population_of(CompartmentId(held.first()?.0 - later));
         let incoming = self.into[id].as_ref()?;
         let population = &self.network.populations()[id];
@@ -136,12 +135,13 @@ impl<'n> Windows<'n> {
         let columns = around(&mut indices.iter().map(|index| index % width));
         let axes = |window| [WindowAxis::rows(window).pattern(&rows), WindowAxis::columns(window).pattern(&columns)];
         let reached = incoming.iter().map(|incoming| axes(&incoming.window)).collect();
-        Some((Held { population: id, indices, rows, columns, width, height, reached }, incoming))
+        Some((CoreWindows { population: id, indices, rows, columns, width, height, reached }, incoming))
     }
 
     /// The pattern of these compartments, and the origin of each window's sources.
     pub fn pattern(&self, held: &[CompartmentId], later: u32) -> Option<(Pattern, Box<[Origin]>)> {
-        let (Held { population, indices, rows, columns, width, reached, .. }, incoming) = self.held(held, later)?;
+        let (CoreWindows { population, indices, rows, columns, width, reached, .. }, incoming) =
+            self.core_windows(held, later)?;
         let origin = |(incoming, [(row, _), (column, _)]): (&Incoming<'_>, &[(u32, _); 2])| {
             let (channels, high, wide) = incoming.window.source;
             let at = i64::from(*row) * i64::from(wide) + i64::from(*column);
@@ -156,14 +156,15 @@ impl<'n> Windows<'n> {
             _ => Vec::new(),
         };
         let corner = rows.start * width + columns.start;
-        let held = indices.into_iter().map(|index| index - corner).collect();
-        Some((Pattern { population, held, reached, neurons }, origins))
+        let members = indices.into_iter().map(|index| index - corner).collect();
+        Some((Pattern { population, members, reached, neurons }, origins))
     }
 
     /// Synapses of a core that only windows reach, in the order of its lists, and their longest
     /// delay. `before`: channels and compartments in the copies before the core's.
     pub fn keys(&self, held: &[CompartmentId], before: [u32; 2], formats: &Formats) -> Option<(Vec<Key>, Delay)> {
-        let (Held { indices, rows, columns, width, height, reached, .. }, incoming) = self.held(held, before[1])?;
+        let (CoreWindows { indices, rows, columns, width, height, reached, .. }, incoming) =
+            self.core_windows(held, before[1])?;
         let (mut keys, mut longest) = (Vec::new(), Delay::MIN);
         let channel = |index: u32| index / (width * height);
         let channels = indices.iter().map(|&index| channel(index));

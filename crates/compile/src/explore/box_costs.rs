@@ -9,7 +9,7 @@ use crate::explore::traffic::{self, Traffic};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CoreId, Id};
-use nsim_ir::firing_rates::UNIT;
+use nsim_ir::firing_rates::RATE_STEPS;
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::Placement;
 use nsim_ir::quantised::Quantised;
@@ -56,7 +56,7 @@ impl<'a> PlacedBoxes<'a> {
                 counts.events_dense += arriving.dense * rates[arriving.source];
                 counts.events_sparse += arriving.sparse * rates[arriving.source];
             }
-            let steps = used.usage[Resource::Compartments] * UNIT as u64;
+            let steps = used.usage[Resource::Compartments] * RATE_STEPS as u64;
             counts.visited += steps;
             counts.active += steps;
             counts.spikes += used.usage[Resource::Compartments] * rates[boxes.layer[core]];

@@ -56,7 +56,7 @@ pub fn messages(program: &Program) -> u64 {
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
-pub fn followed_us(
+pub fn simulated_us(
     program: &Program,
     placement: &Placement,
     target: &Target,

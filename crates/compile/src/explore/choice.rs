@@ -43,8 +43,8 @@ pub struct Candidate {
 
 /// A candidate that fits.
 #[derive(Debug, Clone, Copy)]
-pub struct Found {
-    /// How it was made.
+pub struct ScoredCandidate {
+    /// Its options.
     pub candidate: Candidate,
     /// Its expected cost.
     pub score: Score,
@@ -52,11 +52,11 @@ pub struct Found {
 
 /// A candidate with its mapping.
 #[derive(Debug)]
-pub struct Made<M> {
-    /// What it is worth.
-    pub found: Found,
-    /// The stored part of it.
-    pub kept: M,
+pub struct MappedCandidate<M> {
+    /// Its options and expected cost.
+    pub scored: ScoredCandidate,
+    /// Stored part of its mapping.
+    pub mapping: M,
 }
 
 /// Steps in which many sources spike simultaneously; evaluating them is expensive.
@@ -66,65 +66,65 @@ pub trait Bursts<M> {
     ///
     /// # Errors
     /// When the target's constants cannot be used.
-    fn expected(&mut self, kept: &M) -> Result<Vec<Score>>;
+    fn expected(&mut self, mapping: &M) -> Result<Vec<Score>>;
 
     /// Time in microseconds of a step in which random compartments spike, the same in all
     /// candidates, with every message followed; none where it is unknown.
     ///
     /// # Errors
     /// When the target's constants cannot be used.
-    fn followed_us(&mut self, kept: &M) -> Result<Option<f64>>;
+    fn simulated_us(&mut self, mapping: &M) -> Result<Option<f64>>;
 }
 
 /// A choice among candidates.
 #[derive(Debug)]
 pub struct Choice<'p, M, B> {
-    plain: &'p Made<M>,
+    plain: &'p MappedCandidate<M>,
     objective: Objective,
     bursts: B,
     /// Cost of the first candidate's bursts, once it is needed.
     expected: Option<Vec<Score>>,
-    followed_us: Option<Option<f64>>,
+    simulated_us: Option<Option<f64>>,
 }
 
 impl<'p, M, B: Bursts<M>> Choice<'p, M, B> {
-    /// Among candidates that are measured by this one.
-    pub fn new(plain: &'p Made<M>, objective: Objective, bursts: B) -> Self {
-        Choice { plain, objective, bursts, expected: None, followed_us: None }
+    /// Returns a choice among candidates that are compared with `plain`.
+    pub fn new(plain: &'p MappedCandidate<M>, objective: Objective, bursts: B) -> Self {
+        Choice { plain, objective, bursts, expected: None, simulated_us: None }
     }
 
     /// The best of these, if it is better than the first.
     ///
     /// # Errors
-    /// Those of [`Bursts`].
-    pub fn best_of(&mut self, others: Vec<Made<M>>) -> Result<Option<M>> {
-        let (plain, objective) = (&self.plain.found, self.objective);
-        let better = |other: &Made<M>| other.found.score.better(&plain.score, objective).is_lt();
-        let mut others: Vec<Made<M>> = others.into_iter().filter(better).collect();
-        others.sort_by(|a, b| a.found.score.better(&b.found.score, objective));
+    /// Errors of [`Bursts`].
+    pub fn best_of(&mut self, others: Vec<MappedCandidate<M>>) -> Result<Option<M>> {
+        let (plain, objective) = (&self.plain.scored, self.objective);
+        let better = |other: &MappedCandidate<M>| other.scored.score.better(&plain.score, objective).is_lt();
+        let mut others: Vec<MappedCandidate<M>> = others.into_iter().filter(better).collect();
+        others.sort_by(|a, b| a.scored.score.better(&b.scored.score, objective));
         for other in others {
             if objective != Objective::Latency || self.is_shorter(&other)? {
-                return Ok(Some(other.kept));
+                return Ok(Some(other.mapping));
             }
         }
         Ok(None)
     }
 
     /// Whether its steps are shorter, in the mean and when many sources spike.
-    fn is_shorter(&mut self, other: &Made<M>) -> Result<bool> {
-        let (score, of_plain) = (&other.found.score, &self.plain.found.score);
+    fn is_shorter(&mut self, other: &MappedCandidate<M>) -> Result<bool> {
+        let (score, of_plain) = (&other.scored.score, &self.plain.scored.score);
         let shorter = |part: f64| score.on_chip_us() < part * of_plain.on_chip_us();
         let matters = score.step_us < OF_WHOLE * of_plain.step_us;
-        let trusted = same_cores(&other.found, &self.plain.found) || matters && shorter(MARGIN);
+        let trusted = same_cores(&other.scored, &self.plain.scored) || matters && shorter(MARGIN);
         if !(trusted || matters && shorter(EVERYWHERE)) {
             return Ok(false);
         }
-        let expected = self.bursts.expected(&other.kept)?;
+        let expected = self.bursts.expected(&other.mapping)?;
         if self.expected.is_none() {
-            self.expected = Some(self.bursts.expected(&self.plain.kept)?);
+            self.expected = Some(self.bursts.expected(&self.plain.mapping)?);
         }
         let least = self.expected.as_deref().unwrap_or_default();
-        tracing::debug!(candidate = ?other.found.candidate, ?expected, ?least, "steps of bursts");
+        tracing::debug!(candidate = ?other.scored.candidate, ?expected, ?least, "steps of bursts");
         let all = expected.first().zip(least.first());
         let everywhere = all.is_none_or(|(all, plain)| all.on_chip_us() < EVERYWHERE * plain.on_chip_us());
         let times = |bursts: &[Score]| bursts.iter().map(|score| score.step_us).collect::<Vec<f64>>();
@@ -132,20 +132,20 @@ impl<'p, M, B: Bursts<M>> Choice<'p, M, B> {
         if !trusted && !everywhere || !no_slower(&times(&expected), &times(least), slack) {
             return Ok(false);
         }
-        let least = match self.followed_us {
+        let least = match self.simulated_us {
             Some(least) => least,
-            None => self.bursts.followed_us(&self.plain.kept)?,
+            None => self.bursts.simulated_us(&self.plain.mapping)?,
         };
-        self.followed_us = Some(least);
-        let followed = self.bursts.followed_us(&other.kept)?;
-        tracing::debug!(candidate = ?other.found.candidate, ?followed, ?least, "steps followed");
-        Ok(followed.zip(least).is_none_or(|(followed, least)| followed <= slack * least))
+        self.simulated_us = Some(least);
+        let simulated = self.bursts.simulated_us(&other.mapping)?;
+        tracing::debug!(candidate = ?other.scored.candidate, followed = ?simulated, ?least, "steps followed");
+        Ok(simulated.zip(least).is_none_or(|(followed, least)| followed <= slack * least))
     }
 }
 
 /// Whether two candidates hold the same compartments on the same cores.
-fn same_cores(one: &Found, other: &Found) -> bool {
-    let cores = |found: &Found| (found.candidate.strategy, found.candidate.divisor);
+fn same_cores(one: &ScoredCandidate, other: &ScoredCandidate) -> bool {
+    let cores = |found: &ScoredCandidate| (found.candidate.strategy, found.candidate.divisor);
     cores(one) == cores(other)
 }
 
@@ -162,10 +162,10 @@ fn no_slower(times: &[f64], plain: &[f64], slack: f64) -> bool {
         && each.iter().zip(each_plain).all(|(time, plain)| *time <= (plain * slack).max(short))
 }
 
-/// Those that no other is better than in everything: cores, energy and time.
-pub fn front(found: &[Found]) -> Vec<&Found> {
-    let dominated = |one: &Found| found.iter().any(|other| other.score.dominates(&one.score));
-    let mut front: Vec<&Found> = Vec::new();
+/// Candidates that no other dominates in cores, energy and time.
+pub fn front(found: &[ScoredCandidate]) -> Vec<&ScoredCandidate> {
+    let dominated = |one: &ScoredCandidate| found.iter().any(|other| other.score.dominates(&one.score));
+    let mut front: Vec<&ScoredCandidate> = Vec::new();
     for one in found.iter().filter(|one| !dominated(one)) {
         if !front.iter().any(|other| other.score == one.score) {
             front.push(one);
@@ -187,7 +187,7 @@ mod tests {
             Ok(vec![kept.1])
         }
 
-        fn followed_us(&mut self, kept: &(u32, Score, f64)) -> Result<Option<f64>> {
+        fn simulated_us(&mut self, kept: &(u32, Score, f64)) -> Result<Option<f64>> {
             Ok(Some(kept.2))
         }
     }
@@ -199,7 +199,7 @@ mod tests {
             let step_us = on_chip + host_us;
             let score = Score { cores: 1, energy_uj: 1.0, chip_energy_uj: 1.0, step_us, host_us, static_mw: 1.0 };
             let candidate = Candidate { strategy: Strategy::Multilevel, divisor, placed: true };
-            Made { found: Found { candidate, score }, kept: (divisor, score, followed) }
+            MappedCandidate { scored: ScoredCandidate { candidate, score }, mapping: (divisor, score, followed) }
         };
         let plain = made((1, 40.0, 100.0));
         let others = others.iter().map(|&other| made(other)).collect();

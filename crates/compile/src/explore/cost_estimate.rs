@@ -21,7 +21,7 @@ use nsim_ir::activity::{CoreCounts, StepActivity};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{ChannelId, CoreId, Id, IdVec};
 use nsim_ir::base::units::Picoseconds;
-use nsim_ir::firing_rates::{Rates, UNIT};
+use nsim_ir::firing_rates::{RATE_STEPS, Rates};
 use nsim_ir::hardware::Target;
 use nsim_ir::placement::{Placement, Site};
 use nsim_ir::program::{AxonTarget, CoreImage, Program};
@@ -83,8 +83,8 @@ pub fn score_of(
     // chips.
     let wait = (traffic.max_link_load * table.link_time.microseconds())
         .max(traffic.max_chip_link_load * table.link_chip_time.microseconds());
-    let step_us = (slowest.microseconds() + injection) / UNIT + fixed + wait;
-    let events = step_energy(activity, &table).total().microjoules() / UNIT;
+    let step_us = (slowest.microseconds() + injection) / RATE_STEPS + fixed + wait;
+    let events = step_energy(activity, &table).total().microjoules() / RATE_STEPS;
     let power = job_power(&table, &deployment, 0.0, 0, 0);
     let x86_mw = power.x86_static + power.x86_dynamic().unwrap_or(0.0);
     // Milliwatts times microseconds are nanojoules.
@@ -94,7 +94,7 @@ pub fn score_of(
         energy_uj: chip_energy_uj + x86_mw * step_us * 1e-3,
         chip_energy_uj,
         step_us,
-        host_us: injection / UNIT + once.turn.microseconds(),
+        host_us: injection / RATE_STEPS + once.turn.microseconds(),
         static_mw: power.core_static,
     })
 }
@@ -124,7 +124,7 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
                     sum.add_routes(program.mesh().route(image.site, sites[message.core.index()]), rate);
                 }
             }
-            let steps = image.ids.len() as u64 * UNIT as u64;
+            let steps = image.ids.len() as u64 * RATE_STEPS as u64;
             sum.cores[core].visited += steps;
             sum.cores[core].active += steps;
         }

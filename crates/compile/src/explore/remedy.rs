@@ -26,7 +26,7 @@ use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, Resource};
-use nsim_partition::reason::Taken;
+use nsim_partition::reason::MappingUse;
 use nsim_quantise::prune::{Plan, prune};
 
 /// Most synapses of a network for which all changes are tried.
@@ -163,7 +163,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     };
     on_board.next().or_else(more_chips).into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
     let most = reasons.iter().find_map(|reason| match &reason.taken {
-        Some(Taken::Mostly(most)) => Some(&**most),
+        Some(MappingUse::Tightest(most)) => Some(&**most),
         _ => None,
     });
     for factor in most.into_iter().flat_map(|_| DOUBLED) {

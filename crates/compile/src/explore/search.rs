@@ -12,8 +12,8 @@ use rayon::prelude::*;
 
 use crate as compile;
 use crate::explore::box_costs::PlacedBoxes;
-use crate::explore::bursts::{bursts, followed_us, messages, population_bursts};
-use crate::explore::choice::{Bursts, Candidate, Choice, Found, Made};
+use crate::explore::bursts::{bursts, messages, population_bursts, simulated_us};
+use crate::explore::choice::{Bursts, Candidate, Choice, MappedCandidate, ScoredCandidate};
 use crate::explore::cost_estimate::{Score, score_at};
 use crate::mapping::Mapping;
 use crate::mapping_file::file_of_boxes;
@@ -51,9 +51,9 @@ const SYNAPSES_PER_WORD: u64 = 8;
 const FINISHING: [&str; 3] = ["route", "verify", "check"];
 /// Time reserved for them, relative to their last time.
 const SLACK: f64 = 1.2;
-/// The part of the time that must be left for looking for a better mapping to be worth it.
-const LEAST_LEFT: f64 = 0.1;
-/// The part of what is left that the partition may take; the rest is for placing.
+/// Fraction of the time that must be left for a second mapping to be worth trying.
+const LEAST_REMAINING: f64 = 0.1;
+/// Fraction of the remaining time for the partition; the rest is for placement.
 const PARTITIONING: f64 = 0.7;
 
 /// The target with a core's limits divided; words stay enough for the known need of a compartment.
@@ -83,7 +83,7 @@ fn words_for_one(error: &CompileError, target: &Target) -> Option<u32> {
 }
 
 /// The stored form of a candidate until one is taken.
-enum Kept {
+enum StoredMapping {
     /// The mapping, which has not been checked.
     Whole(Box<Unchecked>),
     /// A mapping in boxes takes much memory, so only its boxes and places are stored, from which it
@@ -92,11 +92,11 @@ enum Kept {
     Boxes { file: Box<MappingFile>, placed: &'static str, bursts: Vec<Score> },
 }
 
-/// Messages of a step that are followed to compare candidates.
-const FOLLOWED: f64 = (1 << 20) as f64;
+/// Messages of a step that is followed to compare candidates.
+const SIMULATED_MESSAGES: f64 = (1 << 20) as f64;
 
-/// The bursts of stored candidates; the first candidate asked for decides how many are affordable.
-struct KeptBursts<'a> {
+/// The bursts of stored candidates; the first evaluated one decides the number that is affordable.
+struct StoredBursts<'a> {
     target: &'a Target,
     copies: u32,
     rates: Option<Vec<Rates>>,
@@ -104,25 +104,25 @@ struct KeptBursts<'a> {
     chance: Option<f64>,
 }
 
-impl Bursts<Kept> for KeptBursts<'_> {
-    fn expected(&mut self, kept: &Kept) -> Result<Vec<Score>> {
+impl Bursts<StoredMapping> for StoredBursts<'_> {
+    fn expected(&mut self, kept: &StoredMapping) -> Result<Vec<Score>> {
         match kept {
-            Kept::Whole(unchecked) => {
+            StoredMapping::Whole(unchecked) => {
                 let Mapping { quantised, placement, program, .. } = unchecked.mapping();
                 let bursts = self.rates.get_or_insert_with(|| bursts(quantised));
                 let score = |rates: &Rates| score_at(program, placement, self.copies, rates, self.target);
                 Ok(bursts.iter().map(score).collect::<Result<_, _>>()?)
             }
-            Kept::Boxes { bursts, .. } => Ok(bursts.clone()),
+            StoredMapping::Boxes { bursts, .. } => Ok(bursts.clone()),
         }
     }
 
-    fn followed_us(&mut self, kept: &Kept) -> Result<Option<f64>> {
-        let Kept::Whole(unchecked) = kept else { return Ok(None) };
+    fn simulated_us(&mut self, kept: &StoredMapping) -> Result<Option<f64>> {
+        let StoredMapping::Whole(unchecked) = kept else { return Ok(None) };
         let Mapping { placement, program, .. } = unchecked.mapping();
-        let affordable = || (FOLLOWED / messages(program).max(1) as f64).min(1.0);
+        let affordable = || (SIMULATED_MESSAGES / messages(program).max(1) as f64).min(1.0);
         let chance = *self.chance.get_or_insert_with(affordable);
-        Ok(Some(followed_us(program, placement, self.target, self.copies, chance)?))
+        Ok(Some(simulated_us(program, placement, self.target, self.copies, chance)?))
     }
 }
 
@@ -147,21 +147,21 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> R
     }
     let begin = Instant::now();
     let search = Search::new(&front, target, options, rates);
-    let ways = search.ways()?;
-    let mut made = search.all(&ways, 0)?;
+    let settings = search.settings()?;
+    let mut made = search.all(&settings, 0)?;
     if made.is_empty() {
         return Err(CompileError::Fault("there is no candidate".to_string()));
     }
-    let (plain, found) = (made.remove(0), made.iter().map(|made| made.found).collect::<Vec<_>>());
-    let bursts = KeptBursts { target, copies: options.copies, rates: None, chance: None };
+    let (plain, found) = (made.remove(0), made.iter().map(|made| made.scored).collect::<Vec<_>>());
+    let bursts = StoredBursts { target, copies: options.copies, rates: None, chance: None };
     let mut choice = Choice::new(&plain, options.objective, bursts);
     let mut taken = choice.best_of(made)?;
-    if let (None, Some(way)) = (&taken, search.further(&ways, &found)) {
-        taken = choice.best_of(search.all(&[way], ways.len())?)?;
+    if let (None, Some(setting)) = (&taken, search.extra_setting(&settings, &found)) {
+        taken = choice.best_of(search.all(&[setting], settings.len())?)?;
     }
-    let mut best = match taken.unwrap_or(plain.kept) {
-        Kept::Whole(unchecked) => unchecked.check(target)?,
-        Kept::Boxes { file, placed, .. } => {
+    let mut best = match taken.unwrap_or(plain.mapping) {
+        StoredMapping::Whole(unchecked) => unchecked.check(target)?,
+        StoredMapping::Boxes { file, placed, .. } => {
             let compared = ("compare", begin.elapsed().as_secs_f64());
             let mut again = compile::load(front, target, options, &file)?;
             again.placed = placed;
@@ -187,7 +187,7 @@ fn by_the_clock(front: Front, target: &Target, options: &Options, rates: &Rates,
     };
     let left = || end.saturating_duration_since(Instant::now());
     let reserve = finishing(&best);
-    if left() < given.mul_f64(LEAST_LEFT) + reserve + begin.elapsed() {
+    if left() < given.mul_f64(LEAST_REMAINING) + reserve + begin.elapsed() {
         return Ok(best);
     }
     let until = |part: f64| {
@@ -210,9 +210,9 @@ fn by_the_clock(front: Front, target: &Target, options: &Options, rates: &Rates,
 ///
 /// # Errors
 /// [`CompileError`] of the first candidate, when none fits.
-pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates) -> Result<Vec<Found>> {
+pub fn candidates(front: &Front, target: &Target, options: &Options, rates: &Rates) -> Result<Vec<ScoredCandidate>> {
     let search = Search::new(front, target, options, rates);
-    Ok(search.all(&search.ways()?, 0)?.into_iter().map(|made| made.found).collect())
+    Ok(search.all(&search.settings()?, 0)?.into_iter().map(|made| made.scored).collect())
 }
 
 /// Common input of the candidates.
@@ -229,8 +229,9 @@ impl<'a> Search<'a> {
         Search { in_boxes: front.in_boxes(options.copies), front, target, options, rates }
     }
 
-    /// Strategies, and the part of a core that each may fill, for as many as the effort allows.
-    fn ways(&self) -> Result<Vec<(Strategy, u32)>> {
+    /// Strategies, and the divisor of the part of a core that each fills, as many as the effort
+    /// allows.
+    fn settings(&self) -> Result<Vec<(Strategy, u32)>> {
         let Search { front, target, options, .. } = self;
         let (one, copies) = (front.quantised(), u64::from(options.copies));
         let affordable = |each_second: u64, size: u64| options.effort.work(each_second) / size.max(1);
@@ -246,87 +247,89 @@ impl<'a> Search<'a> {
             let divisors = DIVISORS.into_iter().take(most as usize).filter(may_fit);
             return Ok(divisors.map(|divisor| (options.strategy, divisor)).collect());
         }
-        let mut ways = vec![(Strategy::Sequential, 1)];
+        let mut settings = vec![(Strategy::Sequential, 1)];
         let (divisors, least) = match options.objective {
             // The host draws its power for as long as a step lasts, and draws more than the cores.
             Objective::Latency | Objective::Energy => (&SHORTEST[..], 2),
             Objective::Cores | Objective::EnergyChip => (&DIVISORS[..], 1),
         };
-        let wanted = divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|way| *way != ways[0]);
+        let wanted =
+            divisors.iter().map(|&divisor| (options.strategy, divisor)).filter(|setting| *setting != settings[0]);
         let most = affordable(SYNAPSES_PER_SECOND, one.synapses() * copies).max(least);
-        ways.extend(wanted.take(most as usize).collect::<Vec<_>>());
-        Ok(ways)
+        settings.extend(wanted.take(most as usize).collect::<Vec<_>>());
+        Ok(settings)
     }
 
-    /// One way more for the shortest step, where none of those that the effort allowed for is
-    /// taken: cores filled to a half, unless a quarter of a core takes no more cores than a whole
-    /// one.
-    fn further(&self, ways: &[(Strategy, u32)], found: &[Found]) -> Option<(Strategy, u32)> {
+    /// One more setting for the shortest step, where none within the effort is taken: cores filled
+    /// to a half, unless a quarter of a core takes no more cores than a whole one.
+    fn extra_setting(&self, settings: &[(Strategy, u32)], found: &[ScoredCandidate]) -> Option<(Strategy, u32)> {
         let Search { in_boxes, options, .. } = self;
-        let way = (options.strategy, HALF);
+        let setting = (options.strategy, HALF);
         let cores = |divisor| {
-            let of =
-                |found: &&Found| (found.candidate.strategy, found.candidate.divisor) == (options.strategy, divisor);
+            let of = |found: &&ScoredCandidate| {
+                (found.candidate.strategy, found.candidate.divisor) == (options.strategy, divisor)
+            };
             found.iter().find(of).map(|found| found.score.cores)
         };
         let wanted = options.objective == Objective::Latency
             && options.effort.end().is_none()
             && !in_boxes
-            && !ways.contains(&way)
+            && !settings.contains(&setting)
             && cores(1) != cores(SHORTEST[0]);
-        wanted.then_some(way)
+        wanted.then_some(setting)
     }
 
-    /// The candidates of these ways, after this many others, without those that do not fit.
-    fn all(&self, ways: &[(Strategy, u32)], behind: usize) -> Result<Vec<Made<Kept>>> {
+    /// The candidates of these settings that fit, after `earlier` other settings.
+    fn all(&self, settings: &[(Strategy, u32)], earlier: usize) -> Result<Vec<MappedCandidate<StoredMapping>>> {
         // The effort is for all of them together.
-        let options = Options { effort: self.options.effort.shared_by(ways.len() + behind), ..*self.options };
-        let one_way = |(number, &(strategy, divisor)): (usize, &(Strategy, u32))| {
+        let options = Options { effort: self.options.effort.shared_by(settings.len() + earlier), ..*self.options };
+        let map_one = |(number, &(strategy, divisor)): (usize, &(Strategy, u32))| {
             // The first is tried unplaced too.
-            let places = if number + behind == 0 && options.place { &[false, true][..] } else { &[options.place] };
+            let places = if number + earlier == 0 && options.place { &[false, true][..] } else { &[options.place] };
             let made = self.mapped(&Options { strategy, ..options }, divisor, places);
             if let Err(error) = &made {
                 tracing::debug!(strategy = strategy.name(), divisor, %error, "candidate");
             }
             made
         };
-        let ways = ways.iter().enumerate();
-        let made: Vec<Result<Vec<Made<Kept>>>> = if self.in_boxes || self.options.effort.end().is_some() {
-            // One after the other: each takes as much memory as a mapping, and uses all threads.
-            // By the clock, those that there is time for.
-            self.in_turn(ways, one_way)
-        } else {
-            ways.collect::<Vec<_>>().into_par_iter().map(one_way).collect()
-        };
+        let numbered = settings.iter().enumerate();
+        let made: Vec<Result<Vec<MappedCandidate<StoredMapping>>>> =
+            if self.in_boxes || self.options.effort.end().is_some() {
+                // Sequentially: each takes as much memory as a mapping, and uses all threads. By
+                // the clock, they are tried while there is time.
+                self.sequential(numbered, map_one)
+            } else {
+                numbered.collect::<Vec<_>>().into_par_iter().map(map_one).collect()
+            };
         let fits = made.iter().any(Result::is_ok);
         let mut found = Vec::new();
         for (number, made) in made.into_iter().enumerate() {
             match made {
                 Ok(made) => found.extend(made),
-                Err(error) if number + behind == 0 && (!fits || self.in_boxes) => return Err(error),
+                Err(error) if number + earlier == 0 && (!fits || self.in_boxes) => return Err(error),
                 Err(_) => {}
             }
         }
         Ok(found)
     }
 
-    /// The results of ways, one after the other, until the next would take longer than there is
-    /// time; the first in any case.
-    fn in_turn<W, T>(&self, ways: impl Iterator<Item = (usize, W)>, map: impl Fn((usize, W)) -> T) -> Vec<T> {
+    /// Results of settings, computed sequentially until the next would exceed the time; the first
+    /// in any case.
+    fn sequential<W, T>(&self, settings: impl Iterator<Item = (usize, W)>, map: impl Fn((usize, W)) -> T) -> Vec<T> {
         let (mut made, mut longest) = (Vec::new(), Duration::ZERO);
-        for (number, way) in ways {
+        for (number, setting) in settings {
             let begin = Instant::now();
             if number > 0 && self.options.effort.end().is_some_and(|end| begin + longest > end) {
                 break;
             }
-            made.push(map((number, way)));
+            made.push(map((number, setting)));
             longest = longest.max(begin.elapsed());
         }
         made
     }
 
-    /// One partition, in these ways of placing it.
-    fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<Made<Kept>>> {
+    /// Candidates of one partition, placed or not.
+    fn mapped(&self, options: &Options, divisor: u32, places: &[bool]) -> Result<Vec<MappedCandidate<StoredMapping>>> {
         let Search { front, in_boxes, target, rates, .. } = *self;
         let options = &Options { most_synapses: most_synapses(target, divisor), ..*options };
         let partitioned = |words| front.clone().partition(&divided(target, divisor, words), options, rates);
@@ -341,17 +344,17 @@ impl<'a> Search<'a> {
         let made = |&placed: &bool| {
             let options = &Options { place: placed, ..*options };
             let candidate = Candidate { strategy: options.strategy, divisor, placed };
-            let (score, kept) = match &partitioned.boxes {
+            let (score, stored) = match &partitioned.boxes {
                 None => {
                     let unchecked = partitioned.clone().place(target, options)?.emit(target, options)?;
                     let mapping = unchecked.mapping();
-                    (mapping.score(&mapping.traffic(), target)?, Kept::Whole(Box::new(unchecked)))
+                    (mapping.score(&mapping.traffic(), target)?, StoredMapping::Whole(Box::new(unchecked)))
                 }
                 Some(boxes) => self.of_boxes(&partitioned.all, boxes, partitioned.placement(target, options)?)?,
             };
-            let found = Found { candidate, score };
-            tracing::debug!(?found, "candidate");
-            Ok(Made { found, kept })
+            let scored = ScoredCandidate { candidate, score };
+            tracing::debug!(found = ?scored, "candidate");
+            Ok(MappedCandidate { scored, mapping: stored })
         };
         places.iter().map(made).collect()
     }
@@ -362,7 +365,7 @@ impl<'a> Search<'a> {
         all: &Quantised,
         boxes: &Boxes,
         (placement, placed): (Placement, &'static str),
-    ) -> Result<(Score, Kept)> {
+    ) -> Result<(Score, StoredMapping)> {
         let Search { target, options, rates, .. } = *self;
         let at_places = PlacedBoxes { network: all, boxes, placement: &placement };
         let bursts = match options.objective {
@@ -373,6 +376,6 @@ impl<'a> Search<'a> {
         let bursts = bursts.iter().map(score).collect::<Result<_, _>>()?;
         let score = score(&everywhere(all, rates))?;
         let file = Box::new(file_of_boxes(all, &boxes.lattices(), &placement, target.name(), options));
-        Ok((score, Kept::Boxes { file, placed, bursts }))
+        Ok((score, StoredMapping::Boxes { file, placed, bursts }))
     }
 }

@@ -16,7 +16,7 @@ use serde::Serialize;
 use crate::place::link_loads::LinkLoads;
 use crate::place::nets::Columns;
 use nsim_ir::base::id::{CoreId, Id};
-use nsim_ir::firing_rates::{Rates, UNIT};
+use nsim_ir::firing_rates::{RATE_STEPS, Rates};
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_ir::program::{AxonTarget, Program};
 
@@ -182,21 +182,21 @@ impl<'a> Counts<'a> {
         let [most, between, hops] = self.loads.greatest(self.mesh);
         let (columns, rows) = (u64::from(columns), u64::from(rows));
         let links = 2 * (rows * columns.saturating_sub(1) + columns * rows.saturating_sub(1));
-        let mean = if links == 0 { 0.0 } else { hops as f64 / UNIT / links as f64 };
+        let mean = if links == 0 { 0.0 } else { hops as f64 / RATE_STEPS / links as f64 };
         Traffic {
-            cut_spikes_per_step: self.cut as f64 / UNIT,
-            hops_per_step: hops as f64 / UNIT,
-            hops_multicast_per_step: self.multicast as f64 / UNIT,
+            cut_spikes_per_step: self.cut as f64 / RATE_STEPS,
+            hops_per_step: hops as f64 / RATE_STEPS,
+            hops_multicast_per_step: self.multicast as f64 / RATE_STEPS,
             mean_link_load: mean,
-            max_link_load: most as f64 / UNIT,
-            max_chip_link_load: between as f64 / UNIT,
+            max_link_load: most as f64 / RATE_STEPS,
+            max_chip_link_load: between as f64 / RATE_STEPS,
         }
     }
 
     /// The expected messages over each link in a step.
     pub fn links(&self) -> Links {
-        let [east_west, north_south] = self.loads.both_ways();
-        let in_a_step = |loads: Vec<u64>| loads.into_iter().map(|load| load as f64 / UNIT).collect();
+        let [east_west, north_south] = self.loads.both_directions();
+        let in_a_step = |loads: Vec<u64>| loads.into_iter().map(|load| load as f64 / RATE_STEPS).collect();
         Links {
             columns: (self.mesh.chips_x * self.mesh.width) as usize,
             rows: (self.mesh.chips_y * self.mesh.height) as usize,

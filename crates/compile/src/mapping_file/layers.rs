@@ -123,7 +123,7 @@ pub fn outline(
 /// As [`outline`]; `mapping.layers` when the network does not consist of layers.
 pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> Result<(Members, Placement)> {
     let not_layers = || {
-        let message = "the mapping is of boxes of layers, and the network has projections that are neither windows nor \
+        let message = "the mapping has boxes of layers, but the network has projections that are neither windows nor \
                        all to all";
         Diagnostic::new("mapping.layers", message)
     };

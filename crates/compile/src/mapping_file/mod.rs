@@ -51,7 +51,7 @@ fn empty(network: &Quantised, target: &str, options: &Options) -> MappingFile {
         copies: options.copies,
         strategy: options.strategy.name().to_string(),
         seed: options.seed,
-        pruned: network.pruned().map(|pruned| pruned_file(pruned)),
+        pruned: network.pruned().map(|pruned| pruned_file(network, pruned)),
         cores: Vec::new(),
         layers: Vec::new(),
         checksum: None,
@@ -165,7 +165,7 @@ fn populations_of<'a>(network: &'a Quantised) -> impl Fn(CompartmentId) -> (&'a 
         .collect();
     move |id| {
         let (first, population, name) = firsts[firsts.partition_point(|&(first, ..)| first <= id.0) - 1];
-        (name, network.index_shown(population, id.0 - first))
+        (name, network.index_before_pruning(population, id.0 - first))
     }
 }
 
@@ -230,7 +230,7 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
     let names: HashMap<&str, (PopulationId, u32, u32)> = network
         .populations()
         .enumerate()
-        .filter_map(|(id, p)| Some((p.name.as_str(), (id, p.first_compartment()?.0, network.units_shown(id)))))
+        .filter_map(|(id, p)| Some((p.name.as_str(), (id, p.first_compartment()?.0, network.units_before_pruning(id)))))
         .collect();
     let mesh = Mesh::for_target(target);
     let mut seated = vec![false; network.compartments() as usize];
@@ -255,10 +255,8 @@ pub fn membership(file: &MappingFile, network: &Quantised, target: &Target) -> R
                 return wrong("mapping.run", message);
             }
             for shown in *first..first + count {
-                let Some(index) = network.index_of_shown(id, shown) else {
-                    let message = format!(
-                        "compartment {shown} of {population} is mapped, but there is nothing to map: it is pruned"
-                    );
+                let Some(index) = network.index_after_pruning(id, shown) else {
+                    let message = format!("compartment {shown} of {population} is mapped, but it is pruned");
                     return wrong("mapping.pruned", message);
                 };
                 if std::mem::replace(&mut seated[(base + index) as usize], true) {

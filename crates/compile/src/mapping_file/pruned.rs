@@ -6,11 +6,11 @@ use nsim_ir::mapping::{PrunedFile, Run};
 use nsim_ir::quantised::{Pruned, Quantised};
 use nsim_quantise::prune::{Plan, Scene};
 
-/// The record in a file by which the same parts are pruned again.
-pub fn pruned_file(pruned: &Pruned) -> PrunedFile {
-    let populations = pruned.original.populations();
+/// The record of a pruned network for a file, by which the pruning can be repeated.
+pub fn pruned_file(network: &Quantised, pruned: &Pruned) -> PrunedFile {
+    let populations = network.populations();
     let mut dead: Vec<Run> = Vec::new();
-    for (id, population) in pruned.original.inputs() {
+    for (id, population) in network.inputs() {
         let Some(first) = population.first_channel() else { continue };
         let within = pruned.dead.partition_point(|channel| *channel < first);
         let of_population = pruned.dead[within..].iter().map(|channel| channel.0 - first.0);
@@ -53,7 +53,9 @@ pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> 
     for name in &file.probed {
         match network.population_named(name).filter(|&id| network.populations()[id].first_compartment().is_some()) {
             Some(id) => plan.probed.push(id),
-            None => return wrong(format!("the mapping keeps {name} whole, which is no population of compartments")),
+            None => {
+                return wrong(format!("the mapping keeps {name} unpruned, which is not a population of compartments"));
+            }
         }
     }
     Ok(plan)

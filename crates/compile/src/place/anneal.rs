@@ -36,9 +36,9 @@ const COOLEST: f64 = 5e-2;
 const PLACED_PER_SECOND: u64 = 25_000_000;
 /// Most proposals of a core in a round.
 const PROPOSALS: u64 = 200;
-/// Proposals that any chip gets: a few cores have so few places that all good ones are found, which
-/// costs next to nothing.
-const LEAST_PROPOSALS: u64 = 1500;
+/// Least value of the limit on a chip's proposals: a few cores have so few places that all good
+/// ones are found, at almost no cost.
+const MIN_PROPOSAL_LIMIT: u64 = 1500;
 
 /// Chips are annealed if a round of any of them has a proposal for one core in `FEW`.
 const FEW: u64 = 8;
@@ -110,8 +110,8 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
     best
 }
 
-/// Links of a net as one number: some times the multicast tree and once all routes.
-fn worth(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], (columns, times): (&mut Columns, i64)) -> i64 {
+/// Links of a net as one number, times its rate: `times` the multicast tree plus all routes.
+fn weighted_links(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], (columns, times): (&mut Columns, i64)) -> i64 {
     let (tree, all) = nets.links(net, mesh, sites, columns);
     (times * tree as i64 + all as i64) * nets.nets[net as usize].weight as i64
 }
@@ -124,7 +124,7 @@ fn proposals(nets: &Nets, cores: &[CoreId], work: u64) -> u64 {
         .map(|&net| 2 + nets.reached.get(net as usize).len())
         .sum();
     let each = (touched / cores.len().max(1)).max(1) as u64 * 4;
-    (work / each).min((PROPOSALS * cores.len() as u64).max(LEAST_PROPOSALS))
+    (work / each).min((PROPOSALS * cores.len() as u64).max(MIN_PROPOSAL_LIMIT))
 }
 
 /// Anneals the cores of one chip while all others stay.
@@ -198,7 +198,7 @@ fn one_chip(
             affected.dedup();
         }
         let sum = |sites: &[Site], columns: &mut Columns| -> i64 {
-            affected.iter().map(|&net| worth(nets, net, mesh, sites, (columns, tree))).sum()
+            affected.iter().map(|&net| weighted_links(nets, net, mesh, sites, (columns, tree))).sum()
         };
         let before = sum(&sites, &mut columns);
         moves.iter().for_each(|&(core, _, to)| sites[core] = to);

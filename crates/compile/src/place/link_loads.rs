@@ -89,7 +89,7 @@ impl LinkLoads {
 
     /// The loads of both directions together: from each tile eastwards, row by row, and southwards,
     /// column by column.
-    pub fn both_ways(&self) -> [Vec<u64>; 2] {
+    pub fn both_directions(&self) -> [Vec<u64>; 2] {
         let together = |a: &Lines, b: &Lines| a.each().zip(b.each()).map(|(a, b)| a + b).collect();
         let [east, west, south, north] = &self.0;
         [together(east, west), together(south, north)]

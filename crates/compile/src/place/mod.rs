@@ -143,8 +143,8 @@ fn hilbert(plain: &Placement, nets: &Nets) -> IdVec<CoreId, Site> {
         let all = curve.iter().flat_map(|&(x, y)| (0..mesh.cores_per_tile).map(move |core| Site { chip, x, y, core }));
         let mut all: Vec<Site> = all.filter(|&site| mesh.number(site).is_some()).collect();
         let mut order = of_chip.to_vec();
-        if !of_chip.iter().any(|&core| nets.sends(core)) {
-            // Nothing but inputs: the nearest sites to the corner for the most of them.
+        if !of_chip.iter().any(|&core| nets.exchanges(core)) {
+            // Only inputs: cores with the most of them take the nearest sites to the corner.
             order.sort_by_key(|&core| std::cmp::Reverse(nets.input(core)));
             all.sort_by_key(|site| (site.x + site.y, site.y, site.core));
         }

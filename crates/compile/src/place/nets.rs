@@ -144,8 +144,8 @@ impl Nets {
         Nets { nets, reached, of_core }
     }
 
-    /// Whether a core sends messages to another.
-    pub fn sends(&self, core: CoreId) -> bool {
+    /// Whether a core sends messages to another or receives any from one.
+    pub fn exchanges(&self, core: CoreId) -> bool {
         self.of_core.get(core.index()).iter().any(|&net| self.nets[net as usize].source.is_some())
     }
 

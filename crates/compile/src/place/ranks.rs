@@ -91,20 +91,20 @@ impl Units {
         sums
     }
 
-    /// The load of a rank that has this many hundredths of the mean.
-    fn hundredths(&self, percent: u64) -> u64 {
+    /// Load of a rank at `percent` hundredths of the mean.
+    fn percent_of_mean(&self, percent: u64) -> u64 {
         let all: u64 = self.loads.iter().sum();
         (u128::from(all) * u128::from(percent) / 100).div_ceil(u128::from(self.ranks.max(1))) as u64
     }
 
     fn is_even(&self, percent: u64) -> bool {
-        self.of_ranks().into_iter().max().unwrap_or(0) <= self.hundredths(percent)
+        self.of_ranks().into_iter().max().unwrap_or(0) <= self.percent_of_mean(percent)
     }
 
     /// Moves units to ranks with which they exchange more.
     fn refine(&mut self, traffic: &[u32]) {
         let (units, ranks) = (self.cores.len(), self.ranks as usize);
-        let (mut sums, most) = (self.of_ranks(), self.hundredths(UNEVEN));
+        let (mut sums, most) = (self.of_ranks(), self.percent_of_mean(UNEVEN));
         for _ in 0..ROUNDS {
             let mut moved = false;
             for unit in 0..units {

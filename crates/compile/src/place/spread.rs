@@ -16,7 +16,7 @@ use nsim_ir::hardware::Target;
 use nsim_ir::placement::{Mesh, Placement, Site};
 use nsim_partition::error::Result;
 use nsim_partition::options::{CopyPlacement, Options};
-use nsim_partition::strategy::copies::Pattern;
+use nsim_partition::strategy::copies::CopyGroups;
 use nsim_partition::strategy::members::Members;
 
 /// Returns all copies, where `one` maps a single copy; `None` where they are to be packed.
@@ -40,7 +40,7 @@ pub fn spread(
     }
     let (members, placement, name) = one(front.clone(), &Options { copies: 1, ..*options })?;
     let Some(sites) = sites_of_copies(&placement, Mesh::for_target(target), copies) else { return Ok(None) };
-    let all = Pattern::repeated(front.quantised(), members, copies).members();
+    let all = CopyGroups::repeated(front.quantised(), members, copies).members();
     front.clone().place_on(target, options, rates, (all, sites), name).map(Some)
 }
 

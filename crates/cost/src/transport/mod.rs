@@ -112,8 +112,8 @@ impl MessageRoutes {
         timing: Timing,
         memory: &mut QueueMemory,
     ) -> Vec<StepTime> {
-        let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.links() > 0;
-        let crossed = self.crossed_in(step);
+        let sent = step.messages_from_inputs > 0 || step.hops.local + step.hops.total_links() > 0;
+        let crossed = self.crossed_links_in(step);
         let spikes_in = self.spikes_in(step);
         let mut busiest = [0; 2];
         let overlaps = |table: &CostTable| table.step == StepForm::Greatest;
@@ -141,15 +141,15 @@ impl MessageRoutes {
                     // The first message finds its link free.
                     (cores(table), Picoseconds(way.0.saturating_add(passing(table, 1))))
                 }
-                Transport::Queued => self.followed(step, table, fixed.injection, memory),
+                Transport::Queued => self.simulated(step, table, fixed.injection, memory),
             };
             StepTime { slowest_core, transport, ..fixed }
         };
         tables.iter().map(&mut time).collect()
     }
 
-    /// The busiest core's own time and what the mesh adds to it, over all regions.
-    fn followed(
+    /// Returns the busiest core's own time and the time that the mesh adds, over all regions.
+    fn simulated(
         &self,
         step: &StepActivity,
         table: &CostTable,
@@ -280,7 +280,7 @@ pub(crate) mod tests {
 
     fn queued(routes: &MessageRoutes, step: &StepActivity, table: &CostTable) -> u64 {
         let mut memory = QueueMemory::default();
-        let mut time = || routes.followed(step, table, Picoseconds(0), &mut memory);
+        let mut time = || routes.simulated(step, table, Picoseconds(0), &mut memory);
         let (alone, added) = time();
         assert_eq!(time(), (alone, added), "the memory is as before");
         alone.0 + added.0
@@ -364,7 +364,7 @@ pub(crate) mod tests {
         let each = 16_000 + 50 * 3_800;
         let mut memory = QueueMemory::default();
         let mut time = |injection| {
-            let (alone, added) = routes.followed(&step, &sana, Picoseconds(injection), &mut memory);
+            let (alone, added) = routes.simulated(&step, &sana, Picoseconds(injection), &mut memory);
             alone.0 + added.0
         };
         // The first arrives over one link, and the receiver handles all sequentially.

@@ -44,10 +44,10 @@ pub struct MessageRoutes {
     pub(super) spikes: Csr<Message>,
     /// Core, slot, and number of compartments of that core, by compartment.
     pub(super) seats: Vec<(CoreId, u32, u32)>,
-    /// What a spike's messages cross, in all groups: of each channel, then of each compartment.
-    /// Empty where the program is all there is, whose steps have it counted.
-    pub(super) crossed: Vec<Crossed>,
-    /// Times of input spikes under the first preset that asked, if [`InputTimes::new`] has them.
+    /// Links that a spike's messages cross in all groups: by channel, then by compartment. Empty
+    /// for a whole program, whose steps have these counts.
+    pub(super) crossed: Vec<CrossedLinks>,
+    /// Times of input spikes under the first requested preset, if [`InputTimes::new`] has them.
     pub(super) input_times: OnceLock<Option<InputTimes>>,
 }
 
@@ -118,7 +118,7 @@ pub(super) struct KindOfGroup {
 
 /// Links that messages cross.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub(super) struct Crossed {
+pub(super) struct CrossedLinks {
     pub(super) hops: HopCounts,
     pub(super) longest: Route,
 }
@@ -284,21 +284,21 @@ impl MessageRoutes {
         let (crossed, input_times) = (Vec::new(), OnceLock::new());
         let mut routes = MessageRoutes { kinds, regions: Vec::new(), inputs, spikes, seats, crossed, input_times };
         if groups.len() > 1 {
-            routes.crossed = routes.crossed(&regions);
+            routes.crossed = routes.crossed_links(&regions);
         }
         routes.regions = regions.into_iter().map(|(region, _)| region).collect();
         routes
     }
 
-    /// What a spike's messages cross, by channel and then by compartment.
-    fn crossed(&self, regions: &[(Region, u64)]) -> Vec<Crossed> {
-        let mut crossed = vec![Crossed::default(); self.inputs.len() + self.spikes.len()];
+    /// Links that a spike's messages cross, by channel and then by compartment.
+    fn crossed_links(&self, regions: &[(Region, u64)]) -> Vec<CrossedLinks> {
+        let mut crossed = vec![CrossedLinks::default(); self.inputs.len() + self.spikes.len()];
         for (region, times) in regions {
             for &(kind, first) in &region.groups {
                 let Kind { cores, channels, compartments, .. } = &self.kinds[kind].kind;
                 let here = |core: CoreId| first + core.index() - cores.start as usize;
                 let mut add = |source: usize, from: Option<CoreId>, list: &[Message]| {
-                    let Crossed { hops, longest } = &mut crossed[source];
+                    let CrossedLinks { hops, longest } = &mut crossed[source];
                     for message in list {
                         let to = here(message.core);
                         let route = region.route(from.map_or_else(|| region.port(to), here), to);
@@ -344,13 +344,13 @@ impl MessageRoutes {
 
     /// The links that the messages of all groups cross in a step.
     pub fn hops(&self, step: &StepActivity) -> HopCounts {
-        self.crossed_in(step).hops
+        self.crossed_links_in(step).hops
     }
 
-    pub(super) fn crossed_in(&self, step: &StepActivity) -> Crossed {
-        let mut all = Crossed { hops: step.hops, longest: step.longest };
+    pub(super) fn crossed_links_in(&self, step: &StepActivity) -> CrossedLinks {
+        let mut all = CrossedLinks { hops: step.hops, longest: step.longest };
         if !self.is_whole() {
-            all = Crossed::default();
+            all = CrossedLinks::default();
             let channels = step.channels.iter().map(|channel| channel.index());
             let fired = step.fired.iter().map(|compartment| self.inputs.len() + compartment.index());
             for source in channels.chain(fired) {

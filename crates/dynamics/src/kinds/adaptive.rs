@@ -5,10 +5,10 @@
 //! lava-dl d825ac5, `slayer/neuron/dynamics/adaptive_threshold.py`.
 
 use nsim_ir::base::fixed::WEIGHT_SHIFT;
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 use super::lif::{bias, current, voltage};
-use super::neuron::{Arrived, Emission, Left, Neuron, columns, decay, mask};
+use super::neuron::{Arrived, Emission, Neuron, OverflowFlags, columns, decay, mask};
 
 /// A leaky integrate-and-fire neuron. With `LAVA` it has lava's integers (current and voltage of 24
 /// bits), else lava-dl's (words of 32 bits).
@@ -41,14 +41,20 @@ impl Adaptation {
     /// Returns the next threshold and refractory state, and whether the neuron spikes: `allowed`
     /// holds and `tested` reaches the sum of both after decay.
     #[inline(always)]
-    pub fn adapt(&self, [theta, r]: [i32; 2], tested: i32, allowed: bool, left: &mut Left) -> ([i32; 2], bool) {
-        let above = left.subtract(theta, self.threshold);
-        let theta = left.word(decay(above, self.keep_theta) + i64::from(self.threshold));
+    pub fn adapt(
+        &self,
+        [theta, r]: [i32; 2],
+        tested: i32,
+        allowed: bool,
+        overflows: &mut OverflowFlags,
+    ) -> ([i32; 2], bool) {
+        let above = overflows.subtract(theta, self.threshold);
+        let theta = overflows.word(decay(above, self.keep_theta) + i64::from(self.threshold));
         let r = decay(r, self.keep_r) as i32;
         let spikes = allowed & (i64::from(tested) - i64::from(r) >= i64::from(theta));
         let raised = theta & mask(spikes);
-        let raised = left.add(raised, raised);
-        ([left.add(theta, self.step & mask(spikes)), left.add(r, raised)], spikes)
+        let raised = overflows.add(raised, raised);
+        ([overflows.add(theta, self.step & mask(spikes)), overflows.add(r, raised)], spikes)
     }
 }
 
@@ -57,7 +63,7 @@ impl<const LAVA: bool> Neuron for AdaptiveLif<LAVA> {
     type Parameters = Parameters;
     const VALUES: bool = false;
 
-    fn prepare(&Row([du, dv, dtheta, dr, threshold, step, mantissa, exponent]): &Row) -> Parameters {
+    fn prepare(&ParameterRow([du, dv, dtheta, dr, threshold, step, mantissa, exponent]): &ParameterRow) -> Parameters {
         let [keep_u, keep_v, keep_theta, keep_r] = [du, dv, dtheta, dr].map(|decay| 4096 - decay);
         Parameters { keep_u, keep_v, keep_theta, keep_r, threshold, step, bias: bias(mantissa, exponent) }
     }
@@ -68,17 +74,17 @@ impl<const LAVA: bool> Neuron for AdaptiveLif<LAVA> {
     }
 
     #[inline(always)]
-    fn update(p: &Parameters, s: &mut State, [arrived, _]: Arrived, left: &mut Left) -> Emission {
+    fn update(p: &Parameters, s: &mut State, [arrived, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
         let &Parameters { keep_u, keep_v, keep_theta, keep_r, threshold, step, bias } = p;
         let (u, v) = if LAVA {
-            let u = current(s.u, keep_u, arrived, left);
-            (u, voltage(s.v, keep_v, u, bias, left))
+            let u = current(s.u, keep_u, arrived, overflows);
+            (u, voltage(s.v, keep_v, u, bias, overflows))
         } else {
-            let u = left.word(decay(s.u, keep_u) + (i64::from(arrived) << WEIGHT_SHIFT));
-            (u, left.word(decay(s.v, keep_v) + i64::from(u)))
+            let u = overflows.word(decay(s.u, keep_u) + (i64::from(arrived) << WEIGHT_SHIFT));
+            (u, overflows.word(decay(s.v, keep_v) + i64::from(u)))
         };
         let adaptation = Adaptation { keep_theta, keep_r, threshold, step };
-        let ([theta, r], spikes) = adaptation.adapt([s.theta, s.r], v, true, left);
+        let ([theta, r], spikes) = adaptation.adapt([s.theta, s.r], v, true, overflows);
         *s = State { u, v, theta, r };
         Emission::spike(spikes)
     }

@@ -3,9 +3,9 @@
 //! Equations (35) to (38) of `docs/loihi2.md`. Source: lava-nc b6822fb, `proc/graded/models.py` and
 //! `proc/prodneuron/models.py`.
 
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
-use super::neuron::{Arrived, Emission, Left, Neuron, choice, columns, mask};
+use super::neuron::{Arrived, Emission, Neuron, OverflowFlags, choice, columns, mask};
 
 /// Sends its arrivals above a threshold: by their value with `RELU`, else by their magnitude.
 #[derive(Debug)]
@@ -50,12 +50,12 @@ impl<const RELU: bool> Neuron for GradedVec<RELU> {
     type State = ();
     type Parameters = Threshold;
 
-    fn prepare(&Row([threshold, ..]): &Row) -> Threshold {
+    fn prepare(&ParameterRow([threshold, ..]): &ParameterRow) -> Threshold {
         Threshold { threshold }
     }
 
     #[inline(always)]
-    fn update(p: &Threshold, (): &mut (), [arrived, _]: Arrived, _: &mut Left) -> Emission {
+    fn update(p: &Threshold, (): &mut (), [arrived, _]: Arrived, _: &mut OverflowFlags) -> Emission {
         if RELU { Emission::value(arrived & mask(arrived > p.threshold)) } else { above(arrived, p.threshold) }
     }
 }
@@ -64,13 +64,13 @@ impl Neuron for ProdNeuron {
     type State = ();
     type Parameters = Product;
 
-    fn prepare(&Row([threshold, exp, ..]): &Row) -> Product {
+    fn prepare(&ParameterRow([threshold, exp, ..]): &ParameterRow) -> Product {
         Product { threshold, exp }
     }
 
     #[inline(always)]
-    fn update(p: &Product, (): &mut (), [a, b]: Arrived, left: &mut Left) -> Emission {
-        above(left.word((i64::from(a) * i64::from(b)) >> p.exp), p.threshold)
+    fn update(p: &Product, (): &mut (), [a, b]: Arrived, overflows: &mut OverflowFlags) -> Emission {
+        above(overflows.word((i64::from(a) * i64::from(b)) >> p.exp), p.threshold)
     }
 }
 
@@ -78,14 +78,14 @@ impl Neuron for NormVecDelay {
     type State = Delayed;
     type Parameters = Threshold;
 
-    fn prepare(&Row([threshold, ..]): &Row) -> Threshold {
+    fn prepare(&ParameterRow([threshold, ..]): &ParameterRow) -> Threshold {
         Threshold { threshold }
     }
 
     #[inline(always)]
-    fn update(p: &Threshold, s: &mut Delayed, [a, b]: Arrived, left: &mut Left) -> Emission {
+    fn update(p: &Threshold, s: &mut Delayed, [a, b]: Arrived, overflows: &mut OverflowFlags) -> Emission {
         *s = Delayed { v: a, v2: s.v };
-        above(left.word(i64::from(s.v2) * i64::from(b)), p.threshold)
+        above(overflows.word(i64::from(s.v2) * i64::from(b)), p.threshold)
     }
 }
 
@@ -93,11 +93,11 @@ impl Neuron for NormSquare {
     type State = ();
     type Parameters = ();
 
-    fn prepare(_: &Row) {}
+    fn prepare(_: &ParameterRow) {}
 
     #[inline(always)]
-    fn update((): &(), (): &mut (), [a, _]: Arrived, left: &mut Left) -> Emission {
-        Emission::value(left.word(i64::from(a) * i64::from(a)))
+    fn update((): &(), (): &mut (), [a, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
+        Emission::value(overflows.word(i64::from(a) * i64::from(a)))
     }
 }
 
@@ -112,13 +112,13 @@ impl Neuron for InvSqrt {
     type State = ();
     type Parameters = ();
 
-    fn prepare(_: &Row) {}
+    fn prepare(_: &ParameterRow) {}
 
     #[inline(always)]
-    fn update((): &(), (): &mut (), [a, _]: Arrived, left: &mut Left) -> Emission {
+    fn update((): &(), (): &mut (), [a, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
         const MOST: i32 = (1 << 24) - 1;
         let clipped = a.clamp(0, MOST);
-        left.note_clip(clipped != a);
+        overflows.note_clip(clipped != a);
         let first = FIRST_VALUES[(clipped | 1).leading_zeros() as usize - 8];
         let (mut factor, mut root, mut b) = (i64::from(first), i64::from(first / 2), i64::from(clipped));
         for _ in 0..5 {

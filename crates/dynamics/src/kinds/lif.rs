@@ -5,9 +5,9 @@
 //! lava-dl d825ac5, `slayer/neuron/dynamics/leaky_integrator.py` and `slayer/neuron/cuba.py`.
 
 use nsim_ir::base::fixed::{THRESHOLD_SHIFT, UV_BITS, WEIGHT_SHIFT};
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
-use super::neuron::{Arrived, Emission, Left, Neuron, columns, decay, mask};
+use super::neuron::{Arrived, Emission, Neuron, OverflowFlags, columns, decay, mask};
 
 /// Sends 1 above the upper threshold and -1 below the lower.
 #[derive(Debug)]
@@ -49,19 +49,19 @@ pub(super) fn bias(mantissa: i32, exponent: i32) -> i32 {
 
 /// The current after a step, in lava's 24 bits: 2^24 is subtracted or added once.
 #[inline(always)]
-pub(super) fn current(u: i32, keep: i32, arrived: i32, left: &mut Left) -> i32 {
-    let sum = left.word(decay(u, keep) + (i64::from(arrived) << WEIGHT_SHIFT));
+pub(super) fn current(u: i32, keep: i32, arrived: i32, overflows: &mut OverflowFlags) -> i32 {
+    let sum = overflows.word(decay(u, keep) + (i64::from(arrived) << WEIGHT_SHIFT));
     let (above, below) = (mask(sum > MOST + 1), mask(sum < -MOST));
-    left.note_wrap(above | below != 0);
+    overflows.note_wrap(above | below != 0);
     sum.wrapping_add((below & FULL) - (above & FULL))
 }
 
 /// The voltage after a step before any reset, clipped to 24 bits.
 #[inline(always)]
-pub(super) fn voltage(v: i32, keep: i32, u: i32, bias: i32, left: &mut Left) -> i32 {
-    let sum = left.word(decay(v, keep) + i64::from(u) + i64::from(bias));
+pub(super) fn voltage(v: i32, keep: i32, u: i32, bias: i32, overflows: &mut OverflowFlags) -> i32 {
+    let sum = overflows.word(decay(v, keep) + i64::from(u) + i64::from(bias));
     let clipped = sum.clamp(-MOST, MOST);
-    left.note_clip(clipped != sum);
+    overflows.note_clip(clipped != sum);
     clipped
 }
 
@@ -69,15 +69,15 @@ impl Neuron for TernaryLif {
     type State = State;
     type Parameters = Ternary;
 
-    fn prepare(&Row([du, dv, high, low, mantissa, exponent, ..]): &Row) -> Ternary {
+    fn prepare(&ParameterRow([du, dv, high, low, mantissa, exponent, ..]): &ParameterRow) -> Ternary {
         let [high, low] = [high, low].map(|mantissa| mantissa << THRESHOLD_SHIFT);
         Ternary { keep_u: 4096 - du, keep_v: 4096 - dv, high, low, bias: bias(mantissa, exponent) }
     }
 
     #[inline(always)]
-    fn update(p: &Ternary, s: &mut State, [arrived, _]: Arrived, left: &mut Left) -> Emission {
-        s.u = current(s.u, p.keep_u, arrived, left);
-        let v = voltage(s.v, p.keep_v, s.u, p.bias, left);
+    fn update(p: &Ternary, s: &mut State, [arrived, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
+        s.u = current(s.u, p.keep_u, arrived, overflows);
+        let v = voltage(s.v, p.keep_v, s.u, p.bias, overflows);
         let sign = i32::from(v > p.high) - i32::from(v < p.low);
         s.v = v & mask(sign == 0);
         Emission::value(sign)
@@ -90,7 +90,7 @@ impl Neuron for LifReset {
     const VALUES: bool = false;
     const RESTARTS: bool = true;
 
-    fn prepare(&Row([du, dv, vth, mantissa, exponent, interval, offset, _]): &Row) -> Resetting {
+    fn prepare(&ParameterRow([du, dv, vth, mantissa, exponent, interval, offset, _]): &ParameterRow) -> Resetting {
         Resetting {
             keep_u: 4096 - du,
             keep_v: 4096 - dv,
@@ -109,9 +109,9 @@ impl Neuron for LifReset {
     }
 
     #[inline(always)]
-    fn update(p: &Resetting, s: &mut State, [arrived, _]: Arrived, left: &mut Left) -> Emission {
-        s.u = current(s.u, p.keep_u, arrived, left);
-        let v = voltage(s.v, p.keep_v, s.u, p.bias, left);
+    fn update(p: &Resetting, s: &mut State, [arrived, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
+        s.u = current(s.u, p.keep_u, arrived, overflows);
+        let v = voltage(s.v, p.keep_v, s.u, p.bias, overflows);
         let spikes = v > p.threshold;
         s.v = v & !mask(spikes);
         Emission::spike(spikes)
@@ -121,9 +121,9 @@ impl Neuron for LifReset {
     #[inline(always)]
     fn idle(p: &Resetting, s: &State) -> bool {
         let after = |mut state: State| {
-            let mut left = Left::default();
-            let Emission { sends, .. } = Self::update(p, &mut state, [0; 2], &mut left);
-            (sends == 0) & (state == *s) & !left.any()
+            let mut overflows = OverflowFlags::default();
+            let Emission { sends, .. } = Self::update(p, &mut state, [0; 2], &mut overflows);
+            (sends == 0) & (state == *s) & !overflows.any()
         };
         after(*s) & after(State::default())
     }
@@ -133,14 +133,14 @@ impl Neuron for GradedLif {
     type State = State;
     type Parameters = Graded;
 
-    fn prepare(&Row([du, dv, vth, ..]): &Row) -> Graded {
+    fn prepare(&ParameterRow([du, dv, vth, ..]): &ParameterRow) -> Graded {
         Graded { keep_u: 4096 - du, keep_v: 4096 - dv, threshold: vth << THRESHOLD_SHIFT }
     }
 
     #[inline(always)]
-    fn update(p: &Graded, s: &mut State, [arrived, _]: Arrived, left: &mut Left) -> Emission {
-        s.u = left.word(decay(s.u, p.keep_u) + (i64::from(arrived) << WEIGHT_SHIFT));
-        let v = left.word(decay(s.v, p.keep_v) + i64::from(s.u));
+    fn update(p: &Graded, s: &mut State, [arrived, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
+        s.u = overflows.word(decay(s.u, p.keep_u) + (i64::from(arrived) << WEIGHT_SHIFT));
+        let v = overflows.word(decay(s.v, p.keep_v) + i64::from(s.u));
         let spikes = mask(v > p.threshold);
         s.v = v & !spikes;
         Emission::value(v & spikes)

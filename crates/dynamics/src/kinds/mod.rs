@@ -22,8 +22,8 @@ pub use neuron::CHUNK;
 
 use std::marker::PhantomData;
 
-use neuron::{Columns, Emission, Left, Neuron, choice};
-use nsim_ir::neurons::{NeuronKind, Row};
+use neuron::{Columns, Emission, Neuron, OverflowFlags, choice};
+use nsim_ir::neurons::{NeuronKind, ParameterRow};
 
 /// The update of a block, compartment by compartment, in chunks that compilers vectorise.
 #[derive(Debug)]
@@ -58,14 +58,14 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
             let (mut values, mut of_chunk) = (*sent, [0; CHUNK]);
             for lane in 0..CHUNK {
                 let p = N::Parameters::load(parameters, lane);
-                let (mut s, mut left) = (N::State::load(&state, lane), Left::default());
+                let (mut s, mut overflows) = (N::State::load(&state, lane), OverflowFlags::default());
                 let arrived = [arrived[0][lane], arrived[1][lane]];
                 let (before, reached) = (s, arrived[0] | arrived[1] != 0);
                 let rests = N::RESTARTS && N::idle(&p, &s);
                 N::restart(&p, &mut s, block.step);
-                let Emission { sends, value } = N::update(&p, &mut s, arrived, &mut left);
+                let Emission { sends, value } = N::update(&p, &mut s, arrived, &mut overflows);
                 // Without arrivals the update itself shows whether the neuron was idle.
-                let moved = if N::RESTARTS { !rests } else { (sends != 0) | left.any() | (s != before) };
+                let moved = if N::RESTARTS { !rests } else { (sends != 0) | overflows.any() | (s != before) };
                 let (active, busy) = (reached | moved, !N::idle(&p, &s));
                 s.store(&mut state, lane);
                 if N::VALUES {
@@ -73,8 +73,8 @@ impl<N: Neuron> pulp::NullaryFnOnce for Run<'_, '_, N> {
                 }
                 of_chunk[lane] = (sends & 1) as u32
                     | u32::from(active) << 1
-                    | u32::from(left.any_wrapped()) << 2
-                    | u32::from(left.any_clipped()) << 3
+                    | u32::from(overflows.any_wrapped()) << 2
+                    | u32::from(overflows.any_clipped()) << 3
                     | u32::from(busy) << 4;
             }
             columns.copy_from_slice(&state[..words]);
@@ -128,7 +128,7 @@ impl<N: Neuron> Chunked<N> {
     }
 }
 
-fn chunked<N: Neuron>(rows: &[Row]) -> Option<Box<dyn Updater>> {
+fn chunked<N: Neuron>(rows: &[ParameterRow]) -> Option<Box<dyn Updater>> {
     let (count, chunks) = (N::Parameters::COUNT, rows.len().div_ceil(CHUNK));
     let mut parameters = vec![[0; CHUNK]; count * chunks];
     for (lane, row) in rows.iter().enumerate() {
@@ -137,9 +137,9 @@ fn chunked<N: Neuron>(rows: &[Row]) -> Option<Box<dyn Updater>> {
     Some(Box::new(Chunked::<N> { lanes: rows.len(), parameters, kind: PhantomData }))
 }
 
-/// The update of compartments with these parameters, at most [`MOST_LANES`]; `None` for a kind with
-/// the registers of Loihi 1.
-pub fn updater(kind: NeuronKind, rows: &[Row]) -> Option<Box<dyn Updater>> {
+/// Returns the update of compartments with these parameters, at most [`MOST_LANES`]; `None` for a
+/// kind with the registers of Loihi 1.
+pub fn updater(kind: NeuronKind, rows: &[ParameterRow]) -> Option<Box<dyn Updater>> {
     match kind {
         NeuronKind::Loihi | NeuronKind::If | NeuronKind::SoftReset => None,
         NeuronKind::SigmaDelta => chunked::<sigma_delta::SigmaDelta>(rows),

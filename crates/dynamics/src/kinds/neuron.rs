@@ -3,7 +3,7 @@
 
 use std::fmt::Debug;
 
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 /// Number of compartments whose words are adjacent in memory, as one vector.
 pub const CHUNK: usize = 16;
@@ -36,13 +36,13 @@ impl Emission {
 
 /// Overflows of words, in a form without branches: a negative number marks an overflow.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Left {
+pub struct OverflowFlags {
     wrapped: i32,
     clipped: i32,
 }
 
-impl Left {
-    /// The sum, wrapped.
+impl OverflowFlags {
+    /// Returns the sum, wrapped.
     #[inline(always)]
     pub fn add(&mut self, a: i32, b: i32) -> i32 {
         let sum = a.wrapping_add(b);
@@ -174,7 +174,7 @@ pub trait Neuron: Debug + Send + Sync + 'static {
     const RESTARTS: bool = false;
 
     /// The parameters from a row of its table.
-    fn prepare(row: &Row) -> Self::Parameters;
+    fn prepare(row: &ParameterRow) -> Self::Parameters;
 
     /// The state before the first step.
     #[inline(always)]
@@ -187,15 +187,15 @@ pub trait Neuron: Debug + Send + Sync + 'static {
     #[inline(always)]
     fn restart(_: &Self::Parameters, _: &mut Self::State, _step: u32) {}
 
-    /// One update; `left` notes words that left their bits. Without branches it becomes vectors.
-    fn update(p: &Self::Parameters, s: &mut Self::State, arrived: Arrived, left: &mut Left) -> Emission;
+    /// Computes one update without branches; `overflows` records overflows.
+    fn update(p: &Self::Parameters, s: &mut Self::State, arrived: Arrived, overflows: &mut OverflowFlags) -> Emission;
 
     /// Whether an update without arrivals would change nothing, send nothing and report nothing, in
     /// any step.
     #[inline(always)]
     fn idle(p: &Self::Parameters, s: &Self::State) -> bool {
-        let (mut after, mut left) = (*s, Left::default());
-        let Emission { sends, .. } = Self::update(p, &mut after, [0; 2], &mut left);
-        (sends == 0) & (after == *s) & !left.any()
+        let (mut after, mut overflows) = (*s, OverflowFlags::default());
+        let Emission { sends, .. } = Self::update(p, &mut after, [0; 2], &mut overflows);
+        (sends == 0) & (after == *s) & !overflows.any()
     }
 }

@@ -6,10 +6,10 @@
 //! `adaptive_phase_th.py`, `adaptive_resonator.py`).
 
 use nsim_ir::base::fixed::UV_BITS;
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
 use super::adaptive::Adaptation;
-use super::neuron::{Arrived, Emission, Left, Neuron, choice, columns, mask};
+use super::neuron::{Arrived, Emission, Neuron, OverflowFlags, choice, columns, mask};
 
 /// A resonator; with `IZ` it spikes where the imaginary part reaches the threshold.
 #[derive(Debug)]
@@ -29,13 +29,13 @@ impl<const IZ: bool> Neuron for Resonator<IZ> {
     type Parameters = Parameters;
     const VALUES: bool = false;
 
-    fn prepare(&Row([sin, cos, threshold, state_exp, decay_bits, ..]): &Row) -> Parameters {
+    fn prepare(&ParameterRow([sin, cos, threshold, state_exp, decay_bits, ..]): &ParameterRow) -> Parameters {
         let unit = (1.0 / f32::from(1u16 << decay_bits)).to_bits() as i32;
         Parameters { sin, cos, threshold, state_exp, unit }
     }
 
     #[inline(always)]
-    fn update(p: &Parameters, s: &mut State, [real, imag]: Arrived, left: &mut Left) -> Emission {
+    fn update(p: &Parameters, s: &mut State, [real, imag]: Arrived, overflows: &mut OverflowFlags) -> Emission {
         // A float of 53 bits holds every product (16 and 24 bits) and every sum exactly.
         let unit = f64::from(f32::from_bits(p.unit as u32));
         let (re, im) = (f64::from(s.re), f64::from(s.im));
@@ -47,7 +47,7 @@ impl<const IZ: bool> Neuron for Resonator<IZ> {
         ];
         const MOST: f64 = ((1 << UV_BITS) - 1) as f64;
         let kept = whole.map(|x| x.clamp(-MOST, MOST));
-        left.note_clip((kept[0] != whole[0]) | (kept[1] != whole[1]));
+        overflows.note_clip((kept[0] != whole[0]) | (kept[1] != whole[1]));
         let [re, im] = kept.map(|x| x as i32);
         let spikes = match IZ {
             true => im >= p.threshold,
@@ -84,7 +84,9 @@ impl<const IZ: bool> Neuron for Adaptive<IZ> {
     type Parameters = AdaptiveParameters;
     const VALUES: bool = false;
 
-    fn prepare(&Row([sin, cos, dtheta, dr, threshold, step, state_exp, _]): &Row) -> AdaptiveParameters {
+    fn prepare(
+        &ParameterRow([sin, cos, dtheta, dr, threshold, step, state_exp, _]): &ParameterRow,
+    ) -> AdaptiveParameters {
         AdaptiveParameters { sin, cos, keep_theta: 4096 - dtheta, keep_r: 4096 - dr, threshold, step, state_exp }
     }
 
@@ -94,15 +96,20 @@ impl<const IZ: bool> Neuron for Adaptive<IZ> {
     }
 
     #[inline(always)]
-    fn update(p: &AdaptiveParameters, s: &mut AdaptiveState, [real, imag]: Arrived, left: &mut Left) -> Emission {
+    fn update(
+        p: &AdaptiveParameters,
+        s: &mut AdaptiveState,
+        [real, imag]: Arrived,
+        overflows: &mut OverflowFlags,
+    ) -> Emission {
         let arrived = |x: i32| i64::from(x) << p.state_exp;
-        let re = left.word(share(p.cos, s.re) - share(p.sin, s.im) + arrived(real));
-        let im = left.word(share(p.sin, s.re) + share(p.cos, s.im) + arrived(imag));
+        let re = overflows.word(share(p.cos, s.re) - share(p.sin, s.im) + arrived(real));
+        let im = overflows.word(share(p.sin, s.re) + share(p.cos, s.im) + arrived(imag));
         let &AdaptiveParameters { keep_theta, keep_r, threshold, step, .. } = p;
         let adaptation = Adaptation { keep_theta, keep_r, threshold, step };
         let passes = IZ | (im >= 0) & (s.im < 0);
         let tested = if IZ { im } else { re };
-        let ([theta, r], spikes) = adaptation.adapt([s.theta, s.r], tested, passes, left);
+        let ([theta, r], spikes) = adaptation.adapt([s.theta, s.r], tested, passes, overflows);
         *s = AdaptiveState { re, im, theta, r };
         Emission::spike(spikes)
     }
@@ -125,15 +132,15 @@ impl Neuron for RfZero {
     type State = Parts;
     type Parameters = ZeroParameters;
 
-    fn prepare(&Row([sin, cos, threshold, ..]): &Row) -> ZeroParameters {
+    fn prepare(&ParameterRow([sin, cos, threshold, ..]): &ParameterRow) -> ZeroParameters {
         ZeroParameters { sin, cos, threshold }
     }
 
     #[inline(always)]
-    fn update(p: &ZeroParameters, s: &mut Parts, [real, imag]: Arrived, left: &mut Left) -> Emission {
+    fn update(p: &ZeroParameters, s: &mut Parts, [real, imag]: Arrived, overflows: &mut OverflowFlags) -> Emission {
         let floor = |factor: i32, x: i32| (i64::from(factor) * i64::from(x)) >> 15;
-        let u = left.word(floor(p.cos, s.u) - floor(p.sin, s.v) + i64::from(real));
-        let v = left.word(floor(p.cos, s.v) + floor(p.sin, s.u) + i64::from(imag));
+        let u = overflows.word(floor(p.cos, s.u) - floor(p.sin, s.v) + i64::from(real));
+        let v = overflows.word(floor(p.cos, s.v) + floor(p.sin, s.u) + i64::from(imag));
         let sends = (u > p.threshold) & (v >= 0) & (s.v < 0);
         *s = Parts { u, v };
         Emission::value(u & mask(sends))

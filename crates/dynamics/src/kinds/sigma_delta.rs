@@ -5,9 +5,9 @@
 //! form in lava's releases loses the low bits of its messages; the later form, `corrected`, keeps
 //! them.
 
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 
-use super::neuron::{Arrived, Emission, Left, Neuron, choice, columns, mask};
+use super::neuron::{Arrived, Emission, Neuron, OverflowFlags, choice, columns, mask};
 
 /// Sigma, activation and Delta in one.
 #[derive(Debug)]
@@ -62,11 +62,11 @@ impl Sending {
 
     /// Sends the change to `x`.
     #[inline(always)]
-    fn send(&self, changes: &mut Changes, x: i32, left: &mut Left) -> Emission {
+    fn send(&self, changes: &mut Changes, x: i32, overflows: &mut OverflowFlags) -> Emission {
         // In the corrected form `residue` and `error` are 0.
-        let change = left.subtract(x, changes.act);
-        let change = left.add(change, changes.residue);
-        let cumulated = left.add(changes.error, change & self.cum_error);
+        let change = overflows.subtract(x, changes.act);
+        let change = overflows.add(change, changes.residue);
+        let cumulated = overflows.add(changes.error, change & self.cum_error);
         let sent = change & self.reaches(choice(self.cum_error, cumulated, change));
         let message = sent >> self.state_exp;
         let corrected = changes.act.wrapping_add(message << self.state_exp);
@@ -79,9 +79,9 @@ impl Sending {
     /// Whether it would change, send and report nothing for an equal `x` without arrivals.
     #[inline(always)]
     fn is_idle(&self, changes: &Changes, x: i32) -> bool {
-        let mut left = Left::default();
-        let change = left.subtract(x, changes.act);
-        let corrected = mask((change & self.reaches(change)) >> self.state_exp == 0) & mask(!left.any());
+        let mut overflows = OverflowFlags::default();
+        let change = overflows.subtract(x, changes.act);
+        let corrected = mask((change & self.reaches(change)) >> self.state_exp == 0) & mask(!overflows.any());
         let small = mask(changes.residue == 0) | !self.cum_error & !self.reaches(changes.residue);
         choice(self.corrected, corrected, mask(changes.act == x) & small) != 0
     }
@@ -99,7 +99,9 @@ impl Neuron for SigmaDelta {
     type State = Summed;
     type Parameters = Parameters;
 
-    fn prepare(&Row([vth, bias, spike_exp, state_exp, relu, cum_error, corrected, _]): &Row) -> Parameters {
+    fn prepare(
+        &ParameterRow([vth, bias, spike_exp, state_exp, relu, cum_error, corrected, _]): &ParameterRow,
+    ) -> Parameters {
         let shift = spike_exp + state_exp;
         Parameters {
             bias: bias << shift,
@@ -113,21 +115,21 @@ impl Neuron for SigmaDelta {
     }
 
     #[inline(always)]
-    fn update(p: &Parameters, s: &mut Summed, [arrived, _]: Arrived, left: &mut Left) -> Emission {
-        s.sigma = left.add(s.sigma, arrived);
-        let x = left.add(s.sigma, p.bias).max(p.least);
+    fn update(p: &Parameters, s: &mut Summed, [arrived, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
+        s.sigma = overflows.add(s.sigma, arrived);
+        let x = overflows.add(s.sigma, p.bias).max(p.least);
         let mut changes = Changes { act: s.act, residue: s.residue, error: s.error };
-        let emission = p.sending().send(&mut changes, x, left);
+        let emission = p.sending().send(&mut changes, x, overflows);
         (s.act, s.residue, s.error) = (changes.act, changes.residue, changes.error);
         emission
     }
 
     #[inline(always)]
     fn idle(p: &Parameters, s: &Summed) -> bool {
-        let mut left = Left::default();
-        let x = left.add(s.sigma, p.bias).max(p.least);
+        let mut overflows = OverflowFlags::default();
+        let x = overflows.add(s.sigma, p.bias).max(p.least);
         let changes = Changes { act: s.act, residue: s.residue, error: s.error };
-        !left.any() & p.sending().is_idle(&changes, x)
+        !overflows.any() & p.sending().is_idle(&changes, x)
     }
 }
 
@@ -135,17 +137,17 @@ impl Neuron for Delta {
     type State = Changes;
     type Parameters = Encoding;
 
-    fn prepare(&Row([vth, spike_exp, state_exp, cum_error, ..]): &Row) -> Encoding {
+    fn prepare(&ParameterRow([vth, spike_exp, state_exp, cum_error, ..]): &ParameterRow) -> Encoding {
         let shift = spike_exp + state_exp;
         Encoding { shift, threshold: vth << shift, state_exp, cum_error: mask(cum_error != 0) }
     }
 
     #[inline(always)]
-    fn update(p: &Encoding, s: &mut Changes, [arrived, _]: Arrived, left: &mut Left) -> Emission {
+    fn update(p: &Encoding, s: &mut Changes, [arrived, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
         let &Encoding { shift, threshold, state_exp, cum_error } = p;
         let x = arrived << shift;
-        left.note_wrap(x >> shift != arrived);
-        Sending { threshold, state_exp, cum_error, corrected: 0 }.send(s, x, left)
+        overflows.note_wrap(x >> shift != arrived);
+        Sending { threshold, state_exp, cum_error, corrected: 0 }.send(s, x, overflows)
     }
 }
 
@@ -153,11 +155,11 @@ impl Neuron for Sigma {
     type State = Sum;
     type Parameters = ();
 
-    fn prepare(_: &Row) {}
+    fn prepare(_: &ParameterRow) {}
 
     #[inline(always)]
-    fn update((): &(), s: &mut Sum, [arrived, _]: Arrived, left: &mut Left) -> Emission {
-        s.sigma = left.add(s.sigma, arrived);
+    fn update((): &(), s: &mut Sum, [arrived, _]: Arrived, overflows: &mut OverflowFlags) -> Emission {
+        s.sigma = overflows.add(s.sigma, arrived);
         Emission::value(s.sigma)
     }
 

@@ -505,7 +505,10 @@ fn real(
         let mut own = Vec::new();
         if let Some(array) = owner.arrays.get(&Role::Recurrent) {
             if array.numbers.len() != matrix.targets * matrix.targets {
-                return Err(wrong(format!("'{}' is {:?}, not square", array.key, array.shape)));
+                return Err(wrong(format!(
+                    "'{}' has shape {:?}, but its layer has {} units, so a square matrix is expected",
+                    array.key, array.shape, matrix.targets
+                )));
             }
             let size = (matrix.targets, matrix.targets);
             own.push(weights_node(&array.numbers, size, owner, Role::RecurrentBias)?);

@@ -11,11 +11,11 @@ use petgraph::graph::{DiGraph, NodeIndex};
 
 /// Depths, and the edges `(from, to)` that close a loop.
 pub fn depths(sources: &[Vec<usize>], is_input: impl Fn(usize) -> bool) -> (Vec<u32>, BTreeSet<(usize, usize)>) {
-    let ways = sources.iter().enumerate().flat_map(|(to, from)| from.iter().map(move |&from| (from, to)));
+    let edges = sources.iter().enumerate().flat_map(|(to, from)| from.iter().map(move |&from| (from, to)));
     let mut graph = DiGraph::<(), ()>::new();
     sources.iter().for_each(|_| _ = graph.add_node(()));
-    ways.for_each(|(from, to)| _ = graph.add_edge(NodeIndex::new(from), NodeIndex::new(to), ()));
-    // Components come with what they lead to before them.
+    edges.for_each(|(from, to)| _ = graph.add_edge(NodeIndex::new(from), NodeIndex::new(to), ()));
+    // `tarjan_scc` returns each component after the components that it leads to.
     let components = tarjan_scc(&graph);
     let mut component = vec![0; sources.len()];
     for (index, members) in components.iter().enumerate() {
@@ -27,8 +27,8 @@ pub fn depths(sources: &[Vec<usize>], is_input: impl Fn(usize) -> bool) -> (Vec<
         members.sort_unstable();
         for to in members {
             let forward = |from: &&usize| component[**from] != component[to] || **from < to;
-            let behind = |from: &usize| if is_input(*from) { 0 } else { depths[*from] + 1 };
-            depths[to] = sources[to].iter().filter(forward).map(behind).max().unwrap_or(0);
+            let depth_after = |from: &usize| if is_input(*from) { 0 } else { depths[*from] + 1 };
+            depths[to] = sources[to].iter().filter(forward).map(depth_after).max().unwrap_or(0);
             loops.extend(sources[to].iter().filter(|from| !forward(from)).map(|&from| (from, to)));
         }
     }

@@ -99,9 +99,9 @@ pub struct Diagnostic {
 #[derive(Debug, Clone)]
 struct Others(Vec<Diagnostic>);
 
-/// What to change where a problem does not say it itself: by the beginning of its code, or its end;
-/// the first counts.
-const USUAL: [(&str, &str); 34] = [
+/// Default advice by the beginning of a code, or by its end if the entry begins with a dot. The
+/// first match counts.
+const DEFAULT_ADVICE: [(&str, &str); 34] = [
     ("chip.syntax", "docs/formats.md has the fields of a chip: nsim show loihi1 prints a shipped one"),
     ("constants.syntax", "docs/formats.md has the fields of constants: nsim show davies2018 prints a shipped preset"),
     (".syntax", "nsim inspect FILE names the kind of a file: a model begins with Network(, a data set with DataSet("),
@@ -148,7 +148,7 @@ const MOST_TOGETHER: usize = 10;
 ///
 /// # Errors
 /// The problems of these results, if there are any.
-pub fn gathered<T>(results: impl IntoIterator<Item = Result<T>>) -> Result<Vec<T>> {
+pub fn collect_all<T>(results: impl IntoIterator<Item = Result<T>>) -> Result<Vec<T>> {
     let (mut values, mut problems) = (Vec::new(), Vec::new());
     for result in results {
         match result {
@@ -188,7 +188,7 @@ impl Diagnostic {
     /// Advice for the user: its own, or the default for its code.
     pub fn advice(&self) -> Option<&str> {
         let is_of = |code: &str| self.code.starts_with(code) || code.starts_with('.') && self.code.ends_with(code);
-        let usual = || USUAL.iter().find(|(code, _)| is_of(code)).map(|(_, advice)| *advice);
+        let usual = || DEFAULT_ADVICE.iter().find(|(code, _)| is_of(code)).map(|(_, advice)| *advice);
         self.help.as_deref().or_else(usual)
     }
 

@@ -62,16 +62,16 @@ pub fn markup(text: &str) -> String {
     printable(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }
 
-/// The least similarity of Jaro and Winkler at which one name may be meant by the other.
-const ALIKE: f64 = 0.84;
+/// The least Jaro-Winkler similarity at which a name is suggested.
+const LEAST_SIMILARITY: f64 = 0.84;
 
 /// The question whether the name most similar to a word was meant, with a space after it; empty
 /// where no name is similar.
 pub fn did_you_mean<'n>(word: &str, names: impl IntoIterator<Item = &'n str>) -> String {
-    let likeness = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);
-    let best = names.into_iter().map(likeness).max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(a.1)));
+    let with_similarity = |name: &'n str| (strsim::jaro_winkler(&word.to_lowercase(), &name.to_lowercase()), name);
+    let best = names.into_iter().map(with_similarity).max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(a.1)));
     match best {
-        Some((alike, name)) if alike >= ALIKE => format!("did you mean '{name}'? "),
+        Some((similarity, name)) if similarity >= LEAST_SIMILARITY => format!("did you mean '{name}'? "),
         _ => String::new(),
     }
 }

@@ -46,15 +46,15 @@ pub enum Unit {
     ratio,
 }
 
-/// Where a value stands that was typed.
-pub const SET: &str = "--set";
+/// The origin of a value from the command line, in [`Constants::stated_in`].
+pub const SET_OPTION: &str = "--set";
 
 /// The name of the barrier times among constants.
 pub const BARRIER: &str = "barrier";
 
-/// Units that a value may be typed in, each with the unit in which its kind of value is stored, and
-/// the factor to that unit.
-const TYPED: [(&str, Unit, f64); 11] = [
+/// Units of values on the command line, each with the unit in which such a value is stored, and the
+/// factor to that unit.
+const UNITS: [(&str, Unit, f64); 11] = [
     ("fJ", Unit::pJ, 1e-3),
     ("pJ", Unit::pJ, 1.0),
     ("nJ", Unit::pJ, 1e3),
@@ -100,8 +100,8 @@ impl Unit {
                 _ => Ok(number),
             };
         }
-        match TYPED.iter().find(|(name, of, _)| *name == unit && *of == measured) {
-            // Multiplied before it is divided, so that 400 ns is 0.4 us and no neighbour of that.
+        match UNITS.iter().find(|(name, of, _)| *name == unit && *of == measured) {
+            // Multiplied before it is divided, so that 400 ns is exactly 0.4 us.
             Some((.., factor)) if *factor >= 1.0 => Ok(number * factor / each),
             Some((.., factor)) => Ok(number / (1.0 / factor).round() / each),
             None => Err(format!("{unit} is not a valid unit for a constant in {}", self.suffix())),

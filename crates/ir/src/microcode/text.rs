@@ -50,8 +50,8 @@ const FUNCTIONS: [(&str, usize, Operation); 7] = [
     ("wrap", 2, Operation::Wrap(0)),
 ];
 
-/// Names that have a meaning in expressions, model files or probes.
-const TAKEN: [&str; 13] = [
+/// Reserved names, with a meaning in expressions, model files or probes.
+const RESERVED: [&str; 13] = [
     "in",
     "in2",
     "and",
@@ -96,8 +96,8 @@ impl Scope {
     ) -> Result<(), Problem> {
         let why = match () {
             () if !is_name(name) => "use letters, digits and '_', not a digit first",
-            () if TAKEN.contains(&name) || FUNCTIONS.iter().any(|(known, ..)| *known == name) => {
-                "it has another meaning: choose another one"
+            () if RESERVED.contains(&name) || FUNCTIONS.iter().any(|(known, ..)| *known == name) => {
+                "it already has a meaning: choose another name"
             }
             () if self.names.iter().any(|(known, ..)| known == name) => "it is declared twice: choose another name",
             () => {
@@ -201,7 +201,7 @@ impl<'t> Parser<'t> {
             Variable::Temporary(word) => temporaries.get(*word),
             Variable::Arrived(_) | Variable::Parameter(_) => None,
         };
-        *values = Some(width.copied().filter(|width| !width.holds(value.interval)).unwrap_or(value.interval));
+        *values = Some(width.copied().filter(|width| !width.contains(value.interval)).unwrap_or(value.interval));
         Ok(Assignment { target: *target, value })
     }
 

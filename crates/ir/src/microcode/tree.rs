@@ -26,8 +26,8 @@ impl Interval {
         Interval { low: value, high: value }
     }
 
-    /// Whether all of another interval is in this one.
-    pub fn holds(self, other: Interval) -> bool {
+    /// Whether this interval contains another one.
+    pub fn contains(self, other: Interval) -> bool {
         self.low <= other.low && other.high <= self.high
     }
 

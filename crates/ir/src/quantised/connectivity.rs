@@ -28,8 +28,8 @@ pub struct SynapseFormat {
     /// The separate sum that it adds to first; `None` where arrivals are added to the port
     /// directly.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub apart: Option<Apart>,
-    /// Whether a run may change weights, each by itself, between steps.
+    pub apart: Option<SeparateSum>,
+    /// Whether a run may change weights individually between steps.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub plastic: bool,
 }
@@ -48,15 +48,15 @@ impl SynapseFormat {
 /// it, and `wraps` wraps it: (39) and (40) of `docs/loihi2.md`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
-pub struct Apart {
-    /// Which of its target's, below [`Apart::MOST`].
+pub struct SeparateSum {
+    /// Number of the sum at its target, below [`SeparateSum::MOST`].
     pub number: u8,
     /// Whether it wraps to 24 bits.
     pub wraps: bool,
 }
 
-impl Apart {
-    /// The most sums of a compartment, those of its ports included.
+impl SeparateSum {
+    /// The most sums of a compartment, its ports included.
     pub const MOST: usize = 64;
 }
 

@@ -7,19 +7,20 @@
 
 pub mod connectivity;
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use self::connectivity::{Apart, Connectivity, SynapseFormat};
+use self::connectivity::{Connectivity, SeparateSum, SynapseFormat};
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Refractory, ThresholdMantissa, VmaxExponent, VminExponent, WeightExponent,
 };
-use crate::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, ProjectionId};
+use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
 use crate::graph::{PerCompartment, Shape};
-use crate::neurons::{Emits, NeuronKind, Role, Row, Stack, Storage};
+use crate::neurons::{Emits, NeuronKind, ParameterRow, Role, Stack, Storage};
 use crate::pruned;
 use crate::spikes::Message;
 
@@ -51,8 +52,8 @@ pub struct Neuron {
     /// Its use of the stack of its neuron; [`Quantised::new`] sets it from [`Parts::children`].
     #[serde(skip_serializing_if = "Stack::is_unused")]
     pub stack: Stack,
-    /// The parameters of a kind that has none of these registers.
-    pub row: Row,
+    /// The parameters of a kind without these registers.
+    pub row: ParameterRow,
 }
 
 impl Neuron {
@@ -70,7 +71,7 @@ impl Neuron {
         vmax: VmaxExponent::MAX,
         shift: 0,
         stack: Stack::UNUSED,
-        row: Row::EMPTY,
+        row: ParameterRow::EMPTY,
     };
 
     /// The parameter of this name in model files, 0 where the kind has none.
@@ -92,13 +93,13 @@ impl Neuron {
         }
     }
 
-    /// What compartments of the same profile share, on a core that has this many profiles.
-    pub fn profile(&self) -> (Decay, Decay, Refractory, Stack, Row) {
+    /// The parameters of its compartment profile, of which a core has a limited number.
+    pub fn profile(&self) -> (Decay, Decay, Refractory, Stack, ParameterRow) {
         (self.du, self.dv, self.refractory, self.stack, self.row.stored_in(self.kind, Storage::Profile))
     }
 
-    /// What compartments of the same threshold share, on a core that has this many thresholds.
-    pub fn threshold(&self) -> (ThresholdMantissa, Row) {
+    /// The parameters of its threshold profile, of which a core has a limited number.
+    pub fn threshold(&self) -> (ThresholdMantissa, ParameterRow) {
         (self.vth, self.row.stored_in(self.kind, Storage::Threshold))
     }
 }
@@ -375,8 +376,8 @@ impl TryFrom<Text> for Quantised {
 /// its name and place, even when it is empty.
 #[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
 pub struct Pruned {
-    /// The network before; of several copies, one.
-    pub original: Quantised,
+    /// Sizes of the network before pruning; sizes of one copy where there are several.
+    pub before: pruned::Sizes,
     /// For each population that lost compartments, the indices of those that remain, ascending.
     pub kept: IdVec<PopulationId, Option<Vec<u32>>>,
     /// Populations that stayed whole because they are probed.
@@ -474,14 +475,13 @@ impl Quantised {
     /// [`Inconsistent`] when the record's compartments are not the compartments of this network.
     pub fn with_record(mut self, pruned: Option<Arc<Pruned>>) -> Result<Self, Inconsistent> {
         if let Some(pruned) = &pruned {
-            let before = pruned.original.populations();
+            let before = &pruned.before.units;
             let copies = self.parts.populations.len() / before.len().max(1);
-            let repeated = (0..copies).flat_map(|_| before.enumerate());
-            let sizes = repeated.map(|(id, population)| match &pruned.kept[id] {
-                Some(kept) => kept.len(),
-                None => population.shape.len() as usize,
-            });
-            if !sizes.eq(self.parts.populations.iter().map(|population| population.shape.len() as usize)) {
+            let repeated = (0..copies).flat_map(|_| before.iter().zip(pruned.kept.iter()));
+            let sizes = repeated.map(|(&units, kept)| kept.as_ref().map_or(units as usize, Vec::len));
+            let mut ends = pruned.before.projections.iter().flat_map(|size| [size.source, size.target]);
+            let closed = pruned.kept.len() == before.len() && ends.all(|end| end.index() < before.len());
+            if !closed || !sizes.eq(self.parts.populations.iter().map(|population| population.shape.len() as usize)) {
                 return Err(Inconsistent("the record of pruning is of another network".to_string()));
             }
         }
@@ -527,36 +527,49 @@ impl Quantised {
         self.pruned.as_ref()
     }
 
-    /// The network as it was before it was pruned: itself, unless it was; of several copies, one.
-    pub fn original(&self) -> &Quantised {
-        self.pruned.as_ref().map_or(self, |pruned| &pruned.original)
+    /// Sizes of the network before pruning; sizes of one copy where there are several.
+    pub fn sizes_before(&self) -> Cow<'_, pruned::Sizes> {
+        self.pruned.as_ref().map_or_else(|| Cow::Owned(self.sizes()), |pruned| Cow::Borrowed(&pruned.before))
+    }
+
+    /// Sizes of the network as it is.
+    pub fn sizes(&self) -> pruned::Sizes {
+        let projections = self.parts.projections.enumerate().map(|(id, projection)| pruned::ProjectionSize {
+            source: projection.source,
+            target: projection.target,
+            synapses: self.synapses_of(id),
+            dense: matches!(projection.connectivity, Connectivity::Dense { .. }),
+        });
+        pruned::Sizes {
+            units: self.parts.populations.iter().map(|population| population.shape.len()).collect(),
+            projections: projections.collect(),
+        }
     }
 
     /// The indices that a population's compartments had before pruning, ascending; `None` when it
     /// lost none.
-    pub fn kept(&self, population: PopulationId) -> Option<&[u32]> {
+    pub fn kept_units(&self, population: PopulationId) -> Option<&[u32]> {
         let pruned = self.pruned.as_ref()?;
         let of_copy = PopulationId(population.0 % pruned.kept.len() as u32);
         pruned.kept[of_copy].as_deref()
     }
 
     /// The number of units that a population had before pruning.
-    pub fn units_shown(&self, population: PopulationId) -> u32 {
-        let original = self.original().populations();
-        original[PopulationId(population.0 % original.len() as u32)].shape.len()
+    pub fn units_before_pruning(&self, population: PopulationId) -> u32 {
+        let Some(pruned) = &self.pruned else { return self.parts.populations[population].shape.len() };
+        pruned.before.units[PopulationId(population.0 % pruned.kept.len() as u32)]
     }
 
-    /// The index in its population by which people know a compartment: the one before pruning.
-    pub fn index_shown(&self, population: PopulationId, index: u32) -> u32 {
-        self.kept(population).map_or(index, |kept| kept[index as usize])
+    /// The index by which users know a compartment in its population: its index before pruning.
+    pub fn index_before_pruning(&self, population: PopulationId, index: u32) -> u32 {
+        self.kept_units(population).map_or(index, |kept| kept[index as usize])
     }
 
-    /// The inverse of [`Quantised::index_shown`]; `None` for a compartment that was pruned or never
-    /// was.
-    pub fn index_of_shown(&self, population: PopulationId, shown: u32) -> Option<u32> {
-        match self.kept(population) {
-            Some(kept) => kept.binary_search(&shown).ok().map(|index| index as u32),
-            None => (shown < self.units_shown(population)).then_some(shown),
+    /// The inverse of [`Quantised::index_before_pruning`]; `None` for a pruned or absent one.
+    pub fn index_after_pruning(&self, population: PopulationId, before: u32) -> Option<u32> {
+        match self.kept_units(population) {
+            Some(kept) => kept.binary_search(&before).ok().map(|index| index as u32),
+            None => (before < self.units_before_pruning(population)).then_some(before),
         }
     }
 
@@ -746,7 +759,7 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
         return Err(wrong("its targets have no such port"));
     }
     let (exponent, apart) = (projection.format.exponent, projection.format.apart);
-    if apart.is_some_and(|apart| usize::from(apart.number) >= Apart::MOST)
+    if apart.is_some_and(|apart| usize::from(apart.number) >= SeparateSum::MOST)
         || apart.is_some() && neurons.any(|neuron| neuron.kind.table().registers)
     {
         return Err(wrong("its targets have no such sum"));

@@ -105,10 +105,10 @@ macro_rules! define_limits {
                     }
                 }
                 for resource in Resource::ALL {
-                    let old = left_by(before.iter().map(Arc::as_ref), resource);
+                    let old = most_by_pools(before.iter().map(Arc::as_ref), resource);
                     let most = &mut limits.most[resource];
-                    let own = if *most == old { NOT_GIVEN } else { *most };
-                    *most = left_by(limits.pools.iter().map(Arc::as_ref), resource).min(own);
+                    let own = if *most == old { UNLIMITED } else { *most };
+                    *most = most_by_pools(limits.pools.iter().map(Arc::as_ref), resource).min(own);
                 }
                 $(if let Some(most) = self.$name {
                     limits.most[Resource::$resource] = most;
@@ -153,8 +153,8 @@ macro_rules! define_limits {
                     packing: Some(limits.packing),
                     unlimited: Resource::ALL
                         .into_iter()
-                        .filter(|&resource| limits.most[resource] == NOT_GIVEN)
-                        .filter(|one| !OPTIONAL.contains(one) || limits.most[Resource::SynapseWords] == NOT_GIVEN)
+                        .filter(|&resource| limits.most[resource] == UNLIMITED)
+                        .filter(|one| !OPTIONAL.contains(one) || limits.most[Resource::SynapseWords] == UNLIMITED)
                         .collect(),
                     pools: limits.pools.into_iter().map(Arc::unwrap_or_clone).collect(),
                 }
@@ -183,12 +183,12 @@ pub struct Pool {
     pub costs: BTreeMap<Resource, u32>,
 }
 
-/// The most of a resource that pools leave it, each used by nothing else; [`NOT_GIVEN`] where it
-/// draws on none.
-fn left_by<'p>(pools: impl IntoIterator<Item = &'p Pool>, resource: Resource) -> u32 {
+/// The most of a resource that its pools allow when nothing else uses them; [`UNLIMITED`] without a
+/// pool.
+fn most_by_pools<'p>(pools: impl IntoIterator<Item = &'p Pool>, resource: Resource) -> u32 {
     let of = |pool: &Pool| Some(pool.limit / u64::from(*pool.costs.get(&resource)?));
     let least = pools.into_iter().filter_map(of).min();
-    least.map_or(NOT_GIVEN, |most| u32::try_from(most).unwrap_or(NOT_GIVEN))
+    least.map_or(UNLIMITED, |most| u32::try_from(most).unwrap_or(UNLIMITED))
 }
 
 /// Reads numbers by name, from a map or from the fields of a struct.
@@ -356,7 +356,7 @@ impl Limits {
 
     /// Whether a resource has a limit, of its own or by a pool.
     pub fn is_limited(&self, resource: Resource) -> bool {
-        self.most[resource] != NOT_GIVEN
+        self.most[resource] != UNLIMITED
     }
 
     /// Need and limit of every limited resource, then of every pool, in a fixed order.
@@ -366,8 +366,8 @@ impl Limits {
         resources.chain(self.pools.iter().map(move |pool| (Capacity::Pool(pool.clone()), pool.need(&used), pool.limit)))
     }
 
-    /// Whether nothing is used beyond its limit.
-    pub fn hold(&self, used: &PerResource<u64>) -> bool {
+    /// Whether every use is within its limit.
+    pub fn admit(&self, used: &PerResource<u64>) -> bool {
         Resource::ALL.into_iter().all(|r| used[r] <= u64::from(self.most[r]) || !self.is_limited(r))
             && self.pools.iter().all(|pool| pool.need(used) <= pool.limit)
     }
@@ -387,15 +387,15 @@ impl IndexMut<Resource> for Limits {
     }
 }
 
-const NOT_GIVEN: u32 = u32::MAX;
+const UNLIMITED: u32 = u32::MAX;
 
 fn not_given() -> u32 {
-    NOT_GIVEN
+    UNLIMITED
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)]
 fn is_not_given(most: &u32) -> bool {
-    *most == NOT_GIVEN
+    *most == UNLIMITED
 }
 
 impl TryFrom<LimitsInFile> for Limits {
@@ -419,10 +419,10 @@ impl TryFrom<LimitsInFile> for Limits {
                 ));
             }
             for &resource in pool.costs.keys() {
-                most[resource] = most[resource].min(left_by([pool], resource));
+                most[resource] = most[resource].min(most_by_pools([pool], resource));
             }
         }
-        let lacks = |&resource: &Resource| most[resource] == NOT_GIVEN;
+        let lacks = |&resource: &Resource| most[resource] == UNLIMITED;
         if let Some(resource) = file.unlimited.iter().find(|resource| !lacks(resource)) {
             return Err(format!("`{}` is in `unlimited` and has a limit; remove one of them", resource.name()));
         }
@@ -494,7 +494,7 @@ mod tests {
             (used[Resource::AxonsIn], used[Resource::SynapseWords]) = (axons_in, words);
             used
         };
-        assert!(limits.hold(&used(50, 100)) && !limits.hold(&used(51, 100)) && !limits.hold(&used(0, 126)));
+        assert!(limits.admit(&used(50, 100)) && !limits.admit(&used(51, 100)) && !limits.admit(&used(0, 126)));
         let over = limits.against(used(51, 100)).find(|(_, need, limit)| need > limit);
         let (memory, need, limit) = over.unwrap();
         assert_eq!((memory.name(), memory.code(), need, limit), ("memory", "map.pool", 1004, 1000));
@@ -513,7 +513,7 @@ mod tests {
         assert!({
             let mut used = PerResource::default();
             used[Resource::AxonsOut] = 1 << 40;
-            without.hold(&used)
+            without.admit(&used)
         });
         assert_eq!(limits(&ron::to_string(&without).unwrap()).unwrap(), without);
         let pool =

@@ -23,7 +23,7 @@ pub(super) struct Description {
     pub(super) advice: &'static str,
 }
 
-const FAN_IN_ADVICE: &str = "every compartment that reaches a core takes one input axon there: pool more before this \
+const FAN_IN_ADVICE: &str = "every compartment that sends to a core takes one input axon there: pool more before this \
                              population, or split the fan-in over intermediate populations";
 const DELAY_ADVICE: &str = "shorten the longest delay into this population: a compartment takes one accumulator for \
                             each step of it, rounded up to a power of two";

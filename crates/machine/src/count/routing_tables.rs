@@ -9,7 +9,7 @@
 
 use crate::deliver::prefetch::prefetch;
 use nsim_ir::base::id::{CoreId, Id};
-use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, Messages, Program, Stored, Synapse};
+use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, InputTable, Messages, Program, Synapse};
 
 /// Messages of a batch: some for each core of a large network, whose synapses fit a cache.
 const BATCH: usize = 1 << 16;
@@ -25,7 +25,7 @@ struct Core<'p> {
     synapses: &'p [Synapse],
     formats: &'p [CoreFormat],
     /// `None` where input axon i selects list i.
-    inputs: Option<&'p Stored>,
+    inputs: Option<&'p InputTable>,
 }
 
 impl<'p> Core<'p> {

@@ -17,7 +17,7 @@ use crate::layout::image::Image;
 use crate::update::state::ShardState;
 use nsim_ir::activity::Activity;
 use nsim_ir::base::id::Id;
-use nsim_ir::source_counts::{LeftField, SourceCounts};
+use nsim_ir::source_counts::{OverflowCounts, SourceCounts};
 
 /// Spikes since the activity was last taken. The shards' states count the spikes of compartments.
 #[derive(Debug, Clone)]
@@ -85,7 +85,7 @@ impl SpikeCounts {
     }
 
     fn residual(&self, image: &Image, shards: &[ShardState], arch: pulp::Arch) -> i64 {
-        let lanes = image.shards.iter().zip(shards).map(|(shard, state)| (&*shard.names, &*state.fired));
+        let lanes = image.shards.iter().zip(shards).map(|(shard, state)| (&*shard.compartments, &*state.fired));
         image.residual.events(arch, (&self.channels, &self.remote), lanes)
     }
 
@@ -95,7 +95,7 @@ impl SpikeCounts {
         let mut fired: Vec<u32> = self.channels.iter_mut().map(std::mem::take).collect();
         fired.resize(image.sources(), 0);
         for (state, shard) in shards.iter_mut().zip(&image.shards) {
-            for (name, count) in shard.names.iter().zip(&mut state.fired).filter(|(_, count)| **count > 0) {
+            for (name, count) in shard.compartments.iter().zip(&mut state.fired).filter(|(_, count)| **count > 0) {
                 fired[self.channels.len() + name.index()] += std::mem::take(count);
             }
         }
@@ -134,9 +134,11 @@ impl SpikeCounts {
             ..SourceCounts::default()
         };
         for (state, shard) in shards.iter_mut().zip(&image.shards) {
-            let left = std::mem::take(&mut state.left_fields);
-            for (name, left) in shard.names.iter().zip(left).filter(|(_, left)| *left != LeftField::default()) {
-                counts.add_left_field(*name, left);
+            let left = std::mem::take(&mut state.overflows_by_lane);
+            for (name, left) in
+                shard.compartments.iter().zip(left).filter(|(_, left)| *left != OverflowCounts::default())
+            {
+                counts.add_overflows(*name, left);
             }
         }
         counts

@@ -39,12 +39,12 @@ pub(crate) struct Fired<'a> {
 const BATCH: usize = 256;
 /// Least number of messages of a step for which threads share its sources.
 const SHARED: usize = 1 << 14;
-/// Messages that are always stored: half a megabyte of memory.
-const ALWAYS_KEPT: usize = 1 << 16;
-/// Synapses of a message, on average, up to which messages are stored: they take no more memory
-/// than the synapses do, and finding them would take as long as delivering.
-const KEPT_TO: usize = 8;
-/// Sources whose messages a thread finds at a time.
+/// Number of messages up to which they are always stored: half a megabyte of memory.
+const ALWAYS_STORED: usize = 1 << 16;
+/// Average number of synapses of a message up to which messages are stored. They need no more
+/// memory than the synapses, and looking them up would take as long as delivery.
+const MOST_SYNAPSES_STORED: usize = 8;
+/// Sources whose messages a thread looks up in one task.
 const PIECE: u32 = 1 << 12;
 
 /// A core that messages reach.
@@ -64,16 +64,16 @@ struct Message(u32);
 
 /// The links that a source's messages cross.
 #[derive(Debug, Clone, Copy, Default)]
-struct Crossed {
+struct CrossedLinks {
     hops: HopCounts,
     longest: Route,
 }
 
 /// The stored messages of all sources.
 #[derive(Debug)]
-struct Kept {
+struct StoredMessages {
     messages: Csr<Message>,
-    crossed: Vec<Crossed>,
+    crossed: Vec<CrossedLinks>,
 }
 
 /// The counts that a spike of each source causes.
@@ -91,8 +91,8 @@ pub struct Tally<'p> {
     core_bits: u32,
     /// Number of the effect of each list, class by class.
     of_lists: Vec<u32>,
-    /// `None` where they would take much memory and their synapses are many.
-    kept: Option<Kept>,
+    /// `None` where messages would need much memory and have many synapses.
+    stored: Option<StoredMessages>,
 }
 
 self_cell!(
@@ -127,45 +127,45 @@ impl<'p> Tally<'p> {
         };
         let mut tally = Tally {
             program,
-            counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
+            counts_inputs: program.local_rank().is_none_or(|rank| rank == 0),
             longest_delay: delays.max().unwrap_or(0).into(),
             receivers: program.cores().iter().map(receiver).collect(),
             classes: program.cores().iter().map(|image| &classes[image.class]).collect(),
             of_lists: of_classes.par_iter().flat_map_iter(|lists| lists.iter().map(number)).collect(),
             effects,
             core_bits,
-            kept: None,
+            stored: None,
         };
         let sources = program.channels() + program.compartments();
         let messages: usize = (0..sources).map(|source| program.messages(source).len()).sum();
-        if messages <= ALWAYS_KEPT || program.synapses_of(|_| true) <= (KEPT_TO * messages) as u64 {
-            tally.kept = Some(tally.found(sources, messages));
+        if messages <= ALWAYS_STORED || program.synapses_of(|_| true) <= (MOST_SYNAPSES_STORED * messages) as u64 {
+            tally.stored = Some(tally.look_up(sources, messages));
         }
         tally
     }
 
-    /// The messages, this many, of all sources.
-    fn found(&self, sources: u32, messages: usize) -> Kept {
-        let mut kept = Kept {
+    /// Looks up the messages of all sources, `messages` in number.
+    fn look_up(&self, sources: u32, messages: usize) -> StoredMessages {
+        let mut stored = StoredMessages {
             messages: Csr::with_capacity(sources as usize, messages),
             crossed: Vec::with_capacity(sources as usize),
         };
         let piece = |&first: &u32| {
-            let mut piece = Kept { messages: Csr::default(), crossed: Vec::new() };
+            let mut piece = StoredMessages { messages: Csr::default(), crossed: Vec::new() };
             self.each(first..sources.min(first.saturating_add(PIECE)), |source, messages| {
                 piece.messages.push(messages.iter().copied());
-                piece.crossed.push(self.crossed(source, messages));
+                piece.crossed.push(self.crossed_links(source, messages));
             });
             piece
         };
         let pieces: Vec<u32> = (0..sources).step_by(PIECE as usize).collect();
-        for some in pieces.chunks(4 * rayon::current_num_threads()) {
-            for piece in some.par_iter().map(piece).collect::<Vec<_>>() {
-                piece.messages.iter().for_each(|list| kept.messages.push(list.iter().copied()));
-                kept.crossed.extend(piece.crossed);
+        for batch in pieces.chunks(4 * rayon::current_num_threads()) {
+            for piece in batch.par_iter().map(piece).collect::<Vec<_>>() {
+                piece.messages.iter().for_each(|list| stored.messages.push(list.iter().copied()));
+                stored.crossed.extend(piece.crossed);
             }
         }
-        kept
+        stored
     }
 
     /// The longest delay field.
@@ -179,7 +179,7 @@ impl<'p> Tally<'p> {
             + size_of_val(self.classes.as_slice())
             + size_of_val(self.effects.as_slice())
             + size_of_val(self.of_lists.as_slice())
-            + self.kept.as_ref().map_or(0, |Kept { messages, crossed }| {
+            + self.stored.as_ref().map_or(0, |StoredMessages { messages, crossed }| {
                 size_of_val(messages.items()) + size_of_val(messages.firsts()) + size_of_val(crossed.as_slice())
             })
     }
@@ -199,7 +199,7 @@ impl<'p> Tally<'p> {
 
     /// Calls `see` for each of these sources with its messages.
     fn each(&self, sources: impl Iterator<Item = u32>, mut see: impl FnMut(u32, &[Message])) {
-        if let Some(kept) = &self.kept {
+        if let Some(kept) = &self.stored {
             return sources.for_each(|source| see(source, kept.messages.get(source as usize)));
         }
         let mut sources = sources.peekable();
@@ -226,9 +226,9 @@ impl<'p> Tally<'p> {
     }
 
     /// The links that a source's messages cross.
-    fn crossed(&self, source: u32, messages: &[Message]) -> Crossed {
+    fn crossed_links(&self, source: u32, messages: &[Message]) -> CrossedLinks {
         let from = self.core_of(source).map(|core| self.receivers[core].position);
-        let mut crossed = Crossed::default();
+        let mut crossed = CrossedLinks::default();
         for &message in messages {
             let to = self.receivers[self.core(message)].position;
             let route = from.unwrap_or_else(|| self.program.mesh().corner(to)).route(to);
@@ -258,9 +258,9 @@ impl<'p> Tally<'p> {
         })
     }
 
-    /// How often one spike reaches all synapses, if equally often, and those of each delay field if
-    /// deliveries reach this many steps.
-    fn once_below(&self, reach: u32) -> (Option<u64>, impl Fn(u8) -> u64 + Copy) {
+    /// The arguments `(always, times)` of `events` for one spike whose deliveries reach `reach`
+    /// steps.
+    fn spike_below(&self, reach: u32) -> (Option<u64>, impl Fn(u8) -> u64 + Copy) {
         ((reach > self.longest_delay).then_some(1), move |delay| u64::from(u32::from(delay) < reach))
     }
 
@@ -276,7 +276,7 @@ impl<'p> Tally<'p> {
         if reach == 0 {
             return 0;
         }
-        let (mut sum, (always, times)) = (0, self.once_below(reach));
+        let (mut sum, (always, times)) = (0, self.spike_below(reach));
         self.each(sources, |source, messages| {
             let events = self.events((source, messages), (always, times));
             sum += events.map(|(_, Events { dense, sparse })| dense + sparse).sum::<u64>();
@@ -306,8 +306,8 @@ impl<'p> Tally<'p> {
             core.events_dense += dense;
             core.events_sparse += sparse;
         }
-        let kept = self.kept.as_ref().map(|kept| kept.crossed[source as usize]);
-        let Crossed { hops, longest } = kept.unwrap_or_else(|| self.crossed(source, messages));
+        let kept = self.stored.as_ref().map(|kept| kept.crossed[source as usize]);
+        let CrossedLinks { hops, longest } = kept.unwrap_or_else(|| self.crossed_links(source, messages));
         sum.hops += hops.times(spikes);
         sum.longest = sum.longest.max(longest);
     }
@@ -318,7 +318,7 @@ impl<'p> Tally<'p> {
     fn add_fired(&self, core: Option<CoreId>, times: u64, sum: &mut StepActivity) {
         match core {
             None => sum.spikes_in += if self.counts_inputs { times } else { 0 },
-            Some(core) => sum.cores[core].spikes += if self.program.holds(core) { times } else { 0 },
+            Some(core) => sum.cores[core].spikes += if self.program.is_local(core) { times } else { 0 },
         }
     }
 
@@ -327,7 +327,7 @@ impl<'p> Tally<'p> {
     fn add_each(&self, sources: impl Iterator<Item = u32> + Clone, reach: u32, sum: &mut StepActivity) {
         let messages: usize = sources.clone().map(|source| self.program.messages(source).len()).sum();
         let add = |source: u32, messages: &[Message], sum: &mut StepActivity| {
-            self.add_spikes((source, 1), messages, self.once_below(reach), sum);
+            self.add_spikes((source, 1), messages, self.spike_below(reach), sum);
         };
         if messages < SHARED.max(self.receivers.len()) {
             return self.each(sources, |source, messages| add(source, messages, sum));
@@ -391,7 +391,7 @@ impl<'p> Tally<'p> {
     /// Adds the visits to all compartments in `steps` steps.
     pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
         let cores = self.program.cores().enumerate().zip(sum.cores.iter_mut());
-        for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.holds(*core)) {
+        for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.is_local(*core)) {
             counts.visited += image.ids.len() as u64 * steps;
         }
     }

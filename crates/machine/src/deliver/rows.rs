@@ -11,12 +11,12 @@
 use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::prefetch::prefetch;
 use crate::layout::shard::SKIP_BLOCK;
-use crate::layout::weight_rows::{RowPlace, RowTable, Stencil, UNCHECKED};
+use crate::layout::weight_rows::{RowPlace, RowTable, Stencil, UNCHECKED_ROWS};
 use crate::update::kernel::LANES;
 use nsim_ir::spikes::Spike;
 
-/// Spikes a group on average from which on they are added together.
-const TOGETHER: usize = 2;
+/// Least average number of spikes of a group for which they are added together.
+const GROUPED_SPIKES: usize = 2;
 
 /// Delivery of spikes by rows of one delay.
 #[derive(Debug)]
@@ -54,11 +54,11 @@ impl<S: Accumulate<P::Payload>, P: Spike> pulp::NullaryFnOnce for Dispatched<'_,
         let (mut events, mut groups) = (0, [0; AT_A_TIME]);
         let RowDelivery { table, spikes, .. } = delivery;
         let first = &spikes[..spikes.len().min(AT_A_TIME)];
-        let apart = find_groups(table, first, &mut groups) * TOGETHER > first.len();
-        let sorted = (apart && table.groups * TOGETHER <= spikes.len()).then(|| by_group(table, spikes));
+        let by_runs = find_groups(table, first, &mut groups) * GROUPED_SPIKES > first.len();
+        let sorted = (by_runs && table.groups * GROUPED_SPIKES <= spikes.len()).then(|| by_group(table, spikes));
         for spikes in sorted.as_deref().unwrap_or(spikes).chunks(AT_A_TIME) {
             let groups = &mut groups[..spikes.len()];
-            events += match find_groups(table, spikes, groups) * TOGETHER <= spikes.len() {
+            events += match find_groups(table, spikes, groups) * GROUPED_SPIKES <= spikes.len() {
                 true => delivery.deliver_together(spikes, groups),
                 false => delivery.deliver_queued(spikes, &mut payloads),
             };
@@ -233,17 +233,17 @@ fn enqueue_rows<P: Spike>(
             payloads.resize(2 * (end + places.len()), spike.payload());
         }
         if let (Some(queued), Some(unchecked)) =
-            (queue[end..].first_chunk_mut::<UNCHECKED>(), places.first_chunk::<UNCHECKED>())
+            (queue[end..].first_chunk_mut::<UNCHECKED_ROWS>(), places.first_chunk::<UNCHECKED_ROWS>())
         {
             *queued = unchecked.map(|place| place.after(origin.lane));
         }
-        if let Some(payloads) = payloads[end..].first_chunk_mut::<UNCHECKED>() {
-            *payloads = [spike.payload(); UNCHECKED];
+        if let Some(payloads) = payloads[end..].first_chunk_mut::<UNCHECKED_ROWS>() {
+            *payloads = [spike.payload(); UNCHECKED_ROWS];
         }
-        if rows > UNCHECKED {
-            let others = queue[end + UNCHECKED..end + rows].iter_mut().zip(&places[UNCHECKED..]);
+        if rows > UNCHECKED_ROWS {
+            let others = queue[end + UNCHECKED_ROWS..end + rows].iter_mut().zip(&places[UNCHECKED_ROWS..]);
             others.for_each(|(queued, place)| *queued = place.after(origin.lane));
-            payloads[end + UNCHECKED..end + rows].fill(spike.payload());
+            payloads[end + UNCHECKED_ROWS..end + rows].fill(spike.payload());
         }
         end += rows;
     }
@@ -297,7 +297,7 @@ mod tests {
         ] {
             let spikes: Vec<P> = numbers.iter().map(|&source| spike(source)).collect();
             let mut groups = vec![0; spikes.len()];
-            assert_eq!(find_groups(&table, &spikes, &mut groups) * TOGETHER <= spikes.len(), are_long);
+            assert_eq!(find_groups(&table, &spikes, &mut groups) * GROUPED_SPIKES <= spikes.len(), are_long);
             let (sorted, mut of_sorted) = (by_group(&table, &spikes), groups.clone());
             assert!(find_groups(&table, &sorted, &mut of_sorted) <= table.groups);
             let mut sums = [(); 4].map(|()| vec![S::default(); lanes + LANES]);

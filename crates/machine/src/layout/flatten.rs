@@ -143,7 +143,7 @@ impl<'a> Flattener<'a> {
                 let ids = &self.program.cores()[selected.core].ids;
                 let one_port = selected.formats.iter().all(|format| format.synapse.port.is_first());
                 let firsts = (synapses.len() as u32, rows.len() as u32);
-                if !axon_rows.is_empty() && one_port && axon_rows.iter().all(adjacent) && self.sums.are_single(ids) {
+                if !axon_rows.is_empty() && one_port && axon_rows.iter().all(adjacent) && self.sums.have_one_sum(ids) {
                     rows.extend(axon_rows.iter().map(|row| {
                         let (lane, _) = lanes(row);
                         let shard = self.shard(lane);
@@ -203,8 +203,8 @@ mod tests {
     use nsim_ir::partition::Seat;
     use nsim_ir::placement::{Mesh, Site};
     use nsim_ir::program::{
-        AxonTarget, AxonsOut, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, Parts,
-        PopulationAxon, Stored,
+        AxonTarget, AxonsOut, Compartment, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, InputTable,
+        Parts, PopulationAxon,
     };
     use nsim_ir::quantised::Neuron;
     use nsim_ir::quantised::connectivity::SynapseFormat;
@@ -277,8 +277,8 @@ mod tests {
             }
             let table = |base| PopulationAxon { table: 0, atoms: (CHANNELS / 3) as u16, base };
             let inputs = match core == last {
-                true => Stored::with_populations(lists, vec![table(0), table(7)], std::mem::take(&mut selected)),
-                false => Stored::discrete(lists),
+                true => InputTable::with_populations(lists, vec![table(0), table(7)], std::mem::take(&mut selected)),
+                false => InputTable::discrete(lists),
             };
             let class = classes.push(CoreClass {
                 compartments: vec![Compartment { neuron: Neuron::PLAIN, start_step: 0 }; SLOTS as usize],

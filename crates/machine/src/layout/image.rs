@@ -21,21 +21,21 @@ use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun,
 use crate::layout::sums::{Sums, stride};
 use crate::layout::weight_rows::{ProgramRows, WeightRows};
 use crate::plastic::synapses::PlasticSynapses;
-use crate::update::kernel::{LANES, Shared};
+use crate::update::kernel::{BlockParameters, LANES};
 use nsim_dynamics as neuron;
 use nsim_dynamics::Fields;
 use nsim_dynamics::kinds::Updater;
 use nsim_dynamics::{arithmetic, kinds};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
-use nsim_ir::neurons::Row;
+use nsim_ir::neurons::ParameterRow;
 use nsim_ir::program::{CoreClass, Program};
-use nsim_ir::quantised::connectivity::Apart;
+use nsim_ir::quantised::connectivity::SeparateSum;
 use nsim_ir::quantised::{Neuron, Reset};
 use nsim_ir::spikes::Message;
 
-/// The lane of a compartment that another process holds.
-pub(crate) const ELSEWHERE: u32 = u32::MAX;
+/// Lane of a compartment of another rank.
+pub(crate) const NOT_LOCAL: u32 = u32::MAX;
 
 /// The updates of blocks, by the parameters of their compartments.
 type Updaters = HashMap<Vec<u32>, Arc<dyn Updater>>;
@@ -52,11 +52,11 @@ pub enum ImageError {
     )]
     FanIn(CompartmentId, u32),
     /// Too many sums that are narrowed separately.
-    #[error("the arrivals of compartment {0} make more than {most} sums that are narrowed apart", most = Apart::MOST)]
-    Sums(CompartmentId),
+    #[error("the input of compartment {0} makes more than {most} sums that wrap separately", most = SeparateSum::MOST)]
+    TooManySums(CompartmentId),
     /// Too many synapses.
     #[error("{0} synapses on one shard of the cores, at most 2^32 - 1 can be indexed; use more threads")]
-    TooMany(usize),
+    TooManySynapses(usize),
 }
 
 /// A program laid out.
@@ -70,13 +70,13 @@ pub struct Image {
     pub(crate) semantics: Semantics,
     pub(crate) reset: Option<Reset>,
     pub(crate) fields: Vec<Fields>,
-    pub(crate) shared: Vec<Shared>,
+    pub(crate) shared: Vec<BlockParameters>,
     pub(crate) field_of: Vec<u32>,
-    /// From which compartment on each step sorts its spikes: those that reach dense blocks are
-    /// found in ascending order, and lanes are not in that order.
-    pub(crate) sorts_from: Option<CompartmentId>,
-    /// Lane of each compartment of the network over all shards; [`ELSEWHERE`] where another process
-    /// holds it.
+    /// First compartment of the range that each step sorts, where lanes are not in ascending order.
+    /// Spikes that reach dense blocks have to ascend.
+    pub(crate) sorted_from: Option<CompartmentId>,
+    /// Lane of each compartment of the network over all shards; [`NOT_LOCAL`] for compartments of
+    /// other ranks.
     pub(crate) lanes: Vec<u32>,
     /// Number of compartments of this rank.
     pub(crate) held: usize,
@@ -129,10 +129,10 @@ impl Image {
             fields: Vec::new(),
             shared: Vec::new(),
             field_of: Vec::new(),
-            sorts_from: None,
-            lanes: vec![ELSEWHERE; program.compartments() as usize],
+            sorted_from: None,
+            lanes: vec![NOT_LOCAL; program.compartments() as usize],
             held: 0,
-            counts_inputs: program.held_rank().is_none_or(|rank| rank == 0),
+            counts_inputs: program.local_rank().is_none_or(|rank| rank == 0),
             has_blocks: false,
             bases: Vec::new(),
             shards: Vec::new(),
@@ -150,22 +150,22 @@ impl Image {
         };
         let of_channels = image.payloads.get(..image.channels as usize);
         image.channels_carry = of_channels.is_some_and(|payloads| payloads.iter().all(Option::is_none));
-        let sums = Sums::new(program, &LaneOrder::new(program)).map_err(ImageError::Sums)?;
+        let sums = Sums::new(program, &LaneOrder::new(program)).map_err(ImageError::TooManySums)?;
         let blocks = image.lay_out(&sums);
-        image.held = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).count();
+        image.held = image.lanes.iter().filter(|lane| **lane != NOT_LOCAL).count();
         image.check_fan_in()?;
         let events = |source| image.tally().events_within(std::iter::once(source), u32::MAX);
         image.has_synapses = (image.channels..image.payloads.len() as u32).map(|source| events(source) > 0).collect();
         image.split_into_shards(blocks, &sums, shards);
-        image.name();
+        image.assign_lanes();
         image.connect(&sums)?;
         let plastic = PlasticSynapses::by_shard(program, &image.lanes, &image.bases, &sums);
         image.shards.iter_mut().zip(plastic).for_each(|(shard, plastic)| shard.plastic = plastic);
         let from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments.by_delay);
         let first = from_compartments.flat_map(|fan_out| &fan_out.dense.blocks).map(|block| block.first).min();
         image.has_blocks = first.is_some();
-        let in_order = image.lanes.iter().filter(|lane| **lane != ELSEWHERE).is_sorted();
-        image.sorts_from = first.filter(|_| !in_order).map(CompartmentId);
+        let in_order = image.lanes.iter().filter(|lane| **lane != NOT_LOCAL).is_sorted();
+        image.sorted_from = first.filter(|_| !in_order).map(CompartmentId);
         image.delivery_counts_channels = matches!(image.shards.as_slice(), [shard]
             if shard.from_channels.is_narrow(image.channels));
         image.residual = image.replace_by_means();
@@ -187,9 +187,9 @@ impl Image {
         self.lanes.len()
     }
 
-    /// Whether a compartment is held by this process.
-    pub(crate) fn holds(&self, compartment: CompartmentId) -> bool {
-        self.lanes[compartment.index()] != ELSEWHERE
+    /// Whether this rank has a compartment.
+    pub(crate) fn is_local(&self, compartment: CompartmentId) -> bool {
+        self.lanes[compartment.index()] != NOT_LOCAL
     }
 
     /// Number of sources.
@@ -213,7 +213,7 @@ impl Image {
     /// sums of 32 bits suffice.
     pub(crate) fn sent_by(&self, shard: &Shard) -> Vec<i32> {
         let payloads = |name: &CompartmentId| self.payloads.get(self.channels as usize + name.index());
-        shard.names.iter().filter_map(payloads).map(|payload| payload.unwrap_or(1)).collect()
+        shard.compartments.iter().filter_map(payloads).map(|payload| payload.unwrap_or(1)).collect()
     }
 
     /// The parameters of a compartment.
@@ -241,7 +241,7 @@ impl Image {
     /// Bytes of memory that it holds, the program not included.
     pub fn bytes(&self) -> usize {
         let shards: usize = self.shards.iter().map(Shard::bytes).sum();
-        let fields = (size_of::<Fields>() + size_of::<Shared>()) * self.fields.len() + 4 * self.field_of.len();
+        let fields = (size_of::<Fields>() + size_of::<BlockParameters>()) * self.fields.len() + 4 * self.field_of.len();
         shards
             + fields
             + 4 * self.lanes.len()
@@ -259,7 +259,7 @@ impl Image {
         // Parameters and population of the last block, if it is updated as vectors.
         let mut last: Option<(u32, usize)> = None;
         let order = LaneOrder::new(&self.program);
-        for (core, core_image) in parts.cores.enumerate().filter(|(core, _)| self.program.holds(*core)) {
+        for (core, core_image) in parts.cores.enumerate().filter(|(core, _)| self.program.is_local(*core)) {
             let slots = order.slots(core);
             let ids: Vec<CompartmentId> = slots.iter().map(|&slot| core_image.ids[usize::from(slot)]).collect();
             let field_of: Vec<u32> = slots
@@ -269,7 +269,7 @@ impl Image {
                     *known.entry((compartment.neuron, compartment.start_step)).or_insert_with(|| {
                         let (neuron, start) = (compartment.neuron, compartment.start_step);
                         let fields = neuron::fields(&neuron, start, parts.semantics, parts.threshold);
-                        self.shared.push(Shared::from(&fields));
+                        self.shared.push(BlockParameters::from(&fields));
                         self.fields.push(fields);
                         self.fields.len() as u32 - 1
                     })
@@ -452,7 +452,7 @@ impl Image {
                 let marks = if self.reset.is_some() { &mut shard.driven } else { &mut shard.wakes };
                 marks[skip_block / 64] |= u64::from(block.updater.wakes() || self.reset.is_some()) << (skip_block % 64);
             }
-            shard.names = vec![CompartmentId(0); shard.lanes];
+            shard.compartments = vec![CompartmentId(0); shard.lanes];
             for block in &shard.blocks {
                 let lanes = 0..block.length;
                 let driven = match block.fields {
@@ -479,7 +479,7 @@ impl Image {
         let updater = match known.get(fields) {
             Some(updater) => Arc::clone(updater),
             None => {
-                let rows: Vec<Row> = fields.iter().map(|&index| field(index).neuron.row).collect();
+                let rows: Vec<ParameterRow> = fields.iter().map(|&index| field(index).neuron.row).collect();
                 let updater: Arc<dyn Updater> = kinds::updater(kind, &rows)?.into();
                 known.insert(fields.to_vec(), Arc::clone(&updater));
                 updater
@@ -491,18 +491,18 @@ impl Image {
         Some(WordBlock { start: block.start, first, updater, bits: 0, shift, resets_from, sums })
     }
 
-    /// Notes which compartment each lane holds.
-    fn name(&mut self) {
+    /// Records the compartment of each lane, and the message bits of blocks of words.
+    fn assign_lanes(&mut self) {
         for compartment in (0..self.compartments()).map(CompartmentId::new) {
-            if !self.holds(compartment) {
+            if !self.is_local(compartment) {
                 continue;
             }
             let (shard, lane) = self.lane(compartment);
-            self.shards[shard].names[lane] = compartment;
+            self.shards[shard].compartments[lane] = compartment;
         }
         for shard in &mut self.shards {
             for block in &mut shard.words {
-                let source = self.channels + shard.names[block.start as usize].0;
+                let source = self.channels + shard.compartments[block.start as usize].0;
                 let graded = self.program.parts().graded.iter().find(|graded| graded.sources.contains(&source));
                 block.bits = match graded.map(|graded| graded.message) {
                     Some(Message::Value(bits)) => bits.get().into(),
@@ -536,7 +536,7 @@ impl Image {
                 of_shards.into_par_iter().zip(&lanes).map(|(delays, &lanes)| FanOuts::new(delays, &self.rows, lanes));
             let fan_outs: Vec<_> = fan_outs.collect();
             for (shard, of_shard) in self.shards.iter_mut().zip(fan_outs) {
-                let of_shard = of_shard.map_err(ImageError::TooMany)?;
+                let of_shard = of_shard.map_err(ImageError::TooManySynapses)?;
                 match kind {
                     0 => shard.from_channels = of_shard,
                     _ => shard.from_compartments = of_shard,

@@ -141,15 +141,17 @@ impl ListTable {
     /// # Errors
     /// The number of synapses, when positions do not fit.
     pub fn new(delays: Vec<(u8, ListBuilder)>, lanes: usize) -> Result<Option<Self>, usize> {
-        let mut some: Vec<(u8, ListBuilder)> = delays.into_iter().filter(|(_, lists)| lists.len() > 0).collect();
-        let (Some(&(shortest, _)), Some(&(longest, _))) = (some.first(), some.last()) else { return Ok(None) };
-        let all = match some.len() {
-            1 => some.remove(0).1,
+        let mut non_empty: Vec<(u8, ListBuilder)> = delays.into_iter().filter(|(_, lists)| lists.len() > 0).collect();
+        let (Some(&(shortest, _)), Some(&(longest, _))) = (non_empty.first(), non_empty.last()) else {
+            return Ok(None);
+        };
+        let all = match non_empty.len() {
+            1 => non_empty.remove(0).1,
             _ => {
                 let after = |delay: u8| usize::from(delay - shortest) * lanes;
                 let mut all = ListBuilder::new(after(longest) + lanes);
-                for source in 0..some[0].1.ends.len() {
-                    for (delay, lists) in &some {
+                for source in 0..non_empty[0].1.ends.len() {
+                    for (delay, lists) in &non_empty {
                         for (lane, weight) in lists.list(source) {
                             all.push((lane + after(*delay) as u32, weight));
                         }

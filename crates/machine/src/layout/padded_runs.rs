@@ -17,8 +17,8 @@ use nsim_ir::spikes::Spike;
 /// Number of sources whose runs are queued together: few enough for the first-level cache if lists
 /// have up to some 16 runs.
 const SOURCES: usize = 512;
-/// Runs of a list that are queued without looking at its length.
-const UNCHECKED: usize = 8;
+/// Runs of a list that are queued without testing its length.
+const UNCHECKED_RUNS: usize = 8;
 /// Synapses delivered between the prefetch of a run and its use.
 const PREFETCH_SYNAPSES: usize = 192;
 /// Sources between the prefetch of a list's position and its use.
@@ -253,15 +253,15 @@ impl<F: RunForm, const N: usize> PaddedRuns<F, N> {
             let place = places[spike.source()];
             let (first, runs) = (place.start() as u32, place.len().div_ceil(N));
             events += place.len() as u64;
-            let room = end + runs.max(UNCHECKED) + Self::AHEAD;
+            let room = end + runs.max(UNCHECKED_RUNS) + Self::AHEAD;
             if queue.len() < room {
                 queue.resize(2 * room, 0);
             }
-            for (run, queued) in (0u32..).zip(&mut queue[end..end + UNCHECKED]) {
+            for (run, queued) in (0u32..).zip(&mut queue[end..end + UNCHECKED_RUNS]) {
                 *queued = first.wrapping_add(run * each);
             }
-            if runs > UNCHECKED {
-                for (run, queued) in (0u32..).zip(&mut queue[end..end + runs]).skip(UNCHECKED) {
+            if runs > UNCHECKED_RUNS {
+                for (run, queued) in (0u32..).zip(&mut queue[end..end + runs]).skip(UNCHECKED_RUNS) {
                     *queued = first + run * each;
                 }
             }

@@ -100,7 +100,7 @@ pub(crate) struct Shard {
     /// Number of lanes, padding included.
     pub lanes: usize,
     /// The compartment in each lane; arbitrary in padding.
-    pub names: Vec<CompartmentId>,
+    pub compartments: Vec<CompartmentId>,
     /// Core blocks in order.
     pub blocks: Vec<CoreBlock>,
     /// Vector runs in order.
@@ -132,7 +132,7 @@ impl Shard {
     pub fn bytes(&self) -> usize {
         size_of::<CoreBlock>() * self.blocks.len()
             + size_of_val(self.vector_runs.as_slice())
-            + 4 * (self.skip_blocks.len() + self.names.len())
+            + 4 * (self.skip_blocks.len() + self.compartments.len())
             + 16 * self.driven.len()
             + size_of_val(self.words.as_slice())
             + self.from_channels.bytes()

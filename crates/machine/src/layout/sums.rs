@@ -15,7 +15,7 @@ use nsim_dynamics::kinds::MOST_LANES;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id};
 use nsim_ir::neurons::Port;
 use nsim_ir::program::Program;
-use nsim_ir::quantised::connectivity::{Apart, SynapseFormat};
+use nsim_ir::quantised::connectivity::{SeparateSum, SynapseFormat};
 
 /// A sum of a compartment.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -23,8 +23,8 @@ pub(crate) struct Sum {
     /// The port that it is added to.
     pub port: Port,
     /// The properties of a separate sum.
-    pub apart: Option<Apart>,
-    /// Bits by which it is shifted before that.
+    pub separate: Option<SeparateSum>,
+    /// Shift before it is added to the port, in bits.
     pub shift: u8,
     /// Delay field of the arrivals of a separate sum; 0 for the sum of a port.
     delay: u8,
@@ -33,14 +33,14 @@ pub(crate) struct Sum {
 impl Sum {
     /// The sum of a port.
     const fn of_port(port: Port) -> Sum {
-        Sum { port, apart: None, shift: 0, delay: 0 }
+        Sum { port, separate: None, shift: 0, delay: 0 }
     }
 
     /// The sum to which synapses of this format and delay field add.
     fn reached_by(format: SynapseFormat, delay: u8) -> Sum {
         let SynapseFormat { port, apart, .. } = format;
         let delay = if apart.is_some() { delay } else { 0 };
-        Sum { port, apart, shift: sum_shift(format), delay }
+        Sum { port, separate: apart, shift: sum_shift(format), delay }
     }
 }
 
@@ -55,16 +55,16 @@ pub(crate) struct Sums {
     /// Lists of sums: of one port, of two ports, then lists with separate sums.
     lists: Vec<Vec<Sum>>,
     /// The list of each compartment that has separate sums; empty if no compartment has any.
-    apart: Vec<Option<u32>>,
+    separate: Vec<Option<u32>>,
 }
 
 impl Sums {
     /// The sums of a program. The error is a compartment with too many.
     pub fn new(program: &Program, order: &LaneOrder<'_>) -> Result<Sums, CompartmentId> {
         let ports = [Port::First, Port::Second].map(Sum::of_port);
-        let mut sums = Sums { lists: vec![ports[..1].to_vec(), ports.to_vec()], apart: Vec::new() };
-        let is_apart = |core: CoreId| program.class_of(core).formats.iter().any(|f| f.synapse.apart.is_some());
-        for core in program.cores().ids().filter(|&core| is_apart(core)) {
+        let mut sums = Sums { lists: vec![ports[..1].to_vec(), ports.to_vec()], separate: Vec::new() };
+        let has_separate = |core: CoreId| program.class_of(core).formats.iter().any(|f| f.synapse.apart.is_some());
+        for core in program.cores().ids().filter(|&core| has_separate(core)) {
             let (class, ids) = (program.class_of(core), &program.cores()[core].ids);
             // Compartments of a population have the same list.
             let mut reached: BTreeMap<usize, Vec<Sum>> = BTreeMap::new();
@@ -75,18 +75,18 @@ impl Sums {
                     own.insert(place, sum);
                 }
             }
-            sums.apart.resize(program.compartments() as usize, None);
+            sums.separate.resize(program.compartments() as usize, None);
             for &id in &**ids {
-                let own = reached.get(&order.population(id)).filter(|own| own.iter().any(|sum| sum.apart.is_some()));
+                let own = reached.get(&order.population(id)).filter(|own| own.iter().any(|sum| sum.separate.is_some()));
                 let Some(own) = own else { continue };
-                if own.len() > Apart::MOST {
+                if own.len() > SeparateSum::MOST {
                     return Err(id);
                 }
                 let place = sums.lists.iter().position(|list| list == own).unwrap_or_else(|| {
                     sums.lists.push(own.clone());
                     sums.lists.len() - 1
                 });
-                sums.apart[id.index()] = Some(place as u32);
+                sums.separate[id.index()] = Some(place as u32);
             }
         }
         Ok(sums)
@@ -101,8 +101,8 @@ impl Sums {
         &self.lists[list as usize]
     }
 
-    /// Whether none of these compartments has several sums because of separate ones.
-    pub fn are_single(&self, ids: &[CompartmentId]) -> bool {
+    /// Whether each of these compartments has no separate sums, or only one sum.
+    pub fn have_one_sum(&self, ids: &[CompartmentId]) -> bool {
         ids.iter().all(|&id| self.own(id).is_none_or(|list| self.get(list).len() == 1))
     }
 
@@ -115,6 +115,6 @@ impl Sums {
     }
 
     fn own(&self, id: CompartmentId) -> Option<u32> {
-        self.apart.get(id.index()).copied().flatten()
+        self.separate.get(id.index()).copied().flatten()
     }
 }

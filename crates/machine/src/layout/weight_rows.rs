@@ -24,17 +24,17 @@ use crate::update::kernel::LANES;
 use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ClassId, CoreId, Id};
-use nsim_ir::program::{CoreClass, CoreFormat, Program, Selected, Stored, Synapse};
+use nsim_ir::program::{CoreClass, CoreFormat, InputTable, Program, SelectedList, Synapse};
 
 /// Greatest distance in lanes between neighbouring synapses of a row.
 const BRIDGED: u16 = LANES as u16;
 /// Least average number of uses of the synapses of rows. Rows of a single source belong to dense
 /// blocks or lists; pieces of these are equal by chance.
 const USES: usize = 4;
-/// Input axons of a core of which either all that have rows are delivered by them or none.
-const TOGETHER: usize = 64;
-/// Those of them that have rows: fewer are equal to another by chance, as pairs of random synapses
-/// are, and a step would look for the rows of every spike.
+/// Number of input axons of a core of which either all or none are delivered by their rows.
+const AXON_RUN: usize = 64;
+/// Least number of them with rows. Fewer are equal to others by chance, like pairs of random
+/// synapses, and a step would look for the rows of every spike.
 const FEWEST: usize = 4;
 /// Least number of a program's synapses for which uses by other cores count. The weights of fewer
 /// synapses fit a cache, where dense blocks are faster.
@@ -242,7 +242,7 @@ struct CoreRows {
 impl CoreRows {
     /// The rows of a core's input axons, if it has any.
     fn of_class(class: &CoreClass, ranks: &[u16]) -> Option<Self> {
-        let stored: &Stored = &class.inputs;
+        let stored: &InputTable = &class.inputs;
         let (mut contents, mut numbers) = (Vec::new(), HashMap::new());
         let mut axons = Csr::with_capacity(stored.len(), 0);
         let mut scratch = Vec::new();
@@ -272,8 +272,8 @@ impl CoreRows {
         }
         let (mut places, mut contents) = (vec![None; all.len()], Vec::new());
         let mut axons = Csr::with_capacity(self.axons.len(), self.axons.items().len());
-        for first in (0..self.axons.len()).step_by(TOGETHER) {
-            let run = first..self.axons.len().min(first + TOGETHER);
+        for first in (0..self.axons.len()).step_by(AXON_RUN) {
+            let run = first..self.axons.len().min(first + AXON_RUN);
             let numbers = || run.clone().flat_map(|axon| self.axons.get(axon)).map(|item| item.2 as usize);
             let distinct: BTreeSet<usize> = numbers().collect();
             let (mut stored, mut reached, mut bytes) = (0, 0, 0);
@@ -305,7 +305,7 @@ impl CoreRows {
 /// The rows of an input axon: rank of the first lane, delay, weights. `None` where they would cost
 /// more than single synapses, or do not fit, or a weight is plastic.
 fn rows_of(
-    axon: Selected<'_>,
+    axon: SelectedList<'_>,
     ranks: &[u16],
     formats: &[CoreFormat],
     scratch: &mut Vec<(u8, u16, i16)>,
@@ -377,8 +377,8 @@ impl RowPlace {
     }
 }
 
-/// Rows of a stencil that are queued without looking at how many it has.
-pub(crate) const UNCHECKED: usize = 8;
+/// Number of rows of a stencil that are queued without testing how many it has.
+pub(crate) const UNCHECKED_ROWS: usize = 8;
 
 /// The rows that a source adds, and that others add from another lane on.
 #[derive(Debug, Clone, Copy)]
@@ -421,7 +421,7 @@ impl RowTable {
     pub fn stencil(&self, origin: Origin) -> (Stencil, &[RowPlace], usize) {
         let stencil = self.stencils[origin.stencil as usize];
         let (first, rows) = (stencil.first as usize, stencil.rows as usize);
-        (stencil, &self.places[first..first + rows.max(UNCHECKED)], rows)
+        (stencil, &self.places[first..first + rows.max(UNCHECKED_ROWS)], rows)
     }
 
     /// Prefetches a source's stencil.
@@ -435,7 +435,7 @@ impl RowTable {
     pub fn prefetch_rows(&self, origin: Origin) {
         let first = self.stencils[origin.stencil as usize].first as usize;
         prefetch(&self.places, first);
-        prefetch(&self.places, first + UNCHECKED - 1);
+        prefetch(&self.places, first + UNCHECKED_ROWS - 1);
     }
 
     /// Bytes of memory that it holds, the rows themselves not included.
@@ -524,7 +524,7 @@ impl RowBuilder {
     pub fn finish(mut self, rows: &Arc<WeightRows>) -> Result<Option<RowTable>, usize> {
         u32::try_from(self.places.len()).map_err(|_| self.places.len())?;
         let Some(&last) = self.places.last() else { return Ok(None) };
-        self.places.extend([last; UNCHECKED]);
+        self.places.extend([last; UNCHECKED_ROWS]);
         self.places.shrink_to_fit();
         self.stencils.shrink_to_fit();
         self.origins.shrink_to_fit();
@@ -613,7 +613,7 @@ mod tests {
             let ranks: Vec<u16> = (0..400).map(|slot| (slot * 7 + seed as u16) % 400).collect();
             let ranks = if seed % 3 == 0 { ranks } else { (0..400).collect() };
             let base = draw(40, 5, 0) as u16;
-            let axon = Selected { base, stored: &list };
+            let axon = SelectedList { base, stored: &list };
             let Some(rows) = rows_of(axon, &ranks, &formats, &mut scratch) else { continue };
             rowed += usize::from(!rows.is_empty());
             let mut expected = std::collections::BTreeMap::new();
@@ -666,9 +666,9 @@ mod tests {
     fn a_few_equal_rows_among_many_axons_are_no_rows() {
         for (with_rows, shares) in [(FEWEST - 2, false), (FEWEST, true)] {
             let contents = vec![Content { weights: vec![3, 4], synapses: 2 }];
-            let mut axons = Csr::with_capacity(TOGETHER, with_rows);
-            for axon in 0..TOGETHER {
-                if axon % (TOGETHER / with_rows) == 0 {
+            let mut axons = Csr::with_capacity(AXON_RUN, with_rows);
+            for axon in 0..AXON_RUN {
+                if axon % (AXON_RUN / with_rows) == 0 {
                     axons.extend_last([(axon as u16, 0, 0)]);
                 }
                 axons.end();
@@ -705,7 +705,7 @@ mod tests {
     fn scattered_synapses_are_no_rows() {
         let at = |slot| Synapse { slot, weight: 2, format: 0, delay: Delay::new(0).unwrap() };
         let list: Vec<Synapse> = (0..30).map(|k| at(k * 30)).collect();
-        let (axon, ranks) = (Selected { base: 0, stored: &list }, (0..900).collect::<Vec<_>>());
+        let (axon, ranks) = (SelectedList { base: 0, stored: &list }, (0..900).collect::<Vec<_>>());
         assert!(rows_of(axon, &ranks, &[format(0)], &mut Vec::new()).is_none());
     }
 }

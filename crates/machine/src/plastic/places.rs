@@ -57,7 +57,7 @@ fn places(image: &Image, one: &Quantised, projection: &Projection, copy: u32) ->
             own.push((CompartmentId(targets.start + target), weight, all.len()));
             all.push(None);
         });
-        own.retain(|(target, ..)| image.holds(*target));
+        own.retain(|(target, ..)| image.is_local(*target));
         own.sort_unstable();
         for (shard, of_shard) in (0..).zip(&image.shards) {
             for (place, synapse) in of_shard.plastic.synapses((first_source + index) as usize) {

@@ -36,11 +36,11 @@ pub(crate) struct Exchange {
     taken: Vec<u32>,
     /// Whether a round has begun and not ended.
     pending: bool,
-    /// The output population, where its spikes are shown to every rank.
-    pub shown: Option<(CompartmentId, u32)>,
-    /// Whether rounds end with the step in which they begin, because somebody asks for what the
-    /// step did.
-    pub at_once: bool,
+    /// The output population, if its spikes are reported to every rank.
+    pub observed: Option<(CompartmentId, u32)>,
+    /// Whether rounds end in the step in which they begin, because the results of each step are
+    /// read.
+    pub immediately: bool,
 }
 
 /// A hash that distinguishes mappings.
@@ -66,7 +66,7 @@ impl Exchange {
     /// # Panics
     /// When the program is no part, or the ranks have made different mappings: errors of the caller
     /// and of the compiler.
-    pub fn new(program: &Program, ranks: &Ranks, shown: Option<(CompartmentId, u32)>, at_once: bool) -> Self {
+    pub fn new(program: &Program, ranks: &Ranks, observed: Option<(CompartmentId, u32)>, immediately: bool) -> Self {
         let assignment = program.parts().assignment.as_ref().expect("a program of several ranks is distributed");
         assert_eq!(
             (assignment.held, assignment.ranks),
@@ -75,31 +75,31 @@ impl Exchange {
         );
         let count = ranks.ranks() as usize;
         let sum = checksum(program);
-        let mut asked: Vec<Vec<u32>> = vec![vec![sum as u32, (sum >> 32) as u32]; count];
+        let mut requested: Vec<Vec<u32>> = vec![vec![sum as u32, (sum >> 32) as u32]; count];
         let mut own = 0;
         for (id, seat) in program.seats().enumerate() {
             let owner = assignment.owners[seat.core];
-            let is_shown = shown.is_some_and(|(first, size)| id.0.wrapping_sub(first.0) < size);
+            let is_observed = observed.is_some_and(|(first, size)| id.0.wrapping_sub(first.0) < size);
             if owner == ranks.rank() {
                 own += 1;
-            } else if is_shown || program.messages(program.channels() + id.0).len() > 0 {
-                asked[owner as usize].push(id.0);
+            } else if is_observed || program.messages(program.channels() + id.0).len() > 0 {
+                requested[owner as usize].push(id.0);
             }
         }
         let values = program.parts().graded.iter().any(|graded| matches!(graded.message, Message::Value(_)));
         let each = 1 + usize::from(values);
-        let most = asked.iter().map(|asked| Some(each * (asked.len() - 2)).filter(|&most| most > 0));
+        let most = requested.iter().map(|ids| Some(each * (ids.len() - 2)).filter(|&most| most > 0));
         let most: Vec<Option<usize>> = most.collect();
         let mut transport = ranks.transport();
-        let heard = transport.swap(asked.clone());
-        let wanted = heard.into_iter().enumerate().map(|(rank, heard)| {
-            assert_eq!(heard.get(..2), Some(&asked[rank][..2]), "rank {rank} has made another mapping");
-            match heard.len() - 2 {
+        let received = transport.swap(requested.clone());
+        let wanted = received.into_iter().enumerate().map(|(rank, ids)| {
+            assert_eq!(ids.get(..2), Some(&requested[rank][..2]), "rank {rank} has made another mapping");
+            match ids.len() - 2 {
                 0 => Wanted::None,
                 all if all == own => Wanted::All,
                 _ => {
                     let mut bits = vec![0; program.seats().len().div_ceil(64)];
-                    heard[2..].iter().for_each(|&id| bits[id as usize / 64] |= 1 << (id % 64));
+                    ids[2..].iter().for_each(|&id| bits[id as usize / 64] |= 1 << (id % 64));
                     Wanted::Some(bits)
                 }
             }
@@ -109,7 +109,16 @@ impl Exchange {
         transport.prepare(&to, &most);
         drop(transport);
         let posted = vec![Vec::new(); count];
-        Exchange { ranks: ranks.clone(), wanted, values, posted, taken: Vec::new(), pending: false, shown, at_once }
+        Exchange {
+            ranks: ranks.clone(),
+            wanted,
+            values,
+            posted,
+            taken: Vec::new(),
+            pending: false,
+            observed,
+            immediately,
+        }
     }
 
     /// Sends this rank's spikes of a step, with their values where neurons compute these.
@@ -159,7 +168,7 @@ impl Exchange {
 
     /// Adds the other ranks' activity of the step, on rank 0.
     pub fn merge(&self, step: &mut StepActivity) {
-        for other in self.ranks.gathered::<_, StepActivity>(step) {
+        for other in self.ranks.gather::<_, StepActivity>(step) {
             step.merge(&other);
             step.fired.extend(other.fired);
         }

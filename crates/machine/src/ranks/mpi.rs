@@ -61,7 +61,7 @@ pub fn finish() {
 
 /// Informs the other ranks that this one has failed and prints why, so that they print nothing when
 /// they are ended for it.
-pub fn tell_failed(ranks: &Ranks) {
+pub fn report_failure(ranks: &Ranks) {
     let mut requests = Vec::new();
     for to in (0..ranks.ranks()).filter(|&to| to != ranks.rank()) {
         #[expect(unsafe_code, reason = "MPI is a C library; no bytes are sent")]
@@ -84,8 +84,8 @@ pub fn tell_failed(ranks: &Ranks) {
     }
 }
 
-/// Whether another rank has said that it has failed.
-pub fn another_has_failed() -> bool {
+/// Whether another rank has reported that it failed.
+pub fn another_rank_failed() -> bool {
     let mut found = 0;
     #[expect(unsafe_code, reason = "MPI is a C library; the answer is written to a live integer")]
     unsafe {

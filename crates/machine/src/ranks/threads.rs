@@ -67,8 +67,8 @@ impl Transport for Threads {
 
     fn all(&mut self, here: bool) -> bool {
         (0..self.senders.len()).for_each(|to| self.send(to, vec![here.into()]));
-        let heard: Vec<Vec<u32>> = (0..self.senders.len()).map(|from| self.receive(from)).collect();
-        heard.iter().all(|heard| *heard == [1])
+        let received: Vec<Vec<u32>> = (0..self.senders.len()).map(|from| self.receive(from)).collect();
+        received.iter().all(|words| *words == [1])
     }
 
     fn prepare(&mut self, to: &[bool], most: &[Option<usize>]) {

@@ -65,16 +65,16 @@ impl Ranks {
     /// Returns the number of rank 0, on every rank.
     pub fn agreed(&self, number: u64) -> u64 {
         let words = vec![vec![number as u32, (number >> 32) as u32]; self.ranks as usize];
-        let heard = self.transport().swap(words);
-        u64::from(heard[0][0]) | u64::from(heard[0][1]) << 32
+        let received = self.transport().swap(words);
+        u64::from(received[0][0]) | u64::from(received[0][1]) << 32
     }
 
     /// Returns on rank 0 the value `found` of every other rank, by rank; nothing on the others. All
     /// ranks serialise one type.
     ///
     /// # Panics
-    /// When they do not: a mistake of the caller.
-    pub fn gathered<S: Serialize, T: DeserializeOwned>(&self, found: &S) -> Vec<T> {
+    /// When the types differ: an error of the caller.
+    pub fn gather<S: Serialize, T: DeserializeOwned>(&self, found: &S) -> Vec<T> {
         let written = |found| postcard::to_stdvec(found).expect("values without maps and unknown lengths");
         let own = if self.rank == 0 { Vec::new() } else { written(found) };
         let all = self.transport().gather(own);

@@ -25,7 +25,7 @@ pub const LANES: usize = 16;
 
 /// Fields that a whole block shares.
 #[derive(Debug, Clone, Copy)]
-pub struct Shared {
+pub struct BlockParameters {
     /// Whether there is no bias.
     pub(crate) plain: bool,
     pub(crate) keep_u: i32,
@@ -35,18 +35,18 @@ pub struct Shared {
     pub(crate) vmin: i32,
     pub(crate) vmax: i32,
     pub(crate) refractory: i32,
-    /// The part of u and v that remains: a number of 4096ths, which a float holds exactly.
-    pub(crate) share_u: f32,
-    pub(crate) share_v: f32,
-    /// From `vmin` to `vmax`.
+    /// Fractions of u and v kept by one step: 4096ths, which a float represents exactly.
+    pub(crate) fraction_u: f32,
+    pub(crate) fraction_v: f32,
+    /// `vmax - vmin`.
     pub(crate) span: i32,
 }
 
-impl From<&Fields> for Shared {
+impl From<&Fields> for BlockParameters {
     fn from(f: &Fields) -> Self {
         const ONE: i32 = DECAY_ONE as i32;
         let (keep_u, keep_v) = (ONE - i32::from(f.neuron.du.get()), ONE - i32::from(f.neuron.dv.get()));
-        Shared {
+        BlockParameters {
             plain: f.bias == 0,
             keep_u,
             keep_v,
@@ -55,8 +55,8 @@ impl From<&Fields> for Shared {
             vmin: f.vmin,
             vmax: f.vmax,
             refractory: i32::from(f.refractory),
-            share_u: keep_u as f32 / ONE as f32,
-            share_v: keep_v as f32 / ONE as f32,
+            fraction_u: keep_u as f32 / ONE as f32,
+            fraction_v: keep_v as f32 / ONE as f32,
             span: f.vmax - f.vmin,
         }
     }
@@ -75,19 +75,19 @@ pub struct Block<'a, S> {
 
 /// The voltage register while v is held is this plus the steps until v is free again. It is above
 /// every voltage, |v| < 2^23.
-pub(crate) const HELD: i32 = 1 << 30;
+pub(crate) const HOLD_BASE: i32 = 1 << 30;
 
 /// A voltage and the steps until it is free again, in one register. As on the chip, the register
 /// counts while v is held, since v is 0 then.
 #[inline(always)]
 pub fn store(v: i32, hold: u8) -> i32 {
-    if hold == 0 { v } else { HELD + i32::from(hold) }
+    if hold == 0 { v } else { HOLD_BASE + i32::from(hold) }
 }
 
 /// The inverse of [`store`].
 #[inline(always)]
 pub fn load(stored: i32) -> (i32, u8) {
-    if stored < HELD { (stored, 0) } else { (0, (stored - HELD) as u8) }
+    if stored < HOLD_BASE { (stored, 0) } else { (0, (stored - HOLD_BASE) as u8) }
 }
 
 /// A sum of arrivals in units of 64.
@@ -139,12 +139,12 @@ impl Sum for i16 {
 /// Equation (3) in 32 bits. The masks change nothing, as |x| <= 2^23 and keep <= 4096. They show
 /// the compiler that both factors fit 16 bits; this multiplication costs half.
 #[inline(always)]
-fn kept(x: i32, keep: i32) -> i32 {
+fn decayed(x: i32, keep: i32) -> i32 {
     let sign = x >> 31;
     let magnitude = (x ^ sign) - sign;
     let (high, low, keep) = ((magnitude >> 12) & 0xfff, magnitude & 0xfff, keep & 0x1fff);
-    let kept = high * keep + ((low * keep) >> 12);
-    (kept ^ sign) - sign
+    let magnitude = high * keep + ((low * keep) >> 12);
+    (magnitude ^ sign) - sign
 }
 
 /// Returns non-zero where a value does not fit 23 bits and a sign.
@@ -193,16 +193,16 @@ impl Effect {
 
 /// Vector instructions for chunks.
 pub trait Vectors: Copy {
-    /// Equations (2) to (7); `None` if a value of any lane would leave its field, and then nothing
-    /// has changed. `PLAIN` only for fields that are.
-    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect>;
+    /// Equations (2) to (7). `None` if a value of any lane would leave its field; then nothing
+    /// changes. `PLAIN` only for fields without a bias.
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &BlockParameters) -> Option<Effect>;
 
     /// Updates some chunks in one call; `None` also on processors with too few registers.
     #[inline(always)]
-    fn update_some<S: Sum, const PLAIN: bool, const N: usize>(
+    fn update_n<S: Sum, const PLAIN: bool, const N: usize>(
         self,
         chunks: Chunks<'_, S, N>,
-        shared: &Shared,
+        shared: &BlockParameters,
     ) -> Option<Effect> {
         let _ = (chunks, shared);
         None
@@ -215,8 +215,8 @@ pub struct Portable;
 
 impl Vectors for Portable {
     #[inline(always)]
-    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &Shared) -> Option<Effect> {
-        let Shared { keep_u, keep_v, fires_from, vmin, vmax, refractory, .. } = *shared;
+    fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &BlockParameters) -> Option<Effect> {
+        let BlockParameters { keep_u, keep_v, fires_from, vmin, vmax, refractory, .. } = *shared;
         let bias = if PLAIN { 0 } else { shared.bias };
         let Chunks { u: [u], v: [v], sums: [sums] } = chunk;
         let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
@@ -224,16 +224,16 @@ impl Vectors for Portable {
         let (mut busy, mut overflowed) = (0, 0);
         for lane in 0..LANES {
             let (sum, old_u, stored) = (sums[lane].value(), u[lane], v[lane]);
-            let old_v = if stored < HELD { stored } else { 0 };
-            let is_free = stored < HELD + 2;
+            let old_v = if stored < HOLD_BASE { stored } else { 0 };
+            let is_free = stored < HOLD_BASE + 2;
             // The truncation to 16 bits of a sum in units of 64 is the wrap to 22.
             let q = if S::WIDE { (sum << 16) >> 10 } else { sum << WEIGHT_SHIFT };
-            let next_u = kept(old_u, keep_u) + q;
+            let next_u = decayed(old_u, keep_u) + q;
             let input = next_u + bias;
-            let free = kept(old_v, keep_v) + input;
+            let free = decayed(old_v, keep_v) + input;
             let clipped = free.max(vmin).min(vmax);
             let fires = is_free & (clipped >= fires_from);
-            let unheld = if fires { HELD + refractory } else { clipped };
+            let unheld = if fires { HOLD_BASE + refractory } else { clipped };
             new_v[lane] = if is_free { unheld } else { stored - 1 };
             new_u[lane] = next_u;
             busy |= next_u | new_v[lane];
@@ -255,7 +255,7 @@ impl Vectors for Portable {
 /// Chunks in which a value leaves its field are not updated, but have a bit in the second result.
 /// They are rare, and are updated lane by lane.
 #[inline(always)]
-pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl Vectors) -> (Effect, u32) {
+pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &BlockParameters, vectors: impl Vectors) -> (Effect, u32) {
     match shared.plain {
         true => chunks::<S, true>(block, shared, vectors),
         false => chunks::<S, false>(block, shared, vectors),
@@ -265,20 +265,20 @@ pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &Shared, vectors: impl
 #[inline(always)]
 fn chunks<S: Sum, const PLAIN: bool>(
     block: &mut Block<'_, S>,
-    shared: &Shared,
+    shared: &BlockParameters,
     vectors: impl Vectors,
 ) -> (Effect, u32) {
     let (mut effects, mut overflowed) = (Effect::default(), 0);
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
-    let at_once = match u.len() {
-        4 => some::<S, PLAIN, 4>(u, v, sums, shared, vectors),
-        3 => some::<S, PLAIN, 3>(u, v, sums, shared, vectors),
-        2 => some::<S, PLAIN, 2>(u, v, sums, shared, vectors),
+    let unrolled = match u.len() {
+        4 => update_n::<S, PLAIN, 4>(u, v, sums, shared, vectors),
+        3 => update_n::<S, PLAIN, 3>(u, v, sums, shared, vectors),
+        2 => update_n::<S, PLAIN, 2>(u, v, sums, shared, vectors),
         _ => None,
     };
-    if let Some(effect) = at_once {
+    if let Some(effect) = unrolled {
         return (effect, 0);
     }
     for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
@@ -293,15 +293,15 @@ fn chunks<S: Sum, const PLAIN: bool>(
 
 /// Updates N chunks in one call.
 #[inline(always)]
-fn some<S: Sum, const PLAIN: bool, const N: usize>(
+fn update_n<S: Sum, const PLAIN: bool, const N: usize>(
     u: &mut [[i32; LANES]],
     v: &mut [[i32; LANES]],
     sums: &mut [[S; LANES]],
-    shared: &Shared,
+    shared: &BlockParameters,
     vectors: impl Vectors,
 ) -> Option<Effect> {
     let (u, v, sums) = (u.first_chunk_mut::<N>()?, v.first_chunk_mut::<N>()?, sums.first_chunk_mut::<N>()?);
-    vectors.update_some::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
+    vectors.update_n::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
 }
 
 /// Returns one bit a lane. The product collects the lowest bits of eight bytes in its highest byte,
@@ -366,7 +366,7 @@ mod tests {
     }
 
     /// The kernel as the machine runs it, with the processor's widest vectors.
-    struct Run<'a, S, V>(Block<'a, S>, &'a Shared, V);
+    struct Run<'a, S, V>(Block<'a, S>, &'a BlockParameters, V);
 
     impl<S: Sum, V: Vectors> pulp::NullaryFnOnce for Run<'_, S, V> {
         type Output = (Effect, u32);
@@ -377,8 +377,8 @@ mod tests {
         }
     }
 
-    /// With the vectors that the machine takes; they do to the block what the compiler's do.
-    fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &Shared) -> (Effect, u32) {
+    /// Runs the machine's vectors, and checks that the compiler's vectors give equal results.
+    fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &BlockParameters) -> (Effect, u32) {
         let (mut u, mut v, mut sums) = (block.u.to_vec(), block.v.to_vec(), block.sums.to_vec());
         let plain = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums }, shared, Portable));
         let same = Block { u: &mut *block.u, v: &mut *block.v, sums: &mut *block.sums };
@@ -418,7 +418,7 @@ mod tests {
         let mut v = registers.map(|r| store(r.v, r.hold));
         let (before_u, before_v) = (u, v);
         let mut sums = arrived;
-        let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &Shared::from(&f));
+        let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &BlockParameters::from(&f));
         let (mut expected, mut overflowed) = (Effect::default(), 0u32);
         for chunk in 0..COUNT / LANES {
             let lanes = chunk * LANES..(chunk + 1) * LANES;

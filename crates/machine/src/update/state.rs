@@ -6,7 +6,7 @@
 
 use std::ops::Range;
 
-use crate::bits::{UNCHECKED, ones, write_ones};
+use crate::bits::{UNCHECKED_ONES, ones, write_ones};
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::{Arrivals, DelayRing};
 use crate::layout::image::Image;
@@ -22,7 +22,7 @@ use nsim_ir::activity::Overflow;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::fixed::UV_BITS;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId};
-use nsim_ir::source_counts::LeftField;
+use nsim_ir::source_counts::OverflowCounts;
 use nsim_ir::spikes::Spike;
 use pulp::NullaryFnOnce;
 
@@ -43,9 +43,9 @@ pub(crate) struct StepInput<'a> {
     /// Part of the step to compute.
     pub phase: Phase,
     pub step: u32,
-    /// Steps of the sample that are left, this one included: later arrivals are no events.
-    pub left: u32,
-    /// Input channels that spike in it.
+    /// Remaining steps of the sample, with this one; later arrivals are no events.
+    pub remaining: u32,
+    /// Input channels that spike in this step.
     pub channels: &'a [ChannelId],
     /// Values of their messages where the network does not define them; empty if all are 1.
     pub channel_values: &'a [i32],
@@ -119,9 +119,9 @@ pub(crate) struct CompartmentState {
     pub events_now: u64,
     /// Overflows of the sample.
     pub overflow: Overflow,
-    /// What left its field by lane since it was last taken; empty while nothing has.
-    pub left_fields: Vec<LeftField>,
-    /// Compartments visited.
+    /// Overflows by lane since they were last taken; empty while there are none.
+    pub overflows_by_lane: Vec<OverflowCounts>,
+    /// Number of compartment updates of the sample, without skipped ones.
     pub visited: u64,
 }
 
@@ -151,7 +151,7 @@ impl ShardState {
             plastic: shard.plastic.weights.clone(),
             sent: image.sent_by(shard),
             busy: shard.wakes.clone(),
-            spiked: vec![0; shard.lanes + UNCHECKED],
+            spiked: vec![0; shard.lanes + UNCHECKED_ONES],
             fired: vec![0; shard.lanes],
             active_by_block: vec![0; shard.blocks.len()],
             whole: vec![0; shard.vector_runs.len()],
@@ -225,8 +225,9 @@ impl CompartmentState {
         self.fired.iter_mut().zip(&other.fired).for_each(|(sum, more)| *sum += more);
         self.active_by_block.iter_mut().zip(&other.active_by_block).for_each(|(sum, more)| *sum += more);
         self.whole.iter_mut().zip(&other.whole).for_each(|(sum, more)| *sum += more);
-        self.left_fields.resize(self.left_fields.len().max(other.left_fields.len()), LeftField::default());
-        self.left_fields.iter_mut().zip(&other.left_fields).for_each(|(sum, more)| *sum += *more);
+        self.overflows_by_lane
+            .resize(self.overflows_by_lane.len().max(other.overflows_by_lane.len()), OverflowCounts::default());
+        self.overflows_by_lane.iter_mut().zip(&other.overflows_by_lane).for_each(|(sum, more)| *sum += *more);
     }
 
     /// Takes the number of active compartments of each core block, summed over the steps since the
@@ -291,7 +292,7 @@ impl CompartmentState {
         S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
     {
         let cursor = input.step as usize % ring.slots();
-        let at = (cursor, input.left);
+        let at = (cursor, input.remaining);
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
@@ -449,13 +450,13 @@ impl CompartmentState {
         }
         let (mut arrived, mut flags) = ([[[0; CHUNK]; SKIP_BLOCK / CHUNK]; 2], Flags::default());
         if of.is_sorted_by(|a, b| a.port != b.port) {
-            for (place, &sums::Sum { port, apart, shift: own, .. }) in of.iter().enumerate() {
+            for (place, &sums::Sum { port, separate, shift: own, .. }) in of.iter().enumerate() {
                 let sums = &mut sums[place * stride(of.len())..].as_chunks_mut::<CHUNK>().0[..chunks];
                 // Most blocks of a busy network are not reached in a step.
                 if sums.as_flattened().iter().fold(true, |none, sum| none & (*sum == S::default())) {
                     continue;
                 }
-                let (arrived, shift) = (&mut arrived[port.index()], if apart.is_some() { own } else { *shift });
+                let (arrived, shift) = (&mut arrived[port.index()], if separate.is_some() { own } else { *shift });
                 for ((sums, arrived), flags) in sums.iter_mut().zip(arrived).zip(&mut flags) {
                     // Compilers vectorise loops over copies, with one result a loop.
                     let own = *sums;
@@ -469,7 +470,7 @@ impl CompartmentState {
                     if own.iter().fold(false, |any, sum| any | sum.shifted(shift).1) {
                         of_chunk.iter_mut().zip(own).for_each(|(of, sum)| *of |= u32::from(sum.shifted(shift).1) << 1);
                     }
-                    if apart.is_some_and(|apart| apart.wraps) {
+                    if separate.is_some_and(|sum| sum.wraps) {
                         for lane in 0..CHUNK {
                             let kept = shifted[lane] << (31 - UV_BITS) >> (31 - UV_BITS);
                             of_chunk[lane] |= u32::from(kept != shifted[lane]) << 1;
@@ -482,7 +483,7 @@ impl CompartmentState {
                 }
             }
         } else {
-            add_apart(sums, (of, *shift), lanes, &mut arrived, &mut flags);
+            add_separately(sums, (of, *shift), lanes, &mut arrived, &mut flags);
         }
         let [reached, narrowed] = lanes_with(&flags);
         let sent = &mut self.sent[start..start + chunks * CHUNK].as_chunks_mut().0[..chunks];
@@ -568,7 +569,7 @@ impl CompartmentState {
     fn record_spikes(&mut self, shard: &Shard) {
         let spiked = &self.spiked[..self.spiking];
         self.spikes.clear();
-        self.spikes.extend(spiked.iter().map(|&lane| shard.names[lane as usize]));
+        self.spikes.extend(spiked.iter().map(|&lane| shard.compartments[lane as usize]));
         for &lane in spiked {
             self.fired[lane as usize] += 1;
         }
@@ -582,14 +583,14 @@ impl CompartmentState {
         self.overflow.q_wrapped += q_wrapped;
         self.overflow.u_wrapped += u_wrapped;
         self.overflow.v_clipped += clipped;
-        self.overflow.note(step, shard.names[lane]);
-        if self.left_fields.is_empty() {
-            self.left_fields.resize(shard.lanes, LeftField::default());
+        self.overflow.note(step, shard.compartments[lane]);
+        if self.overflows_by_lane.is_empty() {
+            self.overflows_by_lane.resize(shard.lanes, OverflowCounts::default());
         }
-        let left = &mut self.left_fields[lane];
-        left.wrapped += q_wrapped + u_wrapped;
-        left.clipped += clipped;
-        left.cut += clipped * u64::from(v > 0);
+        let counts = &mut self.overflows_by_lane[lane];
+        counts.wrapped += q_wrapped + u_wrapped;
+        counts.clipped += clipped;
+        counts.cut += clipped * u64::from(v > 0);
     }
 
     /// Updates some lanes of a core block one by one; `JOINED` where neurons have several
@@ -633,7 +634,7 @@ impl CompartmentState {
 
 /// Adds several sums of a port, each narrowed separately: rules (39) and (40).
 #[cold]
-fn add_apart<S: Sum>(
+fn add_separately<S: Sum>(
     sums: &mut [S],
     (of, shift): (&[sums::Sum], u8),
     lanes: usize,
@@ -641,14 +642,14 @@ fn add_apart<S: Sum>(
     flags: &mut Flags,
 ) {
     let (mut whole, flags) = ([[0; SKIP_BLOCK]; 2], flags.as_flattened_mut());
-    for (place, &sums::Sum { port, apart, shift: own, .. }) in of.iter().enumerate() {
-        let shift = if apart.is_some() { own } else { shift };
+    for (place, &sums::Sum { port, separate, shift: own, .. }) in of.iter().enumerate() {
+        let shift = if separate.is_some() { own } else { shift };
         let sums = &mut sums[place * stride(of.len())..][..lanes];
         for (lane, sum) in sums.iter_mut().map(std::mem::take).enumerate() {
             let shifted = sum.whole() >> shift;
-            let kept = if apart.is_some_and(|apart| apart.wraps) { wrap(shifted, UV_BITS) } else { shifted };
-            whole[port.index()][lane] += kept;
-            flags[lane] |= u8::from(sum != S::default()) | u8::from(kept != shifted) << 1;
+            let narrowed = if separate.is_some_and(|sum| sum.wraps) { wrap(shifted, UV_BITS) } else { shifted };
+            whole[port.index()][lane] += narrowed;
+            flags[lane] |= u8::from(sum != S::default()) | u8::from(narrowed != shifted) << 1;
         }
     }
     for (arrived, whole) in arrived.iter_mut().zip(whole) {

@@ -9,13 +9,13 @@ use std::sync::LazyLock;
 
 const VARIABLE: &str = "NSIM_VECTORS";
 
-static FOUND: LazyLock<Result<pulp::Arch, String>> = LazyLock::new(|| match std::env::var_os(VARIABLE) {
+static DETECTED: LazyLock<Result<pulp::Arch, String>> = LazyLock::new(|| match std::env::var_os(VARIABLE) {
     None => Ok(pulp::Arch::new()),
-    Some(asked) => match asked.to_str() {
+    Some(requested) => match requested.to_str() {
         Some("") => Ok(pulp::Arch::new()),
         Some("scalar") => Ok(pulp::Arch::Scalar),
         Some("avx2") => Ok(halved()),
-        _ => Err(format!("{VARIABLE}={}: it is avx2, scalar, or not set", asked.to_string_lossy())),
+        _ => Err(format!("{VARIABLE}={}: it is avx2, scalar, or not set", requested.to_string_lossy())),
     },
 });
 
@@ -30,7 +30,7 @@ pub(super) fn halved() -> pulp::Arch {
 
 /// The vectors that steps use; the widest where the variable is invalid.
 pub fn vectors() -> pulp::Arch {
-    FOUND.as_ref().map_or_else(|_| pulp::Arch::new(), |found| *found)
+    DETECTED.as_ref().map_or_else(|_| pulp::Arch::new(), |found| *found)
 }
 
 /// Refuses an invalid variable.
@@ -38,7 +38,7 @@ pub fn vectors() -> pulp::Arch {
 /// # Errors
 /// A message with the value and the valid ones.
 pub fn check() -> Result<(), String> {
-    FOUND.as_ref().map(|_| ()).map_err(Clone::clone)
+    DETECTED.as_ref().map(|_| ()).map_err(Clone::clone)
 }
 
 /// Name of the vectors in use.

@@ -49,7 +49,7 @@
 
 use std::collections::HashMap;
 
-use crate::resources::by_core::{self, Key};
+use crate::resources::sorted_synapses::{self, Key};
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Projection, Quantised};
@@ -123,14 +123,14 @@ pub struct Places {
     populations: Vec<Spatial>,
     /// Whether compartments have places, and not only input channels.
     of_compartments: bool,
-    /// Whether any of them are there because input axons are too few.
-    of_need: bool,
+    /// Whether any place exists because there are too few input axons.
+    required: bool,
 }
 
-/// Whether the sources of a population are grouped into population axons, if they may be, because a
-/// population that all of them reach has more sources than a core has input axons. Lists stay their
-/// own, so nothing but input axons is saved.
-fn gathers(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
+/// Whether the sources of a population are grouped into population axons because a target of dense
+/// projections has more sources than a core has input axons. Each source keeps its own list, so
+/// only input axons are saved.
+fn shares_inputs(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
     let is_dense = |p: &Projection| matches!(p.connectivity, Connectivity::Dense { .. });
     let outgoing = || network.outgoing(id).iter().map(|&p| &network.projections()[p]);
     let too_many = |target: PopulationId| {
@@ -149,23 +149,23 @@ impl Places {
     /// network and the limits allow it, sources of a dense projection have places too if its target
     /// has more sources than a core has input axons.
     pub fn for_network(network: &Quantised, limits: &Limits) -> Self {
-        Places::gathered(network, Some(limits))
+        Places::with_limits(network, Some(limits))
     }
 
     /// Returns the places of all populations over space that are sources of windows.
     pub fn of_windows(network: &Quantised) -> Self {
-        Places::gathered(network, None)
+        Places::with_limits(network, None)
     }
 
-    fn gathered(network: &Quantised, limits: Option<&Limits>) -> Self {
+    fn with_limits(network: &Quantised, limits: Option<&Limits>) -> Self {
         let mut places = Places::default();
         let mut next = 0;
         for (id, population) in network.populations().enumerate() {
             let sends = network.outgoing(id).iter().any(|&p| network.projections()[p].connectivity.window().is_some());
             let positions = match population.shape.volume() {
                 Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => height * width,
-                _ if limits.is_some_and(|limits| gathers(network, id, limits)) => {
-                    places.of_need = true;
+                _ if limits.is_some_and(|limits| shares_inputs(network, id, limits)) => {
+                    places.required = true;
                     population.shape.len().div_ceil(MOST_ATOMS.into())
                 }
                 _ => continue,
@@ -179,9 +179,9 @@ impl Places {
         places
     }
 
-    /// Whether there are places without which a compartment has more sources than input axons.
-    pub fn are_of_need(&self) -> bool {
-        self.of_need
+    /// Whether any place exists because a compartment has more sources than a core has input axons.
+    pub fn are_required(&self) -> bool {
+        self.required
     }
 
     /// Number of places of a population's sources, if any.
@@ -201,7 +201,7 @@ impl Places {
     }
 
     /// Whether the sources of a population have places.
-    pub fn holds(&self, network: &Quantised, population: PopulationId) -> bool {
+    pub fn contain(&self, network: &Quantised, population: PopulationId) -> bool {
         self.of_source(network.first_source(&network.populations()[population])).is_some()
     }
 
@@ -218,7 +218,7 @@ impl Places {
 /// Places whose lists are equal relative to their bases, and the words of one of them. A core has
 /// such classes for lists without runs, and for lists with runs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Class {
+pub struct PlaceClass {
     /// Number of places.
     pub places: u32,
     /// Lists of a place: one for each source there that reaches the core.
@@ -231,7 +231,7 @@ pub struct Class {
     pub list_words: (u32, u32),
 }
 
-impl Class {
+impl PlaceClass {
     /// Words of its table.
     pub fn table(&self) -> u64 {
         u64::from(self.atoms) * u64::from(self.list_words.1)
@@ -252,11 +252,11 @@ impl Class {
 }
 
 /// Number of places of each class that share its table.
-pub fn sharing(classes: &[Class], limits: &Limits) -> Vec<u32> {
+pub fn sharing(classes: &[PlaceClass], limits: &Limits) -> Vec<u32> {
     let most_atoms = classes.iter().map(|class| class.atoms).max().unwrap_or(1);
     let (mut short, mut left) = numbers(most_atoms, limits);
-    // Those that may be short count as such, regardless of their bases.
-    let may_be_short = |class: &Class| !is_long(class.atoms, 0, limits);
+    // A class whose axons may be short counts as short, regardless of its bases.
+    let may_be_short = |class: &PlaceClass| !is_long(class.atoms, 0, limits);
     let mut order: Vec<usize> = (0..classes.len()).collect();
     // Classes with equal fields are interchangeable, so counts do not depend on the input order.
     order.sort_by_key(|&at| std::cmp::Reverse((classes[at].saving(classes[at].places), classes[at])));
@@ -297,7 +297,7 @@ impl EqualPlace {
 
 /// Classes of the places of a core, from its synapses, in the order of their first places.
 pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<EqualPlaces> {
-    let lists: Vec<&[Key]> = by_core::lists(keys).collect();
+    let lists: Vec<&[Key]> = sorted_synapses::lists(keys).collect();
     let placed = lists.iter().zip(0u32..).filter_map(|(list, number)| {
         let (place, atom) = places.of_source(list[0].source())?;
         Some((place, atom, number))
@@ -329,7 +329,7 @@ mod tests {
     use nsim_ir::quantised::Parts;
     use nsim_testing::{Builder, limits, plain_format};
 
-    const CLASS: Class = Class { places: 9, lists: 16, atoms: 16, words: 32, list_words: (2, 2) };
+    const CLASS: PlaceClass = PlaceClass { places: 9, lists: 16, atoms: 16, words: 32, list_words: (2, 2) };
 
     #[test]
     fn numbers_and_bases_are_those_of_pop16_axons() {
@@ -353,18 +353,25 @@ mod tests {
         let limits = limits();
         assert_eq!(sharing(&[CLASS], &limits), [9]);
         assert_eq!(sharing(&[CLASS], &limits.clone().with(Resource::SynapseWordsPerAxon, 1)), [0]);
-        assert_eq!(sharing(&[Class { list_words: (1, 2), ..CLASS }], &limits), [0]);
-        // A place of its own pays by fewer axons, unless a table takes more words.
-        assert_eq!(sharing(&[Class { places: 1, ..CLASS }], &limits), [1]);
-        assert_eq!(sharing(&[Class { places: 1, words: 31, ..CLASS }], &limits), [0]);
-        assert_eq!(sharing(&[Class { places: 1, lists: 1, atoms: 1, words: 2, list_words: (2, 2) }], &limits), [0]);
+        assert_eq!(sharing(&[PlaceClass { list_words: (1, 2), ..CLASS }], &limits), [0]);
+        // A class of one place pays by fewer axons, unless a table takes more words.
+        assert_eq!(sharing(&[PlaceClass { places: 1, ..CLASS }], &limits), [1]);
+        assert_eq!(sharing(&[PlaceClass { places: 1, words: 31, ..CLASS }], &limits), [0]);
+        assert_eq!(
+            sharing(&[PlaceClass { places: 1, lists: 1, atoms: 1, words: 2, list_words: (2, 2) }], &limits),
+            [0]
+        );
         // 512 atoms leave 64 numbers: the class that saves more takes 60 of them.
-        let wide = Class { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
-        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &limits), [10, 60]);
+        let wide = PlaceClass { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
+        assert_eq!(sharing(&[PlaceClass { places: 10, ..wide }, wide], &limits), [10, 60]);
         let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits.clone() };
-        assert_eq!(sharing(&[Class { places: 10, ..wide }, wide], &by_compartment), [4, 60]);
+        assert_eq!(sharing(&[PlaceClass { places: 10, ..wide }, wide], &by_compartment), [4, 60]);
         // 1,024 numbers of short axons, 4,096 of all.
-        let many = [Class { places: 1020, ..CLASS }, Class { places: 5, ..CLASS }, Class { places: 4000, ..wide }];
+        let many = [
+            PlaceClass { places: 1020, ..CLASS },
+            PlaceClass { places: 5, ..CLASS },
+            PlaceClass { places: 4000, ..wide },
+        ];
         assert_eq!(sharing(&many, &limits), [96, 0, 4000]);
         assert_eq!(sharing(&[many[0], many[1], wide], &limits), [1020, 4, 60]);
     }
@@ -379,10 +386,10 @@ mod tests {
         let network = Quantised::new(Parts { gathers: true, ..network.parts().clone() }).unwrap();
         let places = |axons| Places::for_network(&network, &limits().with(Resource::AxonsIn, axons));
         assert!(places(2_000).is_empty());
-        let gathered = places(1_999);
-        assert!(gathered.are_of_need() && !gathered.are_of_compartments());
-        assert_eq!(gathered.positions(&network, PopulationId(0)), Some(4));
-        assert_eq!(gathered.of_source(1_999), Some((3, 499)));
+        let required = places(1_999);
+        assert!(required.are_required() && !required.are_of_compartments());
+        assert_eq!(required.positions(&network, PopulationId(0)), Some(4));
+        assert_eq!(required.of_source(1_999), Some((3, 499)));
         let by_compartment = Limits { output_axons: OutputAxons::PerCompartment, ..limits() };
         assert!(Places::for_network(&network, &by_compartment.with(Resource::AxonsIn, 9)).is_empty());
     }

@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::ops::Range;
 use std::sync::Arc;
 
-use crate::resources::axon_sharing::{self, Class, Places};
+use crate::resources::axon_sharing::{self, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
 use crate::resources::formats::{Formats, by_channel};
 use crate::resources::packing::{Group, Widths};
@@ -93,7 +93,7 @@ impl Layer {
                 source,
                 window,
                 all_to_all,
-                placed: shape_of(source).volume().map(positions).filter(|_| places.holds(network, source)),
+                placed: shape_of(source).volume().map(positions).filter(|_| places.contain(network, source)),
                 from: network.populations()[source].first_compartment().map(|_| shape_of(source).len()),
                 uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
                 stored: by_channel(projection).into_iter().max().unwrap_or(window.source.0.into()),
@@ -318,11 +318,11 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
         arriving.push(Arriving { source, dense, sparse });
     }
     let mut totals = CoreTotals { lists: counter.totals(), ..CoreTotals::new(compartments, longest) };
-    let of_ways = totals.lists.iter_mut().zip(&classes.ways);
-    let sharing: Vec<Vec<u32>> = of_ways.map(|(lists, classes)| lists.share(classes, limits)).collect();
-    let way = usize::from(totals.stores_runs(limits));
+    let forms = totals.lists.iter_mut().zip(&classes.forms);
+    let sharing: Vec<Vec<u32>> = forms.map(|(lists, classes)| lists.share(classes, limits)).collect();
+    let form = usize::from(totals.stores_runs(limits));
     let membership = |tables: &Tables| {
-        let shared = |class: usize| sharing[way][class] == classes.ways[way][class].places;
+        let shared = |class: usize| sharing[form][class] == classes.forms[form][class].places;
         match (tables.classes.clone().all(shared), tables.long) {
             (false, _) => Membership::Discrete,
             (true, false) => Membership::Short,
@@ -354,32 +354,32 @@ struct Tables {
 #[derive(Debug, Clone, Copy, Default)]
 struct Place {
     lists: u64,
-    /// Without and with runs: words as lists of discrete axons, and the fewest and the most of a
-    /// list in a table.
-    ways: [(u64, Option<(u32, u32)>); 2],
+    /// Without and with runs: words as lists of discrete axons, and the fewest and the most words
+    /// of a list in a table.
+    forms: [(u64, Option<(u32, u32)>); 2],
 }
 
 impl Place {
     fn lists(&mut self, lists: u64, words: [Words; 2]) {
         self.lists += lists;
-        for (way, words) in self.ways.iter_mut().zip(words) {
-            way.0 += lists * u64::from(words.discrete);
-            let (least, most) = way.1.unwrap_or((words.in_table, words.in_table));
-            way.1 = Some((least.min(words.in_table), most.max(words.in_table)));
+        for (form, words) in self.forms.iter_mut().zip(words) {
+            form.0 += lists * u64::from(words.discrete);
+            let (least, most) = form.1.unwrap_or((words.in_table, words.in_table));
+            form.1 = Some((least.min(words.in_table), most.max(words.in_table)));
         }
     }
 
     /// The lists of one of `places` places with equal lists.
     fn part(mut self, places: u64) -> Self {
         self.lists /= places;
-        self.ways.iter_mut().for_each(|way| way.0 /= places);
+        self.forms.iter_mut().for_each(|form| form.0 /= places);
         self
     }
 
-    fn class(&self, way: usize, atoms: u16) -> Class {
-        let (words, list_words) = self.ways[way];
+    fn class(&self, form: usize, atoms: u16) -> PlaceClass {
+        let (words, list_words) = self.forms[form];
         let list_words = list_words.unwrap_or_default();
-        Class { places: 1, lists: self.lists as u32, atoms, words: words as u32, list_words }
+        PlaceClass { places: 1, lists: self.lists as u32, atoms, words: words as u32, list_words }
     }
 }
 
@@ -390,26 +390,26 @@ type Kind = (usize, ReceptiveField, ReceptiveField, u16);
 #[derive(Debug, Default)]
 struct Classes {
     known: HashMap<Kind, usize>,
-    ways: [Vec<Class>; 2],
+    forms: [Vec<PlaceClass>; 2],
 }
 
 impl Classes {
     fn alone(&mut self, place: Place, atoms: u16) {
-        self.ways.iter_mut().enumerate().for_each(|(way, classes)| classes.push(place.class(way, atoms)));
+        self.forms.iter_mut().enumerate().for_each(|(form, classes)| classes.push(place.class(form, atoms)));
     }
 
     fn len(&self) -> usize {
-        self.ways[0].len()
+        self.forms[0].len()
     }
 
     /// Adds places to the class of their kind; returns its number.
     fn add(&mut self, kind: Kind, places: u64, place: Place, atoms: u16) -> usize {
-        let at = *self.known.entry(kind).or_insert(self.ways[0].len());
-        if at == self.ways[0].len() {
+        let at = *self.known.entry(kind).or_insert(self.forms[0].len());
+        if at == self.forms[0].len() {
             self.alone(place, atoms);
-            self.ways.iter_mut().for_each(|classes| classes[at].places = 0);
+            self.forms.iter_mut().for_each(|classes| classes[at].places = 0);
         }
-        self.ways.iter_mut().for_each(|classes| classes[at].places += places as u32);
+        self.forms.iter_mut().for_each(|classes| classes[at].places += places as u32);
         at
     }
 }

@@ -31,11 +31,11 @@
 
 use std::collections::BTreeSet;
 
-use crate::resources::axon_sharing::{self, Class};
+use crate::resources::axon_sharing::{self, PlaceClass};
 use crate::resources::formats::Formats;
 use crate::resources::packing::{self, Compression, Group, LISTS, Widths};
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, ThresholdMantissa};
-use nsim_ir::neurons::{Row, Stack};
+use nsim_ir::neurons::{ParameterRow, Stack};
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Limits, PerResource, Resource};
@@ -114,10 +114,10 @@ pub struct ListTotals {
 }
 
 impl ListTotals {
-    /// Stores the tables of these classes instead of a list for each of their sources; returns how
-    /// many places of each class share its table. None does on a core of more sources than a
-    /// program can number, which then has too many input axons.
-    pub fn share(&mut self, classes: &[Class], limits: &Limits) -> Vec<u32> {
+    /// Stores the tables of these classes instead of a list for each of their sources; returns the
+    /// number of places of each class that share its table. No place shares on a core with more
+    /// sources than a program can number; it then has too many input axons.
+    pub fn share(&mut self, classes: &[PlaceClass], limits: &Limits) -> Vec<u32> {
         if self.axons > axon_sharing::MOST_NUMBERED {
             return vec![0; classes.len()];
         }
@@ -158,11 +158,11 @@ impl<'a> ListCounter<'a> {
 
     /// Counts the format of a group; returns the words of the group.
     pub fn group(&mut self, (format, group): (u16, Group)) -> [Words; LISTS] {
-        let ways = packing::stored(group, self.widths, self.limits);
-        for (formats, (compression, _)) in self.formats.iter_mut().zip(ways) {
+        let forms = packing::stored(group, self.widths, self.limits);
+        for (formats, (compression, _)) in self.formats.iter_mut().zip(forms) {
             formats.add(format, group.delayed, compression);
         }
-        ways.map(|(compression, discrete)| Words {
+        forms.map(|(compression, discrete)| Words {
             discrete,
             in_table: packing::words_as(group, compression, true, self.widths, self.limits),
         })
@@ -179,7 +179,7 @@ impl<'a> ListCounter<'a> {
 
     /// Totals without runs and with runs.
     pub fn totals(&self) -> [ListTotals; LISTS] {
-        std::array::from_fn(|way| ListTotals { formats: self.formats[way].distinct(), ..self.totals[way] })
+        std::array::from_fn(|form| ListTotals { formats: self.formats[form].distinct(), ..self.totals[form] })
     }
 }
 
@@ -249,8 +249,8 @@ impl CoreTotals {
 /// The distinct profiles of a core's compartments.
 #[derive(Debug, Clone, Default)]
 pub struct Profiles {
-    compartments: BTreeSet<(Decay, Decay, Refractory, Stack, Row)>,
-    thresholds: BTreeSet<(ThresholdMantissa, Row)>,
+    compartments: BTreeSet<(Decay, Decay, Refractory, Stack, ParameterRow)>,
+    thresholds: BTreeSet<(ThresholdMantissa, ParameterRow)>,
 }
 
 impl Profiles {
@@ -273,14 +273,14 @@ mod tests {
 
     #[test]
     fn sharing_leaves_one_table_for_its_places() {
-        let class = Class { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
+        let class = PlaceClass { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
         let mut lists = ListTotals { axons: 40_000, words: 100_000, longest: 1, formats: 1 };
         assert_eq!(lists.share(&[class], &limits()), [60]);
         assert_eq!((lists.axons, lists.words, lists.longest), (40_000 - 60 * 511, 100_000 - 59 * 1024, 2));
         // A table that takes more words than it saves is not shared.
         let before = ListTotals { axons: 10, words: 100, longest: 2, formats: 1 };
         let mut lists = before;
-        lists.share(&[Class { places: 1, words: 1023, ..class }], &limits());
+        lists.share(&[PlaceClass { places: 1, words: 1023, ..class }], &limits());
         assert_eq!(lists, before);
         // A program numbers 65,536 sources of a core.
         let share = |axons| ListTotals { axons, ..before }.share(&[class], &limits());

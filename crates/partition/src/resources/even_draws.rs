@@ -31,57 +31,57 @@ use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Population, Projection, Quantised};
 use nsim_ir::resource::Resource;
 
-/// The logarithm of the chance that is left for a bound to be wrong.
-const DOUBT: f64 = 45.0;
+/// Negative natural logarithm of the probability that a bound is wrong.
+const LOG_INVERSE_ERROR: f64 = 45.0;
 
 /// Most rounds of an estimate.
 const ROUNDS: usize = 32;
 
-/// Draws of one projection.
-struct Draws {
+/// Sizes of one projection with random connectivity.
+struct RandomProjection {
     sources: f64,
     fan_out: f64,
     targets: f64,
 }
 
-impl Draws {
-    /// The chance that a source reaches one of this many targets.
+impl RandomProjection {
+    /// Probability that a source reaches any of `together` targets.
     fn reaches(&self, together: f64) -> f64 {
         -(self.fan_out * (-together / self.targets).ln_1p()).exp_m1()
     }
 
-    /// Pairs of a source and a target that it reaches, at least (McDiarmid: a draw changes them by
-    /// one at most).
-    fn least_pairs(&self) -> f64 {
+    /// Lower bound on the pairs of a source and a target that it reaches (McDiarmid: a sample
+    /// changes their number by one at most).
+    fn min_pairs(&self) -> f64 {
         let mean = self.sources * self.targets * self.reaches(1.0);
-        (mean - (self.sources * self.fan_out * DOUBT / 2.0).sqrt()).max(0.0)
+        (mean - (self.sources * self.fan_out * LOG_INVERSE_ERROR / 2.0).sqrt()).max(0.0)
     }
 }
 
-fn draws(connectivity: &Connectivity, source: &Population) -> Option<Draws> {
+fn random_projection(connectivity: &Connectivity, source: &Population) -> Option<RandomProjection> {
     let &Connectivity::Random { targets, fan_out, .. } = connectivity else { return None };
     let sources = f64::from(source.shape.len());
-    Some(Draws { sources, fan_out: fan_out.into(), targets: targets.into() })
+    Some(RandomProjection { sources, fan_out: fan_out.into(), targets: targets.into() })
 }
 
-/// Draws into a population that are independent of each other, of sources that take an input axon
-/// each.
-fn independent(network: &Quantised, id: PopulationId, places: &Places) -> Vec<Draws> {
-    let mut kept: Vec<(PopulationId, u64, Range<u64>)> = Vec::new();
-    let mut draws_into = Vec::new();
-    for projection in network.incoming(id).map(|(_, p)| p).filter(|p| !places.holds(network, p.source)) {
+/// Random projections into a population that are independent of each other, from sources that take
+/// an input axon each.
+fn independent(network: &Quantised, id: PopulationId, places: &Places) -> Vec<RandomProjection> {
+    let mut accepted: Vec<(PopulationId, u64, Range<u64>)> = Vec::new();
+    let mut projections = Vec::new();
+    for projection in network.incoming(id).map(|(_, p)| p).filter(|p| !places.contain(network, p.source)) {
         let source = &network.populations()[projection.source];
         let &Connectivity::Random { seed, first_source, .. } = &projection.connectivity else { continue };
         let range = u64::from(first_source)..u64::from(first_source) + u64::from(source.shape.len());
         let depends = |(of, other_seed, other): &(PopulationId, u64, Range<u64>)| {
             *of == projection.source || *other_seed == seed && other.start < range.end && range.start < other.end
         };
-        if !kept.iter().any(depends) {
-            draws_into.extend(draws(&projection.connectivity, source));
-            kept.push((projection.source, seed, range));
+        if !accepted.iter().any(depends) {
+            projections.extend(random_projection(&projection.connectivity, source));
+            accepted.push((projection.source, seed, range));
         }
     }
-    draws_into
+    projections
 }
 
 /// Most compartments of a population that a core can hold, and a lower bound on the sources of one.
@@ -91,8 +91,8 @@ fn most_together(network: &Quantised, id: PopulationId, places: &Places, target:
     let into = independent(network, id, places);
     let least_sources = |together: u32| {
         let k = f64::from(together);
-        let mean: f64 = into.iter().map(|draws| draws.sources * draws.reaches(k)).sum();
-        mean - (2.0 * mean * (k * f64::from(size.max(1)).ln() + DOUBT)).sqrt()
+        let mean: f64 = into.iter().map(|random| random.sources * random.reaches(k)).sum();
+        mean - (2.0 * mean * (k * f64::from(size.max(1)).ln() + LOG_INVERSE_ERROR)).sqrt()
     };
     let too_many = |&k: &u32| least_sources(k) > f64::from(limits[Resource::AxonsIn]);
     ((1..=most).find(too_many).map_or(most, |k| k - 1), least_sources(1))
@@ -105,39 +105,39 @@ pub fn reasons(network: &Quantised, target: &Target, copies: u32, relays: bool) 
     let mut reasons = Vec::new();
     let (mut by_targets, mut slots, mut why) = (0u64, 0.0, Vec::new());
     for (id, population) in network.populations().enumerate() {
-        let drawn = |(_, p): (_, &Projection)| matches!(p.connectivity, Connectivity::Random { .. });
-        if population.first_compartment().is_none() || !network.incoming(id).any(drawn) {
+        let is_random = |(_, p): (_, &Projection)| matches!(p.connectivity, Connectivity::Random { .. });
+        if population.first_compartment().is_none() || !network.incoming(id).any(is_random) {
             continue;
         }
-        let (held, sources) = most_together(network, id, &places, target);
-        if held == 0 {
+        let (per_core, sources) = most_together(network, id, &places, target);
+        if per_core == 0 {
             let need = sources.ceil() as u64;
             let limit = limits[Resource::AxonsIn].into();
             reasons.push(Reason::of_population(network, id, Resource::AxonsIn.into(), need, limit));
             continue;
         }
         let size = population.shape.len();
-        by_targets = by_targets.max(u64::from(size.div_ceil(held)));
-        if held < limits[Resource::Compartments].min(size) {
+        by_targets = by_targets.max(u64::from(size.div_ceil(per_core)));
+        if per_core < limits[Resource::Compartments].min(size) {
             why.push(format!(
                 "{} compartments of {} together have more sources than the {} input axons of a core",
-                held + 1,
+                per_core + 1,
                 population.name,
                 limits[Resource::AxonsIn]
             ));
         }
     }
     for (id, population) in network.populations().enumerate() {
-        if population.first_compartment().is_none() || places.holds(network, id) {
+        if population.first_compartment().is_none() || places.contain(network, id) {
             continue;
         }
         // Targets of several projections may share cores, so the projection that reaches most
         // counts.
         let reached = |&p: &ProjectionId| {
             let projection = &network.projections()[p];
-            let draws = draws(&projection.connectivity, population)?;
-            let (held, _) = most_together(network, projection.target, &places, target);
-            (held > 0).then(|| draws.least_pairs() / f64::from(held))
+            let random = random_projection(&projection.connectivity, population)?;
+            let (per_core, _) = most_together(network, projection.target, &places, target);
+            (per_core > 0).then(|| random.min_pairs() / f64::from(per_core))
         };
         let Some(pairs) = network.outgoing(id).iter().filter_map(reached).reduce(f64::max) else { continue };
         let size = f64::from(population.shape.len().max(1));
@@ -173,26 +173,27 @@ pub fn expected_slots(network: &Quantised, id: PopulationId, target: &Target) ->
     let limits = target.limits();
     let population = &network.populations()[id];
     let into = network.outgoing(id).iter().map(|&p| &network.projections()[p].connectivity);
-    let all: Vec<Draws> = into.filter_map(|connectivity| draws(connectivity, population)).collect();
+    let all: Vec<RandomProjection> =
+        into.filter_map(|connectivity| random_projection(connectivity, population)).collect();
     let (on_chip, off_chip) = (f64::from(limits.axon_out_slots), f64::from(limits.axon_out_slots_off_chip));
-    let slots = |held: f64| -> f64 {
-        let of_projection = |draws: &Draws| {
-            let cores = (draws.targets / held).max(1.0);
+    let slots = |per_core: f64| -> f64 {
+        let of_projection = |random: &RandomProjection| {
+            let cores = (random.targets / per_core).max(1.0);
             let near = (f64::from(target.chip().cores) / cores).min(1.0);
-            cores * draws.reaches(held.min(draws.targets)) * (near * on_chip + (1.0 - near) * off_chip)
+            cores * random.reaches(per_core.min(random.targets)) * (near * on_chip + (1.0 - near) * off_chip)
         };
         all.iter().map(of_projection).sum()
     };
-    // Fewer compartments on a core are more cores to reach; so this descends.
-    let mut held = f64::from(limits[Resource::Compartments]);
+    // Fewer compartments on a core mean more cores to reach, so `held` descends.
+    let mut per_core = f64::from(limits[Resource::Compartments]);
     for _ in 0..ROUNDS {
-        let fewer = (f64::from(limits[Resource::AxonsOut]) / slots(held)).floor().clamp(1.0, held);
-        if fewer == held {
+        let fewer = (f64::from(limits[Resource::AxonsOut]) / slots(per_core)).floor().clamp(1.0, per_core);
+        if fewer == per_core {
             break;
         }
-        held = fewer;
+        per_core = fewer;
     }
-    slots(held).ceil() as u32
+    slots(per_core).ceil() as u32
 }
 
 #[cfg(test)]
@@ -225,8 +226,8 @@ mod tests {
         // 2 * 77,169 * 3,777 slots, except for targets on the source's own chip.
         let cores = need(&found, Capacity::Cores).unwrap();
         assert!((130_000..142_400).contains(&cores), "{cores}");
-        let said = found.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
-        assert!(said.contains("2 compartments of all together have more sources than the 4096 input axons"), "{said}");
+        let text = found.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
+        assert!(text.contains("2 compartments of all together have more sources than the 4096 input axons"), "{text}");
         let relayed = reasons(&network, &board, 1, true);
         assert_eq!(need(&relayed, Resource::AxonsOutPerCompartment), None);
         assert!(need(&relayed, Capacity::Cores).unwrap() > 98_304);

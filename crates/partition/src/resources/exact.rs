@@ -4,12 +4,12 @@
 //! a [`CoreUsage`] for each core, by the rules of [`counter`](crate::resources::counter). It is the
 //! use of the tables that `nsim_compile::emit::tables` writes. Limits are not checked.
 
-use crate::resources::axon_sharing::{self, Class, EqualPlace, EqualPlaces, Places};
-use crate::resources::by_core::{self, Key};
+use crate::resources::axon_sharing::{self, EqualPlace, EqualPlaces, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
 use crate::resources::fan_out::{self, FanOut, MembersOfCores, SharedPlaces};
 use crate::resources::formats::{Formats, StoredSynapses};
 use crate::resources::packing::{Group, LISTS, Widths};
+use crate::resources::sorted_synapses::{self, Key};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
@@ -102,7 +102,7 @@ pub fn uses(
     let profiles = profiles(network, seats, members.len());
     let formats = Formats::for_network(network);
     let stored = limits.is_limited(Resource::StoredSynapses).then(|| StoredSynapses::for_network(network));
-    by_core::by_core(network, &formats, seats, members.len(), (|_| true, &wanted), |core, keys| {
+    sorted_synapses::by_core(network, &formats, seats, members.len(), (|_| true, &wanted), |core, keys| {
         if !wanted(core) {
             return CoreUse::default();
         }
@@ -148,9 +148,9 @@ impl StoredLists {
         // Consecutive groups mostly have the same make-up.
         let mut last: Option<((u16, Group), [Words; LISTS])> = None;
         let mut of_lists: Vec<[Words; LISTS]> = Vec::new();
-        for list in by_core::lists(keys) {
+        for list in sorted_synapses::lists(keys) {
             let mut of_list = [Words::default(); LISTS];
-            for group in by_core::groups(list) {
+            for group in sorted_synapses::groups(list) {
                 let made = group_of(group, formats);
                 let words = match last {
                     Some((same, words)) if same == made => words,
@@ -169,11 +169,11 @@ impl StoredLists {
         let mut lists = StoredLists { totals: counter.totals(), ..Self::default() };
         if !places.is_empty() {
             lists.equal = axon_sharing::equal_places(keys, places, limits);
-            for (way, totals) in lists.totals.iter_mut().enumerate() {
+            for (form, totals) in lists.totals.iter_mut().enumerate() {
                 let class = |equal: &EqualPlaces| {
                     let lists = &equal[0].lists;
-                    let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][way]);
-                    Class {
+                    let words = || lists.iter().map(|&(_, number)| of_lists[number as usize][form]);
+                    PlaceClass {
                         places: equal.len() as u32,
                         lists: lists.len() as u32,
                         atoms: equal[0].atoms(),
@@ -183,8 +183,8 @@ impl StoredLists {
                             .fold((u32::MAX, 0), |(least, most), words| (least.min(words), most.max(words))),
                     }
                 };
-                let classes: Vec<Class> = lists.equal.iter().map(class).collect();
-                lists.sharing[way] = totals.share(&classes, limits);
+                let classes: Vec<PlaceClass> = lists.equal.iter().map(class).collect();
+                lists.sharing[form] = totals.share(&classes, limits);
             }
         }
         lists

@@ -14,7 +14,7 @@
 
 use std::collections::{HashMap, HashSet};
 
-use crate::resources::axon_sharing::{self, Class, Places};
+use crate::resources::axon_sharing::{self, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, FormatCounts, Profiles};
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::ALONE;
@@ -84,7 +84,7 @@ struct PlacedAxon {
 }
 
 impl PlacedAxon {
-    fn tell(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
+    fn hash_synapse(&mut self, slot: u16, format: u16, projection: usize, part: u64) {
         let from_base = u64::from(slot - self.base);
         let which = from_base << 48 | u64::from(format) << 32 | projection as u64;
         self.digest = rng::digest(rng::digest(self.digest, which), part);
@@ -246,7 +246,7 @@ impl<'a> Filling<'a> {
             stored: fan_in.stored(network, limits),
             kernels: Kernels::new(),
             begins: HashMap::new(),
-            shares: places.are_of_need(),
+            shares: places.are_required(),
             places,
             shortened: false,
             used: None,
@@ -265,7 +265,7 @@ impl<'a> Filling<'a> {
         self.begins.clear();
         self.together.clear();
         self.kernels.clear();
-        self.shares = self.places.are_of_need();
+        self.shares = self.places.are_required();
         (self.shortened, self.used) = (false, None);
         std::mem::take(&mut self.members)
     }
@@ -356,10 +356,10 @@ impl<'a> Filling<'a> {
         // One neuron alone cannot be split any further; its output axons are checked when its
         // targets have their cores.
         let mut used = self.usage();
-        if self.shares && !self.limits.hold(&used.of) {
+        if self.shares && !self.limits.admit(&used.of) {
             used = self.usage_shared();
         }
-        let fits = self.limits.hold(&used.of)
+        let fits = self.limits.admit(&used.of)
             && (self.members.len() <= neuron_size || self.slots_out <= u64::from(self.limits[Resource::AxonsOut]));
         if fits { Ok(used) } else { Err(used) }
     }
@@ -380,7 +380,7 @@ impl<'a> Filling<'a> {
         }
         let axon = &mut self.axons[axon_index as usize];
         if let Some(placed) = &mut axon.placed {
-            placed.tell(slot, format, projection, part);
+            placed.hash_synapse(slot, format, projection, part);
         }
         let mut of_axon = std::iter::successors(axon.last, |&index| self.entries[index as usize].previous);
         let known = of_axon.find(|&index| self.entries[index as usize].format == format);
@@ -416,24 +416,23 @@ impl<'a> Filling<'a> {
         let group = entry.group(weight_bits);
         let made = (self.widths, group);
         let last = &mut self.last[usize::from(format)];
-        let ways = match *last {
+        let forms = match *last {
             Some((same, ways)) if same == made => ways,
             _ => last.insert((made, stored(group, self.widths, self.limits))).1,
         };
-        entry.compression = ways[1].0;
-        for (counts, (compression, _)) in self.format_counts.iter_mut().zip(ways) {
+        entry.compression = forms[1].0;
+        for (counts, (compression, _)) in self.format_counts.iter_mut().zip(forms) {
             counts.add(format, entry.delayed, compression);
         }
-        let words = ways.map(|(_, words)| words);
+        let words = forms.map(|(_, words)| words);
         let before = std::mem::replace(&mut entry.words, words);
-        for (way, before) in before.into_iter().enumerate() {
-            // Runs that no longer hold a gap can make a list longer or, when its gap is gone,
-            // shorter.
-            axon.words[way] = axon.words[way] + entry.words[way] - before;
-            self.shortened |= entry.words[way] < before;
-            let lists = &mut self.totals.lists[way];
-            lists.longest = lists.longest.max(axon.words[way]);
-            let [now, before] = [entry.words[way], before].map(|words| u64::from(words) * u64::from(bundle));
+        for (form, before) in before.into_iter().enumerate() {
+            // A change of compression can make a list longer or shorter.
+            axon.words[form] = axon.words[form] + entry.words[form] - before;
+            self.shortened |= entry.words[form] < before;
+            let lists = &mut self.totals.lists[form];
+            lists.longest = lists.longest.max(axon.words[form]);
+            let [now, before] = [entry.words[form], before].map(|words| u64::from(words) * u64::from(bundle));
             lists.words = lists.words + now - before;
         }
         self.totals.synapses += u64::from(bundle);
@@ -444,51 +443,51 @@ impl<'a> Filling<'a> {
         self.totals.lists.iter_mut().for_each(|lists| (lists.words, lists.longest) = (0, 0));
         self.axons.iter_mut().for_each(|axon| axon.words = [0; LISTS]);
         for entry in &mut self.entries {
-            let ways = stored(entry.group(self.formats.get(entry.format).bits), self.widths, self.limits);
+            let forms = stored(entry.group(self.formats.get(entry.format).bits), self.widths, self.limits);
             let with_runs = &mut self.format_counts[1];
             with_runs.remove(entry.format, entry.delayed, entry.compression);
-            entry.compression = ways[1].0;
+            entry.compression = forms[1].0;
             with_runs.add(entry.format, entry.delayed, entry.compression);
-            entry.words = ways.map(|(_, words)| words);
+            entry.words = forms.map(|(_, words)| words);
             let axon = &mut self.axons[entry.axon as usize];
-            for way in 0..LISTS {
-                axon.words[way] += entry.words[way];
-                self.totals.lists[way].words += u64::from(entry.words[way]) * u64::from(axon.bundle);
+            for form in 0..LISTS {
+                axon.words[form] += entry.words[form];
+                self.totals.lists[form].words += u64::from(entry.words[form]) * u64::from(axon.bundle);
             }
         }
         self.shortened = false;
-        for (way, lists) in self.totals.lists.iter_mut().enumerate() {
-            lists.longest = self.axons.iter().map(|axon| axon.words[way]).max().unwrap_or(0);
+        for (form, lists) in self.totals.lists.iter_mut().enumerate() {
+            lists.longest = self.axons.iter().map(|axon| axon.words[form]).max().unwrap_or(0);
         }
     }
 
-    /// Classes of places whose lists are the same, without and with runs.
-    fn classes(&self) -> [Vec<Class>; LISTS] {
+    /// Classes of places with equal lists, without and with runs.
+    fn classes(&self) -> [Vec<PlaceClass>; LISTS] {
         let mut in_table = vec![[0u32; 2]; self.axons.len()];
         for entry in &self.entries {
             let group = entry.group(self.formats.get(entry.format).bits);
-            for (way, compression) in entry.compressions().into_iter().enumerate() {
-                in_table[entry.axon as usize][way] +=
+            for (form, compression) in entry.compressions().into_iter().enumerate() {
+                in_table[entry.axon as usize][form] +=
                     packing::words_as(group, compression, true, self.widths, self.limits);
             }
         }
         let placed = self.axons.iter().zip(0usize..).filter_map(|(axon, at)| Some((axon.placed?, at)));
         let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
         placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
-        let mut classes: [Vec<Class>; LISTS] = Default::default();
+        let mut classes: [Vec<PlaceClass>; LISTS] = Default::default();
         let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
             let digests = of_place.iter().map(|(placed, _)| (placed.atom, placed.digest)).collect();
             let next = classes[0].len();
             let class = *known.entry(digests).or_insert(next);
-            for (way, classes) in classes.iter_mut().enumerate() {
+            for (form, classes) in classes.iter_mut().enumerate() {
                 if class == next {
-                    let words = || of_place.iter().map(|&(_, at)| in_table[at][way]);
-                    classes.push(Class {
+                    let words = || of_place.iter().map(|&(_, at)| in_table[at][form]);
+                    classes.push(PlaceClass {
                         places: 0,
                         lists: of_place.iter().map(|&(_, at)| self.axons[at].bundle).sum(),
                         atoms: of_place.last().map_or(0, |&(placed, at)| placed.atom + self.axons[at].bundle as u16),
-                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[way] * self.axons[at].bundle).sum(),
+                        words: of_place.iter().map(|&(_, at)| self.axons[at].words[form] * self.axons[at].bundle).sum(),
                         list_words: (words().min().unwrap_or(0), words().max().unwrap_or(0)),
                     });
                 }

@@ -10,7 +10,6 @@
 //! | lists that several input axons select | `axon_sharing` |
 
 pub mod axon_sharing;
-pub mod by_core;
 pub mod closed_form;
 pub mod counter;
 pub mod even_draws;
@@ -21,3 +20,4 @@ pub mod formats;
 pub mod incremental;
 pub mod packing;
 pub mod receptive_field;
+pub mod sorted_synapses;

@@ -144,12 +144,12 @@ pub fn words(group: Group, widths: Widths, limits: &Limits) -> u32 {
 /// Compression and words of a group of a discrete axon, without and with runs.
 #[inline]
 pub fn stored(group: Group, widths: Widths, limits: &Limits) -> [(Compression, u32); LISTS] {
-    let way = |compression| (compression, words_as(group, compression, false, widths, limits));
+    let form = |compression| (compression, words_as(group, compression, false, widths, limits));
     if group.dense {
-        return [way(Compression::Dense); LISTS];
+        return [form(Compression::Dense); LISTS];
     }
-    let plain = way(Compression::Sparse);
-    let runs = group.skip.map(|bits| way(Compression::RunLength(bits)));
+    let plain = form(Compression::Sparse);
+    let runs = group.skip.map(|bits| form(Compression::RunLength(bits)));
     [plain, runs.filter(|runs| runs.1 < plain.1).unwrap_or(plain)]
 }
 

@@ -35,15 +35,15 @@ struct Group {
 
 /// All copies, as consecutive groups.
 #[derive(Debug, Clone)]
-pub struct Pattern(Vec<Group>);
+pub struct CopyGroups(Vec<Group>);
 
 /// The result of filling cores with copies.
 #[derive(Debug, Clone)]
 pub struct Filled {
     /// Number of cores.
     pub cores: usize,
-    /// Which; `None` where they repeat but not copy by copy.
-    pub pattern: Option<Pattern>,
+    /// Their groups; `None` where cores repeat but not copy by copy.
+    pub groups: Option<CopyGroups>,
 }
 
 /// The first two cores that begin at the same place of a copy.
@@ -52,10 +52,10 @@ fn repeated(starts: &[u32], of_copy: u32) -> Option<(usize, usize)> {
     starts.iter().enumerate().find_map(|(core, start)| Some((known.insert(start % of_copy, core)?, core)))
 }
 
-impl Pattern {
-    /// One copy's cores for each of this many copies.
+impl CopyGroups {
+    /// Repeats one copy's cores for each of `copies` copies.
     pub fn repeated(one: &Quantised, members: Members, copies: u32) -> Self {
-        Pattern(vec![Group { network: one.clone(), members, times: copies }])
+        CopyGroups(vec![Group { network: one.clone(), members, times: copies }])
     }
 
     /// Fills cores with copies in the order of the file, regardless of the fan-out; `None` when a
@@ -63,7 +63,7 @@ impl Pattern {
     pub fn filled(one: &Quantised, all: u32, target: &Target, keep_whole: bool) -> Option<Filled> {
         let fill = |many: u32| {
             let network = copies(one, many).ok()?;
-            let members = Filler::new(&network, target).once(&file_order(&network), keep_whole).ok()?;
+            let members = Filler::new(&network, target).fill_members(&file_order(&network), keep_whole).ok()?;
             let mut ids = members.iter().flatten().enumerate();
             ids.all(|(at, id)| at == id.index()).then_some((network, members))
         };
@@ -74,7 +74,10 @@ impl Pattern {
             let Some((first, second)) = repeated(&starts, one.compartments()) else {
                 if many == all {
                     let cores = members.len();
-                    return Some(Filled { cores, pattern: Some(Pattern(vec![Group { network, members, times: 1 }])) });
+                    return Some(Filled {
+                        cores,
+                        groups: Some(CopyGroups(vec![Group { network, members, times: 1 }])),
+                    });
                 }
                 many = many.saturating_mul(MORE).min(all);
                 continue;
@@ -86,7 +89,7 @@ impl Pattern {
             let cores = first + (behind / cycle) as usize * (second - first) + last;
             // The first core begins with the first compartment.
             if first > 0 {
-                return Some(Filled { cores, pattern: None });
+                return Some(Filled { cores, groups: None });
             }
             let together = starts[second] / one.compartments();
             let members = members.iter().take(second).cloned().collect();
@@ -95,7 +98,7 @@ impl Pattern {
                 let (network, members) = fill(all % together)?;
                 groups.push(Group { network, members, times: 1 });
             }
-            return Some(Filled { cores, pattern: Some(Pattern(groups)) });
+            return Some(Filled { cores, groups: Some(CopyGroups(groups)) });
         }
     }
 
@@ -157,22 +160,22 @@ mod tests {
     }
 
     #[test]
-    fn a_pattern_is_what_filling_all_copies_gives() {
+    fn groups_of_copies_are_what_filling_all_copies_gives() {
         let mut several = 0;
         for seed in 0..16 {
             let (one, target) = (random_network(seed), tight(seed));
             for (many, keep_whole) in [(2, true), (7, false), (61, true), (61, false)] {
                 let all = copies(&one, many).unwrap();
                 let filler = Filler::new(&all, &target);
-                let Ok(plain) = filler.once(&file_order(&all), keep_whole) else { continue };
-                let filled = Pattern::filled(&one, many, &target, keep_whole).unwrap();
+                let Ok(plain) = filler.fill_members(&file_order(&all), keep_whole) else { continue };
+                let filled = CopyGroups::filled(&one, many, &target, keep_whole).unwrap();
                 assert_eq!(filled.cores, plain.len(), "seed {seed}, {many} copies");
-                let Some(pattern) = filled.pattern else { continue };
-                assert_eq!(pattern.members(), plain, "seed {seed}, {many} copies");
+                let Some(groups) = filled.groups else { continue };
+                assert_eq!(groups.members(), plain, "seed {seed}, {many} copies");
                 let seats = seats(all.compartments(), &plain).unwrap();
                 let used = usage(&all, &plain, &seats, &row_of_chips(plain.len(), &target), target.limits());
-                assert_eq!(pattern.usage(&target).unwrap(), used, "seed {seed}, {many} copies");
-                several += u32::from(pattern.0.iter().any(|group| group.times > 1));
+                assert_eq!(groups.usage(&target).unwrap(), used, "seed {seed}, {many} copies");
+                several += u32::from(groups.0.iter().any(|group| group.times > 1));
             }
         }
         assert!(several > 5, "groups that repeat: {several}");
@@ -183,12 +186,12 @@ mod tests {
         let (one, target) = (slip(3150), target(4, 4, limits()));
         // A core that holds a copy has room for the first population of the next, so cores begin at
         // the second.
-        let filled = Pattern::filled(&one, 1024, &target, false).unwrap();
-        assert!(filled.cores >= 1024 && filled.pattern.is_none());
-        let alone = Filler::new(&one, &target).once(&file_order(&one), true).unwrap();
-        let pattern = Pattern::repeated(&one, alone, 1024);
-        let used = pattern.usage(&target).unwrap();
-        assert_eq!((pattern.cores(), used.len()), (1024, 1024));
+        let filled = CopyGroups::filled(&one, 1024, &target, false).unwrap();
+        assert!(filled.cores >= 1024 && filled.groups.is_none());
+        let alone = Filler::new(&one, &target).fill_members(&file_order(&one), true).unwrap();
+        let groups = CopyGroups::repeated(&one, alone, 1024);
+        let used = groups.usage(&target).unwrap();
+        assert_eq!((groups.cores(), used.len()), (1024, 1024));
         assert!(used.iter().all(|one| *one == used[CoreId(0)]));
     }
 }

@@ -171,12 +171,12 @@ impl Groups {
 /// Resource use of a core while compartments move, for the tracked resources.
 pub type Load = PerResource<i64>;
 
-/// The resources that are followed.
-const FOLLOWED: [Resource; 4] = [Resource::Compartments, Resource::AxonsIn, Resource::AxonsOut, Resource::SynapseWords];
+/// The tracked resources.
+const TRACKED: [Resource; 4] = [Resource::Compartments, Resource::AxonsIn, Resource::AxonsOut, Resource::SynapseWords];
 
 /// Whether a core is within the limit of every resource of which it uses more than before.
 fn fits(now: &Load, before: &Load, limit: &Load) -> bool {
-    FOLLOWED.into_iter().all(|resource| now[resource] <= limit[resource] || now[resource] <= before[resource])
+    TRACKED.into_iter().all(|resource| now[resource] <= limit[resource] || now[resource] <= before[resource])
 }
 
 /// A partition that is being changed.

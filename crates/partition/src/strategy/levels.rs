@@ -99,9 +99,10 @@ fn matched(graph: &Hypergraph, groups: &Groups, end: Option<Instant>) -> Option<
             }
         };
         let into = groups.into.get(group as usize);
-        let drawn = (into.len() as u64).min(NETS);
-        for k in 0..drawn {
-            let at = if drawn == into.len() as u64 { k } else { rng::below(into.len() as u64, SEED, group.into(), k) };
+        let sampled = (into.len() as u64).min(NETS);
+        for k in 0..sampled {
+            let at =
+                if sampled == into.len() as u64 { k } else { rng::below(into.len() as u64, SEED, group.into(), k) };
             let net = into[at as usize].0;
             look(net, graph.nets[net as usize].weight as f64);
         }
@@ -159,8 +160,10 @@ pub fn grown(graph: &Hypergraph, fixed: &[bool], core: usize, end: Option<Instan
             order.extend((0..n as u32).filter(|&id| !placed[id as usize]));
             return order;
         }
-        let holds = |&(said, Reverse(id)): &(u64, Reverse<u32>)| !placed[id as usize] && score[id as usize] == said;
-        let id = match std::iter::from_fn(|| heap.pop()).find(holds) {
+        let is_current = |&(stored_score, Reverse(id)): &(u64, Reverse<u32>)| {
+            !placed[id as usize] && score[id as usize] == stored_score
+        };
+        let id = match std::iter::from_fn(|| heap.pop()).find(is_current) {
             Some((_, Reverse(id))) => id,
             None => {
                 while next < n && placed[next] {

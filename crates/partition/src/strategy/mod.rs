@@ -46,11 +46,11 @@ use crate::resources::even_draws;
 use crate::resources::exact::{usage, uses, with_fan_out};
 use crate::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::resources::incremental::Filling;
-use crate::strategy::copies::Pattern;
+use crate::strategy::copies::CopyGroups;
 use crate::strategy::hyper::{Groups, Hypergraph, State};
 use crate::strategy::levels::Levels;
 use crate::strategy::members::{Members, row_of_chips};
-use crate::strategy::order::{Chips, Filler, Found, Indices, Segment, file_order};
+use crate::strategy::order::{Chips, FilledCores, Filler, Indices, Segment, file_order};
 use crate::strategy::tiles::Rank;
 use nsim_cost::constants::CostTable;
 use nsim_cost::model::core_time;
@@ -58,7 +58,7 @@ use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::activity::CoreCounts;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::base::rng;
-use nsim_ir::firing_rates::{Rates, UNIT};
+use nsim_ir::firing_rates::{RATE_STEPS, Rates};
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::{CoreUsage, Partition, PartitionError, seats};
 use nsim_ir::quantised::Quantised;
@@ -96,10 +96,9 @@ impl<'a> Search<'a> {
 
 /// Approximate units of work in a second; fixed, so that an effort is the same on every machine.
 const WORK_PER_SECOND: u64 = 200_000_000;
-/// Synapses that one unit of work visits when a hypergraph is built and coarsened, level after
-/// level.
-const WORK_PER_PIN: u64 = 60;
-/// Synapses from which on a network is not grouped by levels where its synapses are sampled evenly.
+/// Units of work a synapse when a hypergraph is built and coarsened, level after level.
+const WORK_PER_SYNAPSE: u64 = 60;
+/// Number of synapses from which a network with uniform connectivity is not grouped by levels.
 const EVEN_SYNAPSES: u64 = 1 << 18;
 /// Longest step relative to the order of the file, to be multiplied by the ratio of cores saved.
 const MOST_LONGER: f64 = 1.1;
@@ -188,26 +187,25 @@ fn partition_copies(
     search: Search<'_>,
 ) -> Result<Partition> {
     let (one, limits) = (filler.network, target.limits());
-    let counted_once = |pattern: &Pattern| {
-        pattern.usage(target).ok_or_else(|| CompileError::fault("a group of copies has no seat for each compartment"))
+    let counted_once = |groups: &CopyGroups| {
+        groups.usage(target).ok_or_else(|| CompileError::fault("a group of copies has no seat for each compartment"))
     };
     let fits = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().all(|used| used.excesses(limits).next().is_none());
-    let mut pattern = Pattern::repeated(one, members, copies);
-    let mut usage = counted_once(&pattern)?;
+    let mut groups = CopyGroups::repeated(one, members, copies);
+    let mut usage = counted_once(&groups)?;
     if !fits(&usage) {
-        pattern = Pattern::repeated(one, searched(filler, search, Chips::Apart)?.members, copies);
-        usage = counted_once(&pattern)?;
+        groups = CopyGroups::repeated(one, searched(filler, search, Chips::Apart)?.members, copies);
+        usage = counted_once(&groups)?;
     }
-    if pattern.cores() as u64 > least_cores(one, copies, limits) {
-        let filled = [true, false].map(|keep_whole| Pattern::filled(one, copies, target, keep_whole));
+    if groups.cores() as u64 > least_cores(one, copies, limits) {
+        let filled = [true, false].map(|keep_whole| CopyGroups::filled(one, copies, target, keep_whole));
         let fewer = filled.into_iter().flatten().min_by_key(|filled| filled.cores);
-        if let Some(fewer) = fewer.filter(|fewer| fewer.cores < pattern.cores()) {
-            let counted_fewer =
-                fewer.pattern.map(|fewer| counted_once(&fewer).map(|used| (fewer, used))).transpose()?;
+        if let Some(fewer) = fewer.filter(|fewer| fewer.cores < groups.cores()) {
+            let counted_fewer = fewer.groups.map(|fewer| counted_once(&fewer).map(|used| (fewer, used))).transpose()?;
             if let Some(found) = counted_fewer.filter(|(_, used)| fits(used)) {
-                (pattern, usage) = found;
+                (groups, usage) = found;
             } else if let Ok(together) = Filler::new(all, target).fewest_cores(&file_order(all), Chips::Row)
-                && together.members.len() < pattern.cores()
+                && together.members.len() < groups.cores()
             {
                 // Either output axons do not fit, which depend on the chips of all copies, or cores
                 // do not repeat copy by copy.
@@ -217,7 +215,7 @@ fn partition_copies(
             }
         }
     }
-    let members = pattern.members();
+    let members = groups.members();
     on_board((one, copies), (&members, &usage), target)?;
     Partition::new(all.compartments(), members, usage, limits).map_err(CompileError::fault)
 }
@@ -237,8 +235,8 @@ fn on_board<M: Borrow<Vec<CompartmentId>>>(
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
-fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partition, PartitionError> {
-    let Found { members, fan_out, usage: filled } = found;
+fn counted(network: &Quantised, found: FilledCores, target: &Target) -> Result<Partition, PartitionError> {
+    let FilledCores { members, fan_out, usage: filled } = found;
     let (seats, limits) = (seats(network.compartments(), &members)?, target.limits());
     let usage = match (fan_out, filled) {
         (None, Some(exact)) => exact,
@@ -253,7 +251,7 @@ fn counted(network: &Quantised, found: Found, target: &Target) -> Result<Partiti
 }
 
 /// The members that a strategy finds for one copy.
-fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Found> {
+fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<FilledCores> {
     let (network, target) = (filler.network, filler.target);
     let sequential = || filler.fewest_cores(&file_order(network), chips);
     if search.strategy == Strategy::Sequential || !network.parts().children.is_empty() {
@@ -282,17 +280,17 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
     // Uniformly sampled connectivity has no groups to find.
     let is_uniform = listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
     let promising = search.end.is_some() || !is_uniform;
-    let affordable = promising && free.saturating_mul(WORK_PER_PIN) <= search.work;
+    let affordable = promising && free.saturating_mul(WORK_PER_SYNAPSE) <= search.work;
     let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
     let by_sharing = match &sequential {
         Ok(sequential) if listed && search.work > 0 => {
-            sharing::gathered(filler, sequential, chips, is_uniform, search.work)
+            sharing::shared_outputs(filler, sequential, chips, is_uniform, search.work)
         }
         _ => None,
     };
-    let mut found: Vec<Found> = Vec::new();
+    let mut found: Vec<FilledCores> = Vec::new();
     let mut failure = None;
-    let mut keep = |one: Result<Found>| match one {
+    let mut keep = |one: Result<FilledCores>| match one {
         Ok(one) => found.push(one),
         Err(error) => failure = Some(failure.take().unwrap_or(error)),
     };
@@ -322,8 +320,8 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fou
         keep(grown);
         if let Some((levels, members)) = in_levels {
             keep(members);
-            // The levels have taken their part of the effort.
-            let work = search.work.saturating_sub(free.saturating_mul(WORK_PER_PIN));
+            // Making the levels has used a part of the effort.
+            let work = search.work.saturating_sub(free.saturating_mul(WORK_PER_SYNAPSE));
             refine_groups(filler, (graph, &levels, &fixed), &mut found, Search { work, ..search }, free);
         }
     }
@@ -350,7 +348,7 @@ fn fewer_words(
     spatial: &IdVec<PopulationId, bool>,
     tiled: &[Segment],
     chips: Chips,
-) -> Vec<Result<Found>> {
+) -> Vec<Result<FilledCores>> {
     let (network, limits) = (filler.network, filler.target.limits());
     let mut filling = Filling::new(network, &filler.fan_in, limits);
     let most = limits[Resource::Compartments];
@@ -375,7 +373,7 @@ fn fewer_words(
 fn refine_groups(
     filler: &Filler<'_>,
     (graph, levels, fixed): (&Hypergraph, &Levels, &[bool]),
-    found: &mut Vec<Found>,
+    found: &mut Vec<FilledCores>,
     search: Search<'_>,
     free: u64,
 ) {
@@ -397,11 +395,10 @@ fn refine_groups(
     }
 }
 
-/// Leaves out members whose steps are so much longer than those of the first, the order of the
-/// file, that the cores they save are not worth it; where the first fits at all. A step is that of
-/// the busiest core, and the injection of inputs, the turn and the barrier, which take equally long
-/// for all members.
-fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, over_space: bool) {
+/// Removes members whose steps are too long for the cores that they save, compared with the first,
+/// the order of the file; where the first fits at all. The length of a step is the time of the
+/// busiest core, plus injection of inputs, turn and barrier, which are equal for all members.
+fn no_slower(filler: &Filler<'_>, found: &mut Vec<FilledCores>, search: Search<'_>, over_space: bool) {
     let first = found[0].members.len() as u64;
     let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);
     if !worth_comparing || first * u64::from(search.copies) > u64::from(filler.target.cores()) {
@@ -412,7 +409,7 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     };
     let events = filler.fan_in.events_into(filler.network, search.rates);
     let inputs: u64 = (0..filler.network.channels()).map(|channel| search.rates.rate_of(channel)).sum();
-    let steps = UNIT as u64;
+    let steps = RATE_STEPS as u64;
     let others_us = (table.turn_time.microseconds() + table.barrier(1).microseconds()) * steps as f64;
     let injection_us = table.injection_time.microseconds() * inputs as f64;
     let length = |members: &Members, times: u64| {
@@ -424,17 +421,17 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
         let busiest = members.iter().map(of_core).max().unwrap_or_default();
         busiest.microseconds() + injection_us * times as f64 + others_us
     };
-    // Tiles gather the compartments with the most synapses, which shows in steps of many spikes.
-    let ways = if over_space { &[1, BURST][..] } else { &[1] };
-    let least: Vec<f64> = ways.iter().map(|&times| length(&found[0].members, times)).collect();
+    // Tiles group the compartments with the most synapses, which shows in steps of many spikes.
+    let bursts = if over_space { &[1, BURST][..] } else { &[1] };
+    let least: Vec<f64> = bursts.iter().map(|&times| length(&found[0].members, times)).collect();
     let mut longest: f64 = 1.0;
     found.retain(|one| {
         let longer = |(&times, least): (&u64, &f64)| length(&one.members, times) / least.max(f64::MIN_POSITIVE);
-        let longer = ways.iter().zip(&least).map(longer).fold(0.0, f64::max);
+        let longer = bursts.iter().zip(&least).map(longer).fold(0.0, f64::max);
         let saved = first as f64 / one.members.len().max(1) as f64;
-        let kept = longer <= MOST_LONGER * saved.max(1.0);
-        longest = if kept { longest.max(longer) } else { longest };
-        kept
+        let is_accepted = longer <= MOST_LONGER * saved.max(1.0);
+        longest = if is_accepted { longest.max(longer) } else { longest };
+        is_accepted
     });
     if search.explains && longest > MOST_LONGER {
         tracing::warn!(
@@ -445,8 +442,8 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<Found>, search: Search<'_>, ov
     }
 }
 
-/// Which has the fewest cores, then the fewest messages; the first of equals.
-fn fewest(filler: &Filler<'_>, found: &[Found], rates: &Rates) -> Option<usize> {
+/// Index of the members with the fewest cores, then the fewest messages; the first of equals.
+fn fewest(filler: &Filler<'_>, found: &[FilledCores], rates: &Rates) -> Option<usize> {
     let compartments = filler.network.compartments();
     let cores = found.iter().map(|one| one.members.len()).min()?;
     let mut of_these = (0..found.len()).filter(|&one| found[one].members.len() == cores);
@@ -458,14 +455,14 @@ fn fewest(filler: &Filler<'_>, found: &[Found], rates: &Rates) -> Option<usize> 
 
 /// Members with the exact resource use of each core, with cores placed chip by chip; none where a
 /// core exceeds a limit.
-fn within_limits(network: &Quantised, members: Members, target: &Target) -> Option<Found> {
+fn within_limits(network: &Quantised, members: Members, target: &Target) -> Option<FilledCores> {
     let partition = counted(network, uncounted(members.clone()), target).ok()?;
-    Some(Found { members, fan_out: None, usage: Some(partition.usage().clone()) })
+    Some(FilledCores { members, fan_out: None, usage: Some(partition.usage().clone()) })
 }
 
-/// Members of which nothing has been counted.
-fn uncounted(members: Members) -> Found {
-    Found { members, fan_out: None, usage: None }
+/// Members without counts.
+fn uncounted(members: Members) -> FilledCores {
+    FilledCores { members, fan_out: None, usage: None }
 }
 
 /// Members after random swaps of compartments between cores, as another start of refinement.
@@ -521,7 +518,7 @@ fn tiled(
         }
         let rest = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
         let order: Vec<Segment> = segments.iter().cloned().chain(rest).collect();
-        let Ok(members) = filler.once(&order, true) else { break };
+        let Ok(members) = filler.fill_members(&order, true) else { break };
         let (fan_out, _) = filler.fan_out(&members, chips);
         let mut again = false;
         for held in &members {

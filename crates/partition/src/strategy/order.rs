@@ -150,7 +150,7 @@ impl Misfits {
 
 /// Compartments of each core, with the counts made so far.
 #[derive(Debug, Clone)]
-pub struct Found {
+pub struct FilledCores {
     /// The compartments.
     pub members: Members,
     /// Their fan-out on the assumed chips, where it has been counted.
@@ -212,7 +212,7 @@ impl<'a> Filler<'a> {
     /// # Errors
     /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that
     /// fits no core.
-    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<Found, CompileError> {
+    pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<FilledCores, CompileError> {
         let whole = || self.settled(order, chips, true, self.first_filling(order, true)?);
         if !self.may_keep_whole(order) {
             return whole();
@@ -251,7 +251,7 @@ impl<'a> Filler<'a> {
     ///
     /// # Errors
     /// As [`Filler::fewest_cores`].
-    pub fn once(&self, order: &[Segment], keep_whole: bool) -> Result<Members, CompileError> {
+    pub fn fill_members(&self, order: &[Segment], keep_whole: bool) -> Result<Members, CompileError> {
         let filled = self.fill(order, &Estimate::nothing(self.network), keep_whole)?;
         Ok(filled.into_iter().map(|(held, _)| held).collect())
     }
@@ -307,7 +307,7 @@ impl<'a> Filler<'a> {
         chips: Chips,
         keep_whole: bool,
         (mut estimate, mut filled): (Estimate, Vec<Filled>),
-    ) -> Result<Found, CompileError> {
+    ) -> Result<FilledCores, CompileError> {
         let limits = self.target.limits();
         for round in 0.. {
             let (members, usage): (Vec<_>, Vec<_>) = filled.into_iter().unzip();
@@ -336,7 +336,7 @@ impl<'a> Filler<'a> {
             }
             if !again {
                 let usage = counted.or_else(|| usage.into_iter().collect());
-                return Ok(Found { members, fan_out: Some(fan_out), usage });
+                return Ok(FilledCores { members, fan_out: Some(fan_out), usage });
             }
             self.raise(&mut estimate.slots, &fan_out, round);
             estimate.together = fan_out.together;

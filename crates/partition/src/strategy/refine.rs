@@ -102,9 +102,9 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
         by_core[core_of(state, group) as usize].push(group);
     }
     let mut locked = vec![false; groups.len()];
-    let (mut made, mut sum, mut best, mut kept): (Vec<Move>, i64, i64, usize) = (Vec::new(), 0, 0, 0);
-    while let Some((said, std::cmp::Reverse(group))) = heap.pop() {
-        if *work == 0 || (made.len() - kept) > PATIENCE || is_over(end) {
+    let (mut moves, mut sum, mut best, mut best_length): (Vec<Move>, i64, i64, usize) = (Vec::new(), 0, 0, 0);
+    while let Some((stored_gain, std::cmp::Reverse(group))) = heap.pop() {
+        if *work == 0 || (moves.len() - best_length) > PATIENCE || is_over(end) {
             break;
         }
         if locked[group as usize] {
@@ -112,17 +112,17 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
         }
         let from = core_of(state, group);
         let Some((gain, to)) = wish(state, groups, group, from, &mut scores, work) else { continue };
-        if gain < said && heap.peek().is_some_and(|next| next.0 > gain) {
+        if gain < stored_gain && heap.peek().is_some_and(|next| next.0 > gain) {
             heap.push((gain, std::cmp::Reverse(group)));
             continue;
         }
-        if gain <= 0 && made.len() == kept && kept > 0 && gain < -best.max(1) {
+        if gain <= 0 && moves.len() == best_length && best_length > 0 && gain < -best.max(1) {
             break;
         }
         let moved = match state.may_move(groups, group, from, to) {
             true => {
                 state.apply(groups, group, from, to);
-                made.push((group, from, to));
+                moves.push((group, from, to));
                 sum += gain;
                 by_core[to as usize].push(group);
                 true
@@ -130,8 +130,8 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
             false => {
                 let swapped = swap(state, groups, (group, from, to), &by_core, &locked, work);
                 if let Some((partner, gained)) = swapped {
-                    made.push((group, from, to));
-                    made.push((partner, to, from));
+                    moves.push((group, from, to));
+                    moves.push((partner, to, from));
                     locked[partner as usize] = true;
                     sum += gained;
                     by_core[to as usize].push(group);
@@ -142,10 +142,10 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
         };
         locked[group as usize] = moved;
         if sum > best {
-            (best, kept) = (sum, made.len());
+            (best, best_length) = (sum, moves.len());
         }
     }
-    for (group, from, to) in made.drain(kept..).rev() {
+    for (group, from, to) in moves.drain(best_length..).rev() {
         state.apply(groups, group, to, from);
     }
 }

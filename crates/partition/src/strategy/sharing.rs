@@ -21,7 +21,7 @@ use rayon::prelude::*;
 use crate::resources::fan_out::slots_of_core;
 use crate::resources::incremental::{Filling, Newcomer};
 use crate::strategy::members::Members;
-use crate::strategy::order::{Chips, Filler, Found};
+use crate::strategy::order::{Chips, FilledCores, Filler};
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::quantised::Quantised;
@@ -72,16 +72,22 @@ fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
 /// Compartments on cores, grouped by shared sources; `sequential` is the order of the file on such
 /// chips. `None` where a core cannot be kept within every limit, and where grouping within this
 /// work would gain little.
-pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_uniform: bool, work: u64) -> Option<Found> {
+pub fn shared_outputs(
+    filler: &Filler<'_>,
+    sequential: &FilledCores,
+    chips: Chips,
+    is_uniform: bool,
+    work: u64,
+) -> Option<FilledCores> {
     let pool = pool_size(filler.network, is_uniform, work)?;
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     let mut estimate = match &sequential.fan_out {
         Some(fan_out) => fan_out.slots.clone(),
         None => filler.fan_out(&sequential.members, chips).0.slots,
     };
-    let mut best: Option<Found> = None;
+    let mut best: Option<FilledCores> = None;
     for round in 0..ROUNDS {
-        let members = once(filler, pool, &estimate)?;
+        let members = fill(filler, pool, &estimate)?;
         let Some(found) = within_axons(filler, members, chips) else { break };
         let fan_out = found.fan_out.as_ref()?;
         let full = found.members.iter().map(|held| slots_of_core(held, fan_out)).max().unwrap_or(0);
@@ -97,9 +103,9 @@ pub fn gathered(filler: &Filler<'_>, sequential: &Found, chips: Chips, is_unifor
     best
 }
 
-/// Members once each core has been trimmed to the output axons that it has, and what was taken off
-/// is on further cores.
-fn within_axons(filler: &Filler<'_>, mut members: Members, chips: Chips) -> Option<Found> {
+/// Trims each core to its limit of output axons, and puts the removed compartments on further
+/// cores.
+fn within_axons(filler: &Filler<'_>, mut members: Members, chips: Chips) -> Option<FilledCores> {
     let most = u64::from(filler.target.limits()[Resource::AxonsOut]);
     for _ in 0..TRIMS {
         let (fan_out, _) = filler.fan_out(&members, chips);
@@ -119,7 +125,7 @@ fn within_axons(filler: &Filler<'_>, mut members: Members, chips: Chips) -> Opti
         }
         if spare.is_empty() {
             let most = filler.target.limits()[Resource::AxonsOutPerCompartment];
-            return fan_out.axons.iter().all(|&axons| axons <= most).then_some(Found {
+            return fan_out.axons.iter().all(|&axons| axons <= most).then_some(FilledCores {
                 members,
                 fan_out: Some(fan_out),
                 usage: None,
@@ -133,8 +139,8 @@ fn within_axons(filler: &Filler<'_>, mut members: Members, chips: Chips) -> Opti
     None
 }
 
-/// Groups every pool, then what the last core of each holds.
-fn once(filler: &Filler<'_>, pool: u32, estimate: &[u32]) -> Option<Members> {
+/// Groups every pool, then fills cores with the compartments of each pool's last core.
+fn fill(filler: &Filler<'_>, pool: u32, estimate: &[u32]) -> Option<Members> {
     let all = filler.network.compartments();
     let pools: Vec<Range<u32>> = (0..all).step_by(pool as usize).map(|first| first..(first + pool).min(all)).collect();
     let alone = pools.len() == 1;

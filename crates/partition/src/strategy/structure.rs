@@ -42,8 +42,8 @@ pub fn is_uniform(network: &Quantised) -> bool {
         }
         pairs += all;
         coincide += all - seen.len() as u64;
-        let (drawn, from) = (all as f64, reachable.max(1) as f64);
-        by_chance += drawn - from * (1.0 - (-drawn / from).exp());
+        let (sampled, from) = (all as f64, reachable.max(1) as f64);
+        by_chance += sampled - from * (1.0 - (-sampled / from).exp());
     }
     let chance = FACTOR * by_chance + DEVIATIONS * by_chance.sqrt();
     pairs >= SAMPLE.min(n) * TARGETS as u64 && (coincide as f64) < chance

@@ -213,27 +213,27 @@ pub fn tiles(
         fits
     };
     let all = grids(&orders[0], &formats, limits, most.min(limits[Resource::Compartments]).min(MOST_SLOTS));
-    // Most grids that do not fit are known by geometry; profiles are seen when a core is filled.
-    let ways_of = |grid: &Grid| {
+    // Geometry reveals most grids that do not fit; profiles are counted when a core is filled.
+    let cells_of = |grid: &Grid| {
         let words = |layer: &Layer| {
             let middle = layer.middle(grid.size, &formats, limits);
             (layer.joined || !middle.exceeds(limits)).then_some(middle.usage[Resource::SynapseWords])
         };
-        let mut ways: Vec<(u64, bool)> =
+        let mut cells: Vec<(u64, bool)> =
             orders.iter().filter_map(|layer| Some((words(layer)?, layer.by_channel))).collect();
-        ways.sort_unstable();
-        ways
+        cells.sort_unstable();
+        cells
     };
-    let mut fits_in_a_way = |grid: &Grid| {
-        let tile = |way| cell(shape, grid.size, middle(shape, grid.size), way);
-        ways_of(grid).into_iter().find(|&(_, way)| fits(&tile(way)))
+    let mut fitting_cell = |grid: &Grid| {
+        let tile = |by_channel| cell(shape, grid.size, middle(shape, grid.size), by_channel);
+        cells_of(grid).into_iter().find(|&(_, by_channel)| fits(&tile(by_channel)))
     };
-    let mut way = None;
+    let mut cell = None;
     let found = first_that_fits(&all, TRIALS, |grid| {
-        way = fits_in_a_way(grid);
-        way.is_some()
+        cell = fitting_cell(grid);
+        cell.is_some()
     });
-    let (grid, (words, by_channel)) = found.zip(way)?;
+    let (grid, (words, by_channel)) = found.zip(cell)?;
     if rank == Rank::Messages {
         return Some(segments(population, shape, grid.size, by_channel));
     }
@@ -243,12 +243,12 @@ pub fn tiles(
     };
     let most = (words * tiles(&grid)).saturating_sub(u64::from(limits[Resource::SynapseWords]) / LEAST_SAVED);
     let as_many = all.iter().filter(|other| other.cores == grid.cores).take(OF_FEWER_WORDS);
-    let words_of = |other: &Grid| ways_of(other).first().map(|(words, _)| words * tiles(other));
+    let words_of = |other: &Grid| cells_of(other).first().map(|(words, _)| words * tiles(other));
     let mut others: Vec<(u64, Grid)> = as_many.filter_map(|other| Some((words_of(other)?, *other))).collect();
     others.retain(|&(words, _)| words <= most);
     others.sort_unstable();
     let mut fitting = others.iter().take(TRIALS_OF_FEWER_WORDS).filter_map(|(_, other)| {
-        let (_, by_channel) = fits_in_a_way(other)?;
+        let (_, by_channel) = fitting_cell(other)?;
         Some(segments(population, shape, other.size, by_channel))
     });
     fitting.next()

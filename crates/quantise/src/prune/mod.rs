@@ -121,7 +121,7 @@ pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent
     let survey = Survey::new(network, dead, fires, &reaches, &whole, &mut tally);
     let (parts, kept) = rebuilt(network, &survey, &mut tally);
     let record = Pruned {
-        original: network.clone(),
+        before: network.sizes(),
         kept,
         probed: plan.probed.clone(),
         stimulus: plan.scene.as_ref().map(|scene| scene.stimulus.clone()),
@@ -137,13 +137,12 @@ pub fn prune(network: &Quantised, plan: &Plan) -> Result<Quantised, Inconsistent
 /// `input.pruned` with population, channel, sample and step of the first such spike.
 pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) -> Result<()> {
     let Some(pruned) = network.pruned().filter(|pruned| !pruned.dead.is_empty()) else { return Ok(()) };
-    let mut dead: IdVec<ChannelId, bool> = vec![false; pruned.original.channels() as usize].into();
+    let mut dead: IdVec<ChannelId, bool> = vec![false; network.channels() as usize].into();
     pruned.dead.iter().for_each(|&channel| dead[channel] = true);
     for (number, sample) in samples.iter().enumerate() {
         for step in 0..sample.steps() {
             let Some(&channel) = sample.at(step).iter().find(|&&channel| dead[channel]) else { continue };
-            let inputs =
-                pruned.original.inputs().filter_map(|(_, p)| Some((p, channel.0.checked_sub(p.first_channel()?.0)?)));
+            let inputs = network.inputs().filter_map(|(_, p)| Some((p, channel.0.checked_sub(p.first_channel()?.0)?)));
             let found = inputs.filter(|(population, index)| *index < population.shape.len()).last();
             let (name, index) = found.map_or(("?", channel.0), |(population, index)| (population.name.as_str(), index));
             let stimulus = pruned.stimulus.as_deref().unwrap_or_default().join(" ");

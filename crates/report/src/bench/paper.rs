@@ -188,16 +188,16 @@ pub fn summary(rows: &[PaperRow]) -> String {
     let mut out: String = grids(rows).iter().map(Grid::text).collect();
     out += &wrapped(
         "L: spike-count loss; L_w: weighted loss. chip: Loihi neurons on simulated cores; SRM: spike-response neurons, \
-         as in the paper. Here scenes are synthetic unless --full says otherwise, and accuracies are means over folds; \
-         *: of one fold. epochs: of each sense; the paper has 500, networks with fewer are undertrained (MLP-GRU on \
+         as in the paper. Scenes are synthetic here unless noted in --full, and accuracies are means over folds; *: of \
+         one fold. epochs: of each sense. The paper has 500; networks with fewer are undertrained (MLP-GRU on \
          containers: chance, 0.05).",
     );
     out += &wrapped(
-        "Left out are times at which no network is above chance; a sample without output spikes is wrong. for good: \
-         mean time since which a sample that ends right is never wrong, known in hindsight. certain: median time since \
+        "Times at which no network is above chance are omitted; a sample without output spikes is wrong. for good: \
+         mean time after which a sample that ends right is never wrong, known in hindsight. certain: median time after \
          which no spikes can change the class (nsim run --early-exit certain), shipped networks. The paper: both \
-         senses right by 100 ms, accurate within 80, above either sense; here both are below the better one \
-         from 60 to 100 ms, and on containers until 4,000 ms.",
+         senses right by 100 ms, accurate within 80, above either sense; here both are below the better one from 60 to \
+         100 ms, and on containers until 4,000 ms.",
     );
     let modelled = rows.iter().find(|row| row.table == "offline" && row.measured.is_some());
     modelled.iter().for_each(|row| out += &wrapped(&format!("Loihi's figures are {}.", row.note)));

@@ -209,7 +209,7 @@ pub fn traced(
         units.sort_unstable();
         for unit in units {
             ids.push(CompartmentId(first.0 + unit));
-            let name = format!("{}[{}]", population.name, network.index_shown(id, unit));
+            let name = format!("{}[{}]", population.name, network.index_before_pruning(id, unit));
             traced.push(Traced { name, threshold: thresholds[(first.0 + unit) as usize] });
         }
     }

@@ -44,7 +44,7 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Trans
     let Evaluated { energy, run, deployment } = evaluated;
     let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
     let samples = workload.samples();
-    let rates = Rates::of_copy(&run.counts, network, run.activity.steps());
+    let rates = Rates::from_counts(&run.counts, network, run.activity.steps());
     let mut sections = Sections {
         results: vec![checksum::printed(energy.json())],
         network: network::json(network),

@@ -1,13 +1,13 @@
-// Draws the data of this page. Sections without data are left out.
+// Draws the data of this page. Sections without data are omitted.
 "use strict";
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  // Decals tell bars apart without any colours.
+  // Decals distinguish bars without colours.
   const { colours } = data;
   const main = document.getElementById("main");
   const nav = document.getElementById("nav");
   const waiting = [];
-  // Rows of a chart or of a list; a browser draws no more in a second.
+  // Greatest number of rows of a chart or a list: a browser draws no more in a second.
   const mostRows = 40;
   const firstOf = (list, what) => (list.length > mostRows ? `; the first ${mostRows} of ${number(list.length)} ${what}` : "");
 
@@ -22,7 +22,7 @@
     made.append(...children.flat().filter((child) => child !== null && child !== undefined));
     return made;
   }
-  // The ends of an axis lie beyond its numbers, and beyond 1e308 there are none.
+  // The ends of an axis lie beyond its numbers, and have to stay below 1e308.
   const isNumber = (x) => typeof x === "number" && Math.abs(x) < 1e300;
   // Three digits, with thin spaces between thousands.
   function number(x, digits = 3) {
@@ -79,7 +79,7 @@
   const toolbox = { right: 4, top: 0, itemSize: 13, feature: { dataZoom: { title: { zoom: "zoom", back: "back" } }, restore: { title: "whole" }, saveAsImage: { title: "save as PNG", name: "nsim" } } };
   const axisName = (name, gap = 28) => ({ name, nameLocation: "middle", nameGap: gap });
 
-  // ---- what a result says --------------------------------------------------------------------------------------------
+  // ---- figures of a result -------------------------------------------------------------------------------------------
   const results = data.results;
   const result = results[0] || {};
   const rows = result.rows || [];
@@ -124,7 +124,7 @@
     if (!of.warnings || !of.warnings.length) return;
     const line = (warning) => element("li", {}, element("b", {}, warning.population ? `${warning.population}: ` : ""), warning.message);
     const more = of.warnings.length > mostRows ? element("li", {}, `${number(of.warnings.length - mostRows)} more, which nsim run prints`) : null;
-    parent.append(element("div", { class: "warnings", role: "note" }, element("b", {}, plural(of.warnings.length, "thing") + " to look at"), element("ul", {}, of.warnings.slice(0, mostRows).map(line), more)));
+    parent.append(element("div", { class: "warnings", role: "note" }, element("b", {}, plural(of.warnings.length, "thing") + " to check"), element("ul", {}, of.warnings.slice(0, mostRows).map(line), more)));
   }
 
   // ---- network -------------------------------------------------------------------------------------------------------
@@ -140,16 +140,16 @@
     }
     return level;
   }
-  // What of a large network is drawn.
+  // Text on the drawn part of a large network.
   function drawnOf(network) {
     const [populations, projections] = [network.populations.length, network.projections.length];
     const cut = network.populations_in_all > populations || network.projections_in_all > projections;
-    return cut ? ` Drawn are ${populations} of ${plural(network.populations_in_all, "population")}, the first of the model and its output, and ${projections} of ${plural(network.projections_in_all, "projection")}.` : "";
+    return cut ? ` The chart has ${populations} of ${plural(network.populations_in_all, "population")}, the first of the model and its output, and ${projections} of ${plural(network.projections_in_all, "projection")}.` : "";
   }
   function networkSection() {
     const network = data.network;
     if (!network) return;
-    const part = section("network", "Network", "Choose a population or a projection to see what it is made of. Circles grow with the number of units; their colour says how often a unit spikes." + drawnOf(network));
+    const part = section("network", "Network", "Choose a population or a projection to see its parameters. The size of a circle is the number of units, its colour the spike rate of a unit." + drawnOf(network));
     const counts = new Map([...(result.populations || []), ...(result.inputs || [])].map((row) => [row.name, row]));
     const rate = (name) => {
       const row = counts.get(name);
@@ -182,7 +182,7 @@
     const detail = element("div", { "aria-live": "polite" });
     columns.append(left, detail);
     part.append(columns);
-    const drawn = chart(left, `Populations (squares are inputs, a thick rim is the output) and projections; the darkest spikes in ${number(100 * highest)} % of the timesteps`, Math.max(220, Math.min(460, 95 * tallest + 70)), {
+    const drawn = chart(left, `Populations (squares are inputs, a thick rim is the output) and projections; a unit of the darkest spikes in ${number(100 * highest)} % of the timesteps`, Math.max(220, Math.min(460, 95 * tallest + 70)), {
       tooltip: { formatter: (at) => at.dataType === "edge" ? `${escape(at.data.source)} → ${escape(at.data.target)}<br>${number(at.data.value)} synapses` : `${escape(at.name)}<br>a unit spikes in ${number(100 * at.data.rate)} % of the timesteps` },
       grid: { left: 50, right: 50, top: 24, bottom: 30 },
       xAxis: { type: "value", show: false, min: -0.15, max: deepest + 0.15 }, yAxis: { type: "value", show: false, inverse: true, min: 0, max: 1 },
@@ -243,7 +243,7 @@
     const resources = ["compartments", "axons_in", "axons_out", "synapse_words"];
     const at = Object.fromEntries(fit.columns.map((name, index) => [name, index]));
     const side = Math.ceil(Math.sqrt(Math.max(fit.mesh.cores_per_tile, 1)));
-    const part = section("fit", "Fit onto cores", `${plural(fit.cores.length, "core")} on ${fit.target}. A small square is a core, four of them with one router a tile; lines are links, wider and darker the more messages they carry. Ctrl and wheel zoom, dragging moves.`);
+    const part = section("fit", "Fit onto cores", `${plural(fit.cores.length, "core")} on ${fit.target}. A small square is a core; four cores and a router form a tile. Lines are links; wider and darker links carry more messages. Ctrl and wheel zooms, dragging moves.`);
     const share = (core, name) => core[at[name]] / Math.max(fit.limits[resources.indexOf(name)], 1);
     const fullest = (core) => Math.max(...resources.map((name) => share(core, name)));
     const spent = new Map((result.cores || []).map((row) => [row.core, row]));
@@ -384,7 +384,7 @@
     const group = sample.steps_a_point;
     const pick = (prefix) => Object.entries(sample.curves).filter(([name]) => name.startsWith(prefix)).map(([name, curve]) => [spaced(name.slice(prefix.length)), curve]).filter(([, curve]) => curve.some((x) => x > 0));
     const times = pick("time_us."), energies = pick("energy_pj.");
-    const part = section("steps", "Power and time over timesteps", `The first sample, as fast as the chip can, all copies together.${group > 1 ? ` A point is the mean of ${group} timesteps.` : ""}`);
+    const part = section("steps", "Power and time over timesteps", `The first sample, at the chip's greatest speed, all copies together.${group > 1 ? ` A point is the mean of ${group} timesteps.` : ""}`);
     const length = (Object.values(sample.curves)[0] || []).length;
     const steps = Array.from({ length }, (_, at) => at * group);
     const duration = steps.map((_, at) => sum(times.map(([, curve]) => curve[at])));
@@ -394,13 +394,13 @@
       xAxis: { type: "category", data: steps, boundaryGap: false, ...axisName("timestep", 22) }, yAxis: { type: "value", ...axisName(unit, 48) },
       series: parts.map(([name, curve]) => ({ type: "line", name, stack: "all", areaStyle: { opacity: 0.85 }, symbol: "none", lineStyle: { width: 0.5 }, data: curve.map((x, at) => scale(x, at)) })),
     }, table(["part", `mean (${unit})`, `greatest (${unit})`], parts.map(([name, curve]) => { const all = curve.map((x, at) => scale(x, at)); return [name, number(sum(all) / Math.max(all.length, 1)), number(all.reduce((a, b) => Math.max(a, b), 0))]; })));
-    if (times.length) stacked("Time of a timestep, by part; parts follow each other", "µs", times, (x) => x);
+    if (times.length) stacked("Time of a timestep, by part; parts are sequential", "µs", times, (x) => x);
     // Picojoules a microsecond are microwatts.
-    if (energies.length && times.length) stacked("Power that events draw, by part (energy of the events of a timestep over its time; static power comes on top)", "mW", energies, (x, at) => (duration[at] > 0 ? x / duration[at] / 1e3 : 0));
+    if (energies.length && times.length) stacked("Power of events, by part (energy of the events of a timestep over its time; static power is not included)", "mW", energies, (x, at) => (duration[at] > 0 ? x / duration[at] / 1e3 : 0));
     if (energies.length) stacked("Energy of the events of a timestep, by part", "nJ", energies, (x) => x / 1e3);
   }
 
-  // ---- where it goes -------------------------------------------------------------------------------------------------
+  // ---- breakdowns ----------------------------------------------------------------------------------------------------
   function parts(caption, parent, entries, unit, total) {
     const known = entries.filter(([, x]) => isNumber(x) && x > 0).sort((a, b) => b[1] - a[1]);
     if (!known.length) return;
@@ -413,7 +413,7 @@
   }
   function goesSection() {
     if (!result.breakdown_pj_per_timestep && !result.time_us_per_timestep) return;
-    const part = section("goes", "Where time and energy go", `A mean timestep, constants ${result.preset}.${result.copies > 1 ? " Energies are of one copy." : ""}`);
+    const part = section("goes", "Time and energy by part", `A mean timestep, constants ${result.preset}.${result.copies > 1 ? " Energies are of one copy." : ""}`);
     const halves = element("div", { class: "halves" });
     part.append(halves);
     const [one, two] = [element("div"), element("div")];
@@ -424,19 +424,19 @@
     parts("Energy, static and dynamic", two, units, "µJ");
     parts("Energy of events", one, Object.entries(result.breakdown_pj_per_timestep || {}).map(([name, x]) => [spaced(name), x / 1e3]), "nJ");
     const slow = (result.cores || []).filter((row) => row.slowest_steps > 0).sort((a, b) => b.slowest_steps - a.slowest_steps).slice(0, 8);
-    parts("Cores by the timesteps in which they were the slowest", two, slow.map((row) => [`core ${row.core}, chip ${row.chip}`, row.slowest_steps]), "timesteps");
+    parts("Cores by the number of timesteps in which they were the slowest", two, slow.map((row) => [`core ${row.core}, chip ${row.chip}`, row.slowest_steps]), "timesteps");
   }
-  // What the network says of the first sample, and how often it is right.
+  // Text on the class of the first sample, and on the accuracy.
   function decision() {
-    const said = sample ? `The network says ${className(sample.predicted)} of the first sample${sample.label === null ? "" : `, whose class is ${className(sample.label)}`}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.` : "";
+    const said = sample ? `The network assigns class ${className(sample.predicted)} to the first sample${sample.label === null ? "" : `, whose class is ${className(sample.label)}`}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.` : "";
     return `${said}${isNumber(result.accuracy) ? ` It is right in ${number(100 * result.accuracy)} % of ${plural(result.samples, "sample")}.` : ""}`;
   }
   function hardwareSection() {
     const list = rows.filter((row) => row.unit === "total" || row.hardware !== rows[0].hardware);
     if (list.length < 1 || !total) return;
-    const part = section("hardware", "Energy and time beside other hardware", `${decision()} Figures are of a timestep of one copy.`.trim());
+    const part = section("hardware", "Energy and time compared with other hardware", `${decision()} Figures are of a timestep of one copy.`.trim());
     part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (nJ s)", "source"], rows.map((row) => [row.unit === "total" || row.hardware !== rows[0].hardware ? row.hardware : `${row.hardware} ${row.unit}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs / 1e3), row.power_source && row.power_source !== row.source ? `${row.source}, power ${row.power_source}` : row.source]), [0, 6]));
-    part.append(element("p", { class: "lead" }, "On logarithmic axes; a bar is an 80 % interval: how far predictions of published measurements were off."));
+    part.append(element("p", { class: "lead" }, "Axes are logarithmic. A bar is an 80 % interval, from the errors of predictions of published measurements."));
     const halves = element("div", { class: "halves" });
     part.append(halves);
     const nameOf = (row) => `${row.hardware} (${row.source})`;
@@ -468,11 +468,11 @@
     const agreement = data.agreement;
     if (!agreement) return;
     const classes = isNumber(agreement.class_agreement) ? ` Classes agree in ${number(100 * agreement.class_agreement)} %.` : "";
-    const part = section("agreement", "Agreement with the trained network", `The integers on cores against the network as it was trained, ${plural(agreement.samples, "sample")}.${classes}`);
+    const part = section("agreement", "Agreement with the trained network", `The integers on cores compared with the trained network, ${plural(agreement.samples, "sample")}.${classes}`);
     const layers = agreement.layers || [];
     const spiking = layers.filter((layer) => layer.spikes_a + layer.spikes_b > 0);
     const compared = spiking.slice(0, mostRows);
-    chart(part, `Share of spikes that coincide, layer by layer (1 is every spike)${firstOf(spiking, "layers")}`, 60 + 34 * Math.max(compared.length, 1), {
+    chart(part, `Share of spikes that coincide, by layer (1 is every spike)${firstOf(spiking, "layers")}`, 60 + 34 * Math.max(compared.length, 1), {
       tooltip: { valueFormatter: (x) => number(x) }, grid: { left: 130, right: 60, top: 6, bottom: 40 },
       xAxis: { type: "value", min: 0, max: 1, ...axisName("coincidence", 24) }, yAxis: { type: "category", inverse: true, data: compared.map((layer) => layer.layer ?? layer.name) },
       series: [{ type: "bar", data: compared.map((layer) => layer.coincidence), label: { show: true, position: "right", formatter: (at) => number(at.value) } }],
@@ -486,14 +486,14 @@
     const columns = classes.concat(["none"]);
     const none = counts.some((row) => row[classes.length] > 0);
     const shown = none ? columns : classes;
-    const part = section("classes", "Classes", `Samples by their class and by what the network says, ${number(sum(counts.flat()))} in all.`);
+    const part = section("classes", "Classes", `Samples by their class and by the class from the network, ${number(sum(counts.flat()))} in all.`);
     const most = Math.max(...counts.flat(), 1);
     const points = counts.flatMap((row, label) => row.slice(0, shown.length).map((count, said) => [said, label, count]));
     const side = Math.max(150, Math.min(520, 46 * classes.length));
-    chart(part, "Rows are classes, columns what the network says", side + 100, {
-      tooltip: { formatter: (at) => `${escape(classes[at.value[1]])}, said ${escape(shown[at.value[0]])}: ${number(at.value[2])}` },
+    chart(part, "Rows are classes, columns are classes from the network", side + 100, {
+      tooltip: { formatter: (at) => `${escape(classes[at.value[1]])}, network: ${escape(shown[at.value[0]])}: ${number(at.value[2])}` },
       grid: { left: 130, top: 12, height: side, width: Math.min(side * 1.4, 760) },
-      xAxis: { type: "category", data: shown, ...axisName("the network says", 30), splitArea: { show: true } }, yAxis: { type: "category", data: classes, inverse: true, splitArea: { show: true }, name: "class", nameLocation: "middle", nameGap: 90 },
+      xAxis: { type: "category", data: shown, ...axisName("class from the network", 30), splitArea: { show: true } }, yAxis: { type: "category", data: classes, inverse: true, splitArea: { show: true }, name: "class", nameLocation: "middle", nameGap: 90 },
       visualMap: { min: 0, max: most, right: 10, top: 10, itemHeight: 100, calculable: false, text: [number(most), "0"], inRange: { color: ["#ffffff", "#9ecae1", "#08519c"] } },
       series: [{ type: "heatmap", data: points, label: { show: classes.length <= 24, color: "#000", backgroundColor: "rgba(255,255,255,.75)", padding: 2 } }],
     }, table(["class", ...shown], counts.map((row, label) => [classes[label], ...row.slice(0, shown.length).map((count) => number(count))])));
@@ -517,7 +517,7 @@
     ].filter(([, x, y]) => isNumber(x) || isNumber(y));
     part.append(table(["", names[0], names[1], "B over A"], lines.map(([name, x, y]) => [name, number(x), number(y), isNumber(x) && isNumber(y) && x !== 0 ? number(y / x) : "–"])));
     const words = ["target", "deployment", "mode", "preset", "accounting", "transport", "digest"].filter((key) => a[key] || b[key]);
-    part.append(element("details", {}, element("summary", {}, "Under which conditions"), table(["", ...names], words.map((key) => [key, a[key] ?? "–", b[key] ?? "–"]).concat([["input", (a.input || []).join(", "), (b.input || []).join(", ")]]), [0, 1, 2])));
+    part.append(element("details", {}, element("summary", {}, "Conditions of the runs"), table(["", ...names], words.map((key) => [key, a[key] ?? "–", b[key] ?? "–"]).concat([["input", (a.input || []).join(", "), (b.input || []).join(", ")]]), [0, 1, 2])));
     results.forEach((one, index) => { if ((one.warnings || []).length) { part.append(element("h3", {}, names[index])); warnings(part, one); } });
     function grouped(caption, unit, pick, scale = 1) {
       const [ofA, ofB] = [pick(a), pick(b)];
@@ -538,11 +538,11 @@
     grouped("Spikes of inputs", "spikes", byName("inputs", "spikes"));
   }
 
-  // ---- where it comes from -------------------------------------------------------------------------------------------
+  // ---- provenance ----------------------------------------------------------------------------------------------------
   function originSection() {
-    const part = section("origin", "Where this comes from");
+    const part = section("origin", "Origin");
     part.append(element("h3", {}, "Command"), element("pre", {}, data.command));
-    if (data.origins.length) part.append(element("h3", {}, "Read"), table(["what", "name", "SHA-256"], data.origins.map((origin) => [origin.what, origin.name, origin.sha256]), [0, 1, 2]));
+    if (data.origins.length) part.append(element("h3", {}, "Files"), table(["kind", "name", "SHA-256"], data.origins.map((origin) => [origin.what, origin.name, origin.sha256]), [0, 1, 2]));
     const lines = [["nsim", data.nsim], ["target", result.target], ["seed of the input", result.seed ?? "none"], ["deployment", result.deployment], ["accounting", result.accounting], ["transport", result.transport], ["constants", result.preset]].filter(([, value]) => value);
     if (results.length === 1) part.append(element("h3", {}, "Conditions"), table(["", ""], lines, [0, 1]));
     if (results.length === 1 && (result.notes || []).length) part.append(element("h3", {}, "Notes"), element("ul", {}, result.notes.map((note) => element("li", {}, note))));
@@ -566,7 +566,7 @@
     classesSection();
   }
   originSection();
-  // What can be seen first is drawn first; the rest follows without holding up the page.
+  // Draws charts from the top in slices of 30 ms, so that the page stays responsive.
   function next() {
     const begin = performance.now();
     while (waiting.length && performance.now() - begin < 30) waiting.shift().draw();

@@ -9,7 +9,7 @@ use std::sync::Arc;
 
 use super::network::{COUNTED, Taken, build, warm_up};
 use nsim_compile::{CompileError, Front, Mapping, Options};
-use nsim_cost::estimate::{Case, JobPower};
+use nsim_cost::estimate::{EstimateInput, JobPower};
 use nsim_cost::job::{DeployedCores, Mode};
 use nsim_cost::meter::Lane;
 use nsim_cost::transport::Words;
@@ -178,7 +178,8 @@ pub fn predict(
     }
     let mode = if file.paced_us.is_some() { Mode::Realtime } else { Mode::Offline };
     let priced = |preset: usize| {
-        let case = Case { preset, copies_counted: 1, mode, ..Case::new(&activity, &meter, &deployment) };
+        let case =
+            EstimateInput { preset, copies_counted: 1, mode, ..EstimateInput::new(&activity, &meter, &deployment) };
         let lane = &meter.lanes()[preset];
         let job = case.job(&meter.tables()[preset], &lane.whole);
         let figures = file.figures.iter();

@@ -15,7 +15,7 @@ use crate::sweep::made::MadeOnce;
 use crate::sweep::variants::{FIGURES, Job, Training};
 use nsim_compile::{Front, Mapping};
 use nsim_cost::HostWork;
-use nsim_cost::estimate::{Case, estimate};
+use nsim_cost::estimate::{EstimateInput, estimate};
 use nsim_energy::options::priced_by;
 use nsim_files::changes::{Change, within};
 use nsim_files::network::Network;
@@ -248,12 +248,12 @@ impl Runner {
         let labels = || samples.iter().map(|sample| sample.label());
         let accuracy = accuracy(&outcomes, labels());
         let ends = accuracy.map(|share| wilson(share, labels().flatten().count()));
-        let case = Case {
+        let case = EstimateInput {
             mode: job.mode,
             convention: job.convention,
             accounting: job.accounting,
             steps_per_sample: steps_per_sample(&samples),
-            ..Case::new(&activity, &meter, &deployment)
+            ..EstimateInput::new(&activity, &meter, &deployment)
         };
         let estimate = estimate(&case);
         let total = estimate.rows.iter().find(|row| row.unit == "total");

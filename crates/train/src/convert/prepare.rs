@@ -40,7 +40,7 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     let found = search(&graph, &samples, most_copies, |_| ())?;
     tracing::warn!(
         "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes \
-         agree in {:.4}, coincidence {:.3}; `nsim convert -o` keeps them",
+         agree in {:.4}, coincidence {:.3}; `nsim convert -o` writes them",
         found.samples,
         found.end.classes.kept(),
         found.end.coincidence

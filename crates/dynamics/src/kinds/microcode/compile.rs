@@ -240,8 +240,8 @@ impl Compiler<'_> {
         let interval = expression.interval;
         // A clip or wrap that changes no value needs no instruction.
         match operation {
-            Operation::Clip(bits) if Interval::symmetric(bits).holds(of[0].interval) => return self.value(&of[0]),
-            Operation::Wrap(bits) if Interval::of_bits(bits).holds(of[0].interval) => return self.value(&of[0]),
+            Operation::Clip(bits) if Interval::symmetric(bits).contains(of[0].interval) => return self.value(&of[0]),
+            Operation::Wrap(bits) if Interval::of_bits(bits).contains(of[0].interval) => return self.value(&of[0]),
             _ => {}
         }
         if let Operation::Wrap(bits @ ..=32) = operation {
@@ -316,7 +316,7 @@ impl Compiler<'_> {
 
     /// Compiles an assignment. Lanes whose guard is 0 keep their state and report nothing.
     fn assign(&mut self, Assignment { target, value }: &Assignment, guard: Option<Value>) {
-        let mut found = match self.code.width(*target).filter(|word| !word.interval().holds(value.interval)) {
+        let mut found = match self.code.width(*target).filter(|word| !word.interval().contains(value.interval)) {
             Some(word) => self.stored(value, word, guard),
             None => self.value(value),
         };

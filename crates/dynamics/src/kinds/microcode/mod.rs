@@ -17,7 +17,7 @@ use std::cell::RefCell;
 use std::collections::HashMap;
 use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 
-use nsim_ir::neurons::{Emits, MicrocodeKind, NeuronKind, Row};
+use nsim_ir::neurons::{Emits, MicrocodeKind, NeuronKind, ParameterRow};
 
 use self::compile::Code;
 use self::run::{CHUNKS, Registers};
@@ -46,8 +46,8 @@ fn code(kind: MicrocodeKind) -> Arc<Code> {
     Arc::clone(compiled.entry(kind).or_insert_with(|| Arc::new(Code::new(kind.code()))))
 }
 
-/// The update of neurons with these parameters.
-pub(super) fn updater(kind: MicrocodeKind, rows: &[Row]) -> Box<dyn Updater> {
+/// Returns the update of at most 64 neurons with these parameters.
+pub(super) fn updater(kind: MicrocodeKind, rows: &[ParameterRow]) -> Box<dyn Updater> {
     let code = code(kind);
     let mut fixed = Registers::default();
     fixed.make_room(&code.fixed);

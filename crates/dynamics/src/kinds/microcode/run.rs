@@ -84,14 +84,14 @@ fn both<T: Copy, U: Copy + Default, const N: usize>(
 /// Marks lanes by the sign of `f` of their values, where the guard, if any, is not 0.
 #[inline(always)]
 fn report<T: Copy, const N: usize>(
-    left: &mut Register<i32>,
+    overflows: &mut Register<i32>,
     (a, b): (&Register<T>, &Register<T>),
     guard: Option<&Register<i32>>,
     f: impl Fn(T, T) -> i32,
 ) {
     for chunk in 0..N {
-        let (before, a, b) = (left[chunk], a[chunk], b[chunk]);
-        left[chunk] = match guard {
+        let (before, a, b) = (overflows[chunk], a[chunk], b[chunk]);
+        overflows[chunk] = match guard {
             Some(guard) => {
                 let guard = guard[chunk];
                 chunk_of(|lane| before[lane] | f(a[lane], b[lane]) & mask(guard[lane] != 0))
@@ -106,17 +106,17 @@ fn report<T: Copy, const N: usize>(
 #[inline(always)]
 fn word<const N: usize>(
     out: &mut Register<i32>,
-    left: &mut Register<i32>,
+    overflows: &mut Register<i32>,
     (a, b, guard): (&Register<i32>, &Register<i32>, Option<&Register<i32>>),
     f: impl Fn(i32, i32) -> i32,
     leaves: impl Fn(i32, i32, i32) -> i32,
 ) {
     for chunk in 0..N {
-        let (before, a, b) = (left[chunk], a[chunk], b[chunk]);
+        let (before, a, b) = (overflows[chunk], a[chunk], b[chunk]);
         let whole = chunk_of(|lane| f(a[lane], b[lane]));
         let leaves = chunk_of(|lane| leaves(a[lane], b[lane], whole[lane]));
         out[chunk] = whole;
-        left[chunk] = match guard {
+        overflows[chunk] = match guard {
             Some(guard) => {
                 let guard = guard[chunk];
                 chunk_of(|lane| before[lane] | leaves[lane] & mask(guard[lane] != 0))
@@ -220,7 +220,7 @@ fn execute<const N: usize>(
     instructions: &[Instruction],
     fixed: &Registers,
     registers: &mut Registers,
-    left: &mut [Register<i32>; 2],
+    overflows: &mut [Register<i32>; 2],
 ) {
     let Registers { narrow, wide } = registers;
     for instruction in instructions {
@@ -265,27 +265,29 @@ fn execute<const N: usize>(
                 select::<_, N>(out, at(&fixed.narrow, narrow, a), of);
             }
             (Action::AddWord | Action::SubtractWord | Action::ShiftWord, _) => {
-                let ((before, out), left) = (split(narrow, out), &mut left[0]);
+                let ((before, out), overflows) = (split(narrow, out), &mut overflows[0]);
                 let guard = if c == NONE { None } else { Some(at(&fixed.narrow, before, c)) };
                 let of = (at(&fixed.narrow, before, a), at(&fixed.narrow, before, b), guard);
                 match action {
-                    Action::AddWord => word::<N>(out, left, of, i32::wrapping_add, |a, b, x| (a ^ x) & (b ^ x)),
-                    Action::SubtractWord => word::<N>(out, left, of, i32::wrapping_sub, |a, b, x| (a ^ x) & (a ^ b)),
+                    Action::AddWord => word::<N>(out, overflows, of, i32::wrapping_add, |a, b, x| (a ^ x) & (b ^ x)),
+                    Action::SubtractWord => {
+                        word::<N>(out, overflows, of, i32::wrapping_sub, |a, b, x| (a ^ x) & (a ^ b));
+                    }
                     _ => {
                         let shifted = |a: i32, b: i32| a.wrapping_shl(b as u32);
-                        word::<N>(out, left, of, shifted, |a, b, x| mask(x.wrapping_shr(b as u32) != a));
+                        word::<N>(out, overflows, of, shifted, |a, b, x| mask(x.wrapping_shr(b as u32) != a));
                     }
                 }
             }
             (Action::Report(overflow), of_64) => {
-                let left = &mut left[usize::from(overflow == Overflow::Clip)];
+                let overflows = &mut overflows[usize::from(overflow == Overflow::Clip)];
                 let guard = if c == NONE { None } else { Some(at(&fixed.narrow, narrow, c)) };
                 if of_64 {
                     let of = (at(&fixed.wide, wide, a), at(&fixed.wide, wide, b));
-                    report::<_, N>(left, of, guard, |a, b| mask(a != b));
+                    report::<_, N>(overflows, of, guard, |a, b| mask(a != b));
                 } else {
                     let of = (at(&fixed.narrow, narrow, a), at(&fixed.narrow, narrow, b));
-                    report::<_, N>(left, of, guard, |a, b| mask(a != b));
+                    report::<_, N>(overflows, of, guard, |a, b| mask(a != b));
                 }
             }
         }
@@ -294,8 +296,8 @@ fn execute<const N: usize>(
 
 /// Computes the registers that depend on parameters alone; the first are the parameters.
 pub(super) fn fix(code: &Code, registers: &mut Registers) {
-    let mut left = Default::default();
-    execute::<CHUNKS>(&code.fixed.instructions, &Registers::default(), registers, &mut left);
+    let mut overflows = Default::default();
+    execute::<CHUNKS>(&code.fixed.instructions, &Registers::default(), registers, &mut overflows);
 }
 
 /// A step of a block, in the form that `pulp` runs with the processor's vectors.
@@ -360,8 +362,8 @@ impl Step<'_> {
                 register[chunk] = columns[chunk * words + word];
             }
         }
-        let mut left: [Register<i32>; 2] = Default::default();
-        execute::<N>(&code.step.instructions, fixed, registers, &mut left);
+        let mut overflows: [Register<i32>; 2] = Default::default();
+        execute::<N>(&code.step.instructions, fixed, registers, &mut overflows);
         let register = |place: Place| at(&fixed.narrow, &registers.narrow, place);
         let (sends, message) = (register(code.sent), code.message.map(register));
         // Separate loops over registers, since a chunk that lives across loops is not vectorised.
@@ -391,7 +393,8 @@ impl Step<'_> {
         }
         let mut flags = Flags::default();
         for chunk in 0..N {
-            let (sends, moved, [wrapped, clipped]) = (sends[chunk], moved[chunk], [left[0][chunk], left[1][chunk]]);
+            let (sends, moved, [wrapped, clipped]) =
+                (sends[chunk], moved[chunk], [overflows[0][chunk], overflows[1][chunk]]);
             let of_chunk = chunk_of(|lane| {
                 let (wraps, clips) = (wrapped[lane] < 0, clipped[lane] < 0);
                 let active = (moved[lane] != 0) | wraps | clips;

@@ -204,7 +204,7 @@ impl Reader<'_> {
         let name = format!("layer{number}");
         self.notes.push(format!(
             "layer {number}: means become integrators that never spike; v / 128 is the number of spikes of a group of \
-             {size}"
+             {size} units"
         ));
         self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0).into()));
         let synapses = (0..source.units()).map(|unit| (unit, unit / size, 2.0)).collect();

@@ -88,8 +88,8 @@ impl Reader<'_> {
                 let tabled = TABLED.iter().find_map(|&ours| Some((ours, form(ours).filter(|form| form.kind == kind)?)));
                 let Some((kind, form)) = tabled else {
                     return Err(layer.unsupported(
-                        format!("its neuron is '{kind}'; no kind of neuron here has its dynamics"),
-                        "imported are neurons CUBA, LOIHI, SDNN, ALIF, RF_PHASE, RF_IZHIKEVICH, ADRF_PHASE and \
+                        format!("neuron type '{kind}' is not supported"),
+                        "supported types: CUBA, LOIHI, SDNN, ALIF, RF_PHASE, RF_IZHIKEVICH, ADRF_PHASE and \
                          ADRF_IZHIKEVICH",
                     ));
                 };

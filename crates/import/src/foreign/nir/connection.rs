@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use super::export::by_channel;
 use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delays};
 use super::neuron::reals;
-use super::reader::{MOST_UNITS, Reader, product, unsupported, wrong};
+use super::state::{MOST_UNITS, Reader, product, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};

@@ -11,7 +11,7 @@
 
 use std::collections::BTreeMap;
 
-use super::reader::Reader;
+use super::state::Reader;
 use nsim_ir::base::depths::depths;
 use nsim_ir::base::diagnostic::Result;
 

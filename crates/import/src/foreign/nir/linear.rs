@@ -4,7 +4,7 @@
 //! Input: the arrays of nodes. Output: products and scaled maps; `None` where a product has too
 //! many synapses.
 
-use super::reader::product;
+use super::state::product;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses, each3};
 
 /// The linear map from one population to another over the nodes between them.

@@ -36,20 +36,20 @@ pub mod export;
 mod graph;
 mod linear;
 mod neuron;
-mod node;
+mod node_types;
 mod projections;
-mod reader;
+mod state;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::Group;
 use super::imported::{Imported, NEVER, Options, ResetMode, wrong_option};
 use graph::unfold;
-use node::{Flat, WITHOUT_MEANING, fields, is_population, resets};
+use node_types::{Flat, WITHOUT_MEANING, fields, is_population, resets};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::neurons::NeuronKind;
-use reader::{Reader, unsupported, wrong};
+use state::{Reader, unsupported, wrong};
 
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {

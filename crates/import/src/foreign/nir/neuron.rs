@@ -6,8 +6,8 @@
 use std::cell::RefCell;
 use std::cmp::Ordering;
 
-use super::node::resets;
-use super::reader::{Reader, product, unsupported, wrong};
+use super::node_types::resets;
+use super::state::{Reader, product, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::{DecayRule, decimal, wrong_option};
 use nsim_files::network::Parameter;

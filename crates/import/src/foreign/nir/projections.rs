@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::linear::{Connection, Linear, Window, delay_at, scaled};
 use super::neuron::{Discrete, all};
-use super::node::resets;
-use super::reader::{Reader, product, unsupported, wrong};
+use super::node_types::resets;
+use super::state::{Reader, product, unsupported, wrong};
 use crate::foreign::imported::{LONGEST_DELAY, ResetMode, every_step, integrator};
 use crate::foreign::window::{MOST_LISTED, by_delay, listed};
 use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};

@@ -1,20 +1,20 @@
-//! The state of reading a NIR file: its flat graph and the model so far; limits and errors of all
-//! its parts.
+//! State of reading a NIR file: its flat graph and the model so far; limits and errors of all
+//! parts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::node::Flat;
+use super::node_types::Flat;
 use crate::foreign::imported::Options;
 use nsim_files::network::NetworkFile;
 use nsim_ir::base::diagnostic::Diagnostic;
 
-/// Graphs within graphs.
+/// The deepest nesting of graphs.
 pub(super) const DEEPEST: usize = 8;
-/// Nodes and edges of a file.
+/// The most nodes, and the most edges, of a file.
 pub(super) const MOST_NODES: usize = 1 << 14;
-/// Paths from one population to another.
+/// The most paths that end at a node.
 pub(super) const MOST_PATHS: usize = 1 << 12;
-/// The greatest units of a population.
+/// The most units of a population.
 pub(super) const MOST_UNITS: usize = 1 << 22;
 
 pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
@@ -40,7 +40,7 @@ pub(super) struct Reader<'a> {
     pub(super) shapes: BTreeMap<String, Vec<usize>>,
     /// Layers of neurons before each population, by node.
     pub(super) depths: BTreeMap<String, u32>,
-    /// Ways that lead back, by the nodes at their ends.
+    /// Paths that close a loop, by the nodes at their ends.
     pub(super) loops: BTreeSet<(String, String)>,
     /// Seconds of a timestep.
     pub(super) dt: f64,

@@ -1,15 +1,15 @@
-//! All synapses of a network, sorted by the core that they end on.
+//! All synapses of a network, sorted by the core of their target.
 //!
-//! In come a network and the seats of its compartments; out goes, core by core, what a function
-//! makes of the core's synapses in the order of their lists: by source, then format, slot, delay
-//! and weight. [`crate::resources::exact`] counts them and `nsim_compile::emit::tables` writes them
-//! down; both therefore mean the same lists.
+//! Input: a network and the seats of its compartments. Output: for each core, the result of a
+//! function of its synapses. They are in the order of its lists: by source, then format, slot,
+//! delay and weight. [`crate::resources::exact`] counts them and `nsim_compile::emit::tables`
+//! writes them, so both use the same lists.
 //!
-//! Sources are enumerated in pieces of a fixed size, on any number of threads; each piece sorts its
-//! synapses into ranges of cores, and each range then reads the pieces in order. So nothing depends
-//! on threads, no synapse is allocated by itself, and memory is read and written in long runs. A
-//! synapse takes eight bytes on its way; a network with more than `AT_ONCE` of them is enumerated
-//! several times, for some of its cores each time.
+//! Sources are enumerated in pieces of a fixed size, on any number of threads. Each piece sorts its
+//! synapses into ranges of cores, and each range then reads the pieces in order. So results do not
+//! depend on threads, no synapse is allocated separately, and memory is accessed in long runs. A
+//! synapse takes eight bytes meanwhile. A network with more than `MOST_SYNAPSES` of them is
+//! enumerated several times, for some of its cores each time.
 
 use rayon::prelude::*;
 
@@ -19,15 +19,15 @@ use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, Projecti
 use nsim_ir::partition::Seat;
 use nsim_ir::quantised::{Projection, Quantised};
 
-/// Synapses that are held simultaneously: two gigabytes of them.
-const AT_ONCE: u64 = 1 << 28;
-/// Room for keys of a piece and a range that is reused from piece to piece.
-const MOST_KEPT: usize = 1 << 16;
+/// Most synapses in memory simultaneously: two gigabytes of them.
+const MOST_SYNAPSES: u64 = 1 << 28;
+/// Most keys of a bucket's allocation that is reused for the next piece.
+const MOST_REUSED_KEYS: usize = 1 << 16;
 /// Bits of a source's number within its piece.
 const PIECE_BITS: u32 = 14;
-/// Most cores of a range: their numbers within the range have the bits that a key leaves.
+/// Most cores of a range: their numbers within the range take the remaining bits of a key.
 const MOST_OF_RANGE: usize = 1 << 14;
-/// Cores of a range where there are many: a range's synapses should stay in a processor's cache
+/// Cores of a range where there are many, so that a range's synapses stay in a processor's cache
 /// while they are sorted.
 const OF_RANGE: usize = 128;
 
@@ -37,7 +37,7 @@ const SLOT_BITS: u32 = 12;
 const FORMAT_BITS: u32 = 9;
 /// Bits of everything but the source and the core.
 const SYNAPSE_BITS: u32 = WEIGHT_BITS + DELAY_BITS + SLOT_BITS + FORMAT_BITS;
-/// Weights are from -256 to 255; they are stored from 0 on so that keys sort as weights do.
+/// Zero of a stored weight: weights -256..=255 are stored from 0, so that keys sort as weights do.
 const WEIGHT_ZERO: i16 = 1 << (WEIGHT_BITS - 1);
 
 /// A synapse at its core, in 64 bits that sort as lists are sorted: source (channels first, then
@@ -80,8 +80,7 @@ impl Key {
         field(self.0, WEIGHT_BITS, DELAY_BITS) as u8
     }
 
-    /// Everything but the source: its atom instead, and the slot counted from a base that is not
-    /// above it.
+    /// The key with an atom in place of the source, and the slot relative to a base at or below it.
     #[inline]
     pub fn relative_to(self, atom: u16, base: u16) -> u64 {
         let rest = field(self.0, 0, SYNAPSE_BITS) - (u64::from(base) << (WEIGHT_BITS + DELAY_BITS));
@@ -115,7 +114,7 @@ pub fn groups(list: &[Key]) -> impl Iterator<Item = &[Key]> {
 
 /// Consecutive sources of one population.
 struct Piece<'a> {
-    /// Number of the first.
+    /// Number of the first source.
     source: u32,
     /// Its index in its population.
     index: u32,
@@ -123,7 +122,7 @@ struct Piece<'a> {
     outgoing: Vec<(&'a Projection, u16, u32)>,
 }
 
-/// The sources of populations that count, in pieces: channels in order, then compartments in order.
+/// Sources of the populations with `counts`, in pieces: channels in order, then compartments.
 fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(PopulationId) -> bool) -> Vec<Piece<'a>> {
     let mut pieces = Vec::new();
     let of =
@@ -176,9 +175,9 @@ fn runs(bucket: &[u64]) -> impl Iterator<Item = &[u64]> {
     bucket.chunk_by(|&a, &b| core_of(a) == core_of(b))
 }
 
-/// A bucket by core, then source, then the rest. Its sources ascend as they came, so it is
-/// distributed to cores in its present order; only the synapses of one source on one core are still
-/// to be compared.
+/// Returns a bucket sorted by core, then source, then the other fields. Its sources ascend already,
+/// so a counting sort by core keeps their order. Only the synapses of one source on one core are
+/// compared.
 fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
     let mut places = vec![0u32; cores];
     bucket.iter().for_each(|&key| places[core_of(key)] += 1);
@@ -200,8 +199,8 @@ fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
     sorted
 }
 
-/// What `f` makes of each core and its synapses from the populations that count; cores that are not
-/// wanted have none.
+/// Results of `f` for each core and its synapses from the populations with `counts`. Cores that are
+/// not wanted have no synapses.
 pub fn by_core<T: Send>(
     network: &Quantised,
     formats: &Formats,
@@ -213,7 +212,7 @@ pub fn by_core<T: Send>(
     let pieces = pieces(network, formats, &counts);
     let from = |(id, p): (ProjectionId, &Projection)| if counts(p.source) { network.synapses_of(id) } else { 0 };
     let synapses: u64 = network.projections().enumerate().map(from).sum();
-    let waves = synapses.div_ceil(AT_ONCE).max(1) as usize;
+    let waves = synapses.div_ceil(MOST_SYNAPSES).max(1) as usize;
     let of_wave = cores.div_ceil(waves).max(1);
     let of_range = OF_RANGE.max(of_wave.div_ceil(1 << 12)).min(MOST_OF_RANGE);
     let mut results = Vec::with_capacity(cores);
@@ -235,7 +234,7 @@ pub fn by_core<T: Send>(
                     let take = |bucket: &mut Vec<u64>| {
                         let sorted = sorted(bucket, of_range);
                         bucket.clear();
-                        bucket.shrink_to(MOST_KEPT);
+                        bucket.shrink_to(MOST_REUSED_KEYS);
                         sorted
                     };
                     buckets.iter_mut().map(take).collect()

@@ -4,24 +4,23 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::foreign::hdf5::Group;
 
-/// A node with its place in the unfolded graph.
+/// A node of the flat graph.
 pub(super) struct Node<'a> {
     pub(super) kind: String,
     pub(super) group: &'a Group,
 }
 
-/// The graph without graphs in it.
+/// The graph with all nested graphs inlined.
 #[derive(Default)]
 pub(super) struct Flat<'a> {
     pub(super) nodes: BTreeMap<String, Node<'a>>,
     pub(super) edges: BTreeSet<(String, String)>,
 }
 
-/// Fields that every node may have and that say nothing of the network.
+/// Fields of every node without effect on the network.
 pub(super) const WITHOUT_MEANING: [&str; 4] = ["type", "metadata", "input_type", "output_type"];
 
-/// The fields of a type of nodes (`docs/import.md` says what is done with each); none for a type
-/// that is not read.
+/// The fields of a node type (`docs/import.md` describes each); empty for a type that is not read.
 pub(super) fn fields(kind: &str) -> &'static [&'static str] {
     match kind {
         "Input" | "Output" | "Pass" => &["shape"],
@@ -43,12 +42,12 @@ pub(super) fn fields(kind: &str) -> &'static [&'static str] {
     }
 }
 
-/// Whether a node is a neuron whose voltage a spike resets.
+/// Whether a node is a neuron with a reset.
 pub(super) fn resets(kind: &str) -> bool {
     matches!(kind, "CubaLIF" | "LIF" | "IF")
 }
 
-/// Whether a node keeps a state, or is an input.
+/// Whether a node is a neuron or an input.
 pub(super) fn is_population(kind: &str) -> bool {
     matches!(kind, "Input" | "CubaLIF" | "LIF" | "IF" | "CubaLI" | "LI" | "I" | "Threshold")
 }
