@@ -109,7 +109,7 @@ fn of_many_populations_some_are_drawn_and_the_page_says_so() {
         .unwrap();
     let document = String::from_utf8_lossy(&output.stdout);
     assert!(document.contains("data-drawn=\"all\""), "not drawn");
-    assert!(document.contains("Drawn are 40 of 3\u{2009}001 populations"));
+    assert!(document.contains("The chart has 40 of 3\u{2009}001 populations"));
 }
 
 #[test]
