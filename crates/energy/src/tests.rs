@@ -116,7 +116,7 @@ fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
     let source = DeploymentSource::load("paper", "vtsnn-slip", shipped_for("vtsnn-slip").unwrap().as_ref()).unwrap();
     for other in [io::target::load_target("oheo-gulch").unwrap(), nahuku().changed()] {
         let refused = source.deployment(&paper, &other, 32, HostWork::default()).unwrap_err();
-        assert!(refused.to_string().contains("is of nahuku-32, not "), "{refused}");
+        assert!(refused.to_string().contains("is for target nahuku-32, not "), "{refused}");
     }
 }
 
