@@ -24,7 +24,7 @@ use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::{Plan, prune};
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::front::front;
-use nsim::session::{Keep, Session, digest};
+use nsim::session::{SampleSettings, Session, digest};
 
 /// Rounds in which every row is timed once.
 const ROUNDS: usize = 25;
@@ -111,11 +111,11 @@ fn measure(scene: &Scene) {
     let mut sessions: Vec<Session> = (rows.iter().zip(&images))
         .map(|(row, image)| Session::new(Machine::new(image, Settings { skip: row.skip, per_step: false }), 1))
         .collect();
-    let keeps: Vec<Keep> = rows
+    let keeps: Vec<SampleSettings> = rows
         .iter()
         .map(|row| {
             let early_exit = row.rule.map(|rule| EarlyExit::new(rule, &row.network));
-            Keep { early_exit, ..Keep::new(row.program.output()) }
+            SampleSettings { early_exit, ..SampleSettings::new(row.program.output()) }
         })
         .collect();
     let mut times: Vec<Vec<f64>> = vec![Vec::new(); rows.len()];

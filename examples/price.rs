@@ -11,7 +11,7 @@ use nsim::ir::base::id::ChannelId;
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
-use nsim::session::{Keep, Session};
+use nsim::session::{SampleSettings, Session};
 
 /// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {
@@ -21,7 +21,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
     let mut session = Session::new(Machine::new(&image, Settings { skip: true, per_step: false }), 1);
 
     let spikes: Vec<_> = (0..100).map(|step| (step, ChannelId(step % compiled.program.channels()))).collect();
-    let keep = Keep::new(compiled.program.output());
+    let keep = SampleSettings::new(compiled.program.output());
     session.run(&Sample::new(100, &spikes, None)?, &keep, ());
 
     // The machine counts; energy is a function of the counts and the constants.

@@ -9,7 +9,7 @@ use nsim::ir::base::id::ChannelId;
 use nsim::ir::spikes::Sample;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
-use nsim::session::{Keep, Session};
+use nsim::session::{SampleSettings, Session};
 
 /// Runs the example.
 pub fn main() -> Result<(), Box<dyn Error>> {
@@ -25,7 +25,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
 
     let image = Image::new(program, 1)?;
     let mut session = Session::new(Machine::new(&image, Settings { skip: true, per_step: false }), 1);
-    let outcome = session.run(&sample, &Keep::new(program.output()), ());
+    let outcome = session.run(&sample, &SampleSettings::new(program.output()), ());
 
     println!("class {:?}, spikes of each output {:?}", outcome.class(), outcome.counts);
     println!("{} synaptic events in {} steps", outcome.totals.synaptic_events, outcome.steps);

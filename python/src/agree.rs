@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nsim::agree::attribution::attribute;
-use nsim::agree::compare::{Counterpart, Deployed, LayerRow, compare, compare_models, output_layer};
+use nsim::agree::compare::{Counterpart, DeployedNetwork, LayerRow, compare, compare_models, output_layer};
 use nsim::compile::{CompileError, refuse_large};
 use nsim::files::network::Network;
 use nsim::files::shipped;
@@ -18,21 +18,21 @@ use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Quantised;
 use nsim::report::agree::{AgreeReport, converted_from, named_fits, potentials, role};
 use nsim::session::front::real_and_integers;
-use nsim::session::obtain::mapped_as_usual;
+use nsim::session::obtain::map_with_defaults;
 use nsim::train::convert::calibration::RunInput;
-use nsim::train::convert::copies::{MOST, USUAL};
-use nsim::train::convert::deployed::{Choice, Conversion, Integers};
-use nsim::train::convert::next::in_python;
+use nsim::train::convert::copies::{DEFAULT_COPIES, MOST_COPIES};
+use nsim::train::convert::deployed::{Conversion, ConversionSettings, ConvertedIntegers};
+use nsim::train::convert::next::suggest_in_python;
 use nsim::train::convert::staged::is_real;
 use pyo3::prelude::*;
 use serde_json::Value;
 
-use crate::error::{raised, warn_of};
+use crate::error::{exception, issue_warning};
 use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
-use crate::spikes::{Shown, sources};
+use crate::spikes::{NetworkInput, sources};
 use crate::value::to_python;
-use crate::work::{tried, work};
+use crate::work::{try_detached, work};
 
 /// Disagreement of two networks, and its causes.
 #[pyclass(frozen, module = "nsim")]
@@ -45,7 +45,7 @@ pub struct Agreement {
 pub const MOST_SAMPLES: usize = 100_000;
 
 /// A keyword from 1 to `most`, `usual` without it.
-pub fn counted(keywords: &Keywords<'_>, name: &str, usual: usize, most: usize) -> PyResult<usize> {
+pub fn count_keyword(keywords: &Keywords<'_>, name: &str, usual: usize, most: usize) -> PyResult<usize> {
     Ok(keywords.whole(name, 1..=most as u64)?.map_or(usual, |number| number as usize))
 }
 
@@ -57,15 +57,15 @@ impl Agreement {
         target: Option<&str>,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
-        in_memory: InMemory,
+        extract_network: NetworkExtractor,
     ) -> PyResult<Self> {
-        let (graph, written) = tried(py, || real_and_integers(network))?;
-        refuse_large("agree", &written, 1).map_err(|problem| raised(py, problem))?;
+        let (graph, written) = try_detached(py, || real_and_integers(network))?;
+        refuse_large("agree", &written, 1).map_err(|problem| exception(py, problem))?;
         let against: Option<Bound<'_, PyAny>> = keywords.take("against")?;
-        let other = against.as_ref().map(|given| model(py, given, in_memory)).transpose()?.flatten();
+        let other = against.as_ref().map(|given| model(py, given, extract_network)).transpose()?.flatten();
         // A network in real numbers is not mapped; its counterpart is.
         let deployed = other.as_ref().filter(|_| is_real(&graph)).map_or(network, |(other, ..)| other);
-        let (on, instead) = target_with_neurons(deployed.file(), target).map_err(|problem| raised(py, problem))?;
+        let (on, instead) = target_with_neurons(deployed.file(), target).map_err(|problem| exception(py, problem))?;
         let typed = target.map(str::to_string).or_else(|| instead.as_ref().map(|_| on.name().to_string()));
         let target = on;
         let word = match &other {
@@ -88,7 +88,7 @@ impl Agreement {
             }
         };
         let given: Option<Bound<'_, PyAny>> = keywords.only("conversion")?.take("conversion")?;
-        if given.is_some_and(|given| in_memory(&given).is_some()) {
+        if given.is_some_and(|given| extract_network(&given).is_some()) {
             let message =
                 "conversion is a network, but it selects how spike response neurons become integers".to_string();
             return Err(usage(message, "give the network or the nsim.Conversion as against="));
@@ -96,10 +96,10 @@ impl Agreement {
         let conversion = keywords.one_of("conversion", &Conversion::ALL, Conversion::name)?;
         let conversion = conversion.unwrap_or(Conversion::Search);
         let calibrate = sources(keywords.take("calibrate")?.as_ref())?;
-        let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
-        let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
+        let wanted = count_keyword(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
+        let copies = count_keyword(keywords, "delayed_copies", DEFAULT_COPIES, MOST_COPIES)?;
         let steps = keywords.whole("steps", 1..=u32::MAX.into())?.map(|steps| steps as u32);
-        let attributed = counted(keywords, "attribution_samples", 100, MOST_SAMPLES)?;
+        let attributed = count_keyword(keywords, "attribution_samples", 100, MOST_SAMPLES)?;
         let most = if keywords.take("attribution")?.unwrap_or(true) { attributed } else { 0 };
         let plot: Option<PathBuf> = keywords.take("plot")?;
         let force = keywords.take("force")?.unwrap_or(false);
@@ -108,16 +108,16 @@ impl Agreement {
                 let message = format!("plot is {}, which does not end in .svg", path.display());
                 return Err(usage(message, "name a file that ends in .svg"));
             }
-            check_free(path, force).map_err(|problem| raised(py, problem))?;
+            check_free(path, force).map_err(|problem| exception(py, problem))?;
         }
         let scene = network.file().scene.as_deref();
-        let shown = Shown::new(&written, scene, spikes, keywords)?;
-        keywords.none_left()?;
+        let shown = NetworkInput::new(&written, scene, spikes, keywords)?;
+        keywords.refuse_unread()?;
         let (json, text, falls) = work(py, true, |progress| {
             let samples = shown.samples();
             let seen = (shown.stimulus.origin.as_slice(), shown.stimulus.seed, samples.len());
             let name = graph.facts().name.as_str();
-            let mapped = |network: &Quantised| mapped_as_usual(network.clone(), &target);
+            let mapped = |network: &Quantised| map_with_defaults(network.clone(), &target);
             let done = |report: AgreeReport<'_>,
                         layers: &[LayerRow]|
              -> Result<(Value, String, Option<String>), nsim::Error> {
@@ -133,23 +133,23 @@ impl Agreement {
                     true => None,
                     false => Some(mapped(&written)?.program),
                 };
-                let second = mapped(other).map_err(|problem| unfit(&problem, target.name()))?;
+                let second = mapped(other).map_err(|problem| does_not_fit(&problem, target.name()))?;
                 let both = ((&graph, &written, own.as_ref()), (other, &second.program));
                 let agreement = compare_models(both.0, both.1, &samples, steps, progress)?;
                 let two = [(name, role(&graph)), (other.parts().name.as_str(), *kind)];
-                return done(AgreeReport::of_two(two, seen, &agreement), &agreement.layers);
+                return done(AgreeReport::for_two_networks(two, seen, &agreement), &agreement.layers);
             }
             let run = RunInput { sources: &shown.stimulus.origin, seed: shown.stimulus.seed, scene };
-            let choice = Choice { conversion, calibrate: &calibrate, run, wanted, most_copies: copies };
-            let integers = Integers::find((&graph, &written), choice, &samples, |_| progress())?;
-            let (fits, ladder) = (&integers.fits, integers.ladder(&graph)?);
-            let program = &mapped(ladder.deployed())?.program;
-            let deployed = Deployed { graph: &graph, fits, ladder: &ladder, program, samples: &samples, steps };
+            let choice = ConversionSettings { conversion, calibrate: &calibrate, run, wanted, most_copies: copies };
+            let integers = ConvertedIntegers::find((&graph, &written), choice, &samples, |_| progress())?;
+            let (fits, staged) = (&integers.fits, integers.ladder(&graph)?);
+            let program = &mapped(staged.deployed())?.program;
+            let deployed = DeployedNetwork { graph: &graph, fits, staged: &staged, program, samples: &samples, steps };
             let agreement = compare(deployed, &against, progress)?;
             let some = &samples[..samples.len().min(most)];
             let attribution =
-                (against.is_real() && most > 0).then(|| attribute(&ladder, &output_layer(ladder.deployed()), some));
-            let next = attribution.as_ref().and_then(|attribution| in_python(attribution, typed.as_deref()));
+                (against.is_real() && most > 0).then(|| attribute(&staged, &output_layer(staged.deployed()), some));
+            let next = attribution.as_ref().and_then(|attribution| suggest_in_python(attribution, typed.as_deref()));
             let trained = converted_from(&graph).filter(|_| matches!(against, Counterpart::Cuba));
             let closer = "network.agree(spikes, against=conversion), of the network that was converted";
             let report = AgreeReport {
@@ -159,35 +159,39 @@ impl Agreement {
                 attribution_samples: some.len(),
                 next: next.as_ref(),
                 source: trained.map(|trained| (trained, closer.to_string())),
-                ..AgreeReport::of_one((name, against.name()), seen, &agreement)
+                ..AgreeReport::for_counterpart((name, against.name()), seen, &agreement)
             };
             done(report, &agreement.layers)
         })?;
-        instead.iter().chain(&falls).try_for_each(|said| warn_of(py, said))?;
+        instead.iter().chain(&falls).try_for_each(|said| issue_warning(py, said))?;
         Ok(Agreement { json, text })
     }
 }
 
 /// Error for another network that does not fit on the target of this one.
-fn unfit(problem: &CompileError, target: &str) -> nsim::Error {
+fn does_not_fit(problem: &CompileError, target: &str) -> nsim::Error {
     let message = format!("the network of against= does not run on {target}: {problem}");
     let help = "give target=, or call agree of that network, with this one as against=";
     Diagnostic::new("usage", message).help(help).into()
 }
 
 /// Returns the network of an `nsim.Network` or an `nsim.Conversion`; none for another object.
-pub type InMemory = fn(&Bound<'_, PyAny>) -> Option<Arc<Network>>;
+pub type NetworkExtractor = fn(&Bound<'_, PyAny>) -> Option<Arc<Network>>;
 
 /// A network to compare with, its role, and its integers.
-type Other = (Arc<Network>, &'static str, Quantised);
+type ComparedNetwork = (Arc<Network>, &'static str, Quantised);
 
 /// The network of an `nsim.Network`, an `nsim.Conversion` or a model file; none for other text.
-fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyResult<Option<Other>> {
-    let loaded = match (in_memory(given), given.extract::<PathBuf>()) {
+fn model(
+    py: Python<'_>,
+    given: &Bound<'_, PyAny>,
+    extract_network: NetworkExtractor,
+) -> PyResult<Option<ComparedNetwork>> {
+    let loaded = match (extract_network(given), given.extract::<PathBuf>()) {
         (Some(network), _) => network,
         (_, Ok(path)) if path.exists() || shipped::MODELS.iter().any(|known| Path::new(known.name) == path) => {
             let name = path.to_string_lossy().into_owned();
-            Arc::new(tried(py, || nsim::load_model(&name))?)
+            Arc::new(try_detached(py, || nsim::load_model(&name))?)
         }
         (_, Ok(_)) => return Ok(None),
         (_, Err(_)) => {
@@ -195,7 +199,7 @@ fn model(py: Python<'_>, given: &Bound<'_, PyAny>, in_memory: InMemory) -> PyRes
             return Err(usage(message, "give srm, cuba, golden, a model file, an nsim.Network or an nsim.Conversion"));
         }
     };
-    let (graph, integers) = tried(py, || real_and_integers(&loaded))?;
+    let (graph, integers) = try_detached(py, || real_and_integers(&loaded))?;
     Ok(Some((loaded, role(&graph), integers)))
 }
 

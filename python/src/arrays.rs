@@ -9,7 +9,7 @@
 //! `numpy.nditer` reads numbers in parts of bounded size, and a converted copy of the whole array
 //! is never made: an array may claim more numbers than it stores (`numpy.broadcast_to`).
 
-use nsim::import::spikes::options::WHOLE;
+use nsim::import::spikes::options::SPIKE_RULE;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::graph::Shape;
 use numpy::{Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
@@ -17,7 +17,7 @@ use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
-use crate::error::raised;
+use crate::error::exception;
 
 /// Numbers of an array that are compared together.
 const TOGETHER: usize = 32;
@@ -182,7 +182,7 @@ impl<'py> Array<'py> {
                 return Err(self.not_finite(index, number).into());
             }
             if number.fract() != 0.0 {
-                let wrong = self.wrong(index, number, WHOLE);
+                let wrong = self.wrong(index, number, SPIKE_RULE);
                 let help = "encode real numbers as spikes (constant input: \
                             docs/tutorials/from-pytorch.md#other-codes), or let values from 0.5 be spikes: \
                             array >= 0.5";
@@ -221,7 +221,7 @@ impl<'py> Array<'py> {
             // Bytes that lie in order are read in place.
             match bytes.is_c_contiguous() {
                 true => read(bytes.cast::<PyArrayDyn<u8>>()?.readonly().as_slice()?)
-                    .map_err(|problem| raised(bytes.py(), problem))?,
+                    .map_err(|problem| exception(bytes.py(), problem))?,
                 false => parts(&bytes, "u1", read)?,
             }
             return Ok(greater);
@@ -242,7 +242,7 @@ impl<'py> Array<'py> {
 
 /// Whether axes equal the shape of a population, or are one axis of all its units; axes of length 1
 /// are ignored.
-pub fn is_of(shape: Shape, axes: &[usize]) -> bool {
+pub fn matches_shape(shape: Shape, axes: &[usize]) -> bool {
     let plain = |axes: &[usize]| axes.iter().copied().filter(|&axis| axis != 1).collect::<Vec<_>>();
     let own: Vec<usize> = shape.axes().into_iter().map(|axis| axis as usize).collect();
     let axes = plain(axes);
@@ -268,7 +268,7 @@ fn parts<T: Element>(
     options.set_item("buffersize", PART)?;
     for part in py.import("numpy")?.getattr("nditer")?.call((array,), Some(&options))?.try_iter()? {
         let part = part?.cast_into::<PyArrayDyn<T>>()?;
-        read(part.readonly().as_slice()?).map_err(|problem| raised(py, problem))?;
+        read(part.readonly().as_slice()?).map_err(|problem| exception(py, problem))?;
     }
     Ok(())
 }
@@ -291,7 +291,7 @@ fn is_masked(value: &Bound<'_, PyAny>, masked: &Bound<'_, PyAny>, depth: usize) 
 
 /// Kind of thing that the entries of an array count.
 #[derive(Clone, Copy)]
-pub struct Counted {
+pub struct CountBound {
     /// Its name, in the singular.
     pub what: &'static str,
     /// Number of things, at most 2^32.
@@ -312,7 +312,7 @@ impl Array<'_> {
     }
 
     /// The value of an entry, a count from 0.
-    pub fn counted(&self, index: usize, value: f64, of: Counted) -> Result<u32, nsim::Error> {
+    pub fn count(&self, index: usize, value: f64, of: CountBound) -> Result<u32, nsim::Error> {
         if value >= 0.0 && value < of.limit as f64 && value.fract() == 0.0 {
             return Ok(value as u32);
         }
@@ -324,5 +324,5 @@ impl Array<'_> {
 }
 
 fn refused(py: Python<'_>, message: String, help: &str) -> PyErr {
-    raised(py, Diagnostic::new("input.array", message).help(help))
+    exception(py, Diagnostic::new("input.array", message).help(help))
 }

@@ -8,15 +8,15 @@ use std::time::Duration;
 use nsim::energy::measure::{Budget, StepTiming, measure};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::machine::{Machine, Settings};
-use nsim::session::samples::{Division, laid_out};
+use nsim::session::samples::{Division, lay_out};
 use pyo3::prelude::*;
 use serde_json::json;
 
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
-use crate::spikes::Shown;
+use crate::spikes::NetworkInput;
 use crate::value::to_python;
-use crate::work::tried;
+use crate::work::try_detached;
 
 /// Longest measurement, in seconds.
 const MOST_SECONDS: f64 = 3600.0;
@@ -29,10 +29,10 @@ pub fn bench<'py>(
     keywords: &Keywords<'_>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let compiled = mapping.compiled();
-    let shown = Shown::new(&compiled.one, mapping.scene.as_deref(), spikes, keywords)?;
+    let shown = NetworkInput::new(&compiled.one, mapping.scene.as_deref(), spikes, keywords)?;
     let seconds = keywords.take::<f64>("seconds")?.unwrap_or(1.0);
     let skip = keywords.take::<bool>("skip")?.unwrap_or(true);
-    keywords.none_left()?;
+    keywords.refuse_unread()?;
     if !(seconds > 0.0 && seconds <= MOST_SECONDS) {
         let message = format!("seconds is {seconds}, not above 0 and at most {MOST_SECONDS}");
         return Err(usage(message, "one second measures most networks well: seconds=1.0"));
@@ -41,13 +41,13 @@ pub fn bench<'py>(
         return Err(usage("there is no sample".into(), "give spikes, or None for the model's own scene"));
     };
     let period = sample.copies(compiled.options.copies, compiled.one.channels());
-    let division = Division { shards: 1, in_turn: true };
-    let timing = tried::<StepTiming, Diagnostic>(py, || {
+    let division = Division { shards: 1, sequential: true };
+    let timing = try_detached::<StepTiming, Diagnostic>(py, || {
         let own;
         let image = match mapping.image(division) {
             Some(image) => image,
             None => {
-                own = laid_out(&compiled.program, division)?;
+                own = lay_out(&compiled.program, division)?;
                 &own
             }
         };

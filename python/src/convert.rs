@@ -8,20 +8,20 @@ use nsim::files::shipped;
 use nsim::report::convert::ConvertReport;
 use nsim::train::convert::calibration;
 use nsim::train::convert::calibration::RunInput;
-use nsim::train::convert::copies::{MOST, USUAL};
+use nsim::train::convert::copies::{DEFAULT_COPIES, MOST_COPIES};
 use nsim::train::convert::fine_tune::trainable;
-use nsim::train::convert::job::{FineTuning, Job, Split};
+use nsim::train::convert::job::{FineTuning, Job, SampleSplit};
 use pyo3::prelude::*;
 use serde_json::Value;
 use std::path::PathBuf;
 
-use crate::agree::{MOST_SAMPLES, counted};
-use crate::error::raised;
+use crate::agree::{MOST_SAMPLES, count_keyword};
+use crate::error::exception;
 use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
-use crate::spikes::{Shown, sources};
+use crate::spikes::{NetworkInput, sources};
 use crate::value::to_python;
-use crate::work::{tried, work};
+use crate::work::{try_detached, work};
 
 /// The greatest number of epochs of fine-tuning, as on the command line.
 const MOST_EPOCHS: u32 = 100_000;
@@ -45,17 +45,17 @@ impl Conversion {
         keywords: &Keywords<'_>,
         built: impl FnOnce(&NetworkFile) -> PyResult<Py<PyAny>>,
     ) -> PyResult<Self> {
-        let target = nsim::load_target(target).map_err(|problem| raised(py, problem))?;
-        let job = tried(py, || Job::new(network, &target))?;
+        let target = nsim::load_target(target).map_err(|problem| exception(py, problem))?;
+        let job = try_detached(py, || Job::new(network, &target))?;
         let calibrate: Option<Bound<'_, PyAny>> = keywords.take("calibrate")?;
         let layout = keywords.only("time_first")?;
-        let searched = |given| Ok::<_, PyErr>(Shown::new(&job.integers, None, Some(given), &layout)?.stimulus);
+        let searched = |given| Ok::<_, PyErr>(NetworkInput::new(&job.integers, None, Some(given), &layout)?.stimulus);
         let searched = calibrate.as_ref().map(searched).transpose()?;
-        let wanted = counted(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
-        let copies = counted(keywords, "delayed_copies", USUAL, MOST)?;
+        let wanted = count_keyword(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
+        let copies = count_keyword(keywords, "delayed_copies", DEFAULT_COPIES, MOST_COPIES)?;
         let epochs = keywords.whole("fine_tune", 0..=MOST_EPOCHS.into())?.unwrap_or(0) as u32;
         if epochs > 0 {
-            trainable(&job.graph).map_err(|problem| raised(py, problem))?;
+            trainable(&job.graph).map_err(|problem| exception(py, problem))?;
         }
         let training = keywords.path("training")?;
         let train = sources(keywords.take("train")?.as_ref())?;
@@ -64,8 +64,8 @@ impl Conversion {
             return Err(usage(message, "give fine_tune=EPOCHS, or remove training= and train="));
         }
         let scene = network.file().scene.as_deref();
-        let shown = Shown::new(&job.integers, scene, spikes, keywords)?;
-        keywords.none_left()?;
+        let shown = NetworkInput::new(&job.integers, scene, spikes, keywords)?;
+        keywords.refuse_unread()?;
         let (json, text, model) = work(py, true, |progress| {
             let samples = shown.samples();
             let origin = &shown.stimulus.origin;
@@ -74,14 +74,15 @@ impl Conversion {
                 Some(samples) => Some(samples),
                 None => calibration::stimulus(&job.integers, &[], run, wanted)?,
             };
-            let split = Split::new((origin, &samples), apart.as_ref(), wanted);
+            let split = SampleSplit::new((origin, &samples), apart.as_ref(), wanted);
             let done = job.convert(&split, copies, |_| progress())?;
             let tuned = match epochs {
                 0 => None,
                 _ => {
                     let named = training.as_deref().unwrap_or(&job.graph.facts().name);
-                    let (source, _) = shipped::text_of(named, shipped::TRAININGS, "training file", "convert.training")
-                        .map_err(|error| error.help("training= names the training file of the model"))?;
+                    let (source, _) =
+                        shipped::path_or_shipped_text(named, shipped::TRAININGS, "training file", "convert.training")
+                            .map_err(|error| error.help("training= names the training file of the model"))?;
                     let (converted, held_out) = (&done.converted, split.held_out.as_slice());
                     let tuning = FineTuning::new(&job, converted, &source, (&train, held_out), epochs)?;
                     Some(tuning.run(converted, held_out, &|| progress(), |_| ())?)
@@ -132,7 +133,7 @@ impl Conversion {
     /// Returns the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
-        tried(py, || self.model.write(&path, force))
+        try_detached(py, || self.model.write(&path, force))
     }
 
     /// The stages as a data frame of pandas, or of polars where only that is installed.

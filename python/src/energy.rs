@@ -6,7 +6,7 @@ use nsim::cost::estimate::Convention;
 use nsim::cost::job::Accounting;
 use nsim::cost::job::Mode;
 use nsim::cost::{Host, Streams, Transport};
-use nsim::energy::evaluate::{Evaluated, Plan, evaluate};
+use nsim::energy::evaluate::{DeploymentPlan, Evaluation, evaluate};
 use nsim::energy::options::CostOptions;
 use nsim::energy::report::table::EnergyReport;
 use nsim::energy::workload::Workload;
@@ -16,28 +16,28 @@ use nsim::files::write::check_free;
 use nsim::ir::spikes::{Sample, Stimulus};
 use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
-use nsim::session::obtain::mapped_as_usual;
+use nsim::session::obtain::map_with_defaults;
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
-use crate::error::{raised, warn, worded};
+use crate::error::{exception, python_message, warn};
 use crate::html::{frame, table};
 use crate::keywords::Keywords;
 use crate::run::{is_long, rule};
 use crate::shared::Shared;
-use crate::spikes::Shown;
+use crate::spikes::NetworkInput;
 use crate::value::to_python;
-use crate::work::{tried, work};
+use crate::work::{try_detached, work};
 
 /// The deployment that `deployment` names.
-pub fn plan(py: Python<'_>, model: &str, keywords: &Keywords<'_>, copies: Option<u32>) -> PyResult<Plan> {
+pub fn plan(py: Python<'_>, model: &str, keywords: &Keywords<'_>, copies: Option<u32>) -> PyResult<DeploymentPlan> {
     let asked = keywords.path("deployment")?;
-    Plan::new(model, asked.as_deref(), copies).map_err(|error| raised(py, error))
+    DeploymentPlan::new(model, asked.as_deref(), copies).map_err(|error| exception(py, error))
 }
 
 fn options(py: Python<'_>, keywords: &Keywords<'_>) -> PyResult<CostOptions> {
     let baselines: Vec<String> = keywords.take("baselines")?.unwrap_or_default();
-    let usual = CostOptions::usual(Some(&baselines)).map_err(|problem| raised(py, problem))?;
+    let usual = CostOptions::with_baselines(Some(&baselines)).map_err(|problem| exception(py, problem))?;
     Ok(CostOptions {
         mode: keywords.one_of("mode", &Mode::ALL, Mode::name)?.unwrap_or(usual.mode),
         convention: keywords.one_of("convention", &Convention::ALL, Convention::name)?.unwrap_or(usual.convention),
@@ -58,30 +58,30 @@ pub struct Energy {
     report: EnergyReport,
 }
 
-fn shown(shared: &Shared, spikes: Option<&Bound<'_, PyAny>>, keywords: &Keywords<'_>) -> PyResult<Shown> {
-    Shown::new(&shared.compiled().one, shared.scene.as_deref(), spikes, keywords)
+fn read_input(shared: &Shared, spikes: Option<&Bound<'_, PyAny>>, keywords: &Keywords<'_>) -> PyResult<NetworkInput> {
+    NetworkInput::new(&shared.compiled().one, shared.scene.as_deref(), spikes, keywords)
 }
 
 /// Runs and prices a mapping; `then` takes the result.
-fn priced<T: Send>(
+fn run_and_price<T: Send>(
     py: Python<'_>,
-    (shared, plan): (&Shared, &Plan),
-    shown: Shown,
+    (shared, plan): (&Shared, &DeploymentPlan),
+    shown: NetworkInput,
     keywords: &Keywords<'_>,
-    then: impl FnOnce(&Workload<'_>, Evaluated, (Transport, Progress<'_>)) -> Result<T, nsim::Error> + Send,
+    then: impl FnOnce(&Workload<'_>, Evaluation, (Transport, Progress<'_>)) -> Result<T, nsim::Error> + Send,
 ) -> PyResult<T> {
     let compiled = shared.compiled();
     let options = options(py, keywords)?;
-    keywords.none_left()?;
+    keywords.refuse_unread()?;
     let long = is_long(shared, &shown);
     let (result, warnings) = work(py, long, |progress| {
-        let Shown { stimulus, order } = shown;
+        let NetworkInput { stimulus, order } = shown;
         // The network of a published job is mapped as in its publication.
-        let of_job = plan.job_mapped(compiled, &shared.target)?;
+        let of_job = plan.map_job(compiled, &shared.target)?;
         let workload = Workload::new(of_job.as_ref().unwrap_or(compiled), &shared.target, stimulus, order)?;
         // The rows of the processor need one copy, mapped alone.
         let alone = match options.baselines.cpu && compiled.options.copies > 1 {
-            true => Some(mapped_as_usual(compiled.one.clone(), &shared.target)?),
+            true => Some(map_with_defaults(compiled.one.clone(), &shared.target)?),
             false => None,
         };
         let program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
@@ -100,15 +100,15 @@ fn priced<T: Send>(
 /// Writes the page of a run to a path; `force` replaces an existing file.
 pub fn report(
     py: Python<'_>,
-    what: (&Shared, &Plan),
+    what: (&Shared, &DeploymentPlan),
     spikes: Option<&Bound<'_, PyAny>>,
     keywords: &Keywords<'_>,
     (path, force): (PathBuf, bool),
 ) -> PyResult<PathBuf> {
-    check_free(&path, force).map_err(|problem| raised(py, problem))?;
+    check_free(&path, force).map_err(|problem| exception(py, problem))?;
     let network = &what.0.network;
-    let shown = shown(what.0, spikes, keywords)?;
-    let page = priced(py, what, shown, keywords, |workload, evaluated, (transport, progress)| {
+    let shown = read_input(what.0, spikes, keywords)?;
+    let page = run_and_price(py, what, shown, keywords, |workload, evaluated, (transport, progress)| {
         let mut sections = page::sections(workload, &evaluated, transport)?;
         if let Some(trained) = page::trained(workload, network)? {
             sections.agreement = page::agreement(workload, &trained, progress)?;
@@ -120,7 +120,7 @@ pub fn report(
         let command = format!("report, nsim {} for Python", env!("CARGO_PKG_VERSION"));
         Ok(html(&title, &sections, &Provenance { command, origins }))
     })?;
-    tried(py, || write::text(&path, force, &page))?;
+    try_detached(py, || write::text(&path, force, &page))?;
     Ok(path)
 }
 
@@ -129,25 +129,25 @@ impl Energy {
     pub fn new(
         py: Python<'_>,
         shared: &Shared,
-        plan: &Plan,
+        plan: &DeploymentPlan,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        let shown = shown(shared, spikes, keywords)?;
-        priced(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+        let shown = read_input(shared, spikes, keywords)?;
+        run_and_price(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
     /// Runs and prices a mapping for one sample.
-    pub fn of_sample(
+    pub fn from_sample(
         py: Python<'_>,
         shared: &Shared,
-        plan: &Plan,
+        plan: &DeploymentPlan,
         sample: Sample,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
         let stimulus = Stimulus { samples: vec![sample], origin: vec!["session".to_string()], seed: None };
-        let shown = Shown { stimulus, order: vec![0] };
-        priced(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+        let shown = NetworkInput { stimulus, order: vec![0] };
+        run_and_price(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
     fn total(&self, figure: &str) -> Option<f64> {
@@ -193,7 +193,7 @@ impl Energy {
     }
 
     fn __str__(&self) -> String {
-        worded(&self.report.headline())
+        python_message(&self.report.headline())
     }
 
     /// The table for notebooks: a row for each unit of hardware, of a timestep and one copy.

@@ -38,7 +38,7 @@ const VALUES: [&str; 8] =
 
 /// A message with the arguments of Python instead of the options of the command line: `dt_ms=` for
 /// `--dt`. Names such as `a--b.ron` are unchanged.
-pub fn worded(text: &str) -> String {
+pub fn python_message(text: &str) -> String {
     let text = IN_PYTHON.iter().fold(text.to_string(), |text, (shell, python)| text.replace(shell, python));
     let mut parts = text.split("--");
     let mut out = parts.next().unwrap_or_default().to_string();
@@ -82,40 +82,40 @@ pub fn worded(text: &str) -> String {
 pub fn warn(py: Python<'_>, found: &[nsim::session::warnings::Warning]) -> PyResult<()> {
     for warning in found {
         let message = match &warning.population {
-            Some(population) => format!("'{population}': {}", worded(&warning.message)),
-            None => worded(&warning.message),
+            Some(population) => format!("'{population}': {}", python_message(&warning.message)),
+            None => python_message(&warning.message),
         };
-        warn_of(py, &message)?;
+        issue_warning(py, &message)?;
     }
     Ok(())
 }
 
 /// Issues a warning.
-pub fn warn_of(py: Python<'_>, message: &str) -> PyResult<()> {
+pub fn issue_warning(py: Python<'_>, message: &str) -> PyResult<()> {
     let message = CString::new(message.replace('\0', "")).unwrap_or_default();
     PyErr::warn(py, &py.get_type::<Warning>(), &message, 1)
 }
 
 /// The exception for an error. Its text includes every problem and the help, as Python prints only
 /// the text.
-pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
+pub fn exception(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
     let error = error.into();
     let diagnostic = error.diagnostic();
     let reasons = match (&error, &diagnostic) {
         (nsim::Error::DoesNotFit(reasons), _) => reasons.iter().map(|reason| json!(reason)).collect(),
-        (_, Some(first)) => std::iter::once(&**first).chain(first.others()).map(shown).collect(),
+        (_, Some(first)) => std::iter::once(&**first).chain(first.others()).map(problem_dictionary).collect(),
         (_, None) => vec![json!({ "code": error.code(), "message": error.to_string(), "place": null, "help": null })],
     };
-    let mut text = worded(&error.to_string());
+    let mut text = python_message(&error.to_string());
     let (mut problem, mut help): (Option<String>, Option<String>) = (None, None);
     if let Some(first) = &diagnostic {
-        help = first.help.as_deref().map(worded);
+        help = first.help.as_deref().map(python_message);
         help.iter().for_each(|help| text += &format!("\n  help: {help}"));
-        first.others().iter().for_each(|other| text += &format!("\n{}", worded(&other.to_string())));
+        first.others().iter().for_each(|other| text += &format!("\n{}", python_message(&other.to_string())));
         problem = place(first);
     }
-    let raised = Error::new_err(text);
-    let value = raised.value(py);
+    let exception = Error::new_err(text);
+    let value = exception.value(py);
     let set = || {
         value.setattr("code", error.code())?;
         value.setattr("place", problem)?;
@@ -123,15 +123,15 @@ pub fn raised(py: Python<'_>, error: impl Into<nsim::Error>) -> PyErr {
         value.setattr("reasons", to_python(py, &Value::Array(reasons))?)
     };
     match set() {
-        Ok(()) => raised,
+        Ok(()) => exception,
         Err(other) => other,
     }
 }
 
 /// A problem as a dictionary.
-fn shown(problem: &Diagnostic) -> Value {
-    let help = problem.help.as_deref().map(worded);
-    json!({ "code": problem.code, "message": worded(&problem.message), "place": place(problem), "help": help })
+fn problem_dictionary(problem: &Diagnostic) -> Value {
+    let help = problem.help.as_deref().map(python_message);
+    json!({ "code": problem.code, "message": python_message(&problem.message), "place": place(problem), "help": help })
 }
 
 fn place(diagnostic: &Diagnostic) -> Option<String> {

@@ -10,14 +10,14 @@ use std::fmt::Write;
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::events::read::read_input;
 use nsim::import::spikes::events::text::is_header;
-use nsim::import::spikes::{EventFormat, EventOptions, Expected, PopulationSpikes, TimeUnit};
+use nsim::import::spikes::{EventFormat, EventOptions, InputSpec, PopulationSpikes, TimeUnit};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::Population;
 use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
-use crate::arrays::{Array, Counted};
-use crate::error::{raised, warn_of};
+use crate::arrays::{Array, CountBound};
+use crate::error::{exception, issue_warning};
 use crate::keywords::{usage, whole};
 
 /// The most samples of one array of events.
@@ -36,9 +36,9 @@ const MOST_RECORDS: usize = 1 << 24;
 /// of its times ('us', 'ms', 's' or 'ns'), a timestep is the model's, and without `steps` the
 /// sample ends with its last event.
 #[pyclass(frozen, module = "nsim")]
-pub struct Events(Given);
+pub struct Events(EventData);
 
-enum Given {
+enum EventData {
     Rows { rows: Vec<[u32; 3]>, samples: u32, steps: u32 },
     Records(Records),
 }
@@ -73,7 +73,7 @@ impl Events {
                 }
                 known => known.and_then(|(_, unit)| unit),
             };
-            return Ok(Events(Given::Records(records)));
+            return Ok(Events(EventData::Records(records)));
         }
         let form = "rows are (sample, step, channel), counted from 0: an array [spikes, 3], with steps=T";
         let (Some(steps), None) = (steps, unit) else {
@@ -85,22 +85,22 @@ impl Events {
 
     fn __len__(&self) -> usize {
         match &self.0 {
-            Given::Rows { rows, .. } => rows.len(),
-            Given::Records(records) => records.count,
+            EventData::Rows { rows, .. } => rows.len(),
+            EventData::Records(records) => records.count,
         }
     }
 
     fn __repr__(&self) -> String {
         match &self.0 {
-            Given::Rows { rows, samples, steps } => {
+            EventData::Rows { rows, samples, steps } => {
                 format!("<nsim.Events {} in {samples} samples of {steps} timesteps>", rows.len())
             }
-            Given::Records(records) => format!("<nsim.Events {} records of one sample>", records.count),
+            EventData::Records(records) => format!("<nsim.Events {} records of one sample>", records.count),
         }
     }
 }
 
-fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyResult<Given> {
+fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyResult<EventData> {
     let count = match *array.shape() {
         [count, 3] if count <= MOST_ROWS => count,
         // An empty list has one axis.
@@ -119,9 +119,9 @@ fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyRe
     let help = "rows are (sample, step, channel), counted from 0; steps= and samples= are their numbers";
     let [sample, step, channel] =
         [("sample", samples.unwrap_or(MOST_SAMPLES)), ("step", steps.into()), ("channel", 1 << 32)]
-            .map(|(what, limit)| Counted { what, limit, help, code: "input.shape" });
+            .map(|(what, limit)| CountBound { what, limit, help, code: "input.shape" });
     array.each(|index, value| {
-        let number = array.counted(index, value, [sample, step, channel][index % 3])?;
+        let number = array.count(index, value, [sample, step, channel][index % 3])?;
         rows[index / 3][index % 3] = number;
         if index % 3 == 0 {
             last = last.max(number);
@@ -135,15 +135,15 @@ fn rows(array: &Array<'_>, steps: u32, samples: Option<u64>, form: &str) -> PyRe
         let message = format!("{samples} samples of {steps} timesteps are too many for {count} events");
         return Err(usage(message, "number samples from 0 without gaps, and give some of them at a time"));
     }
-    Ok(Given::Rows { rows, samples: samples as u32, steps })
+    Ok(EventData::Rows { rows, samples: samples as u32, steps })
 }
 
 impl Events {
     /// The samples for a population; a timestep has `dt_ms` milliseconds.
     pub fn recordings(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<Vec<PopulationSpikes>> {
         let (rows, samples, steps) = match &self.0 {
-            Given::Rows { rows, samples, steps } => (rows, *samples, *steps),
-            Given::Records(records) => return Ok(vec![records.recording(py, population, dt_ms)?]),
+            EventData::Rows { rows, samples, steps } => (rows, *samples, *steps),
+            EventData::Records(records) => return Ok(vec![records.recording(py, population, dt_ms)?]),
         };
         let units = population.shape.len();
         let mut recordings = PopulationSpikes::silent(samples as usize, units.into(), steps, "events".to_string());
@@ -151,7 +151,7 @@ impl Events {
             if channel >= units {
                 let message = format!("event {number}: channel {channel} is not below {units}");
                 let problem = Diagnostic::new("input.shape", message);
-                return Err(raised(py, problem.help("rows are (sample, step, channel), counted from 0")));
+                return Err(exception(py, problem.help("rows are (sample, step, channel), counted from 0")));
             }
             recordings[sample as usize].events.push((step, channel));
         }
@@ -205,7 +205,7 @@ impl Records {
     /// The sample for a population; warns of events without a channel or step in it.
     pub fn recording(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<PopulationSpikes> {
         let (units, volume) = (population.shape.len().into(), population.shape.volume());
-        let expected = Expected { units, volume, dt_ms, values: false };
+        let expected = InputSpec { units, volume, dt_ms, values: false };
         let read = read_input(&mut self.text.as_bytes(), "events", EventFormat::Text, &expected, &self.options);
         let (spikes, counts) = read.map_err(|mut problem| {
             // The first row is the header.
@@ -226,13 +226,13 @@ impl Records {
                 }
                 _ => problem,
             };
-            raised(py, problem)
+            exception(py, problem)
         })?;
         if counts.dropped > 0 {
             let (name, dropped, events) = (&population.name, counts.dropped, counts.events);
             let message =
                 format!("'{name}': {dropped} of {events} events have no channel or no timestep and were dropped");
-            warn_of(py, &message)?;
+            issue_warning(py, &message)?;
         }
         Ok(spikes)
     }

@@ -38,7 +38,7 @@ fn flat(row: &Value) -> Value {
     Value::Object(out)
 }
 
-fn shown(value: &Value) -> String {
+fn cell_html(value: &Value) -> String {
     match value {
         Value::Number(number) if number.as_f64() == Some(0.0) => "0".to_string(),
         Value::Null => String::new(),
@@ -57,7 +57,7 @@ fn shown(value: &Value) -> String {
 pub fn table(caption: &str, columns: &[&str], rows: &[Value]) -> String {
     let head: String = columns.iter().map(|column| format!("<th>{}</th>", escaped(column))).collect();
     let row = |row: &Value| {
-        let cells: String = columns.iter().map(|column| format!("<td>{}</td>", shown(&row[*column]))).collect();
+        let cells: String = columns.iter().map(|column| format!("<td>{}</td>", cell_html(&row[*column]))).collect();
         format!("<tr>{cells}</tr>")
     };
     let body: String = rows.iter().map(row).collect();

@@ -67,7 +67,7 @@ impl<'py> Keywords<'py> {
     }
 
     /// Refuses an argument that has not been read.
-    pub fn none_left(&self) -> PyResult<()> {
+    pub fn refuse_unread(&self) -> PyResult<()> {
         match self.0.as_ref().and_then(|left| left.keys().iter().next()) {
             None => Ok(()),
             Some(name) => Err(PyTypeError::new_err(format!("unexpected keyword argument '{name}'"))),
@@ -83,7 +83,7 @@ pub fn whole(name: &str, value: &Bound<'_, PyAny>, bounds: RangeInclusive<u64>) 
         Err(error) if !error.is_instance_of::<PyOverflowError>(value.py()) => Err(wrong(name, value, error)),
         _ => {
             let (least, most) = bounds.into_inner();
-            let message = format!("{name} is {}, outside of {least} to {most}", shown(value));
+            let message = format!("{name} is {}, outside of {least} to {most}", short_repr(value));
             Err(usage(message, &format!("give {name} a whole number from {least} to {most}")))
         }
     }
@@ -93,7 +93,7 @@ pub fn whole(name: &str, value: &Bound<'_, PyAny>, bounds: RangeInclusive<u64>) 
 fn wrong(name: &str, value: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
     let (py, said) = (value.py(), error.value(value.py()));
     if error.is_instance_of::<PyOverflowError>(py) || error.is_instance_of::<PyValueError>(py) {
-        let value = shown(value);
+        let value = short_repr(value);
         let help = match value.contains('-') {
             true => format!("give {name} a number that is not negative"),
             false => format!("give {name} a smaller number, or the right number of values"),
@@ -107,12 +107,12 @@ fn wrong(name: &str, value: &Bound<'_, PyAny>, error: PyErr) -> PyErr {
 }
 
 /// The beginning of a value as Python writes it.
-fn shown(value: &Bound<'_, PyAny>) -> String {
+fn short_repr(value: &Bound<'_, PyAny>) -> String {
     let text = value.repr().map_or_else(|_| "a number of many digits".to_string(), |text| text.to_string());
     if text.chars().count() <= SHOWN { text } else { text.chars().take(SHOWN).chain(" ..".chars()).collect() }
 }
 
 /// The exception for an invalid argument, and its remedy.
 pub fn usage(message: String, help: &str) -> PyErr {
-    Python::attach(|py| crate::error::raised(py, Diagnostic::new("usage", message).help(help)))
+    Python::attach(|py| crate::error::exception(py, Diagnostic::new("usage", message).help(help)))
 }

@@ -11,22 +11,22 @@ use nsim::files::table::count;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Population;
 use nsim::session::obtain::{Job, Request, TargetChoice, obtain};
-use nsim::train::convert::copies::USUAL;
+use nsim::train::convert::copies::DEFAULT_COPIES;
 use nsim::train::convert::prepare::integers;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::bench::bench;
 use crate::energy::{self, Energy};
-use crate::error::raised;
+use crate::error::exception;
 use crate::html::populations;
 use crate::keywords::{Keywords, usage};
 use crate::projections;
 use crate::run::Run;
 use crate::session::Session;
 use crate::shared::Shared;
-use crate::spikes::Shown;
-use crate::work::tried;
+use crate::spikes::NetworkInput;
+use crate::work::try_detached;
 
 /// The default target.
 pub use nsim::files::network::USUAL_TARGET as TARGET;
@@ -56,8 +56,8 @@ impl MappingRequest {
         Ok(MappingRequest { target, file, copies, options: Options { placement, strategy, objective, seed, ..usual } })
     }
 
-    fn obtained(&self, model: &str, network: &Network) -> Result<(compile::Mapping, Target), nsim::Error> {
-        let integers = |network: &Network| integers(network, USUAL);
+    fn obtain_mapping(&self, model: &str, network: &Network) -> Result<(compile::Mapping, Target), nsim::Error> {
+        let integers = |network: &Network| integers(network, DEFAULT_COPIES);
         let request = Request {
             target: TargetChoice::Named(self.target.as_deref()),
             mapping: self.file.as_deref(),
@@ -80,7 +80,7 @@ impl Mapping {
     /// Maps a network.
     pub fn new(py: Python<'_>, model: &str, network: &Arc<Network>, request: &MappingRequest) -> PyResult<Self> {
         let shared = |(compiled, target)| Shared::new(model, network, compiled, target);
-        tried(py, || request.obtained(model, network).map(shared)).map(|shared| Mapping(Arc::new(shared)))
+        try_detached(py, || request.obtain_mapping(model, network).map(shared)).map(|shared| Mapping(Arc::new(shared)))
     }
 
     /// The part that runs and energies share.
@@ -169,7 +169,7 @@ impl Mapping {
 
     /// The text of `nsim map -o`, for `Network.map(mapping=FILE)` and `nsim run --mapping`.
     fn to_ron(&self, py: Python<'_>) -> PyResult<String> {
-        mapping_text(&self.0.compiled().mapping_file()).map_err(|problem| raised(py, problem))
+        mapping_text(&self.0.compiled().mapping_file()).map_err(|problem| exception(py, problem))
     }
 
     /// Runs samples on the simulated cores: `nsim run --engine fast`.
@@ -194,7 +194,7 @@ impl Mapping {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Run> {
         let keywords = Keywords::new(options)?;
-        let shown = Shown::new(&self.0.compiled().one, self.0.scene.as_deref(), spikes, &keywords)?;
+        let shown = NetworkInput::new(&self.0.compiled().one, self.0.scene.as_deref(), spikes, &keywords)?;
         Run::new(py, &self.0, shown, &keywords)
     }
 
@@ -233,7 +233,7 @@ impl Mapping {
             ));
         }
         let plan = energy::plan(py, &self.0.model, &keywords, None)?;
-        plan.of_mapping().map_err(|error| raised(py, error))?;
+        plan.check_mapping().map_err(|error| exception(py, error))?;
         Energy::new(py, &self.0, &plan, spikes, &keywords)
     }
 
@@ -275,7 +275,7 @@ impl Mapping {
     ) -> PyResult<PathBuf> {
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.0.model, &keywords, None)?;
-        plan.of_mapping().map_err(|error| raised(py, error))?;
+        plan.check_mapping().map_err(|error| exception(py, error))?;
         energy::report(py, (&self.0, &plan), spikes, &keywords, (path, force))
     }
 

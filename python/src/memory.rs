@@ -22,10 +22,10 @@ use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
-use crate::arrays::{Array, Counted};
-use crate::error::{warn_of, worded};
+use crate::arrays::{Array, CountBound};
+use crate::error::{issue_warning, python_message};
 use crate::keywords::{Keywords, usage, whole};
-use crate::work::tried;
+use crate::work::try_detached;
 
 /// The most numbers of an array of weights or parameters, 8 bytes each.
 const MOST_NUMBERS: usize = 1 << 27;
@@ -34,7 +34,7 @@ const MOST_AXES: usize = 4;
 const TOO_MANY: &str = "describe a large projection in a model file: nsim.load(FILE)";
 
 /// Name in messages of a network without a file.
-pub fn place(name: &str) -> String {
+pub fn memory_name(name: &str) -> String {
     format!("{name} (in memory)")
 }
 
@@ -71,13 +71,13 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
         built.message_bits = keywords.take("message_bits")?;
     }
     if kind == "Input" {
-        keywords.none_left()?;
+        keywords.refuse_unread()?;
         return Ok(built);
     }
     if kind == "Srm" {
         let number = |key: &'static str| Ok::<_, PyErr>((key, required(&keywords, key, &whose)?));
         let srm = [number("tau_sr_ms")?, number("tau_ref_ms")?, number("scale_ref")?, number("theta")?];
-        keywords.none_left()?;
+        keywords.refuse_unread()?;
         return Ok(PopulationDesc { srm: Some(srm), ..built });
     }
     let Some(kind) = found else {
@@ -105,7 +105,7 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
         }
     }
     let start_step = keywords.take("start_step")?.unwrap_or(0);
-    keywords.none_left()?;
+    keywords.refuse_unread()?;
     Ok(PopulationDesc { kind, start_step, loihi: Some(parameters), ..built })
 }
 
@@ -151,9 +151,9 @@ fn sparse(weights: &Bound<'_, PyAny>, whose: &str, units: [Option<u64>; 2]) -> P
         let (array, mut indices) = (part(name)?, Vec::with_capacity(count));
         let help = "rows are targets and columns are sources, counted from 0";
         array.check_counts(help)?;
-        let unit = Counted { what: "unit", limit, help, code: "input.array" };
+        let unit = CountBound { what: "unit", limit, help, code: "input.array" };
         array.each(|index, value| {
-            indices.push(array.counted(index, value, unit)?.into());
+            indices.push(array.count(index, value, unit)?.into());
             Ok(())
         })?;
         Ok::<Vec<u64>, PyErr>(indices)
@@ -221,12 +221,12 @@ fn projection(given: &Bound<'_, PyDict>, populations: &[PopulationDesc]) -> PyRe
         sign: keywords.one_of("sign", &signs, sign_name)?.unwrap_or(usual.sign),
         ..usual
     };
-    keywords.none_left()?;
+    keywords.refuse_unread()?;
     Ok(built)
 }
 
 /// A network of populations and projections.
-pub fn built(
+pub fn network_file(
     name: &str,
     populations: &[Bound<'_, PyDict>],
     projections: &[Bound<'_, PyDict>],
@@ -261,39 +261,39 @@ pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
         neuron: keywords.path("neuron")?.map(Into::into),
         ..Options::default()
     };
-    keywords.none_left()?;
+    keywords.refuse_unread()?;
     Ok(options)
 }
 
 /// The network of an import, and its conventions.
-fn built_of(
+fn build_import(
     py: Python<'_>,
     name: &str,
     imported: impl FnOnce() -> Result<Imported, Diagnostic> + Send,
 ) -> PyResult<(Network, Vec<String>)> {
-    let (network, notes, assumed) = tried::<_, Diagnostic>(py, || {
+    let (network, notes, assumed) = try_detached::<_, Diagnostic>(py, || {
         let imported = imported()?;
-        Ok((imported.model.build(Path::new(&place(name)))?, imported.notes, imported.assumed))
+        Ok((imported.model.build(Path::new(&memory_name(name)))?, imported.notes, imported.assumed))
     })?;
     if let Some(assumed) = assumed {
-        warn_of(py, &worded(&assumed))?;
+        issue_warning(py, &python_message(&assumed))?;
     }
     Ok((network, notes))
 }
 
 /// A network from the bytes of another tool's file.
-pub fn of_bytes(
+pub fn import_bytes(
     py: Python<'_>,
     name: &str,
     bytes: Vec<u8>,
     keywords: &Keywords<'_>,
 ) -> PyResult<(Network, Vec<String>)> {
     let options = options(keywords)?;
-    built_of(py, name, || foreign::from_bytes(Path::new(name), bytes, &options))
+    build_import(py, name, || foreign::from_bytes(Path::new(name), bytes, &options))
 }
 
 /// A network from NIR nodes, dictionaries of text and arrays, and the edges between them.
-pub fn of_nodes(
+pub fn import_nodes(
     py: Python<'_>,
     name: &str,
     (nodes, edges): (&Bound<'_, PyDict>, Vec<(String, String)>),
@@ -321,5 +321,5 @@ pub fn of_nodes(
         }
         group.insert(&node, filled);
     }
-    built_of(py, name, || foreign::from_nodes(name, group, edges, held, &options))
+    build_import(py, name, || foreign::from_nodes(name, group, edges, held, &options))
 }

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nsim::agree::compare::real_trace;
-use nsim::agree::ladder::layers;
-use nsim::energy::evaluate::Plan;
+use nsim::agree::staged::layers;
+use nsim::energy::evaluate::DeploymentPlan;
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
 use nsim::ir::base::diagnostic::Diagnostic;
@@ -17,13 +17,13 @@ use pyo3::types::PyDict;
 use crate::agree::Agreement;
 use crate::convert::Conversion;
 use crate::energy::{self, Energy};
-use crate::error::{warn_of, worded};
+use crate::error::{issue_warning, python_message};
 use crate::html::populations;
 use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
-use crate::spikes::Shown;
-use crate::work::{tried, work};
+use crate::spikes::NetworkInput;
+use crate::work::{try_detached, work};
 
 /// Loads a model.
 ///
@@ -36,7 +36,7 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
     let model = model.to_string_lossy().into_owned();
     let given = options.filter(|given| !given.is_empty());
     let options = given.map(|given| memory::options(&Keywords::new(Some(given))?)).transpose()?;
-    let network = tried(py, || {
+    let network = try_detached(py, || {
         let path = Path::new(&model);
         let network = match &options {
             None => nsim::load_model(&model)?,
@@ -52,7 +52,7 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
         real_and_integers(&network)?;
         Ok::<_, Diagnostic>(network)
     })?;
-    Network::loaded(py, model, network)
+    Network::from_file(py, model, network)
 }
 
 /// A network from the bytes of a file of another tool.
@@ -64,8 +64,8 @@ pub fn from_bytes(
     content: Vec<u8>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Network> {
-    let (network, notes) = memory::of_bytes(py, name, content, &Keywords::new(options)?)?;
-    Network::checked(py, network, notes)
+    let (network, notes) = memory::import_bytes(py, name, content, &Keywords::new(options)?)?;
+    Network::without_file(py, network, notes)
 }
 
 /// A network from NIR nodes in memory; neurons of the nodes `held` stay at zero for a step after a
@@ -81,8 +81,8 @@ pub fn from_nodes(
     notes: Vec<String>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Network> {
-    let (network, conventions) = memory::of_nodes(py, name, (nodes, edges), &held, &Keywords::new(options)?)?;
-    Network::checked(py, network, [conventions, notes].concat())
+    let (network, conventions) = memory::import_nodes(py, name, (nodes, edges), &held, &Keywords::new(options)?)?;
+    Network::without_file(py, network, [conventions, notes].concat())
 }
 
 /// The spikes of each population of a network in real numbers, rows (sample, step, neuron). Steps
@@ -94,8 +94,8 @@ pub fn real_spikes<'py>(
     spikes: &Bound<'py, PyAny>,
 ) -> PyResult<Vec<(String, Bound<'py, PyAny>)>> {
     let file = network.network.file();
-    let (graph, integers) = tried(py, || real_and_integers(&network.network))?;
-    let shown = Shown::new(&integers, None, Some(spikes), &Keywords::new(None)?)?;
+    let (graph, integers) = try_detached(py, || real_and_integers(&network.network))?;
+    let shown = NetworkInput::new(&integers, None, Some(spikes), &Keywords::new(None)?)?;
     let traces = work(py, true, |progress| {
         let trace = real_trace(&graph, &integers)?;
         Ok(shown.samples().into_iter().inspect(|_| progress()).map(trace).collect::<Vec<_>>())
@@ -124,30 +124,30 @@ pub struct Network {
 
 impl Network {
     /// The network of a written model.
-    pub fn built(py: Python<'_>, model: &NetworkFile) -> PyResult<Self> {
-        let place = PathBuf::from(memory::place(&model.name));
-        let network = tried(py, || model.build(&place))?;
-        Network::checked(py, network, Vec::new())
+    pub fn from_model(py: Python<'_>, model: &NetworkFile) -> PyResult<Self> {
+        let place = PathBuf::from(memory::memory_name(&model.name));
+        let network = try_detached(py, || model.build(&place))?;
+        Network::without_file(py, network, Vec::new())
     }
 
     /// A network of a file, with a warning of the assumptions of its reader.
-    fn loaded(py: Python<'_>, model: String, network: nsim::files::network::Network) -> PyResult<Self> {
+    fn from_file(py: Python<'_>, model: String, network: nsim::files::network::Network) -> PyResult<Self> {
         let conventions = network.conventions().clone();
         if let Some(assumed) = conventions.assumed {
-            warn_of(py, &format!("{model}: {}", worded(&assumed)))?;
+            issue_warning(py, &format!("{model}: {}", python_message(&assumed)))?;
         }
         Ok(Network { model, network: Arc::new(network), notes: conventions.notes })
     }
 
     /// The mapping to price, and its deployment: one copy unless `copies` or the deployment has
     /// more.
-    fn priced(
+    fn mapping_to_price(
         &self,
         py: Python<'_>,
         target: Option<PathBuf>,
         copies: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
-    ) -> PyResult<(Mapping, Plan)> {
+    ) -> PyResult<(Mapping, DeploymentPlan)> {
         let copies = copies.map(|copies| whole("copies", copies, 1..=u32::MAX.into())).transpose()?;
         let copies = copies.map(|copies| copies as u32);
         let plan = energy::plan(py, &self.model, keywords, copies)?;
@@ -158,9 +158,9 @@ impl Network {
     }
 
     /// A network that has no file.
-    pub fn checked(py: Python<'_>, network: nsim::files::network::Network, notes: Vec<String>) -> PyResult<Self> {
-        tried(py, || real_and_integers(&network))?;
-        Ok(Network { model: memory::place(&network.file().name), network: Arc::new(network), notes })
+    pub fn without_file(py: Python<'_>, network: nsim::files::network::Network, notes: Vec<String>) -> PyResult<Self> {
+        try_detached(py, || real_and_integers(&network))?;
+        Ok(Network { model: memory::memory_name(&network.file().name), network: Arc::new(network), notes })
     }
 }
 
@@ -185,14 +185,14 @@ impl Network {
         timestep_ms: f64,
         classes: Vec<String>,
     ) -> PyResult<Self> {
-        let model = memory::built(name, &populations, &projections, output, timestep_ms, classes)?;
-        Network::built(py, &model)
+        let model = memory::network_file(name, &populations, &projections, output, timestep_ms, classes)?;
+        Network::from_model(py, &model)
     }
 
     /// Conventions by which another tool's network was read, and the changes.
     #[getter]
     fn notes(&self) -> Vec<String> {
-        self.notes.iter().map(|note| worded(note)).collect()
+        self.notes.iter().map(|note| python_message(note)).collect()
     }
 
     /// Its name.
@@ -237,7 +237,7 @@ impl Network {
     fn map(&self, py: Python<'_>, target: Option<PathBuf>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Mapping> {
         let keywords = Keywords::new(options)?;
         let request = MappingRequest::new(target, &keywords)?;
-        keywords.none_left()?;
+        keywords.refuse_unread()?;
         Mapping::new(py, &self.model, &self.network, &request)
     }
 
@@ -261,7 +261,7 @@ impl Network {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Energy> {
         let keywords = Keywords::new(options)?;
-        let (mapping, plan) = self.priced(py, target, copies, &keywords)?;
+        let (mapping, plan) = self.mapping_to_price(py, target, copies, &keywords)?;
         Energy::new(py, mapping.shared(), &plan, spikes, &keywords)
     }
 
@@ -283,7 +283,7 @@ impl Network {
     ) -> PyResult<PathBuf> {
         let keywords = Keywords::new(options)?;
         let force = keywords.take("force")?.unwrap_or(false);
-        let (mapping, plan) = self.priced(py, target, copies, &keywords)?;
+        let (mapping, plan) = self.mapping_to_price(py, target, copies, &keywords)?;
         energy::report(py, (mapping.shared(), &plan), spikes, &keywords, (path, force))
     }
 
@@ -340,7 +340,7 @@ impl Network {
         options: Option<&Bound<'_, PyDict>>,
     ) -> PyResult<Conversion> {
         let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
-        let built = |model: &NetworkFile| Ok(Py::new(py, Network::built(py, model)?)?.into_any());
+        let built = |model: &NetworkFile| Ok(Py::new(py, Network::from_model(py, model)?)?.into_any());
         Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?, built)
     }
 
@@ -350,7 +350,7 @@ impl Network {
     /// Returns the names of the files.
     #[pyo3(signature = (path, *, force=false))]
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<Vec<String>> {
-        tried(py, || self.network.resolved()?.write(&path, force))
+        try_detached(py, || self.network.resolved()?.write(&path, force))
     }
 
     fn __repr__(&self) -> String {

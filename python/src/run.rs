@@ -11,11 +11,11 @@ use nsim::session::cores::core_rows;
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::detail::Detail;
 use nsim::session::neurobench::NeuroBench;
-use nsim::session::populations::ByPopulation;
+use nsim::session::populations::CountsByPopulation;
 use nsim::session::samples;
-use nsim::session::samples::{Division, Running, fast, fast_on};
-use nsim::session::warnings::{Finished, Ran, warnings};
-use nsim::session::{Keep, Outcome, Probe, digest};
+use nsim::session::samples::{Division, RunSettings, fast, fast_on_image};
+use nsim::session::warnings::{FinishedRun, RunEngine, warnings};
+use nsim::session::{Outcome, Probe, SampleSettings, digest};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
@@ -23,9 +23,9 @@ use crate::error::warn;
 use crate::html::{frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
-use crate::spikes::Shown;
+use crate::spikes::NetworkInput;
 use crate::value::to_python;
-use crate::work::{detached, on_own_threads, work};
+use crate::work::{on_own_threads, run_detached, work};
 
 /// Most recorded numbers of probes, 4 bytes each.
 const MOST_PROBED: u64 = 1 << 28;
@@ -37,7 +37,7 @@ const LONG: u64 = 20_000_000;
 #[pyclass(frozen, module = "nsim")]
 pub struct Run {
     mapping: Arc<Shared>,
-    shown: Shown,
+    shown: NetworkInput,
     run: samples::Run<()>,
     early_exit: Option<Rule>,
     /// Names of the probes.
@@ -77,33 +77,33 @@ pub fn rule(keywords: &Keywords<'_>) -> PyResult<Option<Rule>> {
 }
 
 /// Whether samples have more than [`LONG`] updates.
-pub fn is_long(mapping: &Shared, shown: &Shown) -> bool {
+pub fn is_long(mapping: &Shared, shown: &NetworkInput) -> bool {
     let steps: u64 = shown.samples().iter().map(|sample| u64::from(sample.steps())).sum();
     steps * u64::from(mapping.compiled().quantised.compartments().max(1)) > LONG
 }
 
 /// Runs samples on the simulated cores.
-fn simulated(
+fn simulate(
     mapping: &Shared,
     samples: &[&Sample],
-    keep: &Keep,
+    keep: &SampleSettings,
     progress: samples::Progress<'_>,
 ) -> Result<samples::Run<()>, Diagnostic> {
     let compiled = mapping.compiled();
-    let running = Running { copies: compiled.options.copies, progress, ..Running::new(keep) };
+    let run_settings = RunSettings { copies: compiled.options.copies, progress, ..RunSettings::new(keep) };
     let division = Division::new(&compiled.program, samples.len());
     match mapping.image(division) {
-        Some(image) => Ok(fast_on(image, division, samples, running, || ())),
-        None => fast(&compiled.program, samples, running, || ()),
+        Some(image) => Ok(fast_on_image(image, division, samples, run_settings, || ())),
+        None => fast(&compiled.program, samples, run_settings, || ()),
     }
 }
 
 impl Run {
     /// Runs samples.
-    pub fn new(py: Python<'_>, mapping: &Arc<Shared>, shown: Shown, keywords: &Keywords<'_>) -> PyResult<Self> {
+    pub fn new(py: Python<'_>, mapping: &Arc<Shared>, shown: NetworkInput, keywords: &Keywords<'_>) -> PyResult<Self> {
         let early_exit = rule(keywords)?;
         let names: Vec<String> = keywords.take("probe")?.unwrap_or_default();
-        keywords.none_left()?;
+        keywords.refuse_unread()?;
         let (network, program) = (&mapping.compiled().one, &mapping.compiled().program);
         let probes = probes(network, &names)?;
         if early_exit.is_some() && !names.is_empty() {
@@ -119,12 +119,12 @@ impl Run {
         }
         let run = work(py, is_long(mapping, &shown), |progress| {
             let early_exit = early_exit.map(|rule| EarlyExit::new(rule, network));
-            let keep = Keep { output: program.output(), probes, early_exit };
-            Ok(simulated(mapping, &shown.samples(), &keep, progress)?)
+            let keep = SampleSettings { output: program.output(), probes, early_exit };
+            Ok(simulate(mapping, &shown.samples(), &keep, progress)?)
         })?;
         let run = Run { mapping: mapping.clone(), shown, run, early_exit, probes: names };
         if mapping.warns() {
-            warn(py, &detached(py, || run.detail().warnings))?;
+            warn(py, &run_detached(py, || run.detail().warnings))?;
         }
         Ok(run)
     }
@@ -132,10 +132,10 @@ impl Run {
     fn detail(&self) -> Detail {
         let compiled = self.mapping.compiled();
         let (network, program) = (&compiled.one, &compiled.program);
-        let sums = ByPopulation::new(network, &self.run.counts);
+        let sums = CountsByPopulation::new(network, &self.run.counts);
         let samples = self.shown.samples();
-        let ran = Ran::Program(program);
-        let finished = Finished { network, ran, sums: &sums, samples: &samples, outcomes: &self.run.outcomes };
+        let engine = RunEngine::Program(program);
+        let finished = FinishedRun { network, engine, sums: &sums, samples: &samples, outcomes: &self.run.outcomes };
         // The check of a silent population runs samples once more.
         let found = on_own_threads(|| warnings(finished));
         Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found, ranks: Vec::new() }
@@ -251,7 +251,7 @@ impl Run {
         let mapping = &self.mapping;
         let metrics = work(py, is_long(mapping, &self.shown), |progress| {
             let measured = NeuroBench::measure(&mapping.compiled().one, &self.shown.samples(), |samples, keep| {
-                simulated(mapping, samples, keep, progress)
+                simulate(mapping, samples, keep, progress)
             });
             Ok(measured?)
         })?;
@@ -268,7 +268,7 @@ impl Run {
     /// A dictionary for each warning of the run: `code`, `population`, `message`.
     #[getter]
     fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let found = detached(py, || self.detail().warnings);
+        let found = run_detached(py, || self.detail().warnings);
         to_python(py, &serde_json::json!(found))
     }
 
@@ -300,7 +300,7 @@ impl Run {
 
     /// The object that `nsim run --format json` prints.
     fn json<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let object = detached(py, || self.with_report(&self.detail(), |report| report.json()));
+        let object = run_detached(py, || self.with_report(&self.detail(), |report| report.json()));
         to_python(py, &object)
     }
 

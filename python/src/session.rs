@@ -9,18 +9,18 @@ use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
 use nsim::session::Session as Stepped;
-use nsim::session::samples::{Division, laid_out};
+use nsim::session::samples::{Division, lay_out};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
-use crate::arrays::{Array, is_of};
+use crate::arrays::{Array, matches_shape};
 use crate::energy::{self, Energy};
-use crate::error::raised;
+use crate::error::exception;
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
-use crate::work::tried;
+use crate::work::try_detached;
 
 /// Channels that spike in a step, with the integers of their messages.
 type Input = Vec<(ChannelId, i32)>;
@@ -55,11 +55,11 @@ impl Session {
     /// A session before its first step.
     pub fn new(py: Python<'_>, mapping: &Arc<Shared>) -> PyResult<Self> {
         let compiled = mapping.compiled();
-        let stepped = tried(py, || {
+        let stepped = try_detached(py, || {
             let division = Division::new(&compiled.program, 1);
             let image = match mapping.image(division) {
                 Some(image) => image.clone(),
-                None => laid_out(&compiled.program, division)?,
+                None => lay_out(&compiled.program, division)?,
             };
             Ok::<_, Diagnostic>(Stepped::open(&image, &compiled.one, compiled.options.copies))
         })?;
@@ -82,7 +82,7 @@ fn closed() -> PyErr {
 /// Refuses an array with a value for each channel that has neither one axis nor the axes of the
 /// population.
 fn check_each(array: &Array<'_>, name: &str, shape: Shape, what: &str) -> PyResult<()> {
-    if is_of(shape, array.shape()) {
+    if matches_shape(shape, array.shape()) {
         return Ok(());
     }
     let message = format!("'{name}' has {} channels, and {what} of shape {:?}", shape.len(), array.shape());
@@ -126,7 +126,7 @@ fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &
             check_each(&array, name, shape, "truth values")?;
             (0..).zip(numbers()?).filter(|&(_, spikes)| spikes != 0.0).for_each(|(number, _)| add(number));
             true
-        } else if array.is_of_bytes() && is_of(shape, array.shape()) {
+        } else if array.is_of_bytes() && matches_shape(shape, array.shape()) {
             // `run` reads a byte for each channel as spikes.
             let message =
                 format!("'{name}' has {units} channels, and a byte for each is not a list of channel numbers");
@@ -202,7 +202,7 @@ impl Session {
             }
         }
         let stepped = stepped.as_mut().ok_or_else(closed)?;
-        tried(py, || stepped.step(shown.iter().copied()))
+        try_detached(py, || stepped.step(shown.iter().copied()))
     }
 
     /// Timesteps since the session was opened or reset.
@@ -237,14 +237,14 @@ impl Session {
     /// runs once more. Keywords are as in `Mapping.energy`.
     #[pyo3(signature = (**options))]
     fn energy(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Energy> {
-        let sample = self.stepped()?.sample().map_err(|problem| raised(py, problem))?;
+        let sample = self.stepped()?.sample().map_err(|problem| exception(py, problem))?;
         if sample.steps() == 0 {
             return Err(usage("no timestep has run".into(), "call step() first"));
         }
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.mapping.model, &keywords, None)?;
-        plan.of_mapping().map_err(|error| raised(py, error))?;
-        Energy::of_sample(py, &self.mapping, &plan, sample, &keywords)
+        plan.check_mapping().map_err(|error| exception(py, error))?;
+        Energy::from_sample(py, &self.mapping, &plan, sample, &keywords)
     }
 
     fn __getitem__(slf: &Bound<'_, Self>, name: &str) -> PyResult<Population> {
@@ -285,7 +285,7 @@ impl Population {
         Ok(match &population.units {
             Units::Input(first) => {
                 let carried = |value| population.message.factor().unwrap_or(value);
-                let own = stepped.shown().filter_map(|(channel, value)| {
+                let own = stepped.last_input().filter_map(|(channel, value)| {
                     Some((channel.0.checked_sub(first.0).filter(|&number| number < units)?, carried(value)))
                 });
                 own.collect()

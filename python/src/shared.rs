@@ -7,7 +7,7 @@ use nsim::compile::Mapping;
 use nsim::files::network::Network;
 use nsim::ir::hardware::Target;
 use nsim::machine::Image;
-use nsim::session::samples::{Division, laid_out};
+use nsim::session::samples::{Division, lay_out};
 /// A mapping that runs and energies share.
 pub struct Shared {
     /// The model, as the user named it.
@@ -30,7 +30,7 @@ impl Shared {
     pub fn new(model: &str, network: &Arc<Network>, compiled: Mapping, target: Target) -> Self {
         let division = Division::new(&compiled.program, usize::MAX);
         let image = match division.shards {
-            1 => laid_out(&compiled.program, division).ok(),
+            1 => lay_out(&compiled.program, division).ok(),
             _ => None,
         };
         let scene = network.file().scene.clone();

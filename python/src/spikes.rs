@@ -11,15 +11,15 @@ use nsim::import::spikes::PopulationSpikes;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::{Population, Quantised};
 use nsim::ir::spikes::{Message, Sample, Stimulus};
-use nsim::session::inputs::{MOST_REPEATS, drained, joined, repeated, stimulus};
+use nsim::session::inputs::{MOST_REPEATS, join_samples, repeated_indices, stimulus, with_drain};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
-use crate::arrays::{Array, Counted, is_of};
-use crate::error::{raised, warn_of};
+use crate::arrays::{Array, CountBound, matches_shape};
+use crate::error::{exception, issue_warning};
 use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
-use crate::work::tried;
+use crate::work::try_detached;
 
 /// The most numbers of an array, which take some seconds to read.
 const MOST_NUMBERS: usize = 1 << 34;
@@ -27,14 +27,14 @@ const MOST_NUMBERS: usize = 1 << 34;
 const MOST_SPIKES: usize = 1 << 26;
 
 /// Input of a network.
-pub struct Shown {
+pub struct NetworkInput {
     /// The samples.
     pub stimulus: Stimulus,
     /// Numbers of the samples that run, in run order.
     pub order: Vec<usize>,
 }
 
-impl Shown {
+impl NetworkInput {
     /// Reads `spikes` and the keywords `labels`, `samples`, `repeat`, `seed` and `time_first`;
     /// labels are outputs of the network.
     pub fn new(
@@ -44,11 +44,11 @@ impl Shown {
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
         let outputs = network.units_before_pruning(network.parts().output);
-        Shown::of_classes(outputs.into(), network, scene, spikes, keywords)
+        NetworkInput::with_class_count(outputs.into(), network, scene, spikes, keywords)
     }
 
-    /// As [`Shown::new`], with `classes` classes.
-    pub fn of_classes(
+    /// As [`NetworkInput::new`], with `classes` classes.
+    pub fn with_class_count(
         classes: u64,
         network: &Quantised,
         scene: Option<&str>,
@@ -89,14 +89,14 @@ impl Shown {
                 };
                 return Err(usage(message, help));
             }
-            let class = Counted {
+            let class = CountBound {
                 what: "class",
                 limit: classes,
                 help: "labels are outputs of the network, counted from 0",
                 code: "input.labels",
             };
             labels.each(|index, value| {
-                let label = labels.counted(index, value, class)?;
+                let label = labels.count(index, value, class)?;
                 let sample = &mut shown.samples[index];
                 *sample = sample.clone().with_label(Some(label));
                 Ok(())
@@ -112,8 +112,9 @@ impl Shown {
             }
         };
         let repeat = keywords.whole("repeat", 1..=MOST_REPEATS.into())?.unwrap_or(1);
-        let order = repeated(range, repeat as u32).map_err(|problem| Python::attach(|py| raised(py, problem)))?;
-        Ok(Shown { stimulus: shown, order })
+        let order =
+            repeated_indices(range, repeat as u32).map_err(|problem| Python::attach(|py| exception(py, problem)))?;
+        Ok(NetworkInput { stimulus: shown, order })
     }
 
     /// The samples in run order.
@@ -123,7 +124,7 @@ impl Shown {
 }
 
 fn named(network: &Quantised, sources: &[String], scene: Option<&str>, seed: Option<u64>) -> PyResult<Stimulus> {
-    Python::attach(|py| tried(py, || stimulus(network, sources, scene, seed)))
+    Python::attach(|py| try_detached(py, || stimulus(network, sources, scene, seed)))
 }
 
 /// Sources as for `--input`: one, a list of them, or none.
@@ -176,8 +177,8 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
             return Err(usage(message, &format!("give a dictionary with an array for each of: {}", names())));
         }
     };
-    let samples = joined(&inputs, sources).and_then(|samples| Ok(drained(network, samples)?));
-    samples.map_err(|error| raised(spikes.py(), error))
+    let samples = join_samples(&inputs, sources).and_then(|samples| Ok(with_drain(network, samples)?));
+    samples.map_err(|error| exception(spikes.py(), error))
 }
 
 /// The samples of an array, or of events, for a population; a timestep has `dt_ms` milliseconds.
@@ -216,12 +217,12 @@ fn read(
     let (shape, name) = (array.shape(), array.name());
     if shape.contains(&0) {
         let empty = Diagnostic::new("input.shape", format!("{name} has shape {shape:?} and is empty"));
-        return Err(raised(
+        return Err(exception(
             py,
             empty.help("give at least a sample, a channel and a timestep, or None for the model's own scene"),
         ));
     }
-    let holds = |axes: &[usize]| is_of(population.shape, axes);
+    let holds = |axes: &[usize]| matches_shape(population.shape, axes);
     let fits = |time_first| match (time_first, shape) {
         (false, [channels @ .., steps]) if holds(channels) => Some((1, *steps)),
         (false, [samples, channels @ .., steps]) if holds(channels) => Some((*samples, *steps)),
@@ -254,9 +255,9 @@ fn read(
                  axes of the population, in their order: numpy.moveaxis(array, FROM, TO)"
             }
         };
-        return Err(raised(py, Diagnostic::new("input.shape", message).help(help)));
+        return Err(exception(py, Diagnostic::new("input.shape", message).help(help)));
     };
-    let too_long = |message: String, help: &str| raised(py, Diagnostic::new("input.too-long", message).help(help));
+    let too_long = |message: String, help: &str| exception(py, Diagnostic::new("input.too-long", message).help(help));
     if steps > MOST_STEPS as usize {
         let message = format!("{name} has {steps} timesteps, more than {MOST_STEPS}");
         return Err(too_long(message, "cut it into samples, or make a timestep longer"));
@@ -303,7 +304,7 @@ fn read(
             add(index, Some(value))
         })?;
     } else if let Some(greater) = array.each_spike(|index| add(index, None))? {
-        warn_of(py, &format!("{greater}; give array != 0 if each non-zero value is a spike"))?;
+        issue_warning(py, &format!("{greater}; give array != 0 if each non-zero value is a spike"))?;
     }
     Ok(recordings)
 }

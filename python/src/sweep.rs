@@ -12,15 +12,15 @@ use nsim::study::sweep::variants::Sweep;
 use nsim::study::sweep::work as variants;
 use pyo3::prelude::*;
 
-use crate::error::raised;
+use crate::error::exception;
 use crate::keywords::{usage, whole};
-use crate::work::{tried, work};
+use crate::work::{try_detached, work};
 
 /// The most threads, as on the command line.
 const MOST_THREADS: u64 = 1024;
 
 fn parsed(py: Python<'_>, path: PathBuf, text: String) -> PyResult<Sweep> {
-    Sweep::parse(&SourceText::new(path, text)).map_err(|problem| raised(py, problem))
+    Sweep::parse(&SourceText::new(path, text)).map_err(|problem| exception(py, problem))
 }
 
 /// The number of variants of a sweep.
@@ -60,7 +60,7 @@ pub fn sweep_part(
 #[pyfunction]
 pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<String>) -> PyResult<String> {
     let sweep = parsed(py, path, text)?;
-    tried(py, || {
+    try_detached(py, || {
         let mut whole = Table::new(&sweep);
         tables.iter().try_for_each(|table| whole.add_csv(table).map(drop))?;
         whole.check_whole()?;

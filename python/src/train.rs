@@ -13,14 +13,14 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyTuple};
 use serde_json::{Value, json};
 
-use crate::error::raised;
+use crate::error::exception;
 use crate::html::{columns, frame, table};
 use crate::keywords::Keywords;
 use crate::memory;
 use crate::network::Network;
-use crate::spikes::{Shown, sources};
+use crate::spikes::{NetworkInput, sources};
 use crate::value::to_python;
-use crate::work::{tried, work};
+use crate::work::{try_detached, work};
 
 /// Bounds of the command line.
 const MOST_EPOCHS: u64 = 1_000_000;
@@ -36,7 +36,7 @@ pub struct Training {
 }
 
 /// Samples of a training.
-enum Given {
+enum SampleSource {
     /// Named sources; if empty, the sources of the training file.
     Sources(Vec<String>),
     /// Arrays with labels.
@@ -44,21 +44,27 @@ enum Given {
 }
 
 /// Reads `(spikes, labels)`, a source, a list of sources, or nothing.
-fn given(py: Python<'_>, job: &Job, keywords: &Keywords<'_>, key: &str, time_first: bool) -> PyResult<Given> {
-    let Some(value) = keywords.take::<Bound<'_, PyAny>>(key)? else { return Ok(Given::Sources(Vec::new())) };
+fn read_sample_source(
+    py: Python<'_>,
+    job: &Job,
+    keywords: &Keywords<'_>,
+    key: &str,
+    time_first: bool,
+) -> PyResult<SampleSource> {
+    let Some(value) = keywords.take::<Bound<'_, PyAny>>(key)? else { return Ok(SampleSource::Sources(Vec::new())) };
     let pair = value.cast::<PyTuple>().ok().filter(|pair| pair.len() == 2);
     let Some(pair) = pair.filter(|pair| pair.extract::<(String, String)>().is_err()) else {
-        return sources(Some(&value)).map(Given::Sources);
+        return sources(Some(&value)).map(SampleSource::Sources);
     };
     let options = PyDict::new(py);
     options.set_item("labels", pair.get_item(1)?)?;
     options.set_item("time_first", time_first)?;
-    let network = tried(py, || job.inputs())?;
+    let network = try_detached(py, || job.inputs())?;
     // The job checks the classes, so any label is allowed here.
     let options = Keywords::new(Some(&options))?;
-    let shown = Shown::of_classes(1 << 32, &network, None, Some(&pair.get_item(0)?), &options)?;
+    let shown = NetworkInput::with_class_count(1 << 32, &network, None, Some(&pair.get_item(0)?), &options)?;
     let what = if key == "test" { "test" } else { "training" };
-    tried(py, || job.examples(&network, &shown.stimulus.samples, what)).map(Given::Arrays)
+    try_detached(py, || job.examples(&network, &shown.stimulus.samples, what)).map(SampleSource::Arrays)
 }
 
 /// Trains a network with SLAYER: `nsim train`.
@@ -78,8 +84,8 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
     let keywords = Keywords::new(options)?;
     let text = config.to_string_lossy();
     let source = match text.contains("Training(") {
-        true => SourceText::new(memory::place("training"), text.into_owned()),
-        false => training_text(&text).map_err(|problem| raised(py, problem))?,
+        true => SourceText::new(memory::memory_name("training"), text.into_owned()),
+        false => training_text(&text).map_err(|problem| exception(py, problem))?,
     };
     let mut fields: Vec<(String, String)> = Vec::new();
     for (key, value) in keywords.take::<Bound<'_, PyDict>>("set")?.into_iter().flatten() {
@@ -94,10 +100,12 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
     let folds = keywords.whole("folds", 2..=MOST_FOLDS)?.map(|folds| folds as u32);
     let checkpoint: Option<PathBuf> = keywords.take("checkpoint")?;
     let time_first = keywords.take("time_first")?.unwrap_or(false);
-    let job = tried(py, || with_fields(&source, &changes).and_then(|source| Job::new(source, seed, epochs)))?;
-    let (train, test) =
-        (given(py, &job, &keywords, "train", time_first)?, given(py, &job, &keywords, "test", time_first)?);
-    keywords.none_left()?;
+    let job = try_detached(py, || with_fields(&source, &changes).and_then(|source| Job::new(source, seed, epochs)))?;
+    let (train, test) = (
+        read_sample_source(py, &job, &keywords, "train", time_first)?,
+        read_sample_source(py, &job, &keywords, "test", time_first)?,
+    );
+    keywords.refuse_unread()?;
     let changed: Vec<String> = fields.iter().map(|(key, value)| format!("{key}={value}")).collect();
     let (trained, network) = work(py, true, |progress| {
         let data = data(&job, train, test)?;
@@ -113,14 +121,14 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
         let network = job.network(job.plan.result(&trained.state), &report.summary())?;
         Ok((trained, network))
     })?;
-    let network = Py::new(py, Network::checked(py, network, Vec::new())?)?;
+    let network = Py::new(py, Network::without_file(py, network, Vec::new())?)?;
     Ok(Training { job, trained, changed, network })
 }
 
-fn data(job: &Job, train: Given, test: Given) -> Result<Data, nsim::Error> {
+fn data(job: &Job, train: SampleSource, test: SampleSource) -> Result<Data, nsim::Error> {
     let read = |part, given| match given {
-        Given::Sources(sources) => job.read(part, &sources),
-        Given::Arrays(examples) => Ok(examples),
+        SampleSource::Sources(sources) => job.read(part, &sources),
+        SampleSource::Arrays(examples) => Ok(examples),
     };
     let data = Data { train: read(Part::Train, train)?, test: read(Part::Test, test)? };
     if data.train.is_empty() {
@@ -192,7 +200,7 @@ impl Training {
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<[PathBuf; 2]> {
         let (comment, provenance) = (self.report().provenance(&self.changed), self.report().summary());
         let weights = self.job.plan.result(&self.trained.state);
-        tried(py, || self.job.write((&path, force), weights, &comment, &provenance))
+        try_detached(py, || self.job.write((&path, force), weights, &comment, &provenance))
     }
 
     /// The epochs as a data frame of pandas, or of polars where only that is installed.

@@ -17,7 +17,7 @@ use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 
-use crate::error::raised;
+use crate::error::exception;
 
 /// Interval of checks for signals.
 const LOOK: Duration = Duration::from_millis(50);
@@ -64,16 +64,16 @@ pub fn on_own_threads<T: Send>(job: impl FnOnce() -> T + Send) -> T {
 }
 
 /// Runs short work of the library without the interpreter's lock.
-pub fn detached<T: Send>(py: Python<'_>, job: impl FnOnce() -> T + Send) -> T {
+pub fn run_detached<T: Send>(py: Python<'_>, job: impl FnOnce() -> T + Send) -> T {
     py.detach(|| on_own_threads(job))
 }
 
 /// Runs short work of the library that may fail.
-pub fn tried<T: Send, E: Into<nsim::Error> + Send>(
+pub fn try_detached<T: Send, E: Into<nsim::Error> + Send>(
     py: Python<'_>,
     job: impl FnOnce() -> Result<T, E> + Send,
 ) -> PyResult<T> {
-    detached(py, job).map_err(|problem| raised(py, problem))
+    run_detached(py, job).map_err(|problem| exception(py, problem))
 }
 
 /// Runs work; `long` says whether it may take noticeable time.
@@ -83,10 +83,10 @@ pub fn work<T: Send>(
     job: impl FnOnce(Progress<'_>) -> Result<T, nsim::Error> + Send,
 ) -> PyResult<T> {
     if !long {
-        return tried(py, || job(&|| ()));
+        return try_detached(py, || job(&|| ()));
     }
     let done = py.detach(|| watched(job))?;
-    done.map_err(|error| raised(py, error))
+    done.map_err(|error| exception(py, error))
 }
 
 fn watched<T: Send>(

@@ -21,13 +21,13 @@ pub fn report(error: &Error, format: Format) -> ExitCode {
             // stdout carries the result; with JSON the error object is the result.
             let _ = write::stdout(&format!("{:#}\n", object(error)));
         }
-        _ => say(&text(error, colour())),
+        _ => write_stderr(&text(error, colour())),
     }
     ExitCode::from(error.exit_status())
 }
 
 /// Writes to stderr; failed writes are ignored.
-pub fn say(text: &str) {
+pub fn write_stderr(text: &str) {
     if !write::is_silent() {
         let _ = std::io::stderr().lock().write_all(text.as_bytes());
     }
@@ -44,7 +44,7 @@ pub fn colour() -> bool {
 }
 
 /// JSON if the command line requests it, else text, even if the rest is invalid.
-pub fn format_asked() -> Format {
+pub fn requested_format() -> Format {
     let words: Vec<_> = std::env::args_os().collect();
     let apart = words.windows(2).any(|pair| pair[0] == "--format" && pair[1] == "json");
     if apart || words.iter().any(|word| word == "--format=json") { Format::Json } else { Format::Text }
@@ -73,8 +73,8 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
             let _ = write::stdout(&format!("{object:#}\n"));
         }
         // Colours are escapes too, so a message with other escapes is printed without colours.
-        _ if colour() && printable(&said) == said => say(&error.render().ansi().to_string()),
-        _ => say(&printable(&said)),
+        _ if colour() && printable(&said) == said => write_stderr(&error.render().ansi().to_string()),
+        _ => write_stderr(&printable(&said)),
     }
     ExitCode::from(2)
 }
@@ -103,7 +103,7 @@ fn object(error: &Error) -> serde_json::Value {
 fn text(error: &Error, colour: bool) -> String {
     if let Some(diagnostic) = error.diagnostic() {
         let all = std::iter::once(&*diagnostic).chain(diagnostic.others());
-        return all.map(|one| drawn(one, colour)).collect::<Vec<_>>().join("\n");
+        return all.map(|one| diagnostic_text(one, colour)).collect::<Vec<_>>().join("\n");
     }
     match error {
         Error::Usage(message) => {
@@ -117,7 +117,7 @@ fn text(error: &Error, colour: bool) -> String {
 const SHOWN: usize = 90;
 
 /// The message, the line of the file with the place underlined, and the advice.
-fn drawn(diagnostic: &Diagnostic, colour: bool) -> String {
+fn diagnostic_text(diagnostic: &Diagnostic, colour: bool) -> String {
     let paint = |code: &str, text: &str| if colour { format!("\x1b[{code}m{text}\x1b[0m") } else { text.to_string() };
     let mark = paint("1;31", &format!("error[{}]", diagnostic.code));
     let mut out = format!("{mark}: {}\n", printable(&diagnostic.to_string()));

@@ -108,7 +108,7 @@ impl Args {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
     let message = "--set is not supported by import; give it to the command that uses the model";
-    refuse_if(!changes::of_process().is_empty(), message)?;
+    refuse_if(!changes::process_changes().is_empty(), message)?;
     let imported = foreign::read(&args.file, &args.options()?)?;
     if let Some(assumed) = &imported.assumed {
         tracing::warn!("{}: {assumed}", args.file.display());

@@ -12,7 +12,7 @@ use nsim_compile::explore;
 use nsim_compile::explore::remedy::{self, Refused};
 use nsim_compile::{CompileError, CopyPlacement, DEFAULT_RATE, Effort, Objective, Options, Strategy, refuse_large};
 use nsim_files as io;
-use nsim_files::changes::{Change, within};
+use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
 use nsim_files::shipped;
 use nsim_ir::firing_rates::Rates;
@@ -20,10 +20,10 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_report::charts::board;
 use nsim_report::charts::picture::FILE;
-use nsim_report::map::{MapResult, Outcome, Question};
+use nsim_report::map::{MapOutcome, MapRequest, MapResult};
 use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
-use nsim_session::obtain::{self, Goal, Request};
+use nsim_session::obtain::{self, MappingSettings, Request};
 use nsim_session::samples::firing_rates;
 use nsim_train::convert::prepare::integers;
 
@@ -110,19 +110,19 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let integers = |network: &Network| integers(network, most_copies);
     let request = Request { copies: args.copies, options: options(args), ..args.job.request(&network, &integers) };
     let model = &network.file().name;
-    let (front, goal) = match obtain::begin(&request) {
+    let (front, settings) = match obtain::prepare_mapping(&request) {
         Err(Error::DoesNotFit(reasons)) => {
             let target = io::target::load_target(network.file().target_or_usual(args.job.target.as_deref()))?;
             let options = Options { copies: args.copies.unwrap_or(1), ..request.options };
             let (pruned, remedies, relays, found) = (&[], &[], None, &[]);
-            let question = Question { model, target: &target, options: &options, pruned, remedies, relays, found };
-            let result = MapResult::new(question, Outcome::DoesNotFit(&reasons));
+            let question = MapRequest { model, target: &target, options: &options, pruned, remedies, relays, found };
+            let result = MapResult::new(question, MapOutcome::DoesNotFit(&reasons));
             output::print(context.format, || result.text(), || json!(result), || result.csv())?;
             return Ok(Answer::No);
         }
         begun => begun?,
     };
-    let Goal { target, options, .. } = &goal;
+    let MappingSettings { target, options, .. } = &settings;
     let in_boxes = front.in_boxes(options.copies);
     let relays = front.relays().cloned();
     if !args.profile.is_empty() {
@@ -135,18 +135,18 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let (mut found, mut remedies) = (Vec::new(), Vec::new());
     let one = front.quantised().clone();
     if args.pareto.is_some() {
-        let _busy = output::busy("mapping in several ways");
+        let _busy = output::spinner("mapping in several ways");
         found = explore::candidates(&front, target, options, &rates).unwrap_or_default();
     }
-    let busy = output::busy(if goal.saved.is_some() { "checking the mapping" } else { "mapping" });
-    let mapped = match goal.mapped(front, &rates) {
+    let busy = output::spinner(if settings.saved.is_some() { "checking the mapping" } else { "mapping" });
+    let mapped = match settings.mapped(front, &rates) {
         Ok(mapped) => Ok(mapped),
         Err(CompileError::DoesNotFit(reasons)) => Err(reasons),
         Err(other) => return Err(other.into()),
     };
     drop(busy);
     if let Err(reasons) = &mapped
-        && goal.saved.is_none()
+        && settings.saved.is_none()
         && !in_boxes
     {
         let file = network.file();
@@ -156,10 +156,10 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         let changed = |changes: &[String]| {
             let changes: Vec<Change> =
                 changes.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>().ok()?;
-            within(&changes, || {
+            with_changes(&changes, || {
                 let network = args.job.timestep.load(&args.job.model).ok()?;
-                let (front, goal) = obtain::begin(&Request { network: &network, ..request }).ok()?;
-                Some((front, goal.target))
+                let (front, settings) = obtain::prepare_mapping(&Request { network: &network, ..request }).ok()?;
+                Some((front, settings.target))
             })
         };
         remedies = remedy::remedies(refused, &larger(target), &changed);
@@ -169,13 +169,13 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pruned = mapped.as_ref().map_or(one.pruned(), |mapped| mapped.one.pruned()).cloned();
     let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
     let (remedies, relays, found) = (&remedies[..], relays.as_ref(), &found[..]);
-    let question = Question { model, target, options, pruned, remedies, relays, found };
+    let question = MapRequest { model, target, options, pruned, remedies, relays, found };
     let outcome = match &mapped {
         Ok(mapped) => {
             let traffic = mapped.traffic();
-            Outcome::Fits(mapped, traffic, mapped.score(&traffic, target)?)
+            MapOutcome::Fits(mapped, traffic, mapped.score(&traffic, target)?)
         }
-        Err(reasons) => Outcome::DoesNotFit(reasons),
+        Err(reasons) => MapOutcome::DoesNotFit(reasons),
     };
     let result = MapResult::new(question, outcome);
     if let Ok(mapped) = &mapped {

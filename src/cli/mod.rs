@@ -126,7 +126,7 @@ impl Command {
 
 fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
     if !command.has_ranks() {
-        ranks::alone("this command")?;
+        ranks::refuse_several("this command")?;
     }
     match command {
         Command::Map(args) => map::run(args, context),
@@ -219,7 +219,7 @@ pub fn main() -> ExitCode {
 /// Runs one command line, which begins with the name of the program, and returns its exit status.
 /// Threads, log and signal handlers belong to the process, so a process can run only one command.
 pub fn run_line(line: impl IntoIterator<Item = OsString>) -> ExitCode {
-    let (line, asked): (Vec<OsString>, _) = (line.into_iter().collect(), diagnostics::format_asked());
+    let (line, asked): (Vec<OsString>, _) = (line.into_iter().collect(), diagnostics::requested_format());
     match panics::guarded(|| Ok(command(&line, asked))) {
         Ok(status) => status,
         Err(error) => diagnostics::report(&error, asked),
@@ -256,12 +256,12 @@ fn command(line: &[OsString], asked: Format) -> ExitCode {
     }
     let answer = threads::start(cli.threads).and_then(|threads| {
         let progress = diagnostics::on_terminal() && !cli.quiet;
-        output::allow_busy(progress);
+        output::allow_spinners(progress);
         dispatch(&cli.command, Context { format: cli.format, force: cli.force, progress, threads })
     });
     match answer {
         Ok(answer) => {
-            for change in changes::unread() {
+            for change in changes::unused() {
                 tracing::warn!("--set {}: this command reads nothing that has this path", change.path());
             }
             ranks::finish();

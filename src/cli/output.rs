@@ -8,7 +8,7 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use crate::cli::context::{Context, Format, refuse_if};
 use nsim_energy::environment::Environment;
 use nsim_files as io;
-use nsim_files::table::{latex, markdown, replaced};
+use nsim_files::table::{latex, markdown, replace_section};
 use nsim_files::write::checksum;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::charts::picture::{ENDINGS, PictureFormat};
@@ -18,7 +18,7 @@ use nsim_session::warnings::Warning;
 
 /// The words after `nsim` on the command line, without the number of threads, on which no result
 /// depends.
-pub fn typed() -> Vec<String> {
+pub fn command_words() -> Vec<String> {
     let mut words = std::env::args().skip(1);
     let mut typed = Vec::new();
     while let Some(word) = words.next() {
@@ -113,25 +113,25 @@ pub fn warn_all(warnings: &[Warning]) {
 }
 
 /// Whether stages without countable parts are shown.
-static BUSY_IS_SHOWN: AtomicBool = AtomicBool::new(false);
+static SPINNERS_ALLOWED: AtomicBool = AtomicBool::new(false);
 /// Number of active bars and stages. A stage is shown only if no other is active.
-static UNDER_WAY: AtomicUsize = AtomicUsize::new(0);
+static ACTIVE_STAGES: AtomicUsize = AtomicUsize::new(0);
 
-/// Sets whether [`busy`] shows stages.
-pub fn allow_busy(shown: bool) {
-    BUSY_IS_SHOWN.store(shown, Ordering::Relaxed);
+/// Sets whether [`spinner`] shows stages.
+pub fn allow_spinners(shown: bool) {
+    SPINNERS_ALLOWED.store(shown, Ordering::Relaxed);
 }
 
 /// A stage without countable parts. From the second second on, a line on stderr names it, until
 /// this is dropped.
 #[derive(Debug)]
-pub struct Busy(ProgressBar);
+pub struct Spinner(ProgressBar);
 
 /// Begins a stage, which is hidden if a bar or another stage is active.
-pub fn busy(what: &'static str) -> Busy {
-    let alone = UNDER_WAY.fetch_add(1, Ordering::Relaxed) == 0;
-    if !alone || !BUSY_IS_SHOWN.load(Ordering::Relaxed) {
-        return Busy(ProgressBar::hidden());
+pub fn spinner(what: &'static str) -> Spinner {
+    let alone = ACTIVE_STAGES.fetch_add(1, Ordering::Relaxed) == 0;
+    if !alone || !SPINNERS_ALLOWED.load(Ordering::Relaxed) {
+        return Spinner(ProgressBar::hidden());
     }
     let line = hidden_at_first(None, "{spinner} {msg}, {elapsed}", what);
     let shown = line.clone();
@@ -142,7 +142,7 @@ pub fn busy(what: &'static str) -> Busy {
             std::thread::sleep(std::time::Duration::from_millis(200));
         }
     });
-    Busy(line)
+    Spinner(line)
 }
 
 /// A bar or line on stderr that appears after a second unless it is finished before.
@@ -160,9 +160,9 @@ fn hidden_at_first(length: Option<u64>, template: &str, what: &'static str) -> P
     bar
 }
 
-impl Drop for Busy {
+impl Drop for Spinner {
     fn drop(&mut self) {
-        UNDER_WAY.fetch_sub(1, Ordering::Relaxed);
+        ACTIVE_STAGES.fetch_sub(1, Ordering::Relaxed);
         self.0.finish_and_clear();
     }
 }
@@ -175,9 +175,9 @@ pub fn with_progress<T>(
     work: impl FnOnce(Progress<'_>) -> T,
 ) -> T {
     let bar = progress(context, length as u64, what);
-    UNDER_WAY.fetch_add(1, Ordering::Relaxed);
+    ACTIVE_STAGES.fetch_add(1, Ordering::Relaxed);
     let result = work(&|| bar.inc(1));
-    UNDER_WAY.fetch_sub(1, Ordering::Relaxed);
+    ACTIVE_STAGES.fetch_sub(1, Ordering::Relaxed);
     bar.finish_and_clear();
     result
 }
@@ -208,7 +208,7 @@ pub fn update_section(
     context: Context,
 ) -> Result<(), Error> {
     let text = io::text::read_text(path)?;
-    let changed = replaced(text.text(), mark, section).ok_or_else(|| {
+    let changed = replace_section(text.text(), mark, section).ok_or_else(|| {
         Diagnostic::new("document.section", format!("there is no section '<!-- {mark} -->'"))
             .help(format!("put '<!-- {mark} -->' and '<!-- end {mark} -->' on lines of their own"))
             .in_file(path)

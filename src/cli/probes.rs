@@ -108,21 +108,23 @@ fn input_numbers<'s>(
 
 /// Recordings of probes: registers of the chip, or real numbers.
 #[derive(Debug, Clone, Copy)]
-pub enum Recorded<'a> {
+pub enum ProbeRecordings<'a> {
     /// From engines with integers.
     Integers(&'a [Outcome]),
     /// From the reference engine.
     Reals(&'a [Traces]),
 }
 
-impl Recorded<'_> {
+impl ProbeRecordings<'_> {
     /// All samples of a probe, `[compartments][steps]` each; an f64 is exact for every integer.
     fn numbers(&self, probe: usize) -> Box<dyn Iterator<Item = f64> + '_> {
         match self {
-            Recorded::Integers(outcomes) => {
+            ProbeRecordings::Integers(outcomes) => {
                 Box::new(outcomes.iter().flat_map(move |outcome| outcome.probes[probe].iter().copied().map(f64::from)))
             }
-            Recorded::Reals(traces) => Box::new(traces.iter().flat_map(move |sample| sample[probe].iter().copied())),
+            ProbeRecordings::Reals(traces) => {
+                Box::new(traces.iter().flat_map(move |sample| sample[probe].iter().copied()))
+            }
         }
     }
 }
@@ -168,7 +170,7 @@ impl ProbeArgs {
     pub fn write(
         &self,
         probes: &[NamedProbe],
-        (recorded, given): (Recorded<'_>, &[&Sample]),
+        (recorded, given): (ProbeRecordings<'_>, &[&Sample]),
         (dt_ms, drain): (f64, u32),
         batch: &mut io::write::Batch,
     ) -> Result<Vec<String>> {
@@ -196,8 +198,10 @@ impl ProbeArgs {
                     let shape = shape.map(|axis| axis as u64);
                     match (named.is_spikes(), recorded) {
                         (true, _) => io::npy::write(out, &shape, numbers.map(|number| number as u8)),
-                        (_, Recorded::Integers(_)) => io::npy::write(out, &shape, numbers.map(|number| number as i32)),
-                        (_, Recorded::Reals(_)) => io::npy::write(out, &shape, numbers),
+                        (_, ProbeRecordings::Integers(_)) => {
+                            io::npy::write(out, &shape, numbers.map(|number| number as i32))
+                        }
+                        (_, ProbeRecordings::Reals(_)) => io::npy::write(out, &shape, numbers),
                     }
                 })?,
                 ProbeFormat::Csv => trace.csv(&path, batch, numbers)?,

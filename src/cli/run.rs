@@ -4,11 +4,11 @@ use std::path::PathBuf;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select};
 use crate::cli::args::jobs;
-use crate::cli::args::steps::{self, recorded};
+use crate::cli::args::steps::{self, run_with_step_rows};
 use crate::cli::args::values::{Switch, one_of};
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
-use crate::cli::probes::{NamedProbe, ProbeArgs, Recorded};
+use crate::cli::probes::{NamedProbe, ProbeArgs, ProbeRecordings};
 use crate::cli::process::ranks;
 use nsim_files as io;
 use nsim_ir::spikes::Sample;
@@ -19,12 +19,12 @@ use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::detail::Detail;
 use nsim_session::error::Error;
 use nsim_session::neurobench::NeuroBench;
-use nsim_session::obtain::{Job, Wanted};
-use nsim_session::populations::ByPopulation;
-use nsim_session::priced::Metered;
-use nsim_session::samples::{self, Progress, Run, Running, Traces, fast, golden};
-use nsim_session::warnings::{Finished, Ran, warnings};
-use nsim_session::{Keep, Probe, Quantity, inputs};
+use nsim_session::obtain::{EngineKind, Job};
+use nsim_session::populations::CountsByPopulation;
+use nsim_session::priced::MeteredMapping;
+use nsim_session::samples::{self, Progress, Run, RunSettings, Traces, fast, golden};
+use nsim_session::warnings::{FinishedRun, RunEngine, warnings};
+use nsim_session::{Probe, Quantity, SampleSettings, inputs};
 
 /// Engines of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -40,12 +40,12 @@ pub enum EngineChoice {
 
 impl EngineChoice {
     /// Form of the network that an engine needs.
-    fn wanted(choice: Option<EngineChoice>) -> Wanted {
+    fn network_form(choice: Option<EngineChoice>) -> EngineKind {
         match choice {
-            Some(EngineChoice::Fast) => Wanted::Mapped,
-            Some(EngineChoice::Golden) => Wanted::Quantised,
-            Some(EngineChoice::Reference) => Wanted::Real,
-            None => Wanted::ByModel,
+            Some(EngineChoice::Fast) => EngineKind::Mapped,
+            Some(EngineChoice::Golden) => EngineKind::Quantised,
+            Some(EngineChoice::Reference) => EngineKind::Real,
+            None => EngineKind::ByModel,
         }
     }
 }
@@ -103,10 +103,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if args.steps.is_some() {
         ranks::price();
     }
-    let wanted = EngineChoice::wanted(args.engine);
+    let wanted = EngineChoice::network_form(args.engine);
     let job = match jobs::prepare(&args.job, wanted, Some(1), &args.probes.populations())? {
         Ok(job) => job,
-        Err(refusal) => return refusal.say(nsim_report::run::nothing("fast"), context),
+        Err(refusal) => return refusal.print(nsim_report::run::empty_result("fast"), context),
     };
     let network = job.quantised();
     let stimulus = inputs::stimulus(network, &args.input.sources()?, job.scene(), args.input.seed)?;
@@ -114,7 +114,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     check_pruned(network, &samples, &args.input)?;
     let probes = args.probes.probes(network, &samples)?;
     io::write::check_all_free(probes.iter().map(|named| args.probes.path(named)), context.force)?;
-    let keep = Keep {
+    let keep = SampleSettings {
         output: network.output(),
         probes: probes.iter().filter_map(NamedProbe::engine).collect(),
         early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
@@ -122,25 +122,25 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let mut batch = io::write::Batch::new(context.force);
     let Run { outcomes, activity, counts, meter: traces, skipped_updates, wall_s, ranks: rows } =
         output::with_progress(context, samples.len(), "samples", |done| {
-            ran(args, &job, &samples, &keep, &mut batch, done)
+            run_samples(args, &job, &samples, &keep, &mut batch, done)
         })?;
     let neurobench = if args.neurobench { neurobench(args, &job, &samples)? } else { None };
     ranks::leave_to_first();
-    let recorded = traces.as_deref().map_or(Recorded::Integers(&outcomes), Recorded::Reals);
+    let recorded = traces.as_deref().map_or(ProbeRecordings::Integers(&outcomes), ProbeRecordings::Reals);
     let (timestep_ms, drain) = (network.parts().timestep_ms, network.parts().drain);
     let mut files = args.probes.write(&probes, (recorded, &samples), (timestep_ms, drain), &mut batch)?;
     batch.commit()?;
     files.extend(args.steps.iter().map(|path| path.display().to_string()));
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
-    let sums = ByPopulation::new(network, &counts);
+    let sums = CountsByPopulation::new(network, &counts);
     let (engine, ran) = match &job {
         // Ranks have parts of the program; the interpreter finds the same potentials.
-        Job::Mapped(..) if ranks::several().is_some() => ("fast", Ran::Integers),
-        Job::Mapped(compiled, ..) => ("fast", Ran::Program(&compiled.program)),
-        Job::Quantised(..) => ("golden", Ran::Integers),
-        Job::Real(..) => ("reference", Ran::Reals),
+        Job::Mapped(..) if ranks::several().is_some() => ("fast", RunEngine::Integers),
+        Job::Mapped(compiled, ..) => ("fast", RunEngine::Program(&compiled.program)),
+        Job::Quantised(..) => ("golden", RunEngine::Integers),
+        Job::Real(..) => ("reference", RunEngine::Reals),
     };
-    let warnings = warnings(Finished { network, ran, sums: &sums, samples: &samples, outcomes: &outcomes });
+    let warnings = warnings(FinishedRun { network, engine: ran, sums: &sums, samples: &samples, outcomes: &outcomes });
     let cores = job.program().map_or_else(Vec::new, |program| core_rows(program, &activity, None));
     let detail = Detail { sums, cores, warnings, ranks: ranks::rows(&rows, job.program().map(|program| &**program)) };
     output::warn_all(&detail.warnings);
@@ -161,18 +161,18 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         files: &files,
     };
     if let (Some((compiled, _)), None) = (job.mapped(), &args.job.mapping) {
-        say_mapping_was_longer(&compiled.seconds, wall_s, &args.job);
+        warn_if_mapping_was_longer(&compiled.seconds, wall_s, &args.job);
     }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
 }
 
-/// Metrics of NeuroBench's harness; none for the reference engine, which `ran` refuses.
+/// Metrics of NeuroBench's harness; none for the reference engine, which `run_samples` refuses.
 fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<NeuroBench>, Error> {
     let measured = match job {
         Job::Mapped(compiled, ..) => NeuroBench::measure(&compiled.one, samples, |samples, keep| {
             let skip = args.skip == Switch::On;
-            fast(&compiled.program, samples, Running { skip, ..Running::new(keep) }, || ())
+            fast(&compiled.program, samples, RunSettings { skip, ..RunSettings::new(keep) }, || ())
         }),
         Job::Quantised(quantised, _) => {
             NeuroBench::measure(quantised, samples, |samples, keep| Ok(golden(quantised, samples, keep, &|| ())))
@@ -186,7 +186,7 @@ fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<Neur
 const SHORT_S: f64 = 0.5;
 
 /// Warns of a mapping that took longer than the run, with the command that saves it.
-fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &jobs::JobArgs) {
+fn warn_if_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &jobs::JobArgs) {
     let seconds: f64 = stages.iter().filter(|(stage, _)| ["partition", "place"].contains(stage)).map(|(_, s)| s).sum();
     if seconds > wall_s.max(SHORT_S) {
         let target = job.target.as_ref().map_or(String::new(), |target| format!(" --target {target}"));
@@ -197,36 +197,37 @@ fn say_mapping_was_longer(stages: &[(&'static str, f64)], wall_s: f64, job: &job
 
 /// Runs the samples on the engine of the job. The reference engine returns probes instead of a
 /// meter.
-fn ran(
+fn run_samples(
     args: &Args,
     job: &Job,
     samples: &[&Sample],
-    keep: &Keep,
+    keep: &SampleSettings,
     batch: &mut io::write::Batch,
     progress: Progress<'_>,
 ) -> Result<Run<Option<Vec<Traces>>>, Error> {
     let is_unmapped = job.mapped().is_none();
     refuse_if(args.steps.is_some() && is_unmapped, "--steps records activity of cores: it needs --engine fast")?;
     if is_unmapped {
-        ranks::alone("--engine golden or reference")?;
+        ranks::refuse_several("--engine golden or reference")?;
     }
     if args.neurobench {
         let is_real = matches!(job, Job::Real(..));
         refuse_if(is_real, "--neurobench counts operations on integers: it needs --engine fast or golden")?;
-        ranks::alone("--neurobench")?;
+        ranks::refuse_several("--neurobench")?;
     }
     Ok(match job {
         Job::Mapped(compiled, target, _) => {
             let skip = args.skip == Switch::On;
-            let running = Running { skip, progress, ranks: ranks::several(), ..Running::new(keep) };
+            let run_settings = RunSettings { skip, progress, ranks: ranks::several(), ..RunSettings::new(keep) };
             match &args.steps {
                 Some(path) => {
-                    let metered = Metered::new(compiled);
+                    let metered = MeteredMapping::new(compiled);
                     let (settings, _) = metered.offline(target)?;
-                    let run = recorded((path, batch), &compiled.one, &metered, settings, samples, running)?;
+                    let run =
+                        run_with_step_rows((path, batch), &compiled.one, &metered, settings, samples, run_settings)?;
                     run.map_meter(|_| None)
                 }
-                None => fast(&compiled.program, samples, running, || ())?.map_meter(|()| None),
+                None => fast(&compiled.program, samples, run_settings, || ())?.map_meter(|()| None),
             }
         }
         Job::Quantised(quantised, _) => golden(quantised, samples, keep, progress).map_meter(|()| None),

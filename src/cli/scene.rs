@@ -17,9 +17,9 @@ use nsim_ir::stimulus::SceneArg;
 use nsim_report::charts::picture::FILE;
 use nsim_report::charts::sample::{Content, Panel, Panels};
 use nsim_report::scene::{ByMarkers, ClassSummary, Onsets, SceneReport};
-use nsim_scene::markers::Annotated;
-use nsim_scene::wire::Carried;
-use nsim_scene::{Recorded, Recording, Senses, TOUCH, VISION, camera, touch};
+use nsim_scene::markers::MarkerOnsets;
+use nsim_scene::wire::WireCounts;
+use nsim_scene::{RecordedScene, Recording, Senses, TOUCH, VISION, camera, touch};
 use nsim_session::error::Error;
 
 const EXAMPLES: &str = "\
@@ -71,7 +71,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         argument.parameters.retain(|(other, _)| other != key);
         argument.parameters.push((key.to_string(), value.to_string()));
     }
-    let scene = Recorded::parse(&argument)?;
+    let scene = RecordedScene::parse(&argument)?;
     write::check_all_free(args.output.as_ref().map(|folder| folder.join(MANIFEST)), context.force)?;
     let taken = output::check_files(None, &args.plot, context)?;
     if args.plot.is_some()
@@ -83,20 +83,23 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let make = |sample: u32| {
         let recording = scene.recording(sample, Senses::BOTH);
         let files = match &folder {
-            Some(folder) => store(folder, sample, &recording, args.polarity)?,
+            Some(folder) => write_sample(folder, sample, &recording, args.polarity)?,
             None => [String::new(), String::new()],
         };
         let [touch, vision] = files.map(Spanned::from);
         let files = [(TOUCH.0.to_string(), touch), (VISION.0.to_string(), vision)].into();
         let spikes = [recording.touch.len(), recording.vision.len()];
-        let Recording { label, onset_ms, annotated, wire, .. } = recording;
-        Ok((Facts { label, onset_ms, annotated, spikes, wire }, SampleEntry { files, label: Some(label), onset_ms }))
+        let Recording { label, onset_ms, marker_onsets, wire, .. } = recording;
+        Ok((
+            SampleFacts { label, onset_ms, marker_onsets, spikes, wire },
+            SampleEntry { files, label: Some(label), onset_ms },
+        ))
     };
-    let made: Vec<Result<(Facts, SampleEntry), Diagnostic>> =
+    let made: Vec<Result<(SampleFacts, SampleEntry), Diagnostic>> =
         output::with_progress(context, scene.samples as usize, "scenes", |done| {
             (0..scene.samples).into_par_iter().map(make).inspect(|_| done()).collect()
         });
-    let (facts, entries): (Vec<Facts>, Vec<SampleEntry>) =
+    let (facts, entries): (Vec<SampleFacts>, Vec<SampleEntry>) =
         made.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
     if let Some(path) = &args.plot {
         let with_onset = || facts.iter().position(|fact| fact.onset_ms.is_some()).unwrap_or(0) as u32;
@@ -104,7 +107,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         output::write_picture(path, &raster(&scene, &argument, sample).svg(), context)?;
     }
     if let Some(folder) = &args.output {
-        warn_of_others(folder, &entries);
+        warn_of_other_recordings(folder, &entries);
     }
     let manifest = args.output.as_ref().map(|folder| folder.join(MANIFEST));
     if let Some(folder) = folder {
@@ -125,13 +128,13 @@ fn by_polarity(planes: Vec<(u32, u32)>) -> Vec<(String, Vec<(u32, u32)>)> {
 }
 
 /// Picture of a sample.
-fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
+fn raster(scene: &RecordedScene, argument: &SceneArg, sample: u32) -> Panels {
     let recording = scene.recording(sample, Senses::BOTH);
     let class = scene.classes.get(recording.label as usize).cloned().unwrap_or_default();
     let (rises, falls) = recording.touch.iter().copied().partition(|&(_, channel)| channel % 2 == 1);
     let touch = vec![("taxel, rise".to_string(), rises), ("taxel, fall".to_string(), falls)];
     Panels {
-        what: String::new(),
+        y_label: String::new(),
         title: format!("{}, sample {sample}: {class}", argument.spelled()),
         steps: recording.steps,
         timestep_ms: scene.timestep_ms,
@@ -148,17 +151,17 @@ fn raster(scene: &Recorded, argument: &SceneArg, sample: u32) -> Panels {
 }
 
 /// Facts of a recording for the report.
-struct Facts {
+struct SampleFacts {
     label: u32,
     onset_ms: Option<f64>,
-    annotated: Option<Annotated>,
+    marker_onsets: Option<MarkerOnsets>,
     spikes: [usize; 2],
-    wire: Option<Carried>,
+    wire: Option<WireCounts>,
 }
 
 /// Warns of recordings of an earlier scene next to the new ones: a run on the folder would use them
 /// as samples.
-fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
+fn warn_of_other_recordings(folder: &Path, entries: &[SampleEntry]) {
     let written: BTreeSet<PathBuf> =
         entries.iter().flat_map(|entry| entry.files.values()).map(|file| folder.join(&file.value)).collect();
     for population in [TOUCH.0, VISION.0].map(|name| folder.join(name)) {
@@ -175,7 +178,7 @@ fn warn_of_others(folder: &Path, entries: &[SampleEntry]) {
 
 /// Writes a sample's arrays of bytes, `[78, 2, T]` and `[63, 50, T]` or, by polarity, `[2, 63, 50,
 /// T]`, and returns their names.
-fn store(
+fn write_sample(
     folder: &write::Folder,
     sample: u32,
     recording: &Recording,
@@ -200,7 +203,7 @@ fn store(
     Ok(names)
 }
 
-fn data_set(scene: &Recorded, argument: &SceneArg, entries: Vec<SampleEntry>) -> DataSet {
+fn data_set(scene: &RecordedScene, argument: &SceneArg, entries: Vec<SampleEntry>) -> DataSet {
     let labels: Vec<u32> = entries.iter().filter_map(|entry| entry.label).collect();
     let folds = if labels.len() >= FOLDS { stratified_folds(&labels, FOLDS, scene.seed) } else { Vec::new() };
     DataSet {
@@ -221,14 +224,14 @@ fn data_set(scene: &Recorded, argument: &SceneArg, entries: Vec<SampleEntry>) ->
     }
 }
 
-fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Option<PathBuf>) -> SceneReport {
+fn report(scene: &RecordedScene, argument: &SceneArg, facts: &[SampleFacts], manifest: Option<PathBuf>) -> SceneReport {
     let cells = |samples: usize, channels: u32| samples as f64 * f64::from(channels) * f64::from(scene.steps);
     let class = |(label, name): (usize, String)| {
-        let of: Vec<&Facts> = facts.iter().filter(|fact| fact.label as usize == label).collect();
+        let of: Vec<&SampleFacts> = facts.iter().filter(|fact| fact.label as usize == label).collect();
         let spikes = |sense: usize| of.iter().map(|fact| fact.spikes[sense] as u64).sum::<u64>();
         let mut onsets: Vec<f64> = of.iter().filter_map(|fact| fact.onset_ms).collect();
         onsets.sort_by(f64::total_cmp);
-        let annotated: Vec<Annotated> = of.iter().filter_map(|fact| fact.annotated).collect();
+        let marker_onsets: Vec<MarkerOnsets> = of.iter().filter_map(|fact| fact.marker_onsets).collect();
         ClassSummary {
             name,
             samples: of.len(),
@@ -236,7 +239,7 @@ fn report(scene: &Recorded, argument: &SceneArg, facts: &[Facts], manifest: Opti
             vision_spikes: spikes(1),
             touch_density: spikes(0) as f64 / cells(of.len(), TOUCH.1),
             vision_density: spikes(1) as f64 / cells(of.len(), VISION.1),
-            by_markers: ByMarkers::new(&annotated),
+            by_markers: ByMarkers::new(&marker_onsets),
             onset_ms: match onsets[..] {
                 [] => None,
                 [first, ..] => Some(Onsets { first, median: onsets[onsets.len() / 2], last: onsets[onsets.len() - 1] }),

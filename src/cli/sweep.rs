@@ -85,7 +85,7 @@ pub struct Args {
 }
 
 /// Counts of a summary.
-struct Done {
+struct VariantCounts {
     run: u64,
     before: u64,
     wall_s: f64,
@@ -123,7 +123,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             }
         }
         table.check_whole()?;
-        (Done { run: 0, before: table.rows.len() as u64, wall_s: 0.0, ties: 0 }, None)
+        (VariantCounts { run: 0, before: table.rows.len() as u64, wall_s: 0.0, ties: 0 }, None)
     };
     let mut batch = io::write::Batch::new(all.force);
     if let (Some(axes), None) = (axes, args.shard) {
@@ -140,7 +140,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let picture = output::picture_bytes(path, &picture::svg(&table, axes)?)?;
         batch.add(path, |out| out.write_all(&picture))?;
     }
-    let checksums = args.shard.map(|_| checksum_column(&work(args, &sweep)));
+    let checksums = args.shard.map(|_| checksum_column(&work_digest(args, &sweep)));
     if let Some(path) = file {
         table.write(path, checksums.as_deref(), &mut batch)?;
     }
@@ -149,8 +149,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         journal.remove()?;
     }
     let ties = axes.map_or(Ok(0), |axes| picture::ties(&table, axes))?;
-    let done = Done { wall_s: begin.elapsed().as_secs_f64(), ties, ..done };
-    say((&sweep, &table, checksums.as_deref()), &done, file, context)
+    let done = VariantCounts { wall_s: begin.elapsed().as_secs_f64(), ties, ..done };
+    print_result((&sweep, &table, checksums.as_deref()), &done, file, context)
 }
 
 /// Runs the variants that the journal lacks.
@@ -160,12 +160,12 @@ fn run_variants(
     table: &mut Table<'_>,
     journal: Option<&Path>,
     context: Context,
-) -> Result<(Done, Option<Journal>), Error> {
+) -> Result<(VariantCounts, Option<Journal>), Error> {
     let Shard { number, of } = args.shard.unwrap_or(Shard { number: 1, of: 1 });
     let wanted = |variant: &u64| variant % of == number - 1;
     let mut kept = None;
     if let Some(path) = journal {
-        let (journal, lines) = Journal::open(path, &head(args, sweep))?;
+        let (journal, lines) = Journal::open(path, &journal_header(args, sweep))?;
         table.rows.extend(lines.iter().filter_map(|line| from_line(line)).filter(|(variant, _)| wanted(variant)));
         kept = Some(journal);
     }
@@ -188,30 +188,30 @@ fn run_variants(
             Ok(())
         })
     })?;
-    Ok((Done { run, before, wall_s: 0.0, ties: 0 }, kept))
+    Ok((VariantCounts { run, before, wall_s: 0.0, ties: 0 }, kept))
 }
 
 /// Arguments that change variants.
-fn typed(args: &Args) -> impl std::fmt::Debug {
+fn variant_arguments(args: &Args) -> impl std::fmt::Debug {
     (args.timestep.dt_ms, &args.anew)
 }
 
 /// First line of a journal, by which it is identified: the program's version, and a digest of the
 /// part, the sweep, and the size and time of its files, which need not be opened.
-fn head(args: &Args, sweep: &Sweep) -> String {
+fn journal_header(args: &Args, sweep: &Sweep) -> String {
     let of_file = |name: &String| {
         let found = std::fs::metadata(name).ok().filter(std::fs::Metadata::is_file);
         let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
         format!("{:?} {time:?}", found.as_ref().map(std::fs::Metadata::len))
     };
-    let digest = digest(&format!("{:?}", (args.shard, typed(args))), sweep, of_file);
+    let digest = digest(&format!("{:?}", (args.shard, variant_arguments(args))), sweep, of_file);
     format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
 }
 
 /// Identity of the work of all parts, on every machine: a digest of the program's version, the
 /// sweep, and the content of its files.
-fn work(args: &Args, sweep: &Sweep) -> String {
-    let before = format!("{} {:?}", env!("CARGO_PKG_VERSION"), typed(args));
+fn work_digest(args: &Args, sweep: &Sweep) -> String {
+    let before = format!("{} {:?}", env!("CARGO_PKG_VERSION"), variant_arguments(args));
     digest(&before, sweep, |name| io::text::sha256_of_file(Path::new(name)).unwrap_or_default())
 }
 
@@ -220,12 +220,12 @@ fn work(args: &Args, sweep: &Sweep) -> String {
 fn digest(before: &str, sweep: &Sweep, of_file: impl Fn(&String) -> String) -> String {
     let names = sweep.names();
     let files: Vec<String> = names.iter().map(of_file).collect();
-    io::text::sha256(format!("{:?}", (before, sweep.text(), io::changes::of_process(), names, files)).as_bytes())
+    io::text::sha256(format!("{:?}", (before, sweep.text(), io::changes::process_changes(), names, files)).as_bytes())
 }
 
-fn say(
+fn print_result(
     (sweep, table, checksums): (&Sweep, &Table<'_>, Option<&str>),
-    done: &Done,
+    done: &VariantCounts,
     file: Option<&Path>,
     context: Context,
 ) -> Result<Answer, Error> {
@@ -243,7 +243,7 @@ fn say(
         return Ok(Answer::Yes);
     };
     let text = || {
-        let Done { run, before, wall_s, ties } = done;
+        let VariantCounts { run, before, wall_s, ties } = done;
         let mut text = format!("{}: {}", file.display(), nsim_files::table::count(table.rows.len() as u64, "variant"));
         if *before > 0 {
             text += &format!(", {before} of them from before");
@@ -268,7 +268,7 @@ fn say(
     Ok(Answer::Yes)
 }
 
-fn json(sweep: &Sweep, table: &Table<'_>, done: &Done, [errors, refused]: [usize; 2]) -> serde_json::Value {
+fn json(sweep: &Sweep, table: &Table<'_>, done: &VariantCounts, [errors, refused]: [usize; 2]) -> serde_json::Value {
     json!({
         "schema": "nsim.sweep/1",
         "variants": sweep.len(),

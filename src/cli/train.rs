@@ -71,7 +71,7 @@ pub(in crate::cli) fn labelled(job: &Job) -> Result<(Vec<Example>, usize)> {
 }
 
 /// Saves the last finished epoch at a signal; returns a message.
-fn keep(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs: u32) -> Option<String> {
+fn save_at_signal(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoint, epochs: u32) -> Option<String> {
     let state = finished.lock().ok()?.take()?;
     let (epoch, path) = (state.epoch, checkpoint.path().display());
     Some(match checkpoint.save(&state) {
@@ -92,7 +92,7 @@ pub(in crate::cli) fn train(
     let finished = Arc::new(Mutex::new(None));
     let _ending = kept.clone().map(|kept| {
         let (finished, epochs) = (Arc::clone(&finished), plan.epochs);
-        signals::at_end(move || keep(&finished, &kept, epochs))
+        signals::at_end(move || save_at_signal(&finished, &kept, epochs))
     });
     let done = job::train(plan, examples, kept.as_ref(), |state| {
         bar.set_position(u64::from(state.epoch));
@@ -118,7 +118,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     refuse_if(on_stdout, "-o -: a trained model has weights, which need a file next to it")?;
     let taken = output::check_files(args.output.iter().chain(&weights).chain(&args.log), None, context)?;
     let data = {
-        let _busy = output::busy("reading or making samples");
+        let _busy = output::spinner("reading or making samples");
         job.data(&args.train, &args.test)?
     };
     refuse_if(data.train.is_empty(), "there are no training samples: add --train SOURCE")?;

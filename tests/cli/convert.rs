@@ -15,7 +15,7 @@ use nsim::ir::quantised::{Population, Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::quantise::quantise::quantise;
 use nsim::train::convert::fine_tune::Task;
-use nsim::train::convert::staged::Choices;
+use nsim::train::convert::staged::ConversionLimits;
 use nsim::train::convert::{model_file, staged};
 use nsim::train::fit::Example;
 use nsim::train::plan::plan;
@@ -57,8 +57,8 @@ fn srm() -> Graph {
     )
 }
 
-fn choices(most_copies: usize) -> Choices {
-    Choices { most_copies, soft_reset: false }
+fn choices(most_copies: usize) -> ConversionLimits {
+    ConversionLimits { most_copies, soft_reset: false }
 }
 
 fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
@@ -128,7 +128,7 @@ fn a_reset_by_subtraction_becomes_one_to_zero_where_the_target_has_none() {
     let [given, reset, ..] = zero.stages.as_slice() else { panic!() };
     assert!(given.name.starts_with("reset by subtraction") && !given.kept);
     assert!(reset.name.starts_with("reset to zero") && reset.gain.unwrap() < -0.05, "{reset:?}");
-    let kept = staged::convert(&soft, &few, Choices { soft_reset: true, ..choices(8) }, |_| ()).unwrap();
+    let kept = staged::convert(&soft, &few, ConversionLimits { soft_reset: true, ..choices(8) }, |_| ()).unwrap();
     assert_eq!(kinds(&kept.network), ["SoftReset", "SoftReset"]);
     assert!(kept.calibration.distance.coincidence > zero.calibration.distance.coincidence + 0.05);
     let model = model_file::model(&soft, &kept.network, "a test".to_string()).unwrap();

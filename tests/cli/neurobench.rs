@@ -13,7 +13,7 @@ use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::session::neurobench::NeuroBench;
-use nsim::session::samples::{Running, fast, golden};
+use nsim::session::samples::{RunSettings, fast, golden};
 
 /// Sums over the samples: operations with binary and with graded spikes, all operations of a
 /// network without zeros, membrane updates, spikes.
@@ -97,7 +97,7 @@ fn metrics_are_those_of_a_count_over_matrices() {
         let options = Options { place: false, copies: 2, ..Options::default() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
         let simulated = NeuroBench::measure(&network, &samples, |samples, keep| {
-            let running = Running { copies: 2, skip: seed % 4 < 2, ..Running::new(keep) };
+            let running = RunSettings { copies: 2, skip: seed % 4 < 2, ..RunSettings::new(keep) };
             fast(&compiled.program, samples, running, || ())
         })
         .unwrap();

@@ -5,9 +5,9 @@ use std::process::Command;
 
 use crate::common::command::{object, said, succeeds};
 use crate::common::{data, noise};
-use nsim::agree::attribution::{Distance, as_trained, attribute, measured};
-use nsim::agree::causes::{Cause, Rung};
-use nsim::agree::ladder::{Ladder, layers};
+use nsim::agree::attribution::{Distance, as_trained, attribute, compare_stages};
+use nsim::agree::causes::{Cause, ComparisonStage};
+use nsim::agree::staged::{StagedNetwork, layers};
 use nsim::agree::trace::{Layer, Trace};
 use nsim::compile::{Options, compile};
 use nsim::files::lower::lower;
@@ -83,8 +83,13 @@ fn borrowed(samples: &[Sample]) -> Vec<&Sample> {
 }
 
 /// Distance between two comparison stages.
-fn distance(ladder: &Ladder, (from, to): (Rung, Rung), output: &Layer, samples: &[&Sample]) -> Distance {
-    measured((ladder, from), &[(ladder, to)], output, samples)[0].distance
+fn distance(
+    staged: &StagedNetwork,
+    (from, to): (ComparisonStage, ComparisonStage),
+    output: &Layer,
+    samples: &[&Sample],
+) -> Distance {
+    compare_stages((staged, from), &[(staged, to)], output, samples)[0].distance
 }
 
 /// Fits whose free integers all differ from the analytic start.
@@ -105,18 +110,19 @@ fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
 fn without_a_cause_it_is_the_trained_network() {
     let graph = graph(SRM);
     for fits in [analytic::starts(&graph), chosen(&graph)] {
-        let ladder = Ladder::new(&graph, &fits).unwrap();
+        let staged = StagedNetwork::new(&graph, &fits).unwrap();
         let mut spikes = 0;
-        for (kernel, rung) in
-            [(Kernel::Truncated, Rung::TRAINED), (Kernel::Exact, Rung::TRAINED.with(Cause::Untruncated))]
-        {
+        for (kernel, stage) in [
+            (Kernel::Truncated, ComparisonStage::TRAINED),
+            (Kernel::Exact, ComparisonStage::TRAINED.with(Cause::Untruncated)),
+        ] {
             let model = Model::<f64>::new(&graph, reference::Options { kernel }).unwrap();
             for sample in &samples(0..6) {
                 let engine =
-                    Trace::record(&mut Reference::new(&model), sample, (16, ladder.deployed().output()), |e, c| {
+                    Trace::record(&mut Reference::new(&model), sample, (16, staged.deployed().output()), |e, c| {
                         e.potential(c) / 10.0
                     });
-                let trace = ladder.run(rung, sample, true);
+                let trace = staged.run(stage, sample, true);
                 assert_eq!(trace.trains, engine.trains, "{kernel:?}");
                 let near = trace.potentials.iter().zip(&engine.potentials).all(|(a, b)| (a - b).abs() < 1e-4);
                 assert!(near, "{kernel:?}");
@@ -167,18 +173,18 @@ fn it_begins_where_the_reference_engine_ends() {
     let mut spikes = 0;
     for text in unrounded() {
         let graph = graph(&text);
-        let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
-        let network = ladder.deployed();
+        let staged = StagedNetwork::new(&graph, &analytic::starts(&graph)).unwrap();
+        let network = staged.deployed();
         let model = Model::<f64>::new(&graph, reference::Options::default()).unwrap();
         let thresholds = nsim::dynamics::model_thresholds(&graph);
-        let begin = ladder.trained().with(Cause::Pipeline);
-        assert_ne!(begin, Rung::MACHINE);
+        let begin = staged.trained().with(Cause::Pipeline);
+        assert_ne!(begin, ComparisonStage::MACHINE);
         for sample in &samples(0..6) {
             let of = (network.compartments(), network.output());
             let engine = Trace::record(&mut Reference::new(&model), sample, of, |engine, c| {
                 engine.potential(c) / thresholds[c.0 as usize]
             });
-            let trace = ladder.run(begin, sample, true);
+            let trace = staged.run(begin, sample, true);
             assert_eq!(trace.trains, engine.trains, "{}", graph.facts().name);
             for (at, (a, b)) in trace.potentials.iter().zip(&engine.potentials).enumerate() {
                 let (c, t) = (at / 150, (at % 150) as u32);
@@ -193,8 +199,8 @@ fn it_begins_where_the_reference_engine_ends() {
 
 /// Compares the last stage with the golden interpreter and the machine, in all spikes and v.
 fn is_the_machine(graph: &Graph, fits: &[Option<Fit>], samples: &[Sample], some: usize) {
-    let ladder = Ladder::new(graph, fits).unwrap();
-    let network = ladder.deployed();
+    let staged = StagedNetwork::new(graph, fits).unwrap();
+    let network = staged.deployed();
     let target = load_target("loihi1-chip").unwrap();
     let compiled = compile(network.clone(), &target, &Options::default()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
@@ -202,7 +208,7 @@ fn is_the_machine(graph: &Graph, fits: &[Option<Fit>], samples: &[Sample], some:
     let mut machine = Machine::new(&image, Settings::default());
     let mut spikes = 0;
     for sample in samples {
-        let trace = ladder.run(Rung::MACHINE, sample, true);
+        let trace = staged.run(ComparisonStage::MACHINE, sample, true);
         let count = (network.compartments(), network.output());
         let a = Trace::record(&mut golden, sample, count, |e, c| f64::from(e.v(c)));
         let b = Trace::record(&mut machine, sample, count, |e, c| f64::from(e.v(c)));
@@ -242,34 +248,35 @@ fn with_every_cause_it_is_the_machine_bit_for_bit() {
 #[test]
 fn every_rung_is_real() {
     let graph = graph(SRM);
-    let ladder = Ladder::new(&graph, &chosen(&graph)).unwrap();
+    let staged = StagedNetwork::new(&graph, &chosen(&graph)).unwrap();
     // A spike response network was trained with a latency of one step a layer.
     let of_srm = || Cause::ALL.into_iter().filter(|&cause| cause != Cause::Pipeline);
-    assert_eq!(ladder.causes(), of_srm().collect::<Vec<_>>());
-    let (samples, output) = (samples(0..12), ladder.layers()[1].clone());
+    assert_eq!(staged.causes(), of_srm().collect::<Vec<_>>());
+    let (samples, output) = (samples(0..12), staged.layers()[1].clone());
     let samples = borrowed(&samples);
-    let mut rung = ladder.trained();
+    let mut stage = staged.trained();
     for cause in of_srm() {
-        let next = rung.with(cause);
-        let away = distance(&ladder, (rung, next), &output, &samples);
+        let next = stage.with(cause);
+        let away = distance(&staged, (stage, next), &output, &samples);
         // With equal decays the kernel is the alpha kernel itself: this stage shifts time alone.
         match cause {
             Cause::Kernel => {
-                let traces = [rung, next].map(|rung| ladder.run(rung, samples[0], false));
+                let traces = [stage, next].map(|stage| staged.run(stage, samples[0], false));
                 assert_ne!(traces[0].trains, traces[1].trains);
                 assert!(away.coincidence > 0.999, "{away:?}");
             }
             _ => assert!(away.potential_rmse.unwrap() > 1e-7, "{}: {away:?}", cause.name()),
         }
-        rung = next;
+        stage = next;
     }
     // Compared with the trained network, each stage that is taken away changes the figure.
-    let all = distance(&ladder, (ladder.trained(), Rung::MACHINE), &output, &samples);
+    let all = distance(&staged, (staged.trained(), ComparisonStage::MACHINE), &output, &samples);
     // Decaying current and voltage are not truncated, so once they are there the truncation has no
     // effect.
     for missing in of_srm().filter(|&cause| cause != Cause::Untruncated) {
-        let without = Cause::ALL.into_iter().filter(|&c| c != missing).fold(Rung::TRAINED, Rung::with);
-        let away = distance(&ladder, (ladder.trained(), without), &output, &samples);
+        let without =
+            Cause::ALL.into_iter().filter(|&c| c != missing).fold(ComparisonStage::TRAINED, ComparisonStage::with);
+        let away = distance(&staged, (staged.trained(), without), &output, &samples);
         assert_ne!(away, all, "{}", missing.name());
     }
 }
@@ -277,9 +284,9 @@ fn every_rung_is_real() {
 #[test]
 fn shares_add_up_to_the_disagreement() {
     let graph = graph(SRM);
-    let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
-    let (samples, output) = (samples(0..10), ladder.layers()[1].clone());
-    let attribution = attribute(&ladder, &output, &borrowed(&samples));
+    let staged = StagedNetwork::new(&graph, &analytic::starts(&graph)).unwrap();
+    let (samples, output) = (samples(0..10), staged.layers()[1].clone());
+    let attribution = attribute(&staged, &output, &borrowed(&samples));
     let names: Vec<&str> = attribution.shares.iter().map(|share| share.cause.name()).collect();
     assert!(names.len() >= 5 && !names.contains(&"calibration"), "{names:?}");
     let sum = |pick: fn(&nsim::agree::attribution::Share) -> f64| attribution.shares.iter().map(pick).sum::<f64>();
@@ -290,9 +297,9 @@ fn shares_add_up_to_the_disagreement() {
     assert!(shares.is_empty() || (shares.iter().sum::<f64>() - 1.0).abs() < 1e-9, "{shares:?}");
     assert!(shares.iter().all(|share| (0.0..=1.0).contains(share)), "{shares:?}");
     assert!(attribution.disagreement > 0.01);
-    assert_eq!(attribution.shares.last().unwrap().rung.class_agreement, {
-        let trained = as_trained(&ladder, &output, &borrowed(&samples));
-        distance(&ladder, (trained, Rung::MACHINE), &output, &borrowed(&samples)).class_agreement
+    assert_eq!(attribution.shares.last().unwrap().stage.class_agreement, {
+        let trained = as_trained(&staged, &output, &borrowed(&samples));
+        distance(&staged, (trained, ComparisonStage::MACHINE), &output, &borrowed(&samples)).class_agreement
     });
 }
 
@@ -303,11 +310,11 @@ fn the_search_comes_nearer_than_the_analytic_start() {
     let found = search(&graph, &borrowed(&calibration), 16, |_| ()).unwrap();
     assert!(found.end.count_error < 0.6 * found.start.count_error, "{:?} {:?}", found.start, found.end);
     assert_eq!(found, search(&graph, &borrowed(&calibration), 16, |_| ()).unwrap(), "the same search twice");
-    let output = Ladder::new(&graph, &found.conversion.fits).unwrap().layers()[1].clone();
-    let trained = Rung::TRAINED.with(Cause::Untruncated);
+    let output = StagedNetwork::new(&graph, &found.conversion.fits).unwrap().layers()[1].clone();
+    let trained = ComparisonStage::TRAINED.with(Cause::Untruncated);
     let on_unseen = |fits: &[Option<Fit>]| {
-        let ladder = Ladder::new(&graph, fits).unwrap();
-        distance(&ladder, (trained, Rung::MACHINE), &output, &borrowed(&unseen))
+        let staged = StagedNetwork::new(&graph, fits).unwrap();
+        distance(&staged, (trained, ComparisonStage::MACHINE), &output, &borrowed(&unseen))
     };
     let (start, end) = (on_unseen(&analytic::starts(&graph)), on_unseen(&found.conversion.fits));
     assert!(end.coincidence > start.coincidence + 0.5, "{start:?} {end:?}");
@@ -466,12 +473,12 @@ fn a_negative_exponent_shifts_the_sum_under_lava() {
     let target = load_target("loihi1-chip").unwrap();
     let compiled = compile(network.clone(), &target, &Options::default()).unwrap();
     let image = Image::new(&compiled.program, 1).unwrap();
-    let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
-    assert!(ladder.causes().contains(&Cause::Weights));
+    let staged = StagedNetwork::new(&graph, &analytic::starts(&graph)).unwrap();
+    assert!(staged.causes().contains(&Cause::Weights));
     let (mut golden, mut machine) = (Golden::new(&network), Machine::new(&image, Settings::default()));
     let (mut all, mut each_weight) = (0, 0);
     for sample in &samples(0..4) {
-        let trace = ladder.run(Rung::MACHINE, sample, true);
+        let trace = staged.run(ComparisonStage::MACHINE, sample, true);
         let (mut u, mut v, mut before) = ([0i64; 5], [0i64; 5], vec![[0i64; 5]; 2]);
         golden.begin(150);
         machine.begin(150);

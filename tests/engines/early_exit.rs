@@ -16,13 +16,17 @@ use nsim::ir::spikes::Engine;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::front::front;
-use nsim::session::observers::Passed;
-use nsim::session::{Keep, Outcome, Session};
+use nsim::session::observers::StepRange;
+use nsim::session::{Outcome, SampleSettings, Session};
 use rayon::prelude::*;
 use serde_json::Value;
 
-fn keep(network: &Quantised, rule: Option<Rule>) -> Keep {
-    Keep { output: network.output(), probes: Vec::new(), early_exit: rule.map(|rule| EarlyExit::new(rule, network)) }
+fn keep(network: &Quantised, rule: Option<Rule>) -> SampleSettings {
+    SampleSettings {
+        output: network.output(),
+        probes: Vec::new(),
+        early_exit: rule.map(|rule| EarlyExit::new(rule, network)),
+    }
 }
 
 fn margin(margin: u32) -> Rule {
@@ -67,7 +71,10 @@ fn random_networks_decide_alike_on_every_engine_and_certain_keeps_the_class() {
                     assert_eq!(skipping_aside(&run(engine.as_mut(), Some(rule))), golden, "{what}, {name}");
                 }
                 // A decision that is only recorded changes nothing else.
-                let watched = Keep { early_exit: Some(EarlyExit::watched(rule, &network)), ..keep(&network, None) };
+                let watched = SampleSettings {
+                    early_exit: Some(EarlyExit::recording_only(rule, &network)),
+                    ..keep(&network, None)
+                };
                 let Outcome { decided_at, decided_class, steps_saved, .. } = golden;
                 let noted = Outcome { decided_at, decided_class, steps_saved, ..skipping_aside(&whole) };
                 assert_eq!(noted.class_when_decided(), golden.class(), "{what}");
@@ -104,7 +111,7 @@ fn recordings_keep_their_class_and_do_what_their_first_steps_do() {
                 // The whole sample, with the counts of the steps of the shortened one.
                 let mut counted = Activity::new(compiled.program.cores().len());
                 let mut left = early.steps;
-                let whole = session.run(sample, &keep(network, None), |machine: &Machine, passed: Passed| {
+                let whole = session.run(sample, &keep(network, None), |machine: &Machine, passed: StepRange| {
                     counted.add_steps(machine.last_step(), u64::from(passed.steps.min(left)));
                     left -= passed.steps.min(left);
                 });

@@ -20,7 +20,7 @@ use nsim::ir::quantised::{Neuron, Parts, Quantised};
 use nsim::quantise::prune::{Plan, prune};
 use nsim::quantise::quantise::quantise;
 use nsim::reference::{Model, Options as RealOptions, Reference};
-use nsim::session::decision::Pace;
+use nsim::session::decision::SpikeBounds;
 
 /// The network with all compartments of one kind, without memory of currents and without leaks.
 fn with_kind(network: &Quantised, kind: NeuronKind) -> Quantised {
@@ -92,7 +92,7 @@ fn a_model_file_names_it_and_every_stage_follows() {
     let [p, q] = [prune(&a, &Plan::fixed()).unwrap(), prune(&b, &Plan::fixed()).unwrap()];
     assert_eq!(p.compartments(), 4, "the third hidden compartment has no positive weight and no bias");
     assert_eq!((p.compartments(), p.synapses()), (q.compartments(), q.synapses()));
-    assert_eq!(Pace::of_output(&a), Pace::of_output(&b));
+    assert_eq!(SpikeBounds::for_output(&a), SpikeBounds::for_output(&b));
 }
 
 #[test]

@@ -15,11 +15,11 @@ use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::Sample;
 use nsim::session::cores::core_rows;
-use nsim::session::populations::ByPopulation;
-use nsim::session::priced::Metered;
-use nsim::session::samples::{Run, Running, golden};
+use nsim::session::populations::CountsByPopulation;
+use nsim::session::priced::MeteredMapping;
+use nsim::session::samples::{Run, RunSettings, golden};
 use nsim::session::steps::{CELLS, StepLayout, run_recorded};
-use nsim::session::{Keep, Outcome};
+use nsim::session::{Outcome, SampleSettings};
 use rayon::ThreadPoolBuilder;
 
 fn target() -> Target {
@@ -38,7 +38,7 @@ fn totals(outcomes: &[Outcome]) -> (Totals, Overflow) {
 }
 
 /// Rows of populations and inputs add up to the totals of the samples.
-fn assert_adds_up(rows: &ByPopulation, network: &Quantised, outcomes: &[Outcome], what: &str) {
+fn assert_adds_up(rows: &CountsByPopulation, network: &Quantised, outcomes: &[Outcome], what: &str) {
     let (totals, overflow) = totals(outcomes);
     let sum = |f: fn(&nsim::session::populations::PopulationCounts) -> u64| rows.populations.iter().map(f).sum::<u64>();
     assert_eq!(sum(|row| row.spikes), totals.spikes, "{what}: spikes");
@@ -61,9 +61,9 @@ fn populations_and_cores_sum_to_the_totals() {
         let given: Vec<Sample> = (0..5).map(|k| random::sample(&network, seed + 1_000 * k)).collect();
         let samples: Vec<&Sample> = given.iter().collect();
         let compiled = compile(network.clone(), &target, &unsearched()).unwrap();
-        let keep = Keep::new(compiled.program.output());
+        let keep = SampleSettings::new(compiled.program.output());
         let expected = pools[1].install(|| golden(&network, &samples, &keep, &|| ()));
-        let rows = ByPopulation::new(&network, &expected.counts);
+        let rows = CountsByPopulation::new(&network, &expected.counts);
         assert_adds_up(&rows, &network, &expected.outcomes, &format!("network {seed}, golden"));
         wrapped += rows.populations.iter().map(|row| row.wrapped).sum::<u64>();
         clipped += rows.populations.iter().map(|row| row.clipped).sum::<u64>();
@@ -77,13 +77,13 @@ fn populations_and_cores_sum_to_the_totals() {
 }
 
 /// Compares metered runs on the machine with the expected counts.
-fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &ByPopulation, what: &str) {
+fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &CountsByPopulation, what: &str) {
     let program = &compiled.program;
     let table = CostTable::new(&target.constants()[0]).unwrap();
     let deployment =
         Deployment::from_placement("mapped", &compiled.placement, target, compiled.options.copies, HostWork::default());
     let timing = deployment.timing(Transport::Analytic, compiled.options.copies);
-    let metered = Metered::new(compiled);
+    let metered = MeteredMapping::new(compiled);
     let settings = MeterSettings {
         tables: vec![table],
         routes: metered.routes.clone(),
@@ -91,8 +91,8 @@ fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &
         timestep: Picoseconds::from_milliseconds(1.0),
         distribution: None,
     };
-    let run = metered.run(settings, samples, Running::new(&Keep::new(program.output()))).unwrap();
-    let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);
+    let run = metered.run(settings, samples, RunSettings::new(&SampleSettings::new(program.output()))).unwrap();
+    let rows = CountsByPopulation::for_copies(&compiled.one, &run.counts, compiled.options.copies);
     assert_eq!(&rows, expected, "{what}: as the golden interpreter counts");
 
     let table = &run.meter.tables()[0];
@@ -124,10 +124,10 @@ fn copies_count_together() {
     let rows = |copies: u32| {
         let options = Options { copies, ..unsearched() };
         let compiled = compile(network.clone(), &target, &options).unwrap();
-        let keep = Keep::new(compiled.program.output());
-        let running = Running { copies, ..Running::new(&keep) };
+        let keep = SampleSettings::new(compiled.program.output());
+        let running = RunSettings { copies, ..RunSettings::new(&keep) };
         let run = nsim::session::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
-        let rows = ByPopulation::new(&compiled.one, &run.counts);
+        let rows = CountsByPopulation::new(&compiled.one, &run.counts);
         compare(&compiled, &target, &samples, &rows, &format!("{} copies", copies));
         rows
     };
@@ -149,14 +149,14 @@ fn recorded(
     samples: &[&Sample],
     format: StepFormat,
 ) -> (Run<StepMeter>, StepLayout, Vec<u8>) {
-    let metered = Metered::new(compiled);
+    let metered = MeteredMapping::new(compiled);
     let (settings, _) = metered.offline(target).unwrap();
     let layout = StepLayout::new(&compiled.one);
-    let keep = Keep::new(compiled.program.output());
+    let keep = SampleSettings::new(compiled.program.output());
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let mut file = Vec::new();
     let table = StepWriter::new(&mut file, format, layout.columns(), Some(rows)).unwrap();
-    let (run, written) = run_recorded(&metered, settings, (samples, Running::new(&keep)), &layout, table).unwrap();
+    let (run, written) = run_recorded(&metered, settings, (samples, RunSettings::new(&keep)), &layout, table).unwrap();
     written.unwrap();
     (run, layout, file)
 }
@@ -178,7 +178,7 @@ fn assert_rows_add_up(compiled: &Mapping, target: &Target, samples: &[&Sample], 
     }
     assert_eq!(places.next(), None, "{what}: a row for each step");
     let sum = |name: &str| sums[header.iter().position(|column| column == name).unwrap()];
-    let rows = ByPopulation::of_copies(&compiled.one, &run.counts, compiled.options.copies);
+    let rows = CountsByPopulation::for_copies(&compiled.one, &run.counts, compiled.options.copies);
     for row in &rows.populations {
         assert_eq!(sum(&format!("spikes.{}", row.name)), row.spikes, "{what}: {}", row.name);
     }

@@ -24,7 +24,7 @@ use nsim::ir::spikes::{Engine, Sample, Stimulus};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::bound::may_fire;
 use nsim::quantise::prune::{Plan, check_stimulus, prune};
-use nsim::session::{Keep, Session, digest};
+use nsim::session::{SampleSettings, Session, digest};
 use nsim_testing::cases;
 use rayon::prelude::*;
 
@@ -222,7 +222,7 @@ fn compare(seed: u64, chip: &Target) -> (Counts, Counts, [u64; 2]) {
             assert_eq!(check_stimulus(&pruned, &[&loud], 0).unwrap_err().code, "input.pruned");
         }
     }
-    let keep = Keep::new(whole.output());
+    let keep = SampleSettings::new(whole.output());
     let outcome = Session::new(golden, 1).run(&shown, &keep, ());
     (fixed, scene, [outcome.totals.spikes, outcome.spikes.len() as u64])
 }
@@ -266,7 +266,7 @@ fn recorded_touch_is_told_apart_the_same() {
         assert!(compiled.program.cores().len() > 8, "one core or more for each of eight shares");
         let image = Image::new(&compiled.program, shares).unwrap();
         let mut session = Session::new(Machine::new(&image, Settings { skip, per_step: false }), 1);
-        let keep = Keep::new(compiled.program.output());
+        let keep = SampleSettings::new(compiled.program.output());
         let run = || samples.iter().map(|s| session.run(s, &keep, ())).collect();
         let pool = rayon::ThreadPoolBuilder::new().num_threads(shares).build().unwrap();
         let outcomes: Vec<_> = pool.install(run);

@@ -17,9 +17,9 @@ use nsim::ir::spikes::Sample;
 use nsim::machine::ranks::threads::ranks;
 use nsim::machine::ranks::transport::Ranks;
 use nsim::session::decision::{EarlyExit, Rule};
-use nsim::session::priced::Metered;
-use nsim::session::samples::{Run, Running, fast};
-use nsim::session::{Keep, Outcome, Probe, Quantity};
+use nsim::session::priced::MeteredMapping;
+use nsim::session::samples::{Run, RunSettings, fast};
+use nsim::session::{Outcome, Probe, Quantity, SampleSettings};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 240;
@@ -91,8 +91,8 @@ impl Case {
             let Output { first, count, .. } = program.output();
             let probe = |quantity| Probe { first, count, quantity };
             let probes = Quantity::ALL.iter().map(|(quantity, _)| probe(*quantity)).collect();
-            let keep = Keep { probes, ..Keep::new(program.output()) };
-            let running = Running { copies: self.copies, skip: self.skip, ranks, ..Running::new(&keep) };
+            let keep = SampleSettings { probes, ..SampleSettings::new(program.output()) };
+            let running = RunSettings { copies: self.copies, skip: self.skip, ranks, ..RunSettings::new(&keep) };
             fast(program, &samples, running, || ()).unwrap()
         })
     }
@@ -102,7 +102,7 @@ impl Case {
         let samples: Vec<&Sample> = self.samples.iter().collect();
         on_ranks(count, |rank, ranks| {
             let compiled = self.compiled(share(rank, count, rank == 0));
-            let metered = Metered::new(&compiled);
+            let metered = MeteredMapping::new(&compiled);
             let deployment = Deployment::from_placement(
                 "mapped",
                 &compiled.placement,
@@ -119,10 +119,10 @@ impl Case {
             };
             let early_exit = Some(match rule {
                 Some(rule) => EarlyExit::new(rule, &compiled.one),
-                None => EarlyExit::watched(Rule::Certain, &compiled.one),
+                None => EarlyExit::recording_only(Rule::Certain, &compiled.one),
             });
-            let keep = Keep { early_exit, ..Keep::new(compiled.program.output()) };
-            let running = Running { skip: self.skip, ranks, ..Running::new(&keep) };
+            let keep = SampleSettings { early_exit, ..SampleSettings::new(compiled.program.output()) };
+            let running = RunSettings { skip: self.skip, ranks, ..RunSettings::new(&keep) };
             metered.run(settings, &samples, running).unwrap()
         })
     }
@@ -193,8 +193,8 @@ fn threads_of_a_rank_change_nothing() {
             pool(rank).install(|| {
                 let options = Options { share: share(rank, count, false), ..unsearched() };
                 let compiled = compile(bench.network.clone(), &target, &options).unwrap();
-                let keep = Keep::new(compiled.program.output());
-                fast(&compiled.program, &samples, Running { ranks, ..Running::new(&keep) }, || ()).unwrap()
+                let keep = SampleSettings::new(compiled.program.output());
+                fast(&compiled.program, &samples, RunSettings { ranks, ..RunSettings::new(&keep) }, || ()).unwrap()
             })
         })
     };

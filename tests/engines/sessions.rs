@@ -15,8 +15,8 @@ use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
 use nsim::session::inputs::stimulus;
 use nsim::session::obtain::{Request, obtain};
-use nsim::session::samples::{Running, fast};
-use nsim::session::{Keep, Outcome, Probe, Quantity, Session, digest};
+use nsim::session::samples::{RunSettings, fast};
+use nsim::session::{Outcome, Probe, Quantity, SampleSettings, Session, digest};
 
 /// Spikes, u and v of the first copy after a step.
 type Seen = (Vec<(u32, i32)>, Vec<(i32, i32)>);
@@ -62,7 +62,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
         // The simplest method: a run with probes.
         let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
         let probes = [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into();
-        let keep = Keep { probes, ..Keep::new(network.output()) };
+        let keep = SampleSettings { probes, ..SampleSettings::new(network.output()) };
         let mut session = Session::open(&image, &mapped.one, copies);
         let ran = Session::new(Machine::new(&image, Settings::default()), copies).run(&sample, &keep, ());
         let (n, steps) = (network.compartments() as usize, sample.steps() as usize);
@@ -136,7 +136,8 @@ fn stepping_is_running_for_every_shipped_model_and_a_snapshot_goes_on_as_before(
         let (mapped, _) = job.mapped().unwrap();
         let sample = &stimulus(&mapped.one, &source, None, None).unwrap().samples[0];
         let output = mapped.program.output();
-        let ran = fast(&mapped.program, &[sample], Running::new(&Keep::new(output)), || ()).unwrap().outcomes;
+        let ran =
+            fast(&mapped.program, &[sample], RunSettings::new(&SampleSettings::new(output)), || ()).unwrap().outcomes;
 
         let mut session = Session::open(&Image::new(&mapped.program, 1).unwrap(), &mapped.one, 1);
         let mut spikes = outputs(&mut session, sample, output, 0..50);

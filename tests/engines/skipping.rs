@@ -20,14 +20,14 @@ use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
-use nsim::session::observers::Passed;
-use nsim::session::{Keep, Outcome, Probe, Quantity, Session};
+use nsim::session::observers::StepRange;
+use nsim::session::{Outcome, Probe, Quantity, SampleSettings, Session};
 use rayon::prelude::*;
 
 /// Output spikes, and u and v of every compartment.
-fn keep(network: &Quantised) -> Keep {
+fn keep(network: &Quantised) -> SampleSettings {
     let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
-    Keep {
+    SampleSettings {
         output: network.output(),
         probes: [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into(),
         early_exit: None,
@@ -53,9 +53,9 @@ fn on_small_cores(model: &str) -> Mapping {
 
 /// The interpreter's outcome of a sample, and the number of steps that could be skipped: no input,
 /// no spike in the previous step, every register zero.
-fn interpreted(network: &Quantised, sample: &Sample, keep: &Keep) -> (Outcome, u64, u64) {
+fn interpreted(network: &Quantised, sample: &Sample, keep: &SampleSettings) -> (Outcome, u64, u64) {
     let (mut idle, mut at_rest) = (0, true);
-    let outcome = Session::new(Golden::new(network), 1).run(sample, keep, |engine: &Golden, passed: Passed| {
+    let outcome = Session::new(Golden::new(network), 1).run(sample, keep, |engine: &Golden, passed: StepRange| {
         idle += u64::from(at_rest && sample.at(passed.first).is_empty());
         let zero = (0..network.compartments()).map(CompartmentId).all(|c| engine.u(c) == 0 && engine.v(c) == 0);
         at_rest = engine.spikes().is_empty() && zero;

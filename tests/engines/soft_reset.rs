@@ -1,8 +1,8 @@
 //! Reset by subtraction: integrators lose nothing, and only targets that name it support it.
 
 use crate::common::random;
-use nsim::agree::causes::Rung;
-use nsim::agree::ladder::Ladder;
+use nsim::agree::causes::ComparisonStage;
+use nsim::agree::staged::StagedNetwork;
 use nsim::compile::{Options, compile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
@@ -55,8 +55,8 @@ fn integrators_lose_nothing_and_equal_the_real_ones() {
     }
     assert!(spiked.iter().sum::<i64>() > 20, "{spiked:?}");
     // The last comparison stage agrees too.
-    let ladder = Ladder::new(&graph, &analytic::starts(&graph)).unwrap();
-    let trains = ladder.run(Rung::MACHINE, &sample, false).trains;
+    let staged = StagedNetwork::new(&graph, &analytic::starts(&graph)).unwrap();
+    let trains = staged.run(ComparisonStage::MACHINE, &sample, false).trains;
     let spikes: usize = trains.iter().map(Vec::len).sum();
     assert_eq!(spikes as u64, golden.totals().spikes);
 }

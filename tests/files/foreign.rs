@@ -19,7 +19,7 @@ use nsim::import::fuzz_entry;
 use nsim::import::model::load_model;
 use nsim::import::spikes::events::event::{Counts, Event, Sink};
 use nsim::import::spikes::events::{nir_data, read as events};
-use nsim::import::spikes::{EventFormat, EventOptions, Expected, read_source, read_spikes};
+use nsim::import::spikes::{EventFormat, EventOptions, InputSpec, read_source, read_spikes};
 use nsim::ir::arithmetic::{ResetDesc, Semantics, ThresholdTest};
 use nsim::ir::base::fixed::SignMode;
 use nsim::ir::base::rng;
@@ -210,12 +210,12 @@ fn recordings_that_peers_wrote_hold_what_they_wrote() {
 fn crop_pool_bins_and_polarities_follow_their_definition() {
     let recorded = recorded();
     let bytes = std::fs::read(corpus().join("events/aedat4_zstd")).unwrap();
-    let read = |expected: Expected, query: &[(&str, &str)]| {
+    let read = |expected: InputSpec, query: &[(&str, &str)]| {
         let pairs: Vec<_> = query.iter().map(|(k, v)| ((*k).to_string(), (*v).to_string())).collect();
         let options = EventOptions::parse(&pairs).unwrap();
         events::read_input(&mut &bytes[1..], "x", EventFormat::Aedat4, &expected, &options)
     };
-    let expected = |units| Expected { units, volume: None, dt_ms: 1.0, values: false };
+    let expected = |units| InputSpec { units, volume: None, dt_ms: 1.0, values: false };
     let first = recorded[0].0;
     let (all, counts) = read(expected(512), &[]).unwrap();
     let mut wanted: Vec<(u32, u32)> = recorded
@@ -272,7 +272,7 @@ fn a_million_events_take_the_memory_of_their_spikes() {
                 Ok(whole * 5)
             }
         }
-        let expected = Expected { units: 32, volume: Some((2, 4, 4)), dt_ms: 1.0, values: false };
+        let expected = InputSpec { units: 32, volume: Some((2, 4, 4)), dt_ms: 1.0, values: false };
         let mut input = std::io::BufReader::new(Endless(0));
         let options = EventOptions { steps: Some(1), ..EventOptions::default() };
         let (spikes, counts) = events::read_input(&mut input, "x", EventFormat::Bs2, &expected, &options).unwrap();
@@ -288,7 +288,7 @@ fn twenty_recordings_of_nmnist() {
     for sample in 1..=20 {
         let path = data.join(format!("nmnist/{sample}.bs2"));
         let events = std::fs::metadata(&path).unwrap().len() / 5;
-        let expected = Expected { units: 2312, volume: Some((2, 34, 34)), dt_ms: 1.0, values: false };
+        let expected = InputSpec { units: 2312, volume: Some((2, 34, 34)), dt_ms: 1.0, values: false };
         let (spikes, counts) = events::read_file(&path, EventFormat::Bs2, &expected, &EventOptions::default()).unwrap();
         assert_eq!((counts.events, counts.dropped), (events, 0), "{sample}");
         assert!((250..=400).contains(&spikes.steps), "{sample}: {} steps", spikes.steps);
@@ -302,7 +302,7 @@ fn nir_data_is_read_in_both_kinds_and_written_back() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("d.nir");
         std::fs::copy(corpus().join("hdf5").join(name), &path).unwrap();
-        let expected = Expected { units: 3, volume: None, dt_ms: 1.0, values: false };
+        let expected = InputSpec { units: 3, volume: None, dt_ms: 1.0, values: false };
         let samples = read_spikes(&path, "in", &expected, &EventOptions::default()).unwrap();
         let events: Vec<_> = samples.iter().map(|s| (s.steps, s.events.clone())).collect();
         assert_eq!(events, [(10, vec![(1, 2), (4, 0)]), (10, vec![(9, 1)])], "{name}");

@@ -22,7 +22,7 @@ use nsim::ir::spikes::Sample;
 use nsim::ir::tensor::Tensor;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
-use nsim::session::{Keep, Probe, Quantity, Session};
+use nsim::session::{Probe, Quantity, SampleSettings, Session};
 
 /// (step, unit) of each spike.
 type Spikes = BTreeSet<(u32, u32)>;
@@ -41,7 +41,7 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
         inputs.into_iter().filter(|event| event.0 < steps).map(|(step, c)| (step, ChannelId(c))).collect();
     let sample = Sample::new(steps, &events, None).unwrap();
     let probes = vec![Probe { first, count, quantity: Quantity::Spikes }];
-    let outcome = session.run(&sample, &Keep { output, probes, early_exit: None }, ());
+    let outcome = session.run(&sample, &SampleSettings { output, probes, early_exit: None }, ());
     outcome.spikes.into_iter().collect()
 }
 

@@ -15,7 +15,7 @@ use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::rng;
 use nsim::ir::quantised::{Parts, Quantised};
 use nsim::session::decision::{EarlyExit, Rule};
-use nsim::session::{Keep, Outcome, Probe, Quantity};
+use nsim::session::{Outcome, Probe, Quantity, SampleSettings};
 use rayon::prelude::*;
 use serde_json::Value;
 
@@ -33,11 +33,11 @@ fn class(read_out: ReadOut, v: &[Vec<i32>]) -> Option<u32> {
     scores.iter().position(|score| score == best).map(|class| class as u32)
 }
 
-fn keep(network: &Quantised, rule: Option<Rule>) -> Keep {
+fn keep(network: &Quantised, rule: Option<Rule>) -> SampleSettings {
     let output = network.output();
     let probe = Probe { first: output.first, count: output.count, quantity: Quantity::V };
     let early_exit = rule.map(|rule| EarlyExit::new(rule, network));
-    Keep { output, probes: if rule.is_none() { vec![probe] } else { Vec::new() }, early_exit }
+    SampleSettings { output, probes: if rule.is_none() { vec![probe] } else { Vec::new() }, early_exit }
 }
 
 #[test]

@@ -11,7 +11,7 @@ use nsim::import::kind::{EventFormat, FileKind};
 use nsim::import::spikes::events::event::Counts;
 use nsim::import::spikes::events::nir_data;
 use nsim::import::spikes::events::read::read_input;
-use nsim::import::spikes::{EventOptions, Expected, PopulationSpikes, list_folder, read_source, read_spikes};
+use nsim::import::spikes::{EventOptions, InputSpec, PopulationSpikes, list_folder, read_source, read_spikes};
 use nsim::ir::tensor::Numbers;
 
 fn spikes(samples: &[PopulationSpikes]) -> usize {
@@ -387,7 +387,7 @@ fn every_field_of_a_recording_is_used_checked_or_listed_as_without_meaning() {
         std::fs::write(&path, bytes).unwrap();
         let options = EventOptions::parse(&nsim::ir::stimulus::pairs(options).unwrap()).unwrap();
         let units = if extension == "tact" { 156 } else { 512 };
-        read_spikes(&path, "in", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &options)
+        read_spikes(&path, "in", &InputSpec { units, volume: None, dt_ms: 1.0, values: false }, &options)
     };
     let documented =
         std::fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/files/fields.md")).unwrap();
@@ -435,7 +435,7 @@ fn read_bytes(
 ) -> nsim::ir::base::diagnostic::Result<(Vec<(u32, u32)>, Counts)> {
     let FileKind::Events(format) = FileKind::from_bytes(bytes, Path::new(name)) else { panic!("{name}") };
     let options = EventOptions::parse(&nsim::ir::stimulus::pairs(options).unwrap()).unwrap();
-    let expected = Expected { units: 512, volume: Some((2, 16, 16)), dt_ms: 1.0, values: false };
+    let expected = InputSpec { units: 512, volume: Some((2, 16, 16)), dt_ms: 1.0, values: false };
     let (spikes, counts) = read_input(&mut &bytes[..], name, format, &expected, &options)?;
     Ok((spikes.events, counts))
 }
@@ -481,7 +481,7 @@ fn a_recording_that_is_cut_off_is_read_to_the_last_whole_record() {
     let (events, counts) = read_bytes("a.csv", b"t_us,x,y\n10,1,1\n2000,2", "").unwrap();
     assert_eq!((events.len(), counts.cut_bytes), (1, Some(6)));
     let tact = |text: &str| {
-        let expected = Expected { units: 156, volume: None, dt_ms: 1.0, values: false };
+        let expected = InputSpec { units: 156, volume: None, dt_ms: 1.0, values: false };
         read_input(&mut text.as_bytes(), "a.tact", EventFormat::Tact, &expected, &EventOptions::default())
     };
     let (_, counts) = tact("1 2 0.001\n0 3 0.003\n1 2").unwrap();
@@ -563,8 +563,8 @@ fn events_in_hdf5_are_refused_by_their_names() {
         let path = folder.path().join("large.h5");
         std::fs::write(&path, hdf5::write(&tree).unwrap()).unwrap();
         std::fs::File::options().write(true).open(&path).unwrap().set_len((1 << 30) + 1).unwrap();
-        assert_eq!(hdf5::bytes_of(&path).unwrap_err().message, error.message);
+        assert_eq!(hdf5::read_foreign_file(&path).unwrap_err().message, error.message);
         std::fs::File::create(&path).unwrap().set_len((1 << 30) + 1).unwrap();
-        assert_eq!(hdf5::bytes_of(&path).unwrap_err().code, "io.too-large");
+        assert_eq!(hdf5::read_foreign_file(&path).unwrap_err().code, "io.too-large");
     }
 }

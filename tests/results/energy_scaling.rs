@@ -18,10 +18,10 @@ use nsim::ir::quantised::Quantised;
 use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
-use nsim::session::Keep;
-use nsim::session::priced::{Metered, run_priced};
+use nsim::session::SampleSettings;
+use nsim::session::priced::{MeteredMapping, run_priced};
 use nsim::session::samples;
-use nsim::session::samples::Running;
+use nsim::session::samples::RunSettings;
 
 const CHANNELS: u32 = 16;
 const STEPS: u32 = 12;
@@ -198,7 +198,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
             .chain(&ends)
             .map(|constants| CostTable::new(constants).unwrap())
             .collect();
-        let (fast, obvious) = (Metered::new(&compiled), Metered::every_core(&compiled));
+        let (fast, obvious) = (MeteredMapping::new(&compiled), MeteredMapping::every_core(&compiled));
         grouped += u32::from(compiled.core_groups().is_some());
         several_chips += u32::from(deployment.chips_used > 1);
         for transport in [Transport::Analytic, Transport::Queued] {
@@ -209,9 +209,9 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
                 timestep: Picoseconds(1_000_000),
                 distribution: None,
             };
-            let keep = Keep::new(compiled.program.output());
-            let run = |metered: &Metered<'_>| {
-                metered.run(settings(&metered.routes), &[&sample], Running::new(&keep)).unwrap()
+            let keep = SampleSettings::new(compiled.program.output());
+            let run = |metered: &MeteredMapping<'_>| {
+                metered.run(settings(&metered.routes), &[&sample], RunSettings::new(&keep)).unwrap()
             };
             let (fast, obvious) = (run(&fast), run(&obvious));
             assert_eq!(fast.activity, obvious.activity, "seed {seed}");
@@ -220,7 +220,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
             // There are no groups here: the whole program runs on its own cores.
             let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
             let settings = Arc::new(settings(&routes));
-            let running = Running { copies, per_step: true, ..Running::new(&keep) };
+            let running = RunSettings { copies, per_step: true, ..RunSettings::new(&keep) };
             let whole =
                 samples::fast(&compiled.program, &[&sample], running, || StepMeter::new(settings.clone())).unwrap();
             assert_eq!(fast.activity, whole.activity, "seed {seed}");

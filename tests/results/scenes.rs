@@ -94,10 +94,10 @@ fn what_one_sense_sees_is_its_part_of_what_both_see() {
         for alone in [touch, sight] {
             let network = with_inputs(alone);
             let parts: Option<Vec<_>> =
-                together.iter().map(|sample| inputs::seen_by(&network, &both, sample)).collect();
+                together.iter().map(|sample| inputs::translate_sample(&network, &both, sample)).collect();
             assert_eq!(parts.unwrap(), scene::stimulus(&network, &argument).unwrap().samples, "{task}: {alone}");
         }
         let other = with_inputs("Input(name: \"tactile\", shape: [78])");
-        assert_eq!(inputs::seen_by(&other, &both, &together[0]), None);
+        assert_eq!(inputs::translate_sample(&other, &both, &together[0]), None);
     }
 }

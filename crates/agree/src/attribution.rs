@@ -11,10 +11,10 @@
 
 use rayon::prelude::*;
 
-use super::causes::{Cause, Rung};
+use super::causes::{Cause, ComparisonStage};
 use super::classes::ClassTally;
-use super::ladder::Ladder;
 use super::metrics::TrainSums;
+use super::staged::StagedNetwork;
 use super::trace::{Comparison, Layer, Trace};
 use nsim_ir::spikes::Sample;
 
@@ -40,7 +40,7 @@ pub struct Share {
     /// The cause.
     pub cause: Cause,
     /// The forward stage that switches it on.
-    pub rung: Distance,
+    pub stage: Distance,
     /// The disagreement that it adds forward.
     pub forward: f64,
     /// The disagreement that it adds reversed.
@@ -143,7 +143,7 @@ impl Attribution {
 
 /// Distance of a stage from the trained network, in total and by layer.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Measured {
+pub struct StageComparison {
     /// Over all layers.
     pub distance: Distance,
     /// Sums of each layer, in the order of the network.
@@ -173,7 +173,7 @@ impl ComparedSample {
     }
 }
 
-impl Measured {
+impl StageComparison {
     /// Merges samples of a network with this number of layers.
     pub fn new<'s>(layers: usize, samples: impl Iterator<Item = &'s ComparedSample>) -> Self {
         let (mut by_layer, mut all) = (vec![TrainSums::default(); layers], TrainSums::default());
@@ -188,24 +188,24 @@ impl Measured {
             coincidence: all.coincidence(),
             potential_rmse: all.potential_rmse(),
         };
-        Measured { distance, layers: by_layer, classes, accuracy: None }
+        StageComparison { distance, layers: by_layer, classes, accuracy: None }
     }
 }
 
-/// Compares stages, of one or more `Ladder`s of a network, with one of them over samples.
-pub fn measured(
-    (first, from): (&Ladder, Rung),
-    to: &[(&Ladder, Rung)],
+/// Compares stages, of one or more `StagedNetwork`s of a network, with one of them over samples.
+pub fn compare_stages(
+    (first, from): (&StagedNetwork, ComparisonStage),
+    to: &[(&StagedNetwork, ComparisonStage)],
     output: &Layer,
     samples: &[&Sample],
-) -> Vec<Measured> {
+) -> Vec<StageComparison> {
     let layers = first.layers();
     let of_sample = |sample: &&Sample| {
         let trained = first.run(from, sample, true);
-        let one = |&(ladder, rung): &(&Ladder, Rung)| {
+        let one = |&(staged, stage): &(&StagedNetwork, ComparisonStage)| {
             // Steps after the end of a shorter trace count as silent.
-            let trace = ladder.run(rung, sample, true).silent_until(trained.steps);
-            ComparedSample::new(&layers, output, (&trained, &trace), ladder.shift(rung) - first.shift(from))
+            let trace = staged.run(stage, sample, true).silent_until(trained.steps);
+            ComparedSample::new(&layers, output, (&trained, &trace), staged.shift(stage) - first.shift(from))
         };
         to.iter().map(one).collect()
     };
@@ -216,48 +216,53 @@ pub fn measured(
         let right = each.iter().zip(labels).filter(|(sample, label)| class(sample) == Some(**label)).count();
         right as f64 / labels.len() as f64
     };
-    let of_rung = |rung: usize| Measured {
+    let of_stage = |stage: usize| StageComparison {
         accuracy: labels.as_ref().map(|labels| {
-            (right(labels, &|sample| sample[rung].classes.0), right(labels, &|sample| sample[rung].classes.1))
+            (right(labels, &|sample| sample[stage].classes.0), right(labels, &|sample| sample[stage].classes.1))
         }),
-        ..Measured::new(layers.len(), each.iter().map(|sample| &sample[rung]))
+        ..StageComparison::new(layers.len(), each.iter().map(|sample| &sample[stage]))
     };
-    (0..to.len()).map(of_rung).collect()
+    (0..to.len()).map(of_stage).collect()
 }
 
 /// Stage of the network as its tool runs it. Kernels are infinite, as in the reference engine.
 /// Layers answer every step of the input where this changes a class.
-pub fn as_trained(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Rung {
-    let in_step = ladder.trained().with(Cause::Untruncated);
+pub fn as_trained(staged: &StagedNetwork, output: &Layer, samples: &[&Sample]) -> ComparisonStage {
+    let in_step = staged.trained().with(Cause::Untruncated);
     let as_it_is = in_step.with(Cause::Pipeline);
-    let class = |rung: Rung, sample: &Sample| ladder.run(rung, sample, false).class(output);
+    let class = |stage: ComparisonStage, sample: &Sample| staged.run(stage, sample, false).class(output);
     let another = |sample: &&Sample| class(in_step, sample) != class(as_it_is, sample);
-    let matters = ladder.pipeline().is_some() && samples.par_iter().any(another);
+    let matters = staged.pipeline().is_some() && samples.par_iter().any(another);
     if matters { in_step } else { as_it_is }
 }
 
 /// Runs the stages in both orders, and the machine without each single cause.
-pub fn attribute(ladder: &Ladder, output: &Layer, samples: &[&Sample]) -> Attribution {
-    attribute_from(ladder, as_trained(ladder, output, samples), output, samples)
+pub fn attribute(staged: &StagedNetwork, output: &Layer, samples: &[&Sample]) -> Attribution {
+    attribute_from(staged, as_trained(staged, output, samples), output, samples)
 }
 
 /// The attribution from a given trained stage.
-pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &[&Sample]) -> Attribution {
-    let causes: Vec<Cause> = ladder.causes().iter().copied().filter(|&cause| !trained.has(cause)).collect();
+pub fn attribute_from(
+    staged: &StagedNetwork,
+    trained: ComparisonStage,
+    output: &Layer,
+    samples: &[&Sample],
+) -> Attribution {
+    let causes: Vec<Cause> = staged.causes().iter().copied().filter(|&cause| !trained.has(cause)).collect();
     let climb = |causes: &[Cause]| {
-        let mut rung = trained;
+        let mut stage = trained;
         let up = causes.iter().map(|&cause| {
-            rung = rung.with(cause);
-            rung
+            stage = stage.with(cause);
+            stage
         });
-        up.collect::<Vec<Rung>>()
+        up.collect::<Vec<ComparisonStage>>()
     };
     let (count, backward) = (causes.len(), causes.iter().rev().copied().collect::<Vec<Cause>>());
-    let mut rungs = climb(&causes);
-    rungs.extend(climb(&backward));
-    rungs.extend(causes.iter().map(|&cause| Rung::MACHINE.without(cause)));
-    let to: Vec<(&Ladder, Rung)> = rungs.iter().map(|&rung| (ladder, rung)).collect();
-    let found = measured((ladder, trained), &to, output, samples);
+    let mut stages = climb(&causes);
+    stages.extend(climb(&backward));
+    stages.extend(causes.iter().map(|&cause| ComparisonStage::MACHINE.without(cause)));
+    let to: Vec<(&StagedNetwork, ComparisonStage)> = stages.iter().map(|&stage| (staged, stage)).collect();
+    let found = compare_stages((staged, trained), &to, output, samples);
     // Losses added in both orders, by a measure; the first loss of an order is relative to 0.
     let added = |lost: &dyn Fn(usize) -> f64, place: usize| {
         let step = |first: usize, place: usize| {
@@ -282,13 +287,13 @@ pub fn attribute_from(ladder: &Ladder, trained: Rung, output: &Layer, samples: &
             alone: causes.iter().zip(2 * count..).map(|(&cause, place)| (cause, machine - lost(place))).collect(),
         }
     };
-    let layers = ladder.layers().iter().enumerate().map(layer).collect();
+    let layers = staged.layers().iter().enumerate().map(layer).collect();
     let lost = |place: usize| 1.0 - found[place].distance.coincidence;
     let both: Vec<(f64, f64)> = (0..count).map(|place| added(&lost, place)).collect();
     let of_causes = shares(&both.iter().map(|(up, down)| (up + down) / 2.0).collect::<Vec<f64>>());
     let share = |(place, &cause): (usize, &Cause)| Share {
         cause,
-        rung: found[place].distance,
+        stage: found[place].distance,
         forward: both[place].0,
         reversed: both[place].1,
         share: of_causes.as_ref().map(|shares| shares[place]),

@@ -28,7 +28,7 @@ named_variants! {
 
 impl Cause {
     /// The cause in words, as the loss of a layer.
-    pub fn words(self) -> &'static str {
+    pub fn loss_text(self) -> &'static str {
         match self {
             Cause::Pipeline => {
                 "pipeline delay: each layer answers one step later, and a sample can end before the last layer answers"
@@ -54,13 +54,13 @@ impl Cause {
 
 /// Set of the causes that are switched on: a comparison stage.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Rung([bool; 8]);
+pub struct ComparisonStage([bool; 8]);
 
-impl Rung {
+impl ComparisonStage {
     /// The trained network.
-    pub const TRAINED: Rung = Rung([false; 8]);
+    pub const TRAINED: ComparisonStage = ComparisonStage([false; 8]);
     /// The machine.
-    pub const MACHINE: Rung = Rung([true; 8]);
+    pub const MACHINE: ComparisonStage = ComparisonStage([true; 8]);
 
     /// Whether a cause is on.
     pub fn has(self, cause: Cause) -> bool {
@@ -69,14 +69,14 @@ impl Rung {
 
     /// The stage with one cause less.
     #[must_use]
-    pub fn without(mut self, cause: Cause) -> Rung {
+    pub fn without(mut self, cause: Cause) -> ComparisonStage {
         self.0[cause as usize] = false;
         self
     }
 
     /// The stage with one cause more.
     #[must_use]
-    pub fn with(mut self, cause: Cause) -> Rung {
+    pub fn with(mut self, cause: Cause) -> ComparisonStage {
         self.0[cause as usize] = true;
         self
     }

@@ -38,7 +38,7 @@ impl ClassTally {
     }
 
     /// Share of the first's decided samples that the second decides identically; 1 without any.
-    pub fn kept(&self) -> f64 {
+    pub fn share_reproduced(&self) -> f64 {
         let decided = self.compared + self.only_a;
         if decided == 0 { 1.0 } else { self.same as f64 / decided as f64 }
     }
@@ -65,7 +65,7 @@ mod tests {
     #[test]
     fn only_samples_that_both_decide_are_compared() {
         let tally = counted(&[(Some(1), Some(1)), (Some(1), Some(2)), (Some(0), None), (None, Some(0)), (None, None)]);
-        assert_eq!((tally.agreement(), tally.kept()), (Some(0.5), 1.0 / 3.0));
+        assert_eq!((tally.agreement(), tally.share_reproduced()), (Some(0.5), 1.0 / 3.0));
         assert_eq!(tally.undecided(), "1 a decides alone, 1 b decides alone, 1 neither decides");
         let nothing = counted(&[(None, None); 6]);
         assert_eq!((nothing.agreement(), nothing.compared, nothing.neither), (None, 0, 6));

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use super::classes::ClassTally;
-use super::ladder::{Ladder, layer, layers};
+use super::staged::{StagedNetwork, layer, layers};
 use super::trace::{Comparison, Layer, Trace, measured_shift};
 use nsim_dynamics::{model_thresholds, thresholds};
 use nsim_golden::Golden;
@@ -57,13 +57,13 @@ impl Counterpart {
 
 /// A network, its deployed form, and the samples for both.
 #[derive(Debug, Clone, Copy)]
-pub struct Deployed<'a> {
+pub struct DeployedNetwork<'a> {
     /// The network in real numbers.
     pub graph: &'a Graph,
     /// The converted form of each spike response population.
     pub fits: &'a [Option<Fit>],
     /// Comparison stages from real numbers to integers.
-    pub ladder: &'a Ladder,
+    pub staged: &'a StagedNetwork,
     /// Program of the mapped integer network.
     pub program: &'a Arc<Program>,
     /// Samples, in run order.
@@ -258,9 +258,9 @@ type TraceOf<'a> = Box<dyn Fn(usize, &Sample) -> Trace + Sync + 'a>;
 ///
 /// # Errors
 /// `agree.samples` when a recording has another number of samples; `run.too-large`.
-pub fn compare(deployed: Deployed<'_>, counterpart: &Counterpart, progress: Progress<'_>) -> Result<Agreement> {
-    let Deployed { graph, fits, ladder, program, samples, steps } = deployed;
-    let network = ladder.deployed();
+pub fn compare(deployed: DeployedNetwork<'_>, counterpart: &Counterpart, progress: Progress<'_>) -> Result<Agreement> {
+    let DeployedNetwork { graph, fits, staged, program, samples, steps } = deployed;
+    let network = staged.deployed();
     let machine = machine_trace(network, program)?;
     let (thresholds, recorded_of) = (thresholds(network), (network.compartments(), network.output()));
     let counterpart_trace: TraceOf<'_> = match counterpart {

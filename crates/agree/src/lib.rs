@@ -2,7 +2,7 @@
 //!
 //! Input: a network as it was trained, its deployed form, samples. Output: differences of spikes
 //! and potentials by layer ([`trace`], [`metrics`]), and the step from real numbers to the machine
-//! that causes them ([`ladder`], [`attribution`]).
+//! that causes them ([`staged`], [`attribution`]).
 //!
 //! Results do not depend on the number of threads: samples run in parallel, and their sums are
 //! added in the order of the run.
@@ -11,10 +11,10 @@ pub mod attribution;
 pub mod causes;
 pub mod classes;
 pub mod compare;
-pub mod ladder;
 mod links;
 pub mod metrics;
 pub mod pipeline;
+pub mod staged;
 mod state;
 pub mod stress;
 pub mod trace;

@@ -4,7 +4,7 @@
 //! in doubles. Where the stage has integer state, it rounds, wraps and clips as the chip's
 //! registers do.
 
-use super::causes::{Cause, Rung};
+use super::causes::{Cause, ComparisonStage};
 use nsim_dynamics::RealForm;
 use nsim_ir::arithmetic::ThresholdTest;
 use nsim_ir::graph::SrmParameters;
@@ -17,7 +17,7 @@ fn wrapped(x: f64, bits: i32) -> f64 {
 
 /// A population of a stage while it runs.
 #[derive(Debug)]
-pub(super) struct State {
+pub(super) struct PopulationState {
     /// Its compartments, in register units.
     pub neurons: Vec<RealForm>,
     /// Whether sums of arrivals are rounded down to multiples of 64, as lava's shift does.
@@ -37,7 +37,7 @@ pub(super) struct State {
     taps: Vec<f64>,
     past: Vec<Vec<f64>>,
     newest: usize,
-    left: Vec<f64>,
+    removed_voltage: Vec<f64>,
     /// The refractory kernel relative to the threshold: decay, factor, taps, and its state.
     nu: Alpha,
     nu_taps: Vec<f64>,
@@ -45,13 +45,13 @@ pub(super) struct State {
     nu_second: Vec<f64>,
     spiked: Vec<f64>,
     own: Vec<Vec<u32>>,
-    held: Vec<u32>,
+    refractory_left: Vec<u32>,
     now: u32,
     /// Potentials after a step, before a reset.
-    pub shown: Vec<f64>,
+    pub step_potentials: Vec<f64>,
 }
 
-impl State {
+impl PopulationState {
     /// State before the first step, from compartments and `floors`, `start_step` and `resets_from`.
     /// `response` has the parameters of spike response neurons and the timestep in ms.
     pub fn new(
@@ -59,15 +59,15 @@ impl State {
         response: Option<(&SrmParameters, f64)>,
         (start_step, resets_from): (u32, u32),
         test: ThresholdTest,
-        rung: Rung,
-    ) -> State {
+        stage: ComparisonStage,
+    ) -> PopulationState {
         let (count, srm) = (neurons.len(), response.is_some());
         let nu = response.map_or(Alpha { peak: 0.0, tau: 1.0 }, |(srm, timestep_ms)| Alpha {
             peak: -srm.scale_ref,
             tau: srm.tau_ref_ms / timestep_ms,
         });
-        let hard = !srm || rung.has(Cause::HardReset);
-        let truncated = srm && !rung.has(Cause::Untruncated) && !rung.has(Cause::Kernel);
+        let hard = !srm || stage.has(Cause::HardReset);
+        let truncated = srm && !stage.has(Cause::Untruncated) && !stage.has(Cause::Kernel);
         // (k + 1) r^k, an alpha kernel, cut where that kernel falls below SLAYER's limit.
         let taps: Vec<f64> = match response.filter(|_| truncated) {
             Some((srm, timestep_ms)) => {
@@ -81,28 +81,28 @@ impl State {
         // SLAYER's limit is for the kernel with its factor, threshold included.
         let nu_taps =
             response.filter(|_| truncated).map_or_else(Vec::new, |(srm, _)| nu.truncated(EPSILON / srm.theta, 100_000));
-        State {
+        PopulationState {
             start_step,
             resets_from,
-            late: srm && !rung.has(Cause::Kernel),
+            late: srm && !stage.has(Cause::Kernel),
             strict: hard && test == ThresholdTest::Strict,
-            integers: rung.has(Cause::State),
+            integers: stage.has(Cause::State),
             hard,
             u: vec![0.0; count],
             v: vec![0.0; count],
             past: vec![vec![0.0; count]; taps.len().max(1)],
             taps,
             newest: 0,
-            left: vec![0.0; count],
+            removed_voltage: vec![0.0; count],
             nu,
             nu_taps,
             nu_first: vec![0.0; count],
             nu_second: vec![0.0; count],
             spiked: vec![0.0; count],
             own: vec![Vec::new(); count],
-            held: vec![0; count],
+            refractory_left: vec![0; count],
             now: 0,
-            shown: vec![0.0; count],
+            step_potentials: vec![0.0; count],
             neurons,
             floors,
         }
@@ -110,19 +110,24 @@ impl State {
 
     /// Resets the registers to rest.
     pub fn clear(&mut self) {
-        for zero in
-            [&mut self.u, &mut self.v, &mut self.left, &mut self.nu_first, &mut self.nu_second, &mut self.spiked]
-        {
+        for zero in [
+            &mut self.u,
+            &mut self.v,
+            &mut self.removed_voltage,
+            &mut self.nu_first,
+            &mut self.nu_second,
+            &mut self.spiked,
+        ] {
             zero.fill(0.0);
         }
         self.past.iter_mut().for_each(|row| row.fill(0.0));
         self.own.iter_mut().for_each(Vec::clear);
-        self.held.fill(0);
+        self.refractory_left.fill(0);
     }
 
     /// The potentials after a step and its resets.
     pub fn potentials(&self) -> &[f64] {
-        if self.hard && self.taps.is_empty() { &self.v } else { &self.shown }
+        if self.hard && self.taps.is_empty() { &self.v } else { &self.step_potentials }
     }
 
     /// The refractory response of a neuron in register units.
@@ -159,8 +164,8 @@ impl State {
                 let rows = self.past.len();
                 let response: f64 =
                     self.taps.iter().enumerate().map(|(k, tap)| tap * self.past[(self.newest + k) % rows][i]).sum();
-                self.left[i] = narrow(n.keep_v * self.left[i]) + n.bias;
-                narrow(response) + self.left[i]
+                self.removed_voltage[i] = narrow(n.keep_v * self.removed_voltage[i]) + n.bias;
+                narrow(response) + self.removed_voltage[i]
             } else {
                 let u = narrow(n.keep_u * self.u[i]) + q;
                 self.u[i] = if self.integers { wrapped(u, 23) } else { u };
@@ -176,20 +181,21 @@ impl State {
                 let own = self.refractory(i);
                 v += if self.integers { own.trunc() } else { own };
             }
-            let held = self.hard && self.held[i] > 0;
+            let is_refractory = self.hard && self.refractory_left[i] > 0;
             let over = if self.strict { v > n.threshold } else { v >= n.threshold };
-            let fires = over && !held;
-            self.shown[i] = v;
-            if self.hard && (held || fires) {
-                // The reset leaves 0. With truncated kernels the removed voltage decays in `left`.
-                self.held[i] = if fires { n.refractory - 1 } else { self.held[i] - 1 };
+            let fires = over && !is_refractory;
+            self.step_potentials[i] = v;
+            if self.hard && (is_refractory || fires) {
+                // The reset leaves 0. With truncated kernels the removed voltage decays in
+                // `removed_voltage`.
+                self.refractory_left[i] = if fires { n.refractory - 1 } else { self.refractory_left[i] - 1 };
                 if truncated {
-                    self.left[i] -= free;
+                    self.removed_voltage[i] -= free;
                 } else {
                     self.v[i] = if fires && n.subtracts { v - n.threshold } else { 0.0 };
                 }
-                if held {
-                    self.shown[i] = 0.0;
+                if is_refractory {
+                    self.step_potentials[i] = 0.0;
                 }
             }
             self.spiked[i] = f64::from(u8::from(fires));

@@ -132,7 +132,7 @@ pub struct Divergence {
 
 /// Both potentials around a divergence, in thresholds, some steps before and after it.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Around {
+pub struct DivergenceExcerpt {
     /// The first step, in the first network's time.
     pub from: u32,
     /// Potentials of the first network from there on.
@@ -146,14 +146,14 @@ pub struct Around {
 }
 
 /// Steps before and after a divergence that are stored.
-const AROUND: u32 = 25;
+const EXCERPT_STEPS: u32 = 25;
 
-impl Around {
+impl DivergenceExcerpt {
     /// Excerpt of two traces around a step, within the `steps` that both have.
     fn new((a, b): (&Trace, &Trace), compartment: u32, at: u32, steps: std::ops::Range<u32>, shift: i32) -> Self {
-        let (from, to) = (at.saturating_sub(AROUND).max(steps.start), (at + AROUND + 1).min(steps.end));
+        let (from, to) = (at.saturating_sub(EXCERPT_STEPS).max(steps.start), (at + EXCERPT_STEPS + 1).min(steps.end));
         let moved = |step: u32| step.saturating_add_signed(shift);
-        Around {
+        DivergenceExcerpt {
             from,
             a: (from..to).filter_map(|step| a.potential(compartment, step)).collect(),
             b: (from..to).filter_map(|step| b.potential(compartment, moved(step))).collect(),
@@ -171,7 +171,7 @@ pub struct Comparison {
     /// First difference: the first sample, in it the first step, in it the lowest neuron.
     pub first_divergence: Option<Divergence>,
     /// Both potentials around the first divergence.
-    pub around: Option<Around>,
+    pub excerpt: Option<DivergenceExcerpt>,
 }
 
 impl Comparison {
@@ -217,7 +217,7 @@ impl Comparison {
         {
             let compartment = layer.first + neuron;
             let there = timestep.saturating_add_signed(shift);
-            self.around = Some(Around::new((a, b), compartment, timestep, from..to, shift));
+            self.excerpt = Some(DivergenceExcerpt::new((a, b), compartment, timestep, from..to, shift));
             self.first_divergence = Some(Divergence {
                 sample,
                 timestep,
@@ -282,9 +282,9 @@ mod tests {
         let divergence = comparison.first_divergence.unwrap();
         assert_eq!((divergence.sample, divergence.timestep, divergence.neuron), (3, 0, 0));
         assert!(divergence.a && !divergence.b);
-        let around = comparison.around.unwrap();
-        assert_eq!((around.from, around.a.len(), &around.spikes_a[..]), (0, 20, &[0, 4, 9][..]));
-        assert_eq!(around.spikes_b, [3, 8, 19]);
+        let excerpt = comparison.excerpt.unwrap();
+        assert_eq!((excerpt.from, excerpt.a.len(), &excerpt.spikes_a[..]), (0, 20, &[0, 4, 9][..]));
+        assert_eq!(excerpt.spikes_b, [3, 8, 19]);
     }
 
     #[test]

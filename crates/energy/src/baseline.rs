@@ -25,7 +25,7 @@ pub struct NetworkShape {
 
 impl NetworkShape {
     /// The shape of one copy of a network, as it was before any pruning.
-    pub fn of_network(network: &Quantised) -> Self {
+    pub fn from_network(network: &Quantised) -> Self {
         let inputs = network.inputs().map(|(_, population)| population.shape.len());
         let before = network.sizes_before();
         let dense = before.projections.iter().filter(|projection| projection.dense);
@@ -71,7 +71,7 @@ pub struct Work {
 
 impl Work {
     /// The work of a network, as it was before any pruning.
-    pub fn of_network(network: &Quantised) -> Self {
+    pub fn from_network(network: &Quantised) -> Self {
         let before = network.sizes_before();
         let size = |of: &ProjectionSize| (before.units[of.source], before.units[of.target], of.synapses);
         let layers =

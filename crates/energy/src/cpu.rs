@@ -25,7 +25,7 @@ use nsim_ir::program::Program;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spikes::Sample;
 use nsim_machine::{Image, Machine, Settings};
-use nsim_session::{Keep, Session};
+use nsim_session::{SampleSettings, Session};
 
 /// Maximum number of weights of dense matrices: 256 MiB.
 const MOST_WEIGHTS: u64 = 1 << 26;
@@ -36,7 +36,7 @@ const MOST_REPEATS: usize = 101;
 
 /// Measured times.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Timed {
+pub struct MeasuredTime {
     /// Microseconds of a timestep: the median of the repeats.
     pub us_per_timestep: f64,
     /// Microseconds of a timestep in the fastest repeat.
@@ -50,7 +50,7 @@ pub struct Timed {
 }
 
 /// Times repeats of `pass`, each of `timesteps` timesteps, for about `budget`.
-pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed {
+pub fn time_repeats(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> MeasuredTime {
     let once = |pass: &mut dyn FnMut()| {
         let begin = Instant::now();
         pass();
@@ -63,11 +63,11 @@ pub fn timed(timesteps: u64, budget: Duration, mut pass: impl FnMut()) -> Timed 
     let steps = timesteps.max(1) as f64;
     let each = (0..repeats).map(|_| once(&mut pass).as_secs_f64() * 1e6 / steps).collect();
     let [us_per_timestep, fastest, spread] = median_least_and_spread(each);
-    Timed { us_per_timestep, fastest, spread, repeats, timesteps }
+    MeasuredTime { us_per_timestep, fastest, spread, repeats, timesteps }
 }
 
 /// Returns the first samples with about `timesteps` timesteps in total.
-pub fn enough<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
+pub fn first_samples<'a>(samples: &'a [&'a Sample], timesteps: u64) -> &'a [&'a Sample] {
     let mut sum = 0;
     let until = samples.iter().position(|sample| {
         sum += u64::from(sample.steps());
@@ -246,10 +246,10 @@ fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
 ///
 /// # Errors
 /// As [`Dense::new`].
-pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
+pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Result<MeasuredTime, String> {
     let dense = Dense::new(network)?;
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
-    Ok(timed(timesteps, budget, || {
+    Ok(time_repeats(timesteps, budget, || {
         samples.iter().for_each(|sample| drop(black_box(dense.pass(black_box(sample)))));
     }))
 }
@@ -258,14 +258,14 @@ pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Resu
 ///
 /// # Errors
 /// The reason why the program cannot run.
-pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duration) -> Result<Timed, String> {
+pub fn event_driven(program: &Arc<Program>, samples: &[&Sample], budget: Duration) -> Result<MeasuredTime, String> {
     let image = Image::new(program, 1).map_err(|error| error.to_string())?;
     let mut session = Session::new(Machine::new(&image, Settings { skip: true, per_step: false }), 1);
-    let keep = Keep::new(program.output());
+    let sample_settings = SampleSettings::new(program.output());
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();
-    Ok(timed(timesteps, budget, || {
+    Ok(time_repeats(timesteps, budget, || {
         for sample in samples {
-            black_box(session.run(black_box(sample), &keep, ()));
+            black_box(session.run(black_box(sample), &sample_settings, ()));
         }
     }))
 }
@@ -295,8 +295,8 @@ mod tests {
     }
 
     fn golden(network: &Quantised, sample: &Sample) -> Vec<u32> {
-        let keep = Keep::new(network.output());
-        Session::new(Golden::new(network), 1).run(sample, &keep, ()).counts
+        let sample_settings = SampleSettings::new(network.output());
+        Session::new(Golden::new(network), 1).run(sample, &sample_settings, ()).counts
     }
 
     #[test]
@@ -334,11 +334,18 @@ mod tests {
     #[test]
     fn a_measurement_repeats_and_says_how_often() {
         let mut passes = 0;
-        let timed = timed(10, Duration::ZERO, || passes += 1);
+        let timed = time_repeats(10, Duration::ZERO, || passes += 1);
         assert_eq!((timed.repeats, passes, timed.timesteps), (LEAST_REPEATS, LEAST_REPEATS + 1, 10));
         assert!(timed.fastest <= timed.us_per_timestep && timed.spread >= 0.0);
         let samples: Vec<Sample> = (0..5).map(|seed| sample(100, seed)).collect();
         let samples: Vec<&Sample> = samples.iter().collect();
-        assert_eq!((enough(&samples, 250).len(), enough(&samples, 1).len(), enough(&samples, 9_999).len()), (3, 1, 5));
+        assert_eq!(
+            (
+                first_samples(&samples, 250).len(),
+                first_samples(&samples, 1).len(),
+                first_samples(&samples, 9_999).len()
+            ),
+            (3, 1, 5)
+        );
     }
 }

@@ -1,17 +1,17 @@
 //! From a mapped network and its samples to a priced run and its report.
 //!
-//! Input: a [`Workload`], a [`Plan`] of its deployment, [`CostOptions`]. Output: [`Evaluated`]. A
-//! plan comes first, because a published job gives the number of its copies.
+//! Input: a [`Workload`], a [`DeploymentPlan`] of its deployment, [`CostOptions`]. Output:
+//! [`Evaluation`]. A plan comes first, because a published job gives the number of its copies.
 
 use std::sync::Arc;
 
 use crate::baseline::{Baseline, NetworkShape};
-use crate::job::{per_decision, report, saved};
-use crate::options::{CostOptions, DeploymentSource, priced_by};
-use crate::other_hardware::{self, OneCopy};
+use crate::job::{early_exit_savings, per_decision, report};
+use crate::options::{CostOptions, DeploymentSource, select_constants};
+use crate::other_hardware::{self, CopyWorkload};
 use crate::paper;
 use crate::published::scenario::{ScenarioFile, shipped_for};
-use crate::report::table::{EnergyReport, Part};
+use crate::report::table::{EnergyReport, JobPart};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
 use nsim_cost::estimate::{ByStatus, Convention, EstimateInput, FigureSource, step_price};
@@ -25,28 +25,28 @@ use nsim_ir::spikes::Sample;
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
 use nsim_session::samples::Run;
-use nsim_session::{Outcome, share_right};
+use nsim_session::{Outcome, share_correct};
 
 /// The deployment of a model, as far as it is known before mapping.
 #[derive(Debug)]
-pub struct Plan {
+pub struct DeploymentPlan {
     /// Whether the deployment was given.
-    is_said: bool,
+    is_explicit: bool,
     copies: Option<u32>,
     shipped: Option<ScenarioFile>,
     source: DeploymentSource,
 }
 
-impl Plan {
+impl DeploymentPlan {
     /// Returns the plan for a model, by path or shipped name, and the requested number of copies.
     ///
     /// # Errors
     /// As [`DeploymentSource::load`].
-    pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<Plan, Error> {
+    pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<DeploymentPlan, Error> {
         let shipped = shipped_for(model)?;
         let named = deployment.unwrap_or(CopyPlacement::default().name());
         let source = DeploymentSource::load(named, model, shipped.as_ref())?;
-        Ok(Plan { is_said: deployment.is_some(), copies, shipped, source })
+        Ok(DeploymentPlan { is_explicit: deployment.is_some(), copies, shipped, source })
     }
 
     /// The published job whose deployment it is.
@@ -70,9 +70,9 @@ impl Plan {
     ///
     /// # Errors
     /// [`Error::Usage`] where the plan places copies anew.
-    pub fn of_mapping(&self) -> Result<(), Error> {
+    pub fn check_mapping(&self) -> Result<(), Error> {
         match &self.source {
-            DeploymentSource::Mapped(copies) if self.is_said => Err(Error::Usage(format!(
+            DeploymentSource::Mapped(copies) if self.is_explicit => Err(Error::Usage(format!(
                 "the mapping already places its copies: map with the deployment {}, or remove it here",
                 copies.name()
             ))),
@@ -98,14 +98,14 @@ impl Plan {
     ///
     /// # Errors
     /// When it does not compile.
-    pub fn job_mapped(&self, compiled: &Mapping, target: &Target) -> Result<Option<Mapping>, Error> {
+    pub fn map_job(&self, compiled: &Mapping, target: &Target) -> Result<Option<Mapping>, Error> {
         self.job().map(|scenario| paper::mapped(&compiled.one, scenario, target)).transpose()
     }
 }
 
 /// A finished run and its report.
 #[derive(Debug)]
-pub struct Evaluated {
+pub struct Evaluation {
     /// The report, its detail included.
     pub energy: EnergyReport,
     /// The run.
@@ -120,15 +120,15 @@ pub struct Evaluated {
 /// # Errors
 /// [`Error`] when an option does not fit the workload; otherwise as `simulate`.
 pub fn evaluate(
-    plan: &Plan,
+    plan: &DeploymentPlan,
     workload: &Workload<'_>,
     options: &CostOptions,
     alone: Option<(&Quantised, &Arc<Program>)>,
     simulate: impl FnOnce(MeterSettings, Option<EarlyExit>) -> Result<Run<StepMeter>, Error>,
-) -> Result<Evaluated, Error> {
+) -> Result<Evaluation, Error> {
     let CostOptions { mode, convention, accounting, .. } = *options;
     let compiled = workload.compiled;
-    let (target, table) = priced_by(workload.target.clone(), options.constants.as_deref())?;
+    let (target, table) = select_constants(workload.target.clone(), options.constants.as_deref())?;
     let model = &compiled.one.parts().name;
     let steps_per_sample = workload.steps_per_sample();
     let work = options.host_work(&target, steps_per_sample)?;
@@ -139,7 +139,7 @@ pub fn evaluate(
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
     // Copies receive equal samples and decide equally, so only the first's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
-    let watched = EarlyExit::watched(rule, &compiled.one);
+    let watched = EarlyExit::recording_only(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;
     let by_status = ByStatus::new(&target.constants()[0], deployment.chips_used)?;
     let case = EstimateInput {
@@ -153,7 +153,7 @@ pub fn evaluate(
         steps_per_sample,
         ..EstimateInput::new(&run.activity, &run.meter, &deployment)
     };
-    let one = OneCopy {
+    let one = CopyWorkload {
         network: alone.map_or(&compiled.one, |(network, _)| network),
         program: alone.map(|(_, program)| program),
         samples: &workload.samples(),
@@ -180,7 +180,7 @@ pub fn evaluate(
         Some(job) => paper::printed(job, unit, mode, Convention::Published, steps_per_sample),
         None => Ok(None),
     };
-    let shape = NetworkShape::of_network(one.network);
+    let shape = NetworkShape::from_network(one.network);
     let row = |file: &Baseline| file.row(&shape, one.steps, one.timestep, mode, Convention::Published).ok();
     let published = options.baselines.files.iter().filter_map(row).filter(|row| row.source == FigureSource::Published);
     let published = as_printed("total")?.map(|(row, _)| row).into_iter().chain(published);
@@ -189,21 +189,21 @@ pub fn evaluate(
     let here = if as_in.is_empty() { &energy.estimate.rows } else { &as_in };
     for unit in ["x86", "neuron"] {
         let own = here.iter().find(|row| row.unit == unit).cloned();
-        let parts = own.zip(as_printed(unit)?).map(|(here, (printed, _))| Part { here, printed });
+        let parts = own.zip(as_printed(unit)?).map(|(here, (printed, _))| JobPart { here, printed });
         energy.parts.extend(parts);
     }
     let of_model = |neuron: &Neuron| neuron.kind.family() == Family::MICROCODE;
     if compiled.one.populations().iter().any(|population| population.any_neuron(of_model)) {
         let said = "The program of a microcode kind has no cost of its own: each compartment has the usual cost.";
-        energy.of_constants.push(said.to_string());
+        energy.constant_notes.push(said.to_string());
     }
     energy.seed = workload.seed;
     energy.input.clone_from(&workload.origin);
     let labels = workload.samples().into_iter().map(Sample::label);
-    let right = share_right(&run.outcomes, labels, Outcome::class_when_decided);
+    let right = share_correct(&run.outcomes, labels, Outcome::class_when_decided);
     let decision = per_decision(rule, &case, &run.outcomes, right);
     energy.job.clone_from(&plan.shipped);
-    energy.early_exit = options.early_exit.map(|rule| saved(rule, &case, &run.outcomes, &decision));
+    energy.early_exit = options.early_exit.map(|rule| early_exit_savings(rule, &case, &run.outcomes, &decision));
     energy.comparison.per_decision = Some(decision);
     energy.printed = printed;
     energy.notes.extend(others.notes);
@@ -211,5 +211,5 @@ pub fn evaluate(
     energy.labelled = workload.samples().iter().filter(|sample| sample.label().is_some()).count() as u64;
     energy.detail = workload.detail(&run);
     energy.expected = Some(workload.expected(&run)?);
-    Ok(Evaluated { energy, run, deployment })
+    Ok(Evaluation { energy, run, deployment })
 }

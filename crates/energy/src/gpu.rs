@@ -28,7 +28,7 @@ pub struct GpuTiming {
 
 /// The last line of a command's output, if it has the command's own counts.
 #[derive(Debug, serde::Deserialize)]
-struct Said {
+struct ReportedCounts {
     timesteps: u64,
     seconds: f64,
 }
@@ -77,8 +77,8 @@ pub fn measure(
     let mut text = String::new();
     use std::io::{Read, Seek};
     output.rewind().and_then(|()| output.read_to_string(&mut text)).map_err(|error| error.to_string())?;
-    let said: Option<Said> = text.lines().next_back().and_then(|line| serde_json::from_str(line).ok());
-    let (timesteps, seconds) = said.map_or((timesteps, took), |said| (said.timesteps, said.seconds));
+    let reported: Option<ReportedCounts> = text.lines().next_back().and_then(|line| serde_json::from_str(line).ok());
+    let (timesteps, seconds) = reported.map_or((timesteps, took), |reported| (reported.timesteps, reported.seconds));
     if timesteps == 0 || !(seconds > 0.0 && seconds.is_finite()) {
         return Err(format!("'{command}' counts {timesteps} timesteps in {seconds} s"));
     }
@@ -112,8 +112,8 @@ mod tests {
             reading += 1;
             Ok(if reading <= 1 { 10_000.0 } else { 110_000.0 })
         };
-        let said = "echo warming up; echo '{\"timesteps\": 150, \"seconds\": 0.003}'";
-        let found = measure(said, 7, Duration::ZERO, power).unwrap();
+        let reported = "echo warming up; echo '{\"timesteps\": 150, \"seconds\": 0.003}'";
+        let found = measure(reported, 7, Duration::ZERO, power).unwrap();
         assert_eq!((found.timesteps, found.power.static_mw, found.power.dynamic_mw), (150, 10_000.0, 100_000.0));
         assert!((found.us_per_timestep - 20.0).abs() < 1e-9 && found.readings >= 1);
         let silent = measure("sleep 0.03", 30, Duration::ZERO, || Ok(1.0)).unwrap();

@@ -1,7 +1,7 @@
 //! Makes the report of a finished run.
 
 use crate::report::compared::{Comparison, PerDecision, per_sample, ratios};
-use crate::report::table::{EnergyReport, Saved, constant_entries};
+use crate::report::table::{EarlyExitSavings, EnergyReport, constant_entries};
 use std::collections::BTreeSet;
 
 use nsim_cost::charged::is_charged;
@@ -20,14 +20,19 @@ use nsim_session::{Outcome, median_decision};
 const LEVEL: f64 = 0.8;
 
 /// Savings of the whole run if samples ended at their decisions, at this cost: equation (16).
-pub fn saved(rule: Rule, case: &EstimateInput<'_>, outcomes: &[Outcome], decision: &PerDecision) -> Saved {
+pub fn early_exit_savings(
+    rule: Rule,
+    case: &EstimateInput<'_>,
+    outcomes: &[Outcome],
+    decision: &PerDecision,
+) -> EarlyExitSavings {
     let lane = &case.meter.lanes()[case.preset];
     let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
     let energy_saved_uj = whole.energy_uj - early.energy_uj;
     let time_saved_us = whole.time_us - early.time_us;
     let standing_uj = case.price(&case.meter.tables()[case.preset]).always_mw * time_saved_us / 1e3;
     let share = |uj: f64| (whole.energy_uj > 0.0).then(|| uj / whole.energy_uj);
-    Saved {
+    EarlyExitSavings {
         rule,
         decided: outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count() as u64,
         steps_saved: outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum(),
@@ -60,7 +65,7 @@ pub fn per_decision(rule: Rule, case: &EstimateInput<'_>, outcomes: &[Outcome], 
 
 /// Remarks on the constants of the `total` row, a sentence each: their hardware, absent constants,
 /// constants without effect, figures without an interval.
-pub fn of_constants(target: &Target, case: &EstimateInput<'_>, total: &EnergyRow) -> Vec<String> {
+pub fn constant_notes(target: &Target, case: &EstimateInput<'_>, total: &EnergyRow) -> Vec<String> {
     let preset = &target.constants()[case.preset];
     let theirs = &preset.hardware;
     let foreign = !target.is_measured_by(preset) && !theirs.is_empty();
@@ -188,7 +193,7 @@ pub fn report(
     let estimate = estimate(case);
     let total = estimate.rows.iter().find(|row| row.unit == "total");
     let preset = &target.constants()[case.preset];
-    let of_constants = total.map_or_else(Vec::new, |total| of_constants(target, case, total));
+    let constant_notes = total.map_or_else(Vec::new, |total| constant_notes(target, case, total));
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
     let steps = case.activity.steps() as f64 / samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
@@ -218,7 +223,7 @@ pub fn report(
         expected: None,
         constants: constant_entries(preset),
         notes: estimate.notes.clone(),
-        of_constants,
+        constant_notes,
         estimate,
     }
 }

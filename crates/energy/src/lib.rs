@@ -1,7 +1,7 @@
 //! Cost of a mapped network: from a program and samples to a finished report.
 //!
 //! Input: a mapped network, samples, options of deployment and cost. Output: the run and its
-//! [`evaluate::Evaluated`] report. [`options`] interprets deployments, presets and baselines,
+//! [`evaluate::Evaluation`] report. [`options`] interprets deployments, presets and baselines,
 //! [`workload`] runs, [`job`] makes the report. Errors: a deployment or preset that does not fit
 //! the job. The command line and the Python module both use this crate, so their figures cannot
 //! differ.

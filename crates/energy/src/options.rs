@@ -55,7 +55,7 @@ impl CostOptions {
     ///
     /// # Errors
     /// A name that no baseline has.
-    pub fn usual(names: Option<&[String]>) -> Result<Self, Diagnostic> {
+    pub fn with_baselines(names: Option<&[String]>) -> Result<Self, Diagnostic> {
         Ok(CostOptions { baselines: baselines(names)?, ..CostOptions::default() })
     }
 
@@ -81,7 +81,7 @@ impl CostOptions {
 /// # Errors
 /// [`Error::Usage`] for an unknown preset, [`Error::Input`] when a file cannot be used or a
 /// constant is out of range.
-pub fn priced_by(target: Target, asked: Option<&str>) -> Result<(Target, CostTable)> {
+pub fn select_constants(target: Target, asked: Option<&str>) -> Result<(Target, CostTable)> {
     let presets = target.constants();
     let chosen = match asked {
         None => presets[0].clone(),

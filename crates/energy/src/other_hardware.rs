@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crate::baseline::{Figures, NetworkShape, Work};
-use crate::cpu::{self, Timed};
+use crate::cpu::{self, MeasuredTime};
 use crate::environment::Environment;
 use crate::options::{BaselineSelection, ROOFLINE, Watts};
 use crate::power::{POWERCAP, PackagePower, Power, PowerMeter};
@@ -33,7 +33,7 @@ fn load() -> Option<f64> {
 
 /// The workload of one copy.
 #[derive(Debug, Clone, Copy)]
-pub struct OneCopy<'a> {
+pub struct CopyWorkload<'a> {
     /// The network.
     pub network: &'a Quantised,
     /// The network, mapped alone.
@@ -48,7 +48,7 @@ pub struct OneCopy<'a> {
 
 /// Rows with their sources, and notes on them.
 #[derive(Debug, Default)]
-pub struct Rows {
+pub struct HardwareRows {
     /// Rows and their sources, in the order of the table.
     pub rows: Vec<(EnergyRow, String)>,
     /// Reasons for unexpected or absent rows.
@@ -58,13 +58,13 @@ pub struct Rows {
 /// Returns the rows of all requested hardware.
 pub fn rows(
     asked: &BaselineSelection,
-    one: OneCopy<'_>,
+    one: CopyWorkload<'_>,
     mode: Mode,
     convention: Convention,
     watts: Option<Watts>,
-) -> Rows {
-    let mut found = Rows::default();
-    let (shape, work) = (NetworkShape::of_network(one.network), Work::of_network(one.network));
+) -> HardwareRows {
+    let mut found = HardwareRows::default();
+    let (shape, work) = (NetworkShape::from_network(one.network), Work::from_network(one.network));
     for baseline in &asked.files {
         match baseline.row(&shape, one.steps, one.timestep, mode, convention) {
             Ok(row) => found.rows.push((row, baseline.source())),
@@ -80,14 +80,21 @@ pub fn rows(
         }
     }
     if asked.cpu {
-        measured(one, mode, convention, watts, &mut found);
+        add_cpu_rows(one, mode, convention, watts, &mut found);
     }
     found
 }
 
 /// Adds the row of a command on a GPU that processes `steps` timesteps.
 #[cfg(feature = "nvml")]
-pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: Convention, found: &mut Rows) {
+pub fn gpu(
+    command: &str,
+    steps: u64,
+    one: CopyWorkload<'_>,
+    mode: Mode,
+    convention: Convention,
+    found: &mut HardwareRows,
+) {
     use crate::gpu;
     let idle = Duration::from_secs(2);
     let measured = gpu::with_nvml(|name, power| (name, gpu::measure(command, steps, idle, power)));
@@ -105,7 +112,7 @@ pub fn gpu(command: &str, steps: u64, one: OneCopy<'_>, mode: Mode, convention: 
 }
 
 /// Returns measured figures in a mode; with `window`, the hardware waits for a whole window.
-fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: bool) -> Figures {
+fn figures(latency_us: f64, power: Power, one: CopyWorkload<'_>, mode: Mode, window: bool) -> Figures {
     let Power { static_mw, dynamic_mw, source: power_source } = power;
     let figures = Figures { static_mw, dynamic_mw, latency_us, source: FigureSource::Measured, power_source };
     match mode {
@@ -114,15 +121,21 @@ fn figures(latency_us: f64, power: Power, one: OneCopy<'_>, mode: Mode, window: 
     }
 }
 
-fn measured(one: OneCopy<'_>, mode: Mode, convention: Convention, watts: Option<Watts>, found: &mut Rows) {
+fn add_cpu_rows(
+    one: CopyWorkload<'_>,
+    mode: Mode,
+    convention: Convention,
+    watts: Option<Watts>,
+    found: &mut HardwareRows,
+) {
     let load_before = load();
     let available = std::thread::available_parallelism().map_or(1, usize::from);
     let busy = load_before.filter(|load| *load > BUSY_SHARE * available as f64);
     let package = PackagePower::assumed();
     let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), package, IDLE);
-    let samples = cpu::enough(one.samples, TIMESTEPS);
+    let samples = cpu::first_samples(one.samples, TIMESTEPS);
     let here = Environment::here();
-    let mut add = |name: &str, window: bool, (timed, power): (Result<Timed, String>, Power)| match timed {
+    let mut add = |name: &str, window: bool, (timed, power): (Result<MeasuredTime, String>, Power)| match timed {
         Err(reason) => found.notes.push(format!("no row for {name}: {reason}")),
         Ok(timed) => {
             // Other programs disturbed the fastest repeat least.

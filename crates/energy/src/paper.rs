@@ -16,11 +16,11 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::Resource;
 use nsim_quantise::relays::with_input_relays;
-use nsim_session::Keep;
+use nsim_session::SampleSettings;
 use nsim_session::error::Error;
-use nsim_session::obtain::mapped_as_usual;
-use nsim_session::priced::Metered;
-use nsim_session::samples::Running;
+use nsim_session::obtain::map_with_defaults;
+use nsim_session::priced::MeteredMapping;
+use nsim_session::samples::RunSettings;
 
 /// Maps one copy of the network of a job, by the details that the job's source gives.
 ///
@@ -32,7 +32,7 @@ pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Resu
         Some(most) => target.clone().with_limits(target.limits().clone().with(Resource::Compartments, most)),
         None => target.clone(),
     };
-    Ok(mapped_as_usual(network, &target)?)
+    Ok(map_with_defaults(network, &target)?)
 }
 
 /// Returns the rows of a job by a target's first constants, on the workload's samples. Rows are one
@@ -49,10 +49,10 @@ pub fn rows(
 ) -> Result<Vec<EnergyRow>, Error> {
     let compiled = mapped(&workload.compiled.one, scenario, target)?;
     let deployment = Deployment::from_numbers("paper", scenario.deployment.value, target, scenario.copies.value, work);
-    let metered = Metered::new(&compiled);
+    let metered = MeteredMapping::new(&compiled);
     let settings = metered.settings(vec![CostTable::new(&target.constants()[0])?], &deployment, options.transport);
     let samples = workload.samples();
-    let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
+    let run = metered.run(settings, &samples, RunSettings::new(&SampleSettings::new(compiled.program.output())))?;
     let case = EstimateInput {
         copies_counted: 1,
         hardware: target.chip().hardware(),

@@ -16,7 +16,7 @@ use nsim_session::error::Error;
 use crate::baseline::Baseline;
 use crate::baseline::tests::vtsnn;
 use crate::job;
-use crate::options::{DeploymentSource, priced_by};
+use crate::options::{DeploymentSource, select_constants};
 use crate::published::scenario::shipped_for;
 use crate::report::table::EnergyReport;
 
@@ -191,7 +191,7 @@ fn csv_has_a_header_and_a_record_for_each_row() {
 }
 
 fn report(deployment: &Deployment, mode: Mode, convention: Convention) -> EnergyReport {
-    let (target, table) = priced_by(nahuku(), Some("vtsnn-calibrated")).unwrap();
+    let (target, table) = select_constants(nahuku(), Some("vtsnn-calibrated")).unwrap();
     let compiled = mapped(1, CopyPlacement::Spread);
     let (activity, meter) = run(&steps(), vec![table], deployment.tiles_used, &compiled);
     let gpu = Baseline::shipped("rtx-2080-ti").unwrap();

@@ -12,12 +12,12 @@ use nsim_session::cores::core_rows;
 use nsim_session::decision::EarlyExit;
 use nsim_session::detail::Detail;
 use nsim_session::error::Error;
-use nsim_session::populations::ByPopulation;
-use nsim_session::priced::{Metered, steps_per_sample};
-use nsim_session::samples::{Progress, Run, Running};
+use nsim_session::populations::CountsByPopulation;
+use nsim_session::priced::{MeteredMapping, steps_per_sample};
+use nsim_session::samples::{Progress, Run, RunSettings};
 use nsim_session::timeline::Timeline;
-use nsim_session::warnings::{Finished, Ran, warnings};
-use nsim_session::{Keep, Outcome, Quantity, accuracy};
+use nsim_session::warnings::{FinishedRun, RunEngine, warnings};
+use nsim_session::{Outcome, Quantity, SampleSettings, accuracy};
 
 /// A mapped network of one or several copies, and its input samples.
 #[derive(Debug)]
@@ -29,14 +29,14 @@ pub struct Workload<'j> {
     /// Copies of the network on the target.
     pub copies: u32,
     /// Input of each copy: whole samples, since copies share no input channels.
-    given: Vec<Sample>,
+    stimulus_samples: Vec<Sample>,
     /// Indices of the samples that run, in run order.
     order: Vec<usize>,
     /// Origin of the samples.
     pub origin: Vec<String>,
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
-    metered: Metered<'j>,
+    metered: MeteredMapping<'j>,
 }
 
 impl<'j> Workload<'j> {
@@ -50,17 +50,17 @@ impl<'j> Workload<'j> {
         stimulus: Stimulus,
         order: Vec<usize>,
     ) -> Result<Self, Error> {
-        let Stimulus { samples: given, origin, seed } = stimulus;
-        if let Some(sample) = order.iter().find(|&&sample| sample >= given.len()) {
-            return Err(Error::Usage(format!("sample {sample}: there are {} samples", given.len())));
+        let Stimulus { samples: stimulus_samples, origin, seed } = stimulus;
+        if let Some(sample) = order.iter().find(|&&sample| sample >= stimulus_samples.len()) {
+            return Err(Error::Usage(format!("sample {sample}: there are {} samples", stimulus_samples.len())));
         }
-        let (copies, metered) = (compiled.options.copies, Metered::new(compiled));
-        Ok(Workload { compiled, target, copies, given, order, origin, seed, metered })
+        let (copies, metered) = (compiled.options.copies, MeteredMapping::new(compiled));
+        Ok(Workload { compiled, target, copies, stimulus_samples, order, origin, seed, metered })
     }
 
     /// Samples of one copy, in run order.
     pub fn samples(&self) -> Vec<&Sample> {
-        self.order.iter().map(|&sample| &self.given[sample]).collect()
+        self.order.iter().map(|&sample| &self.stimulus_samples[sample]).collect()
     }
 
     /// Returns the settings of its meter, for sums only.
@@ -76,10 +76,15 @@ impl<'j> Workload<'j> {
     /// Returns the counts of a run by population, input and core over all copies, and its warnings.
     pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
         let (network, program) = (&self.compiled.one, &self.compiled.program);
-        let sums = ByPopulation::of_copies(network, &run.counts, self.copies);
+        let sums = CountsByPopulation::for_copies(network, &run.counts, self.copies);
         let samples = self.samples();
-        let finished =
-            Finished { network, ran: Ran::Program(program), sums: &sums, samples: &samples, outcomes: &run.outcomes };
+        let finished = FinishedRun {
+            network,
+            engine: RunEngine::Program(program),
+            sums: &sums,
+            samples: &samples,
+            outcomes: &run.outcomes,
+        };
         let warnings = warnings(finished);
         let cores = core_rows(program, &run.activity, Some(&run.meter));
         Detail { cores, sums, warnings, ranks: run.ranks.clone() }
@@ -123,13 +128,13 @@ impl<'j> Workload<'j> {
         skip: bool,
         (progress, ranks): (Progress<'_>, Option<&Ranks>),
     ) -> Result<Run<StepMeter>, Error> {
-        let keep = Keep { early_exit, ..Keep::new(self.compiled.program.output()) };
-        let running = Running { skip, progress, ranks, ..Running::new(&keep) };
-        Ok(self.metered.run(settings, &self.samples(), running)?)
+        let sample_settings = SampleSettings { early_exit, ..SampleSettings::new(self.compiled.program.output()) };
+        let run_settings = RunSettings { skip, progress, ranks, ..RunSettings::new(&sample_settings) };
+        Ok(self.metered.run(settings, &self.samples(), run_settings)?)
     }
 
     /// The metered mapping.
-    pub fn meter(&self) -> &Metered<'j> {
+    pub fn meter(&self) -> &MeteredMapping<'j> {
         &self.metered
     }
 }

@@ -24,13 +24,13 @@ pub struct Change {
     value: String,
 }
 
-static CHANGES: OnceLock<Vec<Change>> = OnceLock::new();
+static PROCESS_CHANGES: OnceLock<Vec<Change>> = OnceLock::new();
 /// Whether a reader has asked for the changes of the target, the constants, a model.
 static READ: [AtomicBool; 3] = [const { AtomicBool::new(false) }; 3];
 
 thread_local! {
     /// The changes of this thread, in addition to the process's.
-    static OF_THREAD: RefCell<Vec<Change>> = const { RefCell::new(Vec::new()) };
+    static THREAD_CHANGES: RefCell<Vec<Change>> = const { RefCell::new(Vec::new()) };
 }
 
 impl Change {
@@ -48,7 +48,7 @@ impl Change {
     pub fn check(&self) -> Result<()> {
         let Change { path, value } = self;
         if ["target", "constants"].contains(&path.as_str()) || path.split('.').any(|part| part.trim().is_empty()) {
-            return Err(nowhere(path, "the path does not name a field; it has to end with the name of one"));
+            return Err(path_error(path, "the path does not name a field; it has to end with the name of one"));
         }
         match locate::is_one_value(value) {
             true => Ok(()),
@@ -74,25 +74,25 @@ impl Change {
     }
 
     /// Whether it changes the target or its constants, and no model.
-    pub fn is_of_target(&self) -> bool {
+    pub fn changes_target(&self) -> bool {
         let first = self.path.split('.').next();
         first.is_some_and(|first| ["target", "constants"].contains(&first))
     }
 }
 
 /// Clears the changes of a thread when dropped, also on a panic.
-struct Ending;
+struct ClearOnDrop;
 
-impl Drop for Ending {
+impl Drop for ClearOnDrop {
     fn drop(&mut self) {
-        OF_THREAD.with_borrow_mut(Vec::clear);
+        THREAD_CHANGES.with_borrow_mut(Vec::clear);
     }
 }
 
 /// Runs `read` with these changes, added to the process's for files that this thread reads.
-pub fn within<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
-    OF_THREAD.with_borrow_mut(|of_thread| of_thread.extend_from_slice(changes));
-    let _ending = Ending;
+pub fn with_changes<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
+    THREAD_CHANGES.with_borrow_mut(|thread_changes| thread_changes.extend_from_slice(changes));
+    let _clear = ClearOnDrop;
     read()
 }
 
@@ -103,7 +103,7 @@ pub fn within<T>(changes: &[Change], read: impl FnOnce() -> T) -> T {
 pub fn set(typed: &[String]) -> Result<(), String> {
     let changes = typed.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>()?;
     // Files may have been read with the first changes, so a second set is ignored.
-    let _ = CHANGES.set(changes);
+    let _ = PROCESS_CHANGES.set(changes);
     Ok(())
 }
 
@@ -112,43 +112,45 @@ pub fn set(typed: &[String]) -> Result<(), String> {
 /// # Errors
 /// As [`Change::check`].
 pub fn check() -> Result<()> {
-    of_process().iter().try_for_each(Change::check)
+    process_changes().iter().try_for_each(Change::check)
 }
 
 /// The changes of this process for which no file has been read.
-pub fn unread() -> impl Iterator<Item = &'static Change> {
-    of_process().iter().filter(|change| {
+pub fn unused() -> impl Iterator<Item = &'static Change> {
+    process_changes().iter().filter(|change| {
         let of = ["target", "constants"].into_iter().find(|of| change.path.split('.').next() == Some(of));
-        !READ[kind(of)].load(Ordering::Relaxed)
+        !READ[reader_index(of)].load(Ordering::Relaxed)
     })
 }
 
 /// Index into [`READ`] of the target, the constants, or (`None`) the model.
-fn kind(of: Option<&str>) -> usize {
+fn reader_index(of: Option<&str>) -> usize {
     of.map_or(2, |of| usize::from(of != "target"))
 }
 
 /// The changes of this process.
-pub fn of_process() -> &'static [Change] {
-    CHANGES.get().map_or(&[], Vec::as_slice)
+pub fn process_changes() -> &'static [Change] {
+    PROCESS_CHANGES.get().map_or(&[], Vec::as_slice)
 }
 
 /// Paths and values of the changes of the target, the constants or (`None`) the model.
 fn changes(of: Option<&str>) -> Vec<(String, String)> {
-    READ[kind(of)].store(true, Ordering::Relaxed);
+    READ[reader_index(of)].store(true, Ordering::Relaxed);
     let one = |change: &Change| {
         let (first, rest) = change.path.split_once('.').unwrap_or((&change.path, ""));
         let path = match of {
             Some(of) => (first == of && !rest.is_empty()).then_some(rest),
-            None => (!change.is_of_target()).then_some(change.path.as_str()),
+            None => (!change.changes_target()).then_some(change.path.as_str()),
         };
         Some((path?.to_string(), change.value.clone()))
     };
-    let of_process = CHANGES.get().into_iter().flatten().filter_map(one);
-    of_process.chain(OF_THREAD.with_borrow(|of_thread| of_thread.iter().filter_map(one).collect::<Vec<_>>())).collect()
+    let process_changes = PROCESS_CHANGES.get().into_iter().flatten().filter_map(one);
+    process_changes
+        .chain(THREAD_CHANGES.with_borrow(|thread_changes| thread_changes.iter().filter_map(one).collect::<Vec<_>>()))
+        .collect()
 }
 
-fn nowhere(path: &str, message: &str) -> Diagnostic {
+fn path_error(path: &str, message: &str) -> Diagnostic {
     Diagnostic::new("set.path", format!("--set {path}: {message}"))
         .help("paths consist of names of fields: nsim show NAME prints a shipped file with its fields")
 }
@@ -162,11 +164,11 @@ pub fn model(source: SourceText) -> Result<SourceText> {
     let changes = changes(None);
     for (path, value) in &changes {
         let before = text.as_deref().unwrap_or(source.text());
-        text = Some(locate::replaced(before, path, value).map_err(|message| nowhere(path, &message))?);
+        text = Some(locate::replaced(before, path, value).map_err(|message| path_error(path, &message))?);
     }
     Ok(match text {
         Some(text) => {
-            check_kept(&text, &changes, "")?;
+            check_applied(&text, &changes, "")?;
             SourceText::new(source.path(), text)
         }
         None => source,
@@ -177,11 +179,11 @@ pub fn model(source: SourceText) -> Result<SourceText> {
 ///
 /// # Errors
 /// `set.path` for two paths of one field, or of a field and a value that contains it.
-fn check_kept(text: &str, changes: &[(String, String)], before: &str) -> Result<()> {
+fn check_applied(text: &str, changes: &[(String, String)], before: &str) -> Result<()> {
     for (number, (path, value)) in changes.iter().enumerate() {
         let again = changes[number + 1..].iter().any(|(later, _)| later == path);
         if !again && locate::value(text, path) != Some(value) {
-            return Err(nowhere(&format!("{before}{path}"), "another --set changes the same field"));
+            return Err(path_error(&format!("{before}{path}"), "another --set changes the same field"));
         }
     }
     Ok(())
@@ -200,9 +202,9 @@ pub fn target_fields() -> Result<Option<String>> {
         if let Some(name) = path.strip_prefix("limits.").filter(is_pool) {
             *path = format!("limits.pools.{name}");
         }
-        text = with_parents(text, path, value).map_err(|message| nowhere(&format!("target.{path}"), &message))?;
+        text = with_parents(text, path, value).map_err(|message| path_error(&format!("target.{path}"), &message))?;
     }
-    check_kept(&text, &changes, "target.")?;
+    check_applied(&text, &changes, "target.")?;
     let fields = text.strip_prefix("Target(").and_then(|text| text.strip_suffix(')'));
     Ok(fields.filter(|_| !changes.is_empty()).map(str::to_string))
 }
@@ -224,7 +226,7 @@ fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, Str
 /// `set.path`, `set.value`.
 pub fn constants(constants: &mut Constants) -> Result<()> {
     for (path, value) in changes(Some("constants")) {
-        let missing = || nowhere(&format!("constants.{path}"), "there is no such constant");
+        let missing = || path_error(&format!("constants.{path}"), "there is no such constant");
         let constant = constants.get_mut(&path).ok_or_else(missing)?;
         let number = constant.unit.parsed(&value).map_err(|message| {
             let help = format!("write --set constants.{path}=NUMBER{}", constant.unit.suffix());
@@ -264,9 +266,9 @@ mod tests {
     #[test]
     fn a_thread_s_changes_end_with_its_work() {
         let read = || model(SourceText::new("m", "Network(a: 1, b: 2)")).unwrap().text().to_string();
-        let changed = within(&[Change::new("a", "5"), Change::new("target.x", "7")], read);
+        let changed = with_changes(&[Change::new("a", "5"), Change::new("target.x", "7")], read);
         assert_eq!((changed.as_str(), read().as_str()), ("Network(a: 5, b: 2)", "Network(a: 1, b: 2)"));
-        let of_target = within(&[Change::new("target.x", "7")], target_fields).unwrap();
+        let of_target = with_changes(&[Change::new("target.x", "7")], target_fields).unwrap();
         assert_eq!((of_target.as_deref(), target_fields().unwrap()), (Some(" x: 7"), None));
     }
 
@@ -275,10 +277,10 @@ mod tests {
         let read = || model(SourceText::new("m", r#"Network(populations: [Loihi(name: "out", du: 1)])"#));
         for paths in [["populations.out.du", "populations.0.du"], ["populations.out.du", "populations"]] {
             let changes = [Change::new(paths[0], "5"), Change::new(paths[1], "6")];
-            assert_eq!(within(&changes, read).unwrap_err().code, "set.path", "{paths:?}");
+            assert_eq!(with_changes(&changes, read).unwrap_err().code, "set.path", "{paths:?}");
         }
         let again = ["5", "6"].map(|value| Change::new("populations.out.du", value));
-        assert!(within(&again, read).unwrap().text().contains("du: 6"));
+        assert!(with_changes(&again, read).unwrap().text().contains("du: 6"));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
-use crate::synapses::{Listed, SynapseArrays};
+use crate::synapses::{SynapseArrays, SynapseList};
 use nsim_ir::base::diagnostic::{Diagnostic, Span, collect_all};
 use nsim_ir::base::fixed::{Delay, MessageBits, Payload};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
@@ -297,7 +297,7 @@ impl Lowering<'_> {
             Parameter::Same(value) => PerCompartment::Same(*value),
             Parameter::Each(values) => PerCompartment::Each(values.clone()),
             Parameter::From(source) => {
-                PerCompartment::Each(self.sourced(source, &[u64::from(units)], span)?.reals().collect())
+                PerCompartment::Each(self.source_tensor(source, &[u64::from(units)], span)?.reals().collect())
             }
         };
         if let PerCompartment::Each(values) = &each
@@ -315,7 +315,7 @@ impl Lowering<'_> {
     }
 
     /// The numbers of a source; `shape` is the shape of a seeded one.
-    fn sourced(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
+    fn source_tensor(&self, source: &Source, shape: &[u64], span: Span) -> Result<Arc<Tensor>, Diagnostic> {
         let Source::Uniform { low, high, step, seed } = source else {
             let array = source.array().expect("it is the array of a file");
             return Ok(Arc::new(self.network.array(&array).clone()));
@@ -359,7 +359,7 @@ impl Lowering<'_> {
             self.find(nodes, name, "'from'", || self.at(span, &format!("from.[{index}]")))
         };
         let sources: Vec<NodeIndex> = desc.from.iter().enumerate().map(source).collect::<Result<_, _>>()?;
-        let declared = Declared {
+        let declared = ProjectionLowering {
             lowering: self,
             span,
             desc,
@@ -443,7 +443,7 @@ type Part = (Option<u32>, ProjectionKind);
 type Volume = (u32, u32, u32);
 
 /// A projection's declaration with the sizes of its ends.
-struct Declared<'a> {
+struct ProjectionLowering<'a> {
     lowering: &'a Lowering<'a>,
     span: Span,
     desc: &'a ProjectionDesc,
@@ -452,7 +452,7 @@ struct Declared<'a> {
     target_shape: Shape,
 }
 
-impl Declared<'_> {
+impl ProjectionLowering<'_> {
     fn parts(&self) -> Result<Vec<Part>, Diagnostic> {
         let whole = match &self.desc.kind {
             Kind::Dense(weights) => {
@@ -486,7 +486,9 @@ impl Declared<'_> {
     fn weights(&self, weights: &Weights, shape: &[u64]) -> Result<Arc<Tensor>, Diagnostic> {
         let tensor = match weights {
             Weights::InPlace(tensor) => Arc::new(tensor.clone()),
-            Weights::From(source) => self.lowering.sourced(source, shape, self.lowering.at(self.span, "weights"))?,
+            Weights::From(source) => {
+                self.lowering.source_tensor(source, shape, self.lowering.at(self.span, "weights"))?
+            }
         };
         let mut found: Vec<u64> = tensor.shape().iter().map(|&axis| axis as u64).collect();
         while found.len() > shape.len() && found.last() == Some(&1) {
@@ -511,7 +513,7 @@ impl Declared<'_> {
         let (network, sizes) = (self.lowering.network, (self.sources, self.target_shape.len().into()));
         let stored = |array| network.array(array);
         let by_delay = arrays.read(stored, (network.source(), self.span), sizes)?;
-        let part = |(delay, synapses): (Option<u32>, Listed)| (delay, ProjectionKind::Sparse { synapses });
+        let part = |(delay, synapses): (Option<u32>, SynapseList)| (delay, ProjectionKind::Sparse { synapses });
         Ok(match by_delay.is_empty() {
             true => vec![part((None, Vec::new()))],
             false => by_delay.into_iter().map(part).collect(),
@@ -541,7 +543,7 @@ impl Declared<'_> {
         match (self.source_shape.volume(), self.target_shape.volume()) {
             (Some(source), Some(target)) => Ok((source, target)),
             _ => {
-                let Declared { source_shape, target_shape, desc, .. } = self;
+                let ProjectionLowering { source_shape, target_shape, desc, .. } = self;
                 let message = format!("{what} to '{}' connects shape {source_shape} to {target_shape}", desc.to);
                 Err(self.error("model.window", message, "").help("both shapes must be [channels, height, width]"))
             }

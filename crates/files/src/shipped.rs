@@ -182,13 +182,13 @@ pub fn is_path(argument: &str) -> bool {
 }
 
 /// Names of chips, and the shipped target that is meant by each.
-const MEANT: [(&str, &str); 4] =
+const CHIP_ALIASES: [(&str, &str); 4] =
     [("loihi", "loihi1-chip"), ("loihi1", "loihi1-chip"), ("loihi2", "oheo-gulch"), ("loihi-2", "oheo-gulch")];
 
 /// The error for a name that is not shipped.
 pub fn unknown(code: &'static str, kind: &str, name: &str, table: &[Shipped]) -> Diagnostic {
     let names: Vec<&str> = table.iter().map(|shipped| shipped.name).collect();
-    let meant = MEANT.iter().find(|(called, target)| *called == name.to_lowercase() && names.contains(target));
+    let meant = CHIP_ALIASES.iter().find(|(called, target)| *called == name.to_lowercase() && names.contains(target));
     Diagnostic::new(code, format!("there is no shipped {kind} named '{name}'")).help(format!(
         "{}shipped files: {}; or give a path to a .ron file",
         did_you_mean(meant.map_or(name, |(_, target)| *target), names.iter().copied()),
@@ -200,7 +200,7 @@ pub fn unknown(code: &'static str, kind: &str, name: &str, table: &[Shipped]) ->
 ///
 /// # Errors
 /// As [`read_text`], and `code` for a name that the table does not have.
-pub fn text_of(
+pub fn path_or_shipped_text(
     argument: &str,
     table: &'static [Shipped],
     kind: &str,

@@ -34,7 +34,7 @@ pub struct SynapseArrays {
 }
 
 /// Synapses of one list: source, target, weight, entry of a list in place (0 for arrays).
-pub type Listed = Vec<(u32, u32, f64, u32)>;
+pub type SynapseList = Vec<(u32, u32, f64, u32)>;
 
 impl SynapseArrays {
     /// All arrays by the names of their fields.
@@ -57,7 +57,7 @@ impl SynapseArrays {
         stored: impl Fn(&'n ArrayRef) -> &'n Tensor,
         (text, declared): (&'n SourceText, Span),
         (sources, targets): (u64, u64),
-    ) -> Result<BTreeMap<Option<u32>, Listed>> {
+    ) -> Result<BTreeMap<Option<u32>, SynapseList>> {
         let array = |name: &str| {
             let found = self.references().find(|(known, _)| *known == name)?;
             Some(stored(found.1))
@@ -103,7 +103,7 @@ impl SynapseArrays {
             }
             Err(at("model.synapse-index", name, format!("entry {entry}: {name} {found} is outside 0..{size}")))
         };
-        let (mut row, mut by_delay) = (0u32, BTreeMap::<Option<u32>, Listed>::new());
+        let (mut row, mut by_delay) = (0u32, BTreeMap::<Option<u32>, SynapseList>::new());
         for entry in 0..all {
             let source = match (source, first) {
                 (Some(tensor), _) => index("source", tensor, entry, sources)?,

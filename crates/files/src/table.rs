@@ -30,9 +30,9 @@ fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
     if header.is_empty() {
         return String::new();
     }
-    let columns: Vec<Measured> = (0..header.len()).map(|at| Measured::new(header[at], rows, at)).collect();
+    let columns: Vec<ColumnWidths> = (0..header.len()).map(|at| ColumnWidths::new(header[at], rows, at)).collect();
     let (mut tables, mut used) = (vec![vec![0]], columns.first().map_or(0, |column| column.least));
-    for (at, Measured { least, .. }) in columns.iter().enumerate().skip(1) {
+    for (at, ColumnWidths { least, .. }) in columns.iter().enumerate().skip(1) {
         if used + GAP + least > width && tables[tables.len() - 1].len() > 1 {
             tables.push(vec![0]);
             used = columns[0].least;
@@ -78,7 +78,7 @@ fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
 }
 
 /// A column before its width is known.
-struct Measured {
+struct ColumnWidths {
     /// Whether its cells are numbers.
     numbers: bool,
     /// Width of the longest part that cannot be broken.
@@ -87,7 +87,7 @@ struct Measured {
     most: usize,
 }
 
-impl Measured {
+impl ColumnWidths {
     fn new(heading: &str, rows: &[Vec<String>], at: usize) -> Self {
         let cells = || rows.iter().map(|row| row[at].as_str()).filter(|cell| !cell.is_empty());
         let is_number = |cell: &&str| {
@@ -100,7 +100,7 @@ impl Measured {
         let longest = |measure: &dyn Fn(&str) -> usize| cells().map(measure).max().unwrap_or(0);
         let most = longest(&length).max(length(heading));
         let least = if numbers { longest(&length) } else { longest(&word) };
-        Measured { numbers, least: least.max(word(heading)), most }
+        ColumnWidths { numbers, least: least.max(word(heading)), most }
     }
 }
 
@@ -340,7 +340,7 @@ pub fn shell_lines(command: &str) -> String {
 }
 
 /// A document with the text between `<!-- NAME -->` and `<!-- end NAME -->` replaced.
-pub fn replaced(document: &str, name: &str, section: &str) -> Option<String> {
+pub fn replace_section(document: &str, name: &str, section: &str) -> Option<String> {
     let (open, close) = (format!("<!-- {name} -->\n"), format!("<!-- end {name} -->"));
     let from = document.find(&open)? + open.len();
     let to = from + document[from..].find(&close)?;
@@ -407,7 +407,7 @@ mod tests {
     #[test]
     fn a_section_is_replaced_between_its_marks() {
         let document = "a\n<!-- x -->\nold\n<!-- end x -->\nb\n";
-        assert_eq!(replaced(document, "x", "new\n").unwrap(), "a\n<!-- x -->\nnew\n<!-- end x -->\nb\n");
-        assert_eq!(replaced(document, "y", "new"), None);
+        assert_eq!(replace_section(document, "x", "new\n").unwrap(), "a\n<!-- x -->\nnew\n<!-- end x -->\nb\n");
+        assert_eq!(replace_section(document, "y", "new"), None);
     }
 }

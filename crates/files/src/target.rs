@@ -9,7 +9,7 @@ use std::path::Path;
 use super::changes;
 use super::network::NetworkFile;
 use super::shipped::{self, Origin, Shipped};
-use super::text::{beside, read_text};
+use super::text::{read_text, sibling_path};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::hardware::constants::{Constants, ConstantsChanges};
@@ -24,7 +24,7 @@ use nsim_ir::spanned::{Spanned, parse};
 /// # Errors
 /// `target.*`, `chip.*`, `constants.*`, `io.*`.
 pub fn load_target(argument: &str) -> Result<Target> {
-    let (source, origin) = shipped::text_of(argument, shipped::TARGETS, "target", "target.unknown")?;
+    let (source, origin) = shipped::path_or_shipped_text(argument, shipped::TARGETS, "target", "target.unknown")?;
     let mut target = target(&source, origin)?;
     if let Some(fields) = changes::target_fields()? {
         // A change is parsed like a target file that has this target as its base.
@@ -49,7 +49,7 @@ pub fn target_with_neurons(file: &NetworkFile, named: Option<&str>) -> Result<(T
     if named.is_some() || has_kinds(&target, &kinds) {
         return Ok((target, None));
     }
-    let Some(other) = shipped_with(&kinds).into_iter().next() else { return Ok((target, None)) };
+    let Some(other) = shipped_with_kinds(&kinds).into_iter().next() else { return Ok((target, None)) };
     let lacks = format!(
         "{}, the target of nsim map, does not have the neurons of the network: this result is for {}",
         target.name(),
@@ -63,7 +63,7 @@ fn has_kinds(target: &Target, kinds: &BTreeSet<NeuronKind>) -> bool {
 }
 
 /// Shipped targets whose compartments can be of all these kinds.
-pub fn shipped_with(kinds: &BTreeSet<NeuronKind>) -> Vec<Target> {
+pub fn shipped_with_kinds(kinds: &BTreeSet<NeuronKind>) -> Vec<Target> {
     let targets = shipped::TARGETS.iter().filter_map(|shipped| load_target(shipped.name).ok());
     targets.filter(|target| has_kinds(target, kinds)).collect()
 }
@@ -214,7 +214,8 @@ fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
 /// # Errors
 /// `constants.*`, `io.*`.
 pub fn load_constants(argument: &str) -> Result<Constants> {
-    let (source, _) = shipped::text_of(argument, shipped::CONSTANTS, "preset of constants", "constants.unknown")?;
+    let (source, _) =
+        shipped::path_or_shipped_text(argument, shipped::CONSTANTS, "preset of constants", "constants.unknown")?;
     let mut constants = parse_constants(&source)?;
     changes::constants(&mut constants)?;
     Ok(constants)
@@ -231,7 +232,7 @@ fn part(
 ) -> Result<SourceText> {
     if origin == Origin::File {
         let file = format!("{}.ron", name.value);
-        for path in [beside(source.path(), &file), beside(source.path(), &format!("../{folder}/{file}"))] {
+        for path in [sibling_path(source.path(), &file), sibling_path(source.path(), &format!("../{folder}/{file}"))] {
             // A target and its chip may have one name.
             let itself =
                 path.canonicalize().is_ok_and(|path| source.path().canonicalize().is_ok_and(|own| own == path));

@@ -172,7 +172,7 @@ pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
 }
 
 /// The path of a file that the file at `path` names, relative to its folder.
-pub fn beside(path: &Path, name: &str) -> std::path::PathBuf {
+pub fn sibling_path(path: &Path, name: &str) -> std::path::PathBuf {
     path.parent().unwrap_or(Path::new("")).join(name)
 }
 

@@ -8,7 +8,7 @@ use std::path::Path;
 use crate::foreign::imported::DecayRule;
 use crate::foreign::{Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
 use crate::spikes::events::{nir_data, read};
-use crate::spikes::{EventFormat, EventOptions, Expected};
+use crate::spikes::{EventFormat, EventOptions, InputSpec};
 use nsim_ir::arithmetic::ThresholdTest;
 use nsim_ir::base::diagnostic::SourceText;
 
@@ -37,7 +37,7 @@ fn import(path: &str, data: &[u8]) {
 pub fn hdf5(data: &[u8]) {
     import("fuzz.net", data);
     if let Ok(tree) = hdf5_file::tree(Path::new("fuzz.nir"), data.to_vec()) {
-        let expected = Expected { units: 3, volume: None, dt_ms: 1.0, values: false };
+        let expected = InputSpec { units: 3, volume: None, dt_ms: 1.0, values: false };
         let _ = nir_data::read(&tree, Path::new("fuzz.nir"), "in", &expected, &EventOptions::default());
     }
 }
@@ -78,7 +78,7 @@ pub fn arrays(data: &[u8]) {
 pub fn events(data: &[u8]) {
     let Some((&first, mut rest)) = data.split_first() else { return };
     let format = EventFormat::ALL[usize::from(first) % EventFormat::ALL.len()];
-    let expected = Expected { units: 128, volume: Some((2, 8, 8)), dt_ms: 1.0, values: false };
+    let expected = InputSpec { units: 128, volume: Some((2, 8, 8)), dt_ms: 1.0, values: false };
     let options = EventOptions {
         crop: Some((0, 0, 16, 16)),
         pool: Some((2, 2)),

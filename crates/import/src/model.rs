@@ -12,13 +12,13 @@ use super::foreign;
 use nsim_files::network::{ArrayRef, Network, NetworkFile, place};
 use nsim_files::shipped;
 use nsim_files::shipped::Origin;
-use nsim_files::text::beside;
+use nsim_files::text::sibling_path;
 use nsim_files::{changes, npy, safetensors};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::tensor::Tensor;
 
 /// Models for which this process has warned of assumptions.
-static SAID: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
+static WARNED_MODELS: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
 
 /// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported like by `nsim
 /// import` without options.
@@ -41,21 +41,21 @@ pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
         let network = foreign::network(path, &foreign::Options { dt_ms, ..Default::default() })?;
         // Some commands read their model more than once, but one warning is enough.
         if let Some(assumed) = &network.conventions().assumed
-            && SAID.lock().is_ok_and(|mut said| said.insert(argument.to_string()))
+            && WARNED_MODELS.lock().is_ok_and(|mut warned| warned.insert(argument.to_string()))
         {
             tracing::warn!("{argument}: {assumed}");
         }
         return Ok(network);
     }
-    let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown")?;
-    agreeing(network(source, origin)?, dt_ms)
+    let (source, origin) = shipped::path_or_shipped_text(argument, shipped::MODELS, "model", "model.unknown")?;
+    check_timestep(network(source, origin)?, dt_ms)
 }
 
 /// Returns the model if its timestep is `dt_ms` or none is given.
 ///
 /// # Errors
 /// `model.timestep`.
-pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
+pub fn check_timestep(network: Network, dt_ms: Option<f64>) -> Result<Network> {
     let own = network.file().timestep_ms;
     let Some(dt) = dt_ms.filter(|dt| (dt / own - 1.0).abs() > 1e-9) else { return Ok(network) };
     let message = format!("the model has a timestep of {own} ms, which --dt {dt} contradicts");
@@ -69,11 +69,11 @@ pub fn agreeing(network: Network, dt_ms: Option<f64>) -> Result<Network> {
 /// # Errors
 /// As [`load_model`].
 pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
-    network_of(changes::model(source)?, origin)
+    parse_network(changes::model(source)?, origin)
 }
 
 /// Loads a model from its text, after all changes.
-fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
+fn parse_network(source: SourceText, origin: Origin) -> Result<Network> {
     let file = NetworkFile::parse(&source)?;
     let arrays = read_arrays(&source, origin, &file)?;
     Network::new(file, source, arrays)
@@ -81,24 +81,25 @@ fn network_of(source: SourceText, origin: Origin) -> Result<Network> {
 
 /// A model that is read once, to which many changes are applied.
 #[derive(Debug)]
-pub struct Unchanged {
+pub struct BaseModel {
     network: Network,
     origin: Origin,
 }
 
-impl Unchanged {
+impl BaseModel {
     /// Reads a model; `None` when it is another tool's, or invalid without changes.
     pub fn load(argument: &str) -> Option<Self> {
         let path = Path::new(argument);
         if shipped::is_path(argument) && foreign::is_foreign(path) {
             return None;
         }
-        let (source, origin) = shipped::text_of(argument, shipped::MODELS, "model", "model.unknown").ok()?;
-        Some(Unchanged { network: network_of(source, origin).ok()?, origin })
+        let (source, origin) =
+            shipped::path_or_shipped_text(argument, shipped::MODELS, "model", "model.unknown").ok()?;
+        Some(BaseModel { network: parse_network(source, origin).ok()?, origin })
     }
 
     /// Number of elements in its arrays.
-    pub fn numbers(&self) -> u64 {
+    pub fn element_count(&self) -> u64 {
         self.network.file().arrays().iter().map(|(reference, _)| self.network.array(reference).len() as u64).sum()
     }
 
@@ -107,12 +108,12 @@ impl Unchanged {
     ///
     /// # Errors
     /// As [`load_model`].
-    pub fn changed(&self) -> Result<Network> {
+    pub fn with_changes(&self) -> Result<Network> {
         let source = changes::model(self.network.source().clone())?;
         let file = NetworkFile::parse(&source)?;
         match self.network.with_file(file, source.clone()) {
             Some(network) => Ok(network),
-            None => network_of(source, self.origin),
+            None => parse_network(source, self.origin),
         }
     }
 }
@@ -126,10 +127,11 @@ fn read_arrays(source: &SourceText, origin: Origin, file: &NetworkFile) -> Resul
             continue;
         }
         let mut read = || match &reference {
-            ArrayRef::Npy(name) => bytes_of(source, origin, name, npy::open, npy::Array::from_bytes)?.tensor(),
+            ArrayRef::Npy(name) => open_array(source, origin, name, npy::open, npy::Array::from_bytes)?.tensor(),
             ArrayRef::Safetensors(name, key) => {
                 if !opened.contains_key(name.as_str()) {
-                    let file = bytes_of(source, origin, name, safetensors::open, safetensors::TensorFile::from_bytes)?;
+                    let file =
+                        open_array(source, origin, name, safetensors::open, safetensors::TensorFile::from_bytes)?;
                     opened.insert(name.clone(), file);
                 }
                 opened[name.as_str()].tensor(key)
@@ -141,7 +143,7 @@ fn read_arrays(source: &SourceText, origin: Origin, file: &NetworkFile) -> Resul
     Ok(arrays)
 }
 
-fn bytes_of<T>(
+fn open_array<T>(
     source: &SourceText,
     origin: Origin,
     name: &str,
@@ -149,7 +151,7 @@ fn bytes_of<T>(
     from_bytes: impl Fn(&Path, Vec<u8>) -> Result<T>,
 ) -> Result<T> {
     match origin {
-        Origin::File => open(&beside(source.path(), name)),
+        Origin::File => open(&sibling_path(source.path(), name)),
         Origin::Shipped => match shipped::ARRAYS.iter().find(|(path, _)| *path == name) {
             Some((path, bytes)) => from_bytes(Path::new(path), bytes.to_vec()),
             None => Err(Diagnostic::new("io.missing", "this array is not shipped")),

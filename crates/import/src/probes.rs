@@ -82,7 +82,7 @@ impl Trace<'_> {
                 let (sample, unit, step) = (at / (units * steps), at / steps % units, at % steps);
                 grid[(sample * steps + step) * units + unit] = number;
             }
-            nir_data::gridded(&grid, [samples, steps, units], self.dt_s)
+            nir_data::time_grid(&grid, [samples, steps, units], self.dt_s)
         };
         let bytes = hdf5::write(&nir_data::file(self.population, self.register, data))?;
         batch.add(path, |out| out.write_all(&bytes))
@@ -92,7 +92,7 @@ impl Trace<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::spikes::{EventOptions, Expected, read_source, read_spikes};
+    use crate::spikes::{EventOptions, InputSpec, read_source, read_spikes};
 
     fn whole(write: impl FnOnce(&mut write::Batch) -> Result<()>) {
         let mut batch = write::Batch::new(false);
@@ -112,7 +112,7 @@ mod tests {
         assert_eq!((back.len(), back[0].steps), (2, 4));
         let nir = folder.path().join("s.nir");
         whole(|batch| trace.nir(&nir, batch, numbers.iter().copied()));
-        let expected = Expected { units: 3, volume: None, dt_ms: 2.0, values: false };
+        let expected = InputSpec { units: 3, volume: None, dt_ms: 2.0, values: false };
         let again = read_spikes(&nir, "out", &expected, &EventOptions::default()).unwrap();
         for (sample, events) in events.iter().enumerate() {
             let mut from_csv = back[sample].events.clone();

@@ -15,7 +15,7 @@ use nsim_files::table::{
 };
 use nsim_ir::graph::Graph;
 use nsim_quantise::analytic::Fit;
-use nsim_train::convert::next::Next;
+use nsim_train::convert::next::Suggestion;
 use nsim_train::convert::search::{ConversionScore, SearchResult};
 use nsim_train::convert::staged::is_real;
 
@@ -51,7 +51,7 @@ pub struct AgreeReport<'a> {
     /// Number of samples of the attribution.
     pub attribution_samples: usize,
     /// The suggested next command.
-    pub next: Option<&'a Next>,
+    pub next: Option<&'a Suggestion>,
     /// The target of the deployed network.
     pub target: Option<&'a str>,
     /// Source of a converted model, and the command that compares with it.
@@ -76,12 +76,12 @@ pub fn role(graph: &Graph) -> &'static str {
 }
 
 /// Name of a network, with its role.
-fn called((name, role): (&str, &str)) -> String {
+fn name_with_role((name, role): (&str, &str)) -> String {
     if role.is_empty() { name.to_string() } else { format!("{name}, {role}") }
 }
 
 /// Counterpart of a network, in words.
-fn in_words(against: &str) -> &str {
+fn counterpart_text(against: &str) -> &str {
     match against {
         "srm" => "the trained network, spike response neurons",
         "cuba" => "the trained network, real numbers",
@@ -92,7 +92,7 @@ fn in_words(against: &str) -> &str {
 
 impl<'a> AgreeReport<'a> {
     /// Report on two networks, without a search and causes.
-    pub fn of_two(
+    pub fn for_two_networks(
         [(model, role), other]: [(&'a str, &'static str); 2],
         (input, seed, samples): (&'a [String], Option<u64>, usize),
         agreement: &'a Agreement,
@@ -113,12 +113,12 @@ impl<'a> AgreeReport<'a> {
     }
 
     /// Report on a network and its counterpart, before a search and causes are added.
-    pub fn of_one(
+    pub fn for_counterpart(
         (model, against): (&'a str, &'static str),
-        seen: (&'a [String], Option<u64>, usize),
+        input: (&'a [String], Option<u64>, usize),
         agreement: &'a Agreement,
     ) -> Self {
-        AgreeReport { other: None, against, ..Self::of_two([(model, ""); 2], seen, agreement) }
+        AgreeReport { other: None, against, ..Self::for_two_networks([(model, ""); 2], input, agreement) }
     }
 }
 
@@ -129,7 +129,7 @@ pub fn named_fits(graph: &Graph, fits: &[Option<Fit>]) -> Vec<(String, Fit)> {
 }
 
 /// `nsim.agree/1` of a network that could not be deployed.
-pub fn nothing() -> Value {
+pub fn empty_result() -> Value {
     json!({
         "schema": "nsim.agree/1", "model": null, "target": null, "fits": false, "reasons": [], "samples": 0,
         "compared": 0, "class_agreement": null, "layers": [], "conversion": null, "attribution": [],
@@ -150,7 +150,7 @@ pub(super) fn classes_text(classes: &ClassTally) -> String {
 }
 
 /// Whether neither network spikes in a layer: equal trains of no spikes are nothing to compare.
-pub(super) fn silent(row: &LayerRow) -> bool {
+pub(super) fn is_silent(row: &LayerRow) -> bool {
     row.comparison.tally.spikes_a + row.comparison.tally.spikes_b == 0
 }
 
@@ -169,7 +169,7 @@ pub(super) fn layer_json(row: &LayerRow) -> Value {
         "shift": row.shift,
         "spikes_a": tally.spikes_a,
         "spikes_b": tally.spikes_b,
-        "coincidence": (!silent(row)).then(|| rounded(tally.coincidence())),
+        "coincidence": (!is_silent(row)).then(|| rounded(tally.coincidence())),
         "van_rossum": rounded(tally.van_rossum()),
         "victor_purpura": rounded(tally.victor_purpura()),
         "potential_rmse": tally.potential_rmse().map(rounded),
@@ -190,7 +190,7 @@ const FIT_COLUMNS: [Column<(String, Fit)>; 6] = [
 fn score_columns<'a>() -> [Column<(&'a str, &'a ConversionScore)>; 4] {
     [
         ("search", |(name, _)| (*name).to_string()),
-        ("classes agree", |(_, score)| four(score.classes.kept())),
+        ("classes agree", |(_, score)| four(score.classes.share_reproduced())),
         ("coincidence", |(_, score)| four(score.coincidence)),
         ("output counts off by", |(_, score)| format!("{:.2} %", 100.0 * score.count_error)),
     ]
@@ -214,7 +214,7 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
     ("shift", |row| row.shift.to_string()),
     ("spikes a", |row| row.comparison.tally.spikes_a.to_string()),
     ("spikes b", |row| row.comparison.tally.spikes_b.to_string()),
-    ("coincidence", |row| if silent(row) { "silent".to_string() } else { four(row.comparison.tally.coincidence()) }),
+    ("coincidence", |row| if is_silent(row) { "silent".to_string() } else { four(row.comparison.tally.coincidence()) }),
     ("van Rossum", |row| four(row.comparison.tally.van_rossum())),
     ("Victor-Purpura", |row| four(row.comparison.tally.victor_purpura())),
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(four))),
@@ -222,10 +222,10 @@ const LAYER_COLUMNS: [Column<LayerRow>; 8] = [
 
 /// Columns of the text after the first four of all, with the first difference of a layer.
 const TEXT_COLUMNS: [Column<LayerRow>; 3] = [
-    ("coincidence", |row| if silent(row) { "-".to_string() } else { three(row.comparison.tally.coincidence()) }),
+    ("coincidence", |row| if is_silent(row) { "-".to_string() } else { three(row.comparison.tally.coincidence()) }),
     ("potential rmse", |row| or_empty(row.comparison.tally.potential_rmse().map(three))),
     ("first parts at sample/step/neuron, who spikes", |row| match row.comparison.first_divergence {
-        _ if silent(row) => "silent".to_string(),
+        _ if is_silent(row) => "silent".to_string(),
         None => "nowhere".to_string(),
         Some(d) => format!("{}/{}/{} {}", d.sample, d.timestep, d.neuron, if d.a { "a" } else { "b" }),
     }),
@@ -238,9 +238,9 @@ const SHARE_COLUMNS: [Column<Share>; 8] = [
     ("forward", |share| four(share.forward)),
     ("reversed", |share| four(share.reversed)),
     ("without", |share| four(share.without.coincidence)),
-    ("classes agree", |share| or_empty(share.rung.class_agreement.map(four))),
-    ("coincidence", |share| four(share.rung.coincidence)),
-    ("potential rmse", |share| or_empty(share.rung.potential_rmse.map(four))),
+    ("classes agree", |share| or_empty(share.stage.class_agreement.map(four))),
+    ("coincidence", |share| four(share.stage.coincidence)),
+    ("potential rmse", |share| or_empty(share.stage.potential_rmse.map(four))),
 ];
 
 /// Columns of the causes in the text.
@@ -256,9 +256,9 @@ impl AgreeReport<'_> {
     fn share_json(share: &Share) -> Value {
         json!({
             "cause": share.cause.name(),
-            "class_agreement": share.rung.class_agreement.map(rounded),
-            "coincidence": rounded(share.rung.coincidence),
-            "potential_rmse": share.rung.potential_rmse.map(rounded),
+            "class_agreement": share.stage.class_agreement.map(rounded),
+            "coincidence": rounded(share.stage.coincidence),
+            "potential_rmse": share.stage.potential_rmse.map(rounded),
             "share": share.share.map(rounded),
             "forward": rounded(share.forward),
             "reversed": rounded(share.reversed),
@@ -380,10 +380,10 @@ impl AgreeReport<'_> {
     /// The result as text.
     pub fn text(&self) -> String {
         let on = self.target.map_or(String::new(), |target| format!(" of {target}"));
-        let a = if self.source.is_some() { "the conversion, real numbers" } else { in_words(self.against) };
+        let a = if self.source.is_some() { "the conversion, real numbers" } else { counterpart_text(self.against) };
         let mut out = wrapped(&match self.other {
             Some(other) => {
-                let (a, b) = (called((self.model, self.role)), called(other));
+                let (a, b) = (name_with_role((self.model, self.role)), name_with_role(other));
                 format!("{a} (a) and {b} as deployed on simulated cores{on} (b)")
             }
             None => format!("{} (a: {a}) and as deployed on simulated cores{on} (b)", self.model),
@@ -432,17 +432,17 @@ fn sentence(layer: &LayerLoss) -> String {
         return format!("'{name}' loses almost nothing ({disagreement:.4} of its coincidence).");
     }
     let most = match layer.worst() {
-        Some((cause, back)) => format!("most to {}; without, it loses {back:.3} less", cause.words()),
+        Some((cause, back)) => format!("most to {}; without, it loses {back:.3} less", cause.loss_text()),
         None => "to several causes together; removing any one restores little of it".to_string(),
     };
     format!("'{name}' loses {disagreement:.3} of its coincidence, {most}.")
 }
 
 /// Text on the losses of layers and classes, their causes, and the next command.
-pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
+pub(super) fn blame(attribution: &Attribution, next: Option<&Suggestion>) -> String {
     let mut out: String = attribution.layers.iter().map(|layer| wrapped(&sentence(layer))).collect();
     if let (Some((cause, back)), Some(now)) = (attribution.worst_of_classes(), attribution.machine.class_agreement) {
-        let words = cause.words();
+        let words = cause.loss_text();
         let samples = count(attribution.samples as u64, "sample");
         out += &wrapped(&format!("Classes agree in {now:.3} of {samples}, in {:.3} without {words}.", now + back));
     }
@@ -450,13 +450,13 @@ pub(super) fn blame(attribution: &Attribution, next: Option<&Next>) -> String {
     if let Some(remedy) = attribution.worst().filter(|_| lossy).and_then(Cause::remedy) {
         out += &wrapped(&format!("Remedy: {remedy}."));
     }
-    if let Some(Next { what, command, .. }) = next {
+    if let Some(Suggestion { what, command, .. }) = next {
         out += &format!("{}{}\n", wrapped(&format!("next: a command that {what}")), shell_lines(command));
     }
     out
 }
 
-pub(super) fn next_json(next: &Next) -> Value {
+pub(super) fn next_json(next: &Suggestion) -> Value {
     json!({ "cause": next.cause.map(Cause::name), "what": next.what, "command": next.command })
 }
 
@@ -476,25 +476,26 @@ pub(super) fn lost_json(layer: &LayerLoss) -> Value {
 /// without potentials.
 pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     let parted = layers.iter().filter_map(|row| {
-        let (divergence, around) = (row.comparison.first_divergence?, row.comparison.around.as_ref()?);
-        (!around.a.is_empty() && !around.b.is_empty()).then_some((row, divergence, around))
+        let (divergence, excerpt) = (row.comparison.first_divergence?, row.comparison.excerpt.as_ref()?);
+        (!excerpt.a.is_empty() && !excerpt.b.is_empty()).then_some((row, divergence, excerpt))
     });
-    let (row, divergence, around) = parted.min_by_key(|(_, divergence, _)| (divergence.sample, divergence.timestep))?;
+    let (row, divergence, excerpt) =
+        parted.min_by_key(|(_, divergence, _)| (divergence.sample, divergence.timestep))?;
     let line = |name: &str, numbers: &[f64]| {
-        let points = (around.from..).map(f64::from).zip(numbers.iter().copied());
+        let points = (excerpt.from..).map(f64::from).zip(numbers.iter().copied());
         Series::Line(name.to_string(), points.collect())
     };
-    let end = f64::from(around.from) + around.a.len().max(around.b.len()) as f64 - 1.0;
+    let end = f64::from(excerpt.from) + excerpt.a.len().max(excerpt.b.len()) as f64 - 1.0;
     let spikes = |name: &str, steps: &[u32], height: f64| {
         let points = steps.iter().map(|&step| (f64::from(step), height, String::new()));
         Series::Points(name.to_string(), points.collect())
     };
     let series = [
-        line("a", &around.a),
-        line("b", &around.b),
-        spikes("spikes of a", &around.spikes_a, 1.15),
-        spikes("spikes of b", &around.spikes_b, 1.25),
-        Series::Line("threshold".to_string(), vec![(around.from.into(), 1.0), (end, 1.0)]),
+        line("a", &excerpt.a),
+        line("b", &excerpt.b),
+        spikes("spikes of a", &excerpt.spikes_a, 1.15),
+        spikes("spikes of b", &excerpt.spikes_b, 1.25),
+        Series::Line("threshold".to_string(), vec![(excerpt.from.into(), 1.0), (end, 1.0)]),
     ];
     let title = format!(
         "{model}: '{}' neuron {}, sample {}, first difference in step {}",

@@ -20,12 +20,12 @@ pub struct ComparedTarget {
     /// The preset of constants.
     pub constants: String,
     /// Its cost, or the reasons for which it does not fit.
-    pub found: Result<Priced, Vec<Refused>>,
+    pub found: Result<TargetCost, Vec<RefusalReason>>,
 }
 
 /// A network on a target.
 #[derive(Debug, Clone)]
-pub struct Priced {
+pub struct TargetCost {
     /// Chips in use.
     pub chips_used: u64,
     /// Neuron cores in use.
@@ -36,7 +36,7 @@ pub struct Priced {
     /// `None` without intervals.
     pub intervals: Option<Intervals>,
     /// Notes on its constants, as `nsim energy` prints them.
-    pub of_constants: Vec<String>,
+    pub constant_notes: Vec<String>,
     /// Share of a step in which x86 cores feed it, 0..=1; `None` without them.
     pub x86_share: Option<f64>,
 }
@@ -53,16 +53,16 @@ pub enum Intervals {
 
 /// A reason for which a network does not fit its target.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
-pub struct Refused {
+pub struct RefusalReason {
     /// A stable name for scripts.
     pub code: String,
     /// The problem and its remedy.
     pub message: String,
 }
 
-impl From<&Reason> for Refused {
+impl From<&Reason> for RefusalReason {
     fn from(reason: &Reason) -> Self {
-        Refused { code: reason.code.to_string(), message: reason.to_string() }
+        RefusalReason { code: reason.code.to_string(), message: reason.to_string() }
     }
 }
 
@@ -148,7 +148,7 @@ pub fn text(found: &Comparison) -> String {
     for ComparedTarget { target, constants, found, .. } in &found.targets {
         match found {
             Ok(priced) => {
-                said.extend(priced.of_constants.iter().map(|why| wrapped(&format!("{target}: {why}"))));
+                said.extend(priced.constant_notes.iter().map(|why| wrapped(&format!("{target}: {why}"))));
                 let figure = |(key, _, figure, _): &Figure| {
                     figure(&priced.row).map_or("-".to_string(), |x| three(x * scale(key)))
                 };

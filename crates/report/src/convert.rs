@@ -7,10 +7,10 @@ use nsim_agree::attribution::Share;
 use nsim_files::table::{
     Column, count, csv_of, four, markdown_of, or_empty, rounded, table, table_of, three, with_rounded, wrapped,
 };
-use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, Tuned};
-use nsim_train::convert::job::{Done, Job, sentence};
-use nsim_train::convert::next::Next;
-use nsim_train::convert::staged::{LayerRow, Measured, StageRow};
+use nsim_train::convert::fine_tune::{FineTuneRow, FineTuned, TunedIntegers};
+use nsim_train::convert::job::{ConversionRun, Job, distance_text};
+use nsim_train::convert::next::Suggestion;
+use nsim_train::convert::staged::{LayerRow, MeasuredDistance, StageRow};
 
 /// Data of the report.
 #[derive(Debug)]
@@ -18,15 +18,15 @@ pub struct ConvertReport<'a> {
     /// The conversion job.
     pub job: &'a Job,
     /// Its result.
-    pub done: &'a Done,
+    pub done: &'a ConversionRun,
     /// Sources of the samples.
     pub input: &'a [String],
     /// Result of fine-tuning, if any.
-    pub tuned: Option<&'a Tuned>,
+    pub tuned: Option<&'a TunedIntegers>,
     /// The files that were written.
     pub files: &'a [String],
     /// The suggested next command.
-    pub next: Option<&'a Next>,
+    pub next: Option<&'a Suggestion>,
 }
 
 const STAGES: [Column<StageRow>; 7] = [
@@ -39,7 +39,7 @@ const STAGES: [Column<StageRow>; 7] = [
     ("potential rmse", |row| or_empty(row.distance.potential_rmse.map(four))),
 ];
 
-const LEFT: [Column<Share>; 4] = [
+const REMAINING: [Column<Share>; 4] = [
     ("real numbers in place of", |left| left.cause.name().to_string()),
     ("classes agree", |left| or_empty(left.without.class_agreement.map(four))),
     ("coincidence", |left| four(left.without.coincidence)),
@@ -59,7 +59,7 @@ const EPOCHS: [Column<FineTuneRow>; 3] = [
     ("loss", |row| four(row.score.loss)),
 ];
 
-fn measured(measured: &Measured) -> Value {
+fn measured(measured: &MeasuredDistance) -> Value {
     let layer =
         |(name, coincidence, _): &(String, Option<f64>, u64)| json!({ "name": name, "coincidence": coincidence });
     let mut object = json!(measured.distance);
@@ -70,7 +70,7 @@ fn measured(measured: &Measured) -> Value {
     object
 }
 
-fn tuned_json(tuned: &Tuned) -> Value {
+fn tuned_json(tuned: &TunedIntegers) -> Value {
     let FineTuned { kept, rows, samples, held_out, seed, fingerprint, .. } = &tuned.tuned;
     let (before, after) = tuned.tuned.scores();
     json!({
@@ -88,17 +88,18 @@ fn tuned_json(tuned: &Tuned) -> Value {
     })
 }
 
-fn tuned_text(tuned: &Tuned) -> String {
-    let mut out = format!("fine-tuning\n{}\n{}", table_of(&tuned.tuned.rows, &EPOCHS), wrapped(&tuned.sentence()));
+fn tuned_text(tuned: &TunedIntegers) -> String {
+    let mut out =
+        format!("fine-tuning\n{}\n{}", table_of(&tuned.tuned.rows, &EPOCHS), wrapped(&tuned.provenance_text()));
     if let Some(held) = &tuned.held_out {
-        out += &format!("on {} after it: {}\n", count(held.samples as u64, "held-out sample"), sentence(held));
+        out += &format!("on {} after it: {}\n", count(held.samples as u64, "held-out sample"), distance_text(held));
     }
     out
 }
 
 impl ConvertReport<'_> {
     /// Name of the network, and the number of calibration samples.
-    fn what(&self) -> String {
+    fn summary_text(&self) -> String {
         let samples = self.done.converted.calibration.samples;
         format!("{}, {}", self.job.graph.facts().name, count(samples as u64, "calibration sample"))
     }
@@ -140,19 +141,19 @@ impl ConvertReport<'_> {
     /// A section of a Markdown document.
     pub fn markdown(&self) -> String {
         let converted = &self.done.converted;
-        let mut out = format!("{}.\n\n{}", self.what(), markdown_of(&converted.stages, &STAGES));
+        let mut out = format!("{}.\n\n{}", self.summary_text(), markdown_of(&converted.stages, &STAGES));
         out += &format!(
             "\nLargest remaining gain, with real numbers instead of one kind of integer (with integers only, on the \
              same samples, {}):\n\n",
             four(converted.attribution.machine.coincidence)
         );
-        out += &markdown_of(&converted.left, &LEFT);
+        out += &markdown_of(&converted.left, &REMAINING);
         if let Some(held) = self.done.held_out.as_ref() {
-            out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), sentence(held));
+            out += &format!("\nOn {}: {}.\n", count(held.samples as u64, "held-out sample"), distance_text(held));
         }
         if let Some(tuned) = self.tuned {
             let epochs = markdown_of(&tuned.tuned.rows, &EPOCHS);
-            out += &format!("\nFine-tuning:\n\n{epochs}\nIt was {}.\n", tuned.sentence());
+            out += &format!("\nFine-tuning:\n\n{epochs}\nIt was {}.\n", tuned.provenance_text());
         }
         out
     }
@@ -160,9 +161,9 @@ impl ConvertReport<'_> {
     /// The result as text.
     pub fn text(&self) -> String {
         let converted = &self.done.converted;
-        let mut out = format!("{}\n", self.what());
+        let mut out = format!("{}\n", self.summary_text());
         if let Some(held) = self.done.held_out.as_ref() {
-            out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), sentence(held)));
+            out += &wrapped(&format!("on {}: {}", count(held.samples as u64, "held-out sample"), distance_text(held)));
         }
         let judged = self.done.held_out.as_ref().unwrap_or(&converted.calibration);
         if let Some((trained, integers)) = judged.accuracy {
@@ -174,7 +175,7 @@ impl ConvertReport<'_> {
                 three(trained),
                 three(integers),
                 count(judged.samples as u64, "sample"),
-                blamed.map_or(String::new(), |cause| format!("; the largest loss is due to {}", cause.words()))
+                blamed.map_or(String::new(), |cause| format!("; the largest loss is due to {}", cause.loss_text()))
             ));
         }
         // Stages are numbered and named after the table, since their names are too long for it.
@@ -199,7 +200,7 @@ impl ConvertReport<'_> {
                  reset; a target whose neurons subtract runs the network unchanged.",
             );
         }
-        out += &format!("\nremaining gain\n{}\n", table_of(&converted.left, &LEFT));
+        out += &format!("\nremaining gain\n{}\n", table_of(&converted.left, &REMAINING));
         if let Some(tuned) = self.tuned {
             out += &tuned_text(tuned);
         }

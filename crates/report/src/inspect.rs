@@ -59,15 +59,15 @@ pub fn number(x: f64) -> Value {
 }
 
 /// Text of a value: bare strings, lists as `[2, 3]`, `-` for null.
-fn shown(value: &Value) -> String {
+fn value_text(value: &Value) -> String {
     match value {
         Value::Null => "-".to_string(),
         Value::String(text) => text.clone(),
-        Value::Array(items) => format!("[{}]", items.iter().map(shown).collect::<Vec<_>>().join(", ")),
+        Value::Array(items) => format!("[{}]", items.iter().map(value_text).collect::<Vec<_>>().join(", ")),
         // A long real number has three digits.
         Value::Number(x) if x.is_f64() && x.to_string().len() > LONG => x.as_f64().map_or_else(String::new, three),
         Value::Object(fields) => {
-            fields.iter().map(|(name, value)| format!("{name} {}", shown(value))).collect::<Vec<_>>().join(", ")
+            fields.iter().map(|(name, value)| format!("{name} {}", value_text(value))).collect::<Vec<_>>().join(", ")
         }
         other => other.to_string(),
     }
@@ -80,7 +80,7 @@ impl Findings {
         let width = self.facts.iter().map(|(key, _)| key.len()).max().unwrap_or(0);
         // Notes on a chip are paragraphs and omitted here.
         for (key, value) in self.facts.iter().filter(|(key, value)| !value.is_null() && *key != "chip_notes") {
-            let value = wrapped_at(&shown(value), width + 4);
+            let value = wrapped_at(&value_text(value), width + 4);
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
         for part in self.tables.iter().filter(|part| part.rows_in_text > 0) {
@@ -88,7 +88,7 @@ impl Findings {
             let is_shown = |at: &usize| !["source", "preset"].contains(&part.columns[*at]);
             let columns: Vec<usize> = (0..part.columns.len()).filter(is_shown).collect();
             let header: Vec<&str> = columns.iter().map(|&at| part.columns[at]).collect();
-            let row = |row: &Vec<Value>| columns.iter().map(|&at| shown(&row[at])).collect();
+            let row = |row: &Vec<Value>| columns.iter().map(|&at| value_text(&row[at])).collect();
             let rows: Vec<Vec<String>> = part.rows.iter().take(part.rows_in_text).map(row).collect();
             let _ = write!(out, "\n{}\n{}", part.key, table(&header, &rows));
             if part.rows.len() > rows.len() || header.len() < part.columns.len() {
@@ -114,7 +114,7 @@ impl Findings {
 
     /// The first table; facts as key and value when there is none.
     pub fn csv(&self) -> String {
-        let cell = |value: &Value| if value.is_null() { String::new() } else { shown(value) };
+        let cell = |value: &Value| if value.is_null() { String::new() } else { value_text(value) };
         let header = |columns: &[&str]| columns.iter().map(ToString::to_string).collect();
         match self.tables.first() {
             Some(part) => csv_text(header(part.columns), part.rows.iter().map(|row| row.iter().map(cell).collect())),

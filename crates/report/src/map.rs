@@ -26,7 +26,7 @@ use nsim_ir::resource::{Limits, Resource};
 
 /// A request for a mapping, with its pruning, remedies, relays and candidates.
 #[derive(Debug, Clone, Copy)]
-pub struct Question<'a> {
+pub struct MapRequest<'a> {
     /// The model's name.
     pub model: &'a str,
     /// The target.
@@ -45,7 +45,7 @@ pub struct Question<'a> {
 
 /// Outcome of a request.
 #[derive(Debug, Clone, Copy)]
-pub enum Outcome<'a> {
+pub enum MapOutcome<'a> {
     /// It fits.
     Fits(&'a Mapping, Traffic, Score),
     /// It does not fit, for all of these reasons.
@@ -108,7 +108,7 @@ pub struct MapResult<'a> {
     #[serde(skip)]
     board: &'a Target,
     #[serde(skip)]
-    outcome: Outcome<'a>,
+    outcome: MapOutcome<'a>,
 }
 
 /// Use of a core, also of limits that few chips have: stored synapses, and pools by name.
@@ -164,11 +164,11 @@ fn object<S: Serializer>(pairs: &[(&str, impl Serialize)], serializer: S) -> Res
 
 impl<'a> MapResult<'a> {
     /// The result of a request and its outcome.
-    pub fn new(question: Question<'a>, outcome: Outcome<'a>) -> Self {
-        let Question { model, target, options, pruned, remedies, relays, found } = question;
+    pub fn new(request: MapRequest<'a>, outcome: MapOutcome<'a>) -> Self {
+        let MapRequest { model, target, options, pruned, remedies, relays, found } = request;
         let (mapping, traffic, expected, reasons) = match outcome {
-            Outcome::Fits(mapping, traffic, score) => (Some(mapping), Some(traffic), Some(score), &[][..]),
-            Outcome::DoesNotFit(reasons) => (None, None, None, reasons),
+            MapOutcome::Fits(mapping, traffic, score) => (Some(mapping), Some(traffic), Some(score), &[][..]),
+            MapOutcome::DoesNotFit(reasons) => (None, None, None, reasons),
         };
         let per_copy = |mapping: &Mapping| mapping.partition.cores() as f64 / f64::from(mapping.options.copies);
         let sought = if options.place { place::ANNEALED } else { place::SEQUENTIAL };
@@ -240,7 +240,7 @@ impl<'a> MapResult<'a> {
         let (cores, chips) = (count(self.board.cores(), "core"), count(self.board.chips(), "chip"));
         let mut text = String::new();
         match self.outcome {
-            Outcome::DoesNotFit(reasons) => {
+            MapOutcome::DoesNotFit(reasons) => {
                 text += &wrapped(&format!("{model}, {copies}, does not fit {target}, {cores} on {chips}:"));
                 text += &listed(reasons);
                 if !self.remedies.is_empty() {
@@ -264,7 +264,7 @@ impl<'a> MapResult<'a> {
                     text += &pruned_table(pruned);
                 }
             }
-            Outcome::Fits(compiled, traffic, score) => {
+            MapOutcome::Fits(compiled, traffic, score) => {
                 text += &wrapped(&format!(
                     "{model} fits {target}: {copies} on {} of {cores}, on {} of {chips}; checked.",
                     compiled.partition.cores(),
@@ -436,9 +436,9 @@ mod tests {
          cores_used,chips_used,cores_per_copy,checked,checked_how,checked_share,described,cores,limits,\
          traffic,expected,seconds,reasons,remedies,pareto";
 
-    fn fits_with<'a>(mapping: &'a Mapping, board: &Target) -> Outcome<'a> {
+    fn fits_with<'a>(mapping: &'a Mapping, board: &Target) -> MapOutcome<'a> {
         let traffic = mapping.traffic();
-        Outcome::Fits(mapping, traffic, mapping.score(&traffic, board).unwrap())
+        MapOutcome::Fits(mapping, traffic, mapping.score(&traffic, board).unwrap())
     }
 
     fn mapped(network: Quantised, board: &Target, options: &Options) -> Result<Mapping, CompileError> {
@@ -454,9 +454,9 @@ mod tests {
         let options = Options { copies: 3, placement: CopyPlacement::Packed, ..Options::default() };
         let board = target(2, 1, limits());
         let (pruned, remedies, relays, found) = (&[], &[], None, &[]);
-        let question = Question { model: "slip", target: &board, options: &options, pruned, remedies, relays, found };
+        let request = MapRequest { model: "slip", target: &board, options: &options, pruned, remedies, relays, found };
         let compiled = mapped(slip(3150), &board, &options).unwrap();
-        let result = MapResult::new(question, fits_with(&compiled, &board));
+        let result = MapResult::new(request, fits_with(&compiled, &board));
         let fits = json!(result);
         assert_eq!(keys(&fits), KEYS);
         assert_eq!(
@@ -479,9 +479,9 @@ mod tests {
         assert!(spoken.starts_with("slip fits") && spoken.contains(" 3 copies on 3 of "), "{spoken}");
 
         let small = target(1, 1, limits().with(Resource::AxonsIn, 1000));
-        let question = Question { target: &small, ..question };
+        let request = MapRequest { target: &small, ..request };
         let Err(CompileError::DoesNotFit(reasons)) = mapped(slip(3150), &small, &options) else { panic!() };
-        let result = MapResult::new(question, Outcome::DoesNotFit(&reasons));
+        let result = MapResult::new(request, MapOutcome::DoesNotFit(&reasons));
         let refused = json!(result);
         assert_eq!(keys(&refused), KEYS);
         assert_eq!((&refused["fits"], &refused["cores_used"]), (&json!(false), &Value::Null));

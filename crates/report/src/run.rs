@@ -49,7 +49,7 @@ pub struct RunReport<'a> {
 }
 
 /// The object of `nsim.run/1` for a network that did not run.
-pub fn nothing(engine: &str) -> Value {
+pub fn empty_result(engine: &str) -> Value {
     json!({
         "schema": "nsim.run/1", "model": null, "target": null, "engine": engine, "fits": false, "reasons": [],
         "samples": 0, "timesteps": 0, "predicted": [], "decision": null, "undecided": 0, "labels": null, "accuracy": null, "output_counts": [],

@@ -4,8 +4,8 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use nsim_files::table::{Column, csv, table_of, wrapped};
-use nsim_scene::markers::Annotated;
-use nsim_scene::wire::Carried;
+use nsim_scene::markers::MarkerOnsets;
+use nsim_scene::wire::WireCounts;
 
 /// Statistics of the samples of one class.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -52,7 +52,7 @@ pub struct ByMarkers {
 
 impl ByMarkers {
     /// Onsets of samples; `None` without a lift.
-    pub fn new(samples: &[Annotated]) -> Option<Self> {
+    pub fn new(samples: &[MarkerOnsets]) -> Option<Self> {
         let median = |times: &mut Vec<f64>| {
             times.sort_by(f64::total_cmp);
             times.get(times.len() / 2).copied()
@@ -85,7 +85,7 @@ pub struct SceneReport {
     /// Classes, by label.
     pub classes: Vec<ClassSummary>,
     /// Counts of events on the taxels' common wire, if there is one.
-    pub wire: Option<Carried>,
+    pub wire: Option<WireCounts>,
     /// Path of the manifest, when recordings were written.
     pub manifest: Option<String>,
 }

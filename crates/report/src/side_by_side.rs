@@ -6,14 +6,14 @@
 
 use serde_json::{Value, json};
 
-use super::agree::{layer_json, silent};
+use super::agree::{is_silent, layer_json};
 use crate::origin;
 use nsim_agree::compare::{Agreement, LayerRow};
 use nsim_files::table::{Column, count, csv_of, four, or_empty, table_of, wrapped};
 
 /// A network and its agreement with the trained one.
 #[derive(Debug)]
-pub struct Compared {
+pub struct ComparedNetwork {
     /// Its file.
     pub against: String,
     /// Its name.
@@ -24,7 +24,7 @@ pub struct Compared {
     pub agreement: Agreement,
 }
 
-impl Compared {
+impl ComparedNetwork {
     fn class_agreement(&self) -> Option<f64> {
         self.agreement.classes.and_then(|classes| classes.agreement())
     }
@@ -46,14 +46,14 @@ pub struct SideBySideReport<'a> {
     /// Number of samples.
     pub samples: usize,
     /// The other networks, in the order of the command.
-    pub networks: Vec<Compared>,
+    pub networks: Vec<ComparedNetwork>,
 }
 
 /// A layer of the trained network, or of a network that is compared with it.
 struct Row<'a> {
     against: &'a str,
     accuracy: Option<f64>,
-    compared: Option<&'a Compared>,
+    compared: Option<&'a ComparedNetwork>,
     layer: &'a LayerRow,
 }
 
@@ -61,7 +61,7 @@ impl Row<'_> {
     fn figure(&self, of: fn(&LayerRow) -> f64) -> String {
         match self.compared {
             None => String::new(),
-            Some(_) if silent(self.layer) => "nothing to compare".to_string(),
+            Some(_) if is_silent(self.layer) => "nothing to compare".to_string(),
             Some(_) => four(of(self.layer)),
         }
     }
@@ -71,8 +71,8 @@ fn columns<'a>() -> [Column<Row<'a>>; 10] {
     [
         ("network", |row| row.against.to_string()),
         ("accuracy", |row| or_empty(row.accuracy.map(four))),
-        ("classes agree", |row| or_empty(row.compared.and_then(Compared::class_agreement).map(four))),
-        ("of samples", |row| or_empty(row.compared.and_then(Compared::compared))),
+        ("classes agree", |row| or_empty(row.compared.and_then(ComparedNetwork::class_agreement).map(four))),
+        ("of samples", |row| or_empty(row.compared.and_then(ComparedNetwork::compared))),
         ("layer", |row| row.layer.name.clone()),
         ("spikes", |row| {
             let tally = &row.layer.comparison.tally;
@@ -90,7 +90,7 @@ fn columns<'a>() -> [Column<Row<'a>>; 10] {
 impl SideBySideReport<'_> {
     /// The least share of samples of the same class.
     pub fn class_agreement(&self) -> Option<f64> {
-        let each = self.networks.iter().map(Compared::class_agreement);
+        let each = self.networks.iter().map(ComparedNetwork::class_agreement);
         each.collect::<Option<Vec<f64>>>()?.into_iter().reduce(f64::min)
     }
 
@@ -141,7 +141,7 @@ impl SideBySideReport<'_> {
             "input": self.input,
             "seed": self.seed,
             "samples": self.samples,
-            "compared": self.networks.iter().map(Compared::compared).min().flatten(),
+            "compared": self.networks.iter().map(ComparedNetwork::compared).min().flatten(),
             "class_agreement": self.class_agreement(),
             "networks": networks.collect::<Vec<_>>(),
             "layers": layers.collect::<Vec<_>>(),

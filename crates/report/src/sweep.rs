@@ -15,22 +15,22 @@ use nsim_study::sweep::table::Table;
 use nsim_study::sweep::variants::FIGURES;
 
 /// Name of a column without its unit, and the unit, if the name ends in one.
-fn figure(column: &str) -> (&str, Option<&str>) {
+fn name_and_unit(column: &str) -> (&str, Option<&str>) {
     let units = [("_uj", "uJ"), ("_us", "us"), ("_mw", "mW"), ("_pjs", "pJ s")];
     let found = units.into_iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, Some(unit))));
     found.unwrap_or((column, None))
 }
 
 /// Name of a column in a title.
-fn spoken(column: &str) -> String {
-    figure(column).0.replace('_', " ")
+fn title_text(column: &str) -> String {
+    name_and_unit(column).0.replace('_', " ")
 }
 
 /// Label of a column's axis; energies and times are per timestep.
 fn label(column: &str) -> String {
-    match (column, figure(column)) {
+    match (column, name_and_unit(column)) {
         ("energy_uj" | "latency_us", (name, Some(unit))) => format!("{name} ({unit} a timestep)"),
-        (_, (_, Some(unit))) => format!("{} ({unit})", spoken(column)),
+        (_, (_, Some(unit))) => format!("{} ({unit})", title_text(column)),
         _ => column.to_string(),
     }
 }
@@ -127,7 +127,7 @@ pub fn svg(table: &Table<'_>, [x, y]: [&str; 2]) -> Result<String> {
     if points.is_empty() {
         return Err(Diagnostic::new("sweep.column", format!("no row has numbers in both columns {x} and {y}")));
     }
-    let title = format!("{} over {}", spoken(y), spoken(x));
+    let title = format!("{} over {}", title_text(y), title_text(x));
     let intervals = if y == "accuracy" { intervals(table, x)? } else { Vec::new() };
     let mut series = match table.front {
         Some(_) => plot::front_series(points.into_iter()),

@@ -19,7 +19,7 @@ use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{Recording, Seen, Senses};
+use super::recording::{CameraSpikes, Recording, Senses};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout, press, shift_mm};
 use super::wire::Wire;
 use nsim_ir::base::diagnostic::Result;
@@ -155,7 +155,7 @@ pub fn classes() -> Vec<String> {
 
 /// Parameters of one sample's grasp.
 #[derive(Debug, Clone)]
-struct Course {
+struct GraspPlan {
     container: Container,
     fill: f64,
     mass_kg: f64,
@@ -175,7 +175,7 @@ struct Course {
 
 /// The grasp at one moment.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Moment {
+struct GraspMoment {
     grip_n: f64,
     load_n: f64,
     /// Gap between the fingers, mm.
@@ -198,8 +198,8 @@ const ARM_N_PER_M: f64 = 2_500.0;
 /// Opening of the gripper, mm (Robotiq 2F-140).
 const OPENING_MM: f64 = 140.0;
 
-impl Course {
-    fn at(&self, t: f64) -> Moment {
+impl GraspPlan {
+    fn at(&self, t: f64) -> GraspMoment {
         let closed = 2e3 * self.closing_m_per_s * (t - self.closing_s).max(0.0);
         let press = self.closing_m_per_s * (t - self.contact_s).max(0.0);
         let grip_n = (self.stiffness * press).min(self.grip_n);
@@ -222,7 +222,7 @@ impl Course {
         let moving = if (0.0..2.0).contains(&since) { 0.5 } else { 0.0 };
         let shaking = (rings(t - self.contact_s) + rings(since)).max(moving).min(1.0);
         let tone = self.tones.iter().map(|&(hz, phase)| 0.5 * libm::sin(TAU * hz * t + phase)).sum();
-        Moment {
+        GraspMoment {
             grip_n,
             load_n,
             gap_mm: (OPENING_MM - closed).max(self.container.width_mm - 2.0 * dent_mm),
@@ -242,7 +242,7 @@ impl Containers {
         let label = label(self.seed, sample);
         let course = self.course(draws, label);
         let ticks = STEPS * BIN_MS / TICK_MS;
-        let moments: Vec<Moment> = (0..ticks).map(|k| course.at(1e-3 * f64::from(k * TICK_MS))).collect();
+        let moments: Vec<GraspMoment> = (0..ticks).map(|k| course.at(1e-3 * f64::from(k * TICK_MS))).collect();
         let sensed = if senses.touch { self.touch(&course, &moments, draws) } else { Vec::new() };
         // An event is sent in a random millisecond of its tick.
         let spread = |tick: u32, channel| draws.bits(Purpose::Wire, channel + (1 << 19), tick) as u32 % TICK_MS;
@@ -250,17 +250,17 @@ impl Containers {
             None => (sensed, None),
             Some(_) => {
                 let sent = sensed.into_iter().map(|(tick, channel)| (tick * TICK_MS + spread(tick, channel), channel));
-                let (decoded, wire) = Wire::between(self.wire, sent.collect(), ticks * TICK_MS, draws);
+                let (decoded, wire) = Wire::transmit_over(self.wire, sent.collect(), ticks * TICK_MS, draws);
                 (decoded.into_iter().map(|(ms, channel)| (ms / TICK_MS, channel)).collect(), wire)
             }
         };
         let seen = senses.vision.then(|| self.vision(&course, &moments, draws));
-        let Seen { units, planes } = seen.unwrap_or_default();
+        let CameraSpikes { units, planes } = seen.unwrap_or_default();
         Recording {
             steps: STEPS,
             label,
             onset_ms: Some(1e3 * course.contact_s),
-            annotated: None,
+            marker_onsets: None,
             touch: binned(&touch, self.s_min),
             vision: binned(&units, self.s_min),
             vision_planes: binned(&planes, self.s_min),
@@ -268,7 +268,7 @@ impl Containers {
         }
     }
 
-    fn course(&self, draws: Draws, label: u32) -> Course {
+    fn course(&self, draws: Draws, label: u32) -> GraspPlan {
         let draw = |index, range| draws.between(Purpose::Grasp, index, range);
         let container = CONTAINERS[(label / LEVELS) as usize];
         let level = f64::from(label % LEVELS) / f64::from(LEVELS - 1);
@@ -277,7 +277,7 @@ impl Containers {
         let (closing_s, closing_m_per_s) = (draw(2, self.closing_s), draw(3, self.closing_m_per_s));
         let contact_s = closing_s + 0.5e-3 * (OPENING_MM - container.width_mm) / closing_m_per_s;
         let tone = |k| (draws.between(Purpose::Arm, k, (4.0, 14.0)), draws.between(Purpose::Arm, k + 1, (0.0, TAU)));
-        Course {
+        GraspPlan {
             container,
             fill,
             mass_kg: container.empty_kg + fill * container.fill_kg,
@@ -301,7 +301,7 @@ impl Containers {
     }
 
     /// (tick, channel) of the taxels' events.
-    fn touch(&self, course: &Course, moments: &[Moment], draws: Draws) -> Vec<(u32, u32)> {
+    fn touch(&self, course: &GraspPlan, moments: &[GraspMoment], draws: Draws) -> Vec<(u32, u32)> {
         let places = layout();
         let mut taxels = Taxels::new(&self.skin, draws, 2 * TAXELS);
         let centre = |k| draws.between(Purpose::Grasp, k, (-0.5, 0.5));
@@ -318,13 +318,13 @@ impl Containers {
     }
 
     /// The pooled camera's spikes, by tick.
-    fn vision(&self, course: &Course, moments: &[Moment], draws: Draws) -> Seen {
+    fn vision(&self, course: &GraspPlan, moments: &[GraspMoment], draws: Draws) -> CameraSpikes {
         let offset = draws.between(Purpose::Grasp, 20, self.grasp_mm);
-        let picture = |moment: &Moment| Picture::new(course, moment, offset);
+        let picture = |moment: &GraspMoment| Picture::new(course, moment, offset);
         let rest = picture(&moments[0]);
         let mut camera = Camera::new(&self.pixels, draws);
         let (mut near, mut shown) = (Vec::new(), rest);
-        let mut seen = Seen::default();
+        let mut seen = CameraSpikes::default();
         for (tick, moment) in moments.iter().enumerate() {
             let now = picture(moment);
             near.clear();
@@ -363,12 +363,12 @@ struct Picture {
 
 /// Fraction of a pixel that lies past an edge, 0..=1.
 #[inline]
-fn past(place: f32, edge: f32) -> f32 {
+fn fraction_past(place: f32, edge: f32) -> f32 {
     (place - edge + 0.5).clamp(0.0, 1.0)
 }
 
 impl Picture {
-    fn new(course: &Course, moment: &Moment, offset_mm: f64) -> Picture {
+    fn new(course: &GraspPlan, moment: &GraspMoment, offset_mm: f64) -> Picture {
         let px = |mm: f64| (mm / PIXEL_MM) as f32;
         let (middle, grasp) = (100.0f32, 120.0f32);
         // The camera is mounted on the arm. So the table and a standing container shake in the
@@ -397,15 +397,17 @@ impl Picture {
     fn at(&self, x: usize, y: usize) -> f32 {
         let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
         let [left, right, top, bottom] = self.body;
-        let mut seen = -0.5 * past(y, self.table);
-        let inside = (past(x, left) - past(x, right)) * (past(y, top) - past(y, bottom));
+        let mut seen = -0.5 * fraction_past(y, self.table);
+        let inside =
+            (fraction_past(x, left) - fraction_past(x, right)) * (fraction_past(y, top) - fraction_past(y, bottom));
         if inside > 0.0 {
-            let wall = 0.5 + self.label.0 * (past(y, self.label.1) - past(y, self.label.2))
-                - self.level.0 * past(y, self.level.1);
+            let wall = 0.5 + self.label.0 * (fraction_past(y, self.label.1) - fraction_past(y, self.label.2))
+                - self.level.0 * fraction_past(y, self.level.1);
             seen += (wall - seen) * inside;
         }
         let [inner_left, inner_right, upper, lower] = self.fingers;
-        let finger = (1.0 - past(x, inner_left) + past(x, inner_right)) * (past(y, upper) - past(y, lower));
+        let finger = (1.0 - fraction_past(x, inner_left) + fraction_past(x, inner_right))
+            * (fraction_past(y, upper) - fraction_past(y, lower));
         seen + (-0.9 - seen) * finger
     }
 

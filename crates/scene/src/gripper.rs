@@ -17,7 +17,7 @@ pub const GRAVITY: f64 = 9.81;
 /// Width and height of the box, m.
 pub const SIZE_M: (f64, f64) = (0.096, 0.0576);
 /// Ratio of kinetic to static friction.
-pub const KINETIC_PART: f64 = 0.85;
+pub const KINETIC_RATIO: f64 = 0.85;
 /// Radius of each contact, m.
 pub const CONTACT_M: f64 = 7e-3;
 /// Stiffness of both skins against vertical load, N/m.
@@ -117,7 +117,7 @@ pub struct Motion {
 
 impl Motion {
     /// The states within the recording.
-    pub fn recorded(&self) -> &[GraspState] {
+    pub fn recorded_states(&self) -> &[GraspState] {
         &self.states[self.before_ms as usize..]
     }
 }
@@ -125,7 +125,7 @@ impl Motion {
 /// Simulates a grasp from `before_ms` before the recording to its end.
 ///
 /// Semi-implicit Euler steps of 0.25 ms: twist resonates below 20 Hz, hundreds of steps a period.
-pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
+pub fn simulate_grasp(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
     let dt = 1e-3 / f64::from(SUBSTEPS);
     let weight = grasp.mass_kg * GRAVITY;
     let (inertia, stiffness) = (grasp.inertia(), TWIST_NM_PER_RAD);
@@ -143,7 +143,7 @@ pub fn follow(grasp: &Grasp, before_ms: u32, recorded_ms: u32) -> Motion {
             let gravity = load * grasp.offset_m * libm::cos(angle);
             let elastic = stiffness * (angle - anchor);
             let holds = torque_limit(grasp.static_friction, grip, load);
-            let slides = torque_limit(grasp.static_friction * KINETIC_PART, grip, load);
+            let slides = torque_limit(grasp.static_friction * KINETIC_RATIO, grip, load);
             let before = rate;
             let friction = if sliding {
                 // Friction opposes the motion; the skin keeps the twist of this torque.
@@ -205,7 +205,7 @@ mod tests {
         // any speed of the lift.
         for ratio in [0.0, 0.1, 0.3, 0.49] {
             let grasp = grasp(ratio);
-            let motion = follow(&grasp, 250, 600);
+            let motion = simulate_grasp(&grasp, 250, 600);
             assert_eq!(motion.onset_ms, None, "{ratio}");
             // It stops where the twist of the skin bears the torque of gravity.
             let last = motion.states.last().unwrap();
@@ -219,9 +219,9 @@ mod tests {
     fn beyond_the_limit_it_slides_faster_the_larger_the_torque_and_never_back() {
         let mut last = (f64::INFINITY, 0.0);
         for ratio in [1.1, 1.3, 1.6, 2.0, 3.0] {
-            let motion = follow(&grasp(ratio), 250, 150);
+            let motion = simulate_grasp(&grasp(ratio), 250, 150);
             let onset = motion.onset_ms.unwrap();
-            let states = motion.recorded();
+            let states = motion.recorded_states();
             assert!(onset > 5.0 && onset < last.0, "{ratio}: {onset} after {}", last.0);
             assert!(states[149].angle_rad > last.1);
             let sliding = &states[onset.ceil() as usize..];
@@ -236,7 +236,7 @@ mod tests {
     fn a_mirrored_grasp_mirrors_its_motion() {
         let (right, mut left) = (grasp(1.5), grasp(1.5));
         left.offset_m = -left.offset_m;
-        let (right, left) = (follow(&right, 250, 150), follow(&left, 250, 150));
+        let (right, left) = (simulate_grasp(&right, 250, 150), simulate_grasp(&left, 250, 150));
         assert_eq!(right.onset_ms, left.onset_ms);
         assert!(right.states.iter().zip(&left.states).all(|(r, l)| r.angle_rad == -l.angle_rad));
     }
@@ -245,10 +245,10 @@ mod tests {
     fn energy_is_only_lost() {
         for ratio in [0.4, 1.5, 2.5] {
             let grasp = grasp(ratio);
-            let motion = follow(&grasp, 250, 150);
+            let motion = simulate_grasp(&grasp, 250, 150);
             // Once the whole weight hangs, gravity's potential is a function of the angle alone.
             let weight = grasp.mass_kg * GRAVITY;
-            let hanging = motion.recorded().iter().filter(|state| state.load_n == weight);
+            let hanging = motion.recorded_states().iter().filter(|state| state.load_n == weight);
             let energy = hanging.map(|state| {
                 let twist = state.friction_nm / TWIST_NM_PER_RAD;
                 0.5 * grasp.inertia() * state.rate_rad_per_s * state.rate_rad_per_s

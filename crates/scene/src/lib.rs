@@ -36,13 +36,13 @@ pub const SCENES: [&str; 4] = [clock::NAME, "container", "noise", "slip"];
 pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
     match scene.name.as_str() {
         "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?),
-        _ => recorded(network, &Recorded::parse(scene)?),
+        _ => recorded_stimulus(network, &RecordedScene::parse(scene)?),
     }
 }
 
 /// A scene that fingers and a camera record, with its parameters.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Recorded {
+pub struct RecordedScene {
     /// The scene's name.
     pub name: &'static str,
     /// Number of requested samples.
@@ -66,7 +66,7 @@ enum Scene {
     Container(container::Containers),
 }
 
-impl Recorded {
+impl RecordedScene {
     /// Reads `scene:NAME?..`.
     ///
     /// # Errors
@@ -76,7 +76,7 @@ impl Recorded {
         match scene.name.as_str() {
             "slip" => {
                 let set = slip::Slip::parse(scene)?;
-                Ok(Recorded {
+                Ok(RecordedScene {
                     name: "slip",
                     samples: set.samples,
                     seed: set.seed,
@@ -88,7 +88,7 @@ impl Recorded {
             }
             "container" => {
                 let set = container::Containers::parse(scene)?;
-                Ok(Recorded {
+                Ok(RecordedScene {
                     name: "container",
                     samples: set.samples,
                     seed: set.seed,
@@ -124,7 +124,7 @@ impl Recorded {
 }
 
 /// The recordings of a scene on the channels of a network's input populations.
-fn recorded(network: &Quantised, scene: &Recorded) -> Result<Stimulus> {
+fn recorded_stimulus(network: &Quantised, scene: &RecordedScene) -> Result<Stimulus> {
     let name = scene.name;
     // First channel of touch and of vision, where the network has them.
     let senses = [TOUCH, VISION, VISION_PLANES];
@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn a_sense_records_the_same_where_the_other_is_not_read() {
         for scene in ["slip?seed=4", "container?seed=4"] {
-            let scene = Recorded::parse(&SceneArg::parse(scene).unwrap()).unwrap();
+            let scene = RecordedScene::parse(&SceneArg::parse(scene).unwrap()).unwrap();
             for sample in 0..3 {
                 let both = scene.recording(sample, Senses::BOTH);
                 let touch = scene.recording(sample, Senses { vision: false, ..Senses::BOTH });

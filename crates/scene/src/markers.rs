@@ -10,9 +10,9 @@ use super::gripper::Motion;
 /// Frames a second (OptiTrack; "for 1 second" and 120 frames, section VI and appendix).
 const FRAMES_PER_S: f64 = 120.0;
 /// Frames without motion, before the recording.
-const REST: u32 = 120;
+const REST_FRAMES: u32 = 120;
 /// Fraction of these frames that a value must exceed.
-const PART: f64 = 0.98;
+const EXCEEDED_FRACTION: f64 = 0.98;
 /// Standard deviation of a marker's height, mm; assumed, as such trackers promise at 1 to 2 m.
 const HEIGHT_MM: f64 = 0.1;
 /// Standard deviation of orientation, rad; assumed: the above over 5 cm between markers.
@@ -20,7 +20,7 @@ const ORIENTATION_RAD: f64 = 0.002;
 
 /// Times of lift and turn, ms from the start of the recording.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Annotated {
+pub struct MarkerOnsets {
     /// The arm lifts.
     pub lift_ms: Option<f64>,
     /// The box turns.
@@ -31,17 +31,17 @@ pub struct Annotated {
 fn onset(rest: &[f64], frames: &[f64]) -> Option<usize> {
     let exceeds = |&figure: &f64| {
         let below = rest.iter().filter(|&&at_rest| figure > at_rest).count();
-        below as f64 / rest.len() as f64 > PART
+        below as f64 / rest.len() as f64 > EXCEEDED_FRACTION
     };
     let first = frames.iter().rposition(|figure| !exceeds(figure)).map_or(0, |last| last + 1);
     (first < frames.len()).then_some(first)
 }
 
-impl Annotated {
+impl MarkerOnsets {
     /// Applies the rule to a motion, whose frames begin at a random time in the first 1/120 s.
     pub fn new(motion: &Motion, draws: Draws) -> Self {
         let noise = |index: u32, frame: u32| draws.normal(Purpose::Marker, index, frame);
-        let states = motion.recorded();
+        let states = motion.recorded_states();
         let begin_ms = 1e3 / FRAMES_PER_S * draws.unit(Purpose::Marker, 2, 0);
         let time_ms = |frame: usize| begin_ms + 1e3 / FRAMES_PER_S * frame as f64;
         let at = |frame: usize| states.get(time_ms(frame) as usize);
@@ -49,11 +49,11 @@ impl Annotated {
         let height = |lift_m: f64, frame: u32| 1e3 * lift_m + HEIGHT_MM * noise(0, frame);
         // The angle between two orientations has no sign.
         let angle = |turned: f64, frame: u32| (turned - still + ORIENTATION_RAD * noise(1, frame)).abs();
-        let frames = || (0..).map_while(|frame| Some((REST + frame as u32, at(frame)?)));
+        let frames = || (0..).map_while(|frame| Some((REST_FRAMES + frame as u32, at(frame)?)));
         let heights: Vec<f64> = frames().map(|(frame, state)| height(state.lift_m, frame)).collect();
         let angles: Vec<f64> = frames().map(|(frame, state)| angle(state.angle_rad, frame)).collect();
-        let rest = |figure: &dyn Fn(u32) -> f64| (0..REST).map(figure).collect::<Vec<_>>();
-        Annotated {
+        let rest = |figure: &dyn Fn(u32) -> f64| (0..REST_FRAMES).map(figure).collect::<Vec<_>>();
+        MarkerOnsets {
             lift_ms: onset(&rest(&|frame| height(0.0, frame)), &heights).map(time_ms),
             turn_ms: onset(&rest(&|frame| angle(still, frame)), &angles).map(time_ms),
         }
@@ -81,7 +81,7 @@ mod tests {
         let mut after = Vec::new();
         for sample in 0..slip.samples {
             let (grasp, motion) = slip.course(sample);
-            let found = Annotated::new(&motion, Draws::new(slip.seed, sample));
+            let found = MarkerOnsets::new(&motion, Draws::new(slip.seed, sample));
             let lift_ms = found.lift_ms.unwrap();
             // The arm takes some ms to exceed the markers' resolution. Noise may be above 98 % in
             // up to two frames before, 17 ms.

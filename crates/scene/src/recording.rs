@@ -1,9 +1,9 @@
 //! Recording of a scene: one sample of touch and vision.
 
 use super::camera::{POOLED, Polarities};
-use super::markers::Annotated;
+use super::markers::MarkerOnsets;
 use super::touch::TAXELS;
-use super::wire::Carried;
+use super::wire::WireCounts;
 
 /// The most samples of a scene.
 pub const MOST_SAMPLES: u32 = 100_000;
@@ -33,7 +33,7 @@ pub struct Recording {
     /// Time of sliding or of contact, ms; none when it does not happen.
     pub onset_ms: Option<f64>,
     /// Times of lift and turn by the paper's marker rule, if markers are tracked.
-    pub annotated: Option<Annotated>,
+    pub marker_onsets: Option<MarkerOnsets>,
     /// (step, channel) of touch; channel = (39 finger + taxel) 2 + polarity, polarity 1 for a rise.
     pub touch: Vec<(u32, u32)>,
     /// (step, channel) of vision; channel = row 50 + column of 63 rows and 50 columns.
@@ -41,7 +41,7 @@ pub struct Recording {
     /// By polarity: channel = 3,150 polarity + row 50 + column, polarity 1 for a rise.
     pub vision_planes: Vec<(u32, u32)>,
     /// Counts of touch events on the taxels' common wire, if there is one.
-    pub wire: Option<Carried>,
+    pub wire: Option<WireCounts>,
 }
 
 /// Name of the touch population, and its number of channels.
@@ -53,14 +53,14 @@ pub const VISION_PLANES: (&str, u32) = ("vision", 2 * POOLED as u32);
 
 /// Spikes of a camera, with both polarities merged and in planes.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub(super) struct Seen {
+pub(super) struct CameraSpikes {
     /// (step, unit), ascending within a step.
     pub units: Vec<(u32, u32)>,
     /// (step, channel of its plane).
     pub planes: Vec<(u32, u32)>,
 }
 
-impl Seen {
+impl CameraSpikes {
     /// Adds a unit's spike in a step.
     pub fn add(&mut self, step: u32, unit: u32, polarities: Polarities) {
         self.units.push((step, unit));

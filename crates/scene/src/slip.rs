@@ -16,12 +16,12 @@ use std::f64::consts::TAU;
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::{
-    CONTACT_M, GRAVITY, Grasp, GraspState, KINETIC_PART, Motion, SHEAR_N_PER_M, SIZE_M, TWIST_NM_PER_RAD, follow,
-    torque_limit,
+    CONTACT_M, GRAVITY, Grasp, GraspState, KINETIC_RATIO, Motion, SHEAR_N_PER_M, SIZE_M, TWIST_NM_PER_RAD,
+    simulate_grasp, torque_limit,
 };
-use super::markers::Annotated;
+use super::markers::MarkerOnsets;
 use super::parameter::{parameter, parameters, spread, unknown};
-use super::recording::{Recording, Seen, Senses};
+use super::recording::{CameraSpikes, Recording, Senses};
 use super::touch::{Skin, TAXELS, Taxels, hertz, layout, press, shift_mm};
 use super::wire::Wire;
 use nsim_ir::base::diagnostic::Result;
@@ -77,15 +77,15 @@ impl Slip {
         let draws = Draws::new(self.seed, sample);
         let vibration = Vibration::draw(self, draws);
         let sensed = if senses.touch { touch(self, &grasp, &motion, vibration, draws) } else { Vec::new() };
-        let (touch, wire) = Wire::between(self.wire, sensed, STEPS, draws);
+        let (touch, wire) = Wire::transmit_over(self.wire, sensed, STEPS, draws);
         let seen = senses.vision.then(|| vision(self, &grasp, &motion, vibration, draws));
-        let Seen { units, mut planes } = seen.unwrap_or_default();
+        let CameraSpikes { units, mut planes } = seen.unwrap_or_default();
         planes.sort_unstable();
         Recording {
             steps: STEPS,
             label: u32::from(motion.onset_ms.is_some()),
             onset_ms: motion.onset_ms,
-            annotated: Some(Annotated::new(&motion, draws)),
+            marker_onsets: Some(MarkerOnsets::new(&motion, draws)),
             touch,
             vision: units,
             vision_planes: planes,
@@ -96,7 +96,7 @@ impl Slip {
     /// Grasp of a sample and motion of the box.
     pub fn course(&self, sample: u32) -> (Grasp, Motion) {
         let grasp = grasp(self, sample);
-        let motion = follow(&grasp, BEFORE_MS, STEPS);
+        let motion = simulate_grasp(&grasp, BEFORE_MS, STEPS);
         (grasp, motion)
     }
 }
@@ -240,7 +240,7 @@ struct Traction {
 impl Traction {
     fn new(grasp: &Grasp, state: &GraspState) -> Traction {
         let area_mm2 = std::f64::consts::PI * (1e3 * CONTACT_M) * (1e3 * CONTACT_M);
-        let kinetic = if state.sliding { KINETIC_PART } else { 1.0 };
+        let kinetic = if state.sliding { KINETIC_RATIO } else { 1.0 };
         Traction {
             sag_mm: 1e3 * state.sag_m,
             twist_rad: state.friction_nm / TWIST_NM_PER_RAD,
@@ -277,7 +277,7 @@ const WALL: f32 = 0.0;
 const TABLE: f32 = -0.5;
 
 /// Geometry of the box in the picture.
-struct Look {
+struct BoxGeometry {
     /// The box's left, top, and a brick's width and height, in px from the grasp.
     left: f32,
     top: f32,
@@ -286,7 +286,7 @@ struct Look {
     edge: f32,
 }
 
-impl Look {
+impl BoxGeometry {
     /// The brightness at the middle of a pixel.
     #[inline]
     fn at(&self, pose: &Pose, x: usize, y: usize) -> f32 {
@@ -311,10 +311,10 @@ impl Look {
         upper + (lower - upper) * down
     }
 
-    fn draw(draws: Draws, edge_px: f64) -> (Look, f32, f32) {
+    fn draw(draws: Draws, edge_px: f64) -> (BoxGeometry, f32, f32) {
         let (width, height) = (SIZE_M.0 * 1e3 / PIXEL_MM, SIZE_M.1 * 1e3 / PIXEL_MM);
         let jitter = |k| draws.between(Purpose::Look, k, (-4.0, 4.0));
-        let look = Look {
+        let look = BoxGeometry {
             left: (-0.5 * width + jitter(0)) as f32,
             top: (-0.5 * height + jitter(1)) as f32,
             brick: ((width / BRICKS.0 as f64) as f32, (height / BRICKS.1 as f64) as f32),
@@ -376,8 +376,8 @@ fn line(from: (f32, f32), to: (f32, f32), reach: f32, near: &mut Vec<u32>) {
     }
 }
 
-fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> Seen {
-    let (look, x, y) = Look::draw(draws, slip.edge_px);
+fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> CameraSpikes {
+    let (look, x, y) = BoxGeometry::draw(draws, slip.edge_px);
     let tilt = draws.between(Purpose::Look, 2, (-0.02, 0.02));
     let bottom = y + look.top + look.brick.1 * BRICKS.1 as f32;
     let pose = |state: &GraspState, t: f64| {
@@ -392,12 +392,12 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
             table: bottom + (1e3 * state.lift_m / PIXEL_MM + shake) as f32,
         }
     };
-    let states = motion.recorded();
+    let states = motion.recorded_states();
     let rest = pose(&states[0], -1.0);
     let mut camera = Camera::new(&slip.pixels, draws);
     let lamps = draws.between(Purpose::Look, 3, (0.0, TAU));
     let (mut near, mut shown) = (Vec::new(), rest);
-    let mut seen = Seen::default();
+    let mut seen = CameraSpikes::default();
     for (step, state) in states.iter().enumerate() {
         let now = pose(state, step as f64);
         let turned = (now.sin - shown.sin).abs() * 93.0 + (now.y - shown.y).abs();
@@ -453,7 +453,7 @@ mod tests {
                     assert!((25.0..75.0).contains(&onset), "{onset}");
                     // Visible well before 100 ms: the box's corner is 56 mm away, so a degree moves
                     // it by more than a pixel.
-                    assert!(motion.recorded()[100].angle_rad.abs() > 0.02);
+                    assert!(motion.recorded_states()[100].angle_rad.abs() > 0.02);
                 } else {
                     assert!(motion.states.iter().all(|state| state.angle_rad.abs() < 0.03));
                 }

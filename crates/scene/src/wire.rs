@@ -36,7 +36,7 @@ pub struct Wire {
 
 /// Counts of sent, missed and false events.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Carried {
+pub struct WireCounts {
     /// Sent events.
     pub sent: u64,
     /// Sent events that were not reported within a millisecond.
@@ -45,8 +45,8 @@ pub struct Carried {
     pub added: u64,
 }
 
-impl std::ops::AddAssign for Carried {
-    fn add_assign(&mut self, other: Carried) {
+impl std::ops::AddAssign for WireCounts {
+    fn add_assign(&mut self, other: WireCounts) {
         self.sent += other.sent;
         self.missed += other.missed;
         self.added += other.added;
@@ -67,20 +67,20 @@ impl Default for Wire {
 
 impl Wire {
     /// Touch events, (ms, channel), after the wire; without a wire, the given events.
-    pub fn between(
+    pub fn transmit_over(
         wire: Option<Wire>,
         events: Vec<(u32, u32)>,
         end_ms: u32,
         draws: Draws,
-    ) -> (Vec<(u32, u32)>, Option<Carried>) {
+    ) -> (Vec<(u32, u32)>, Option<WireCounts>) {
         let Some(wire) = wire else { return (events, None) };
-        let (decoded, carried) = wire.carry(&events, end_ms, draws);
+        let (decoded, carried) = wire.transmit(&events, end_ms, draws);
         (decoded, Some(carried))
     }
 
     /// Sends events, (ms, channel), in `end_ms` milliseconds; returns the decoded ones, sorted.
-    pub fn carry(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, Carried) {
-        let seen = self.seen(events, end_ms, draws);
+    pub fn transmit(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> (Vec<(u32, u32)>, WireCounts) {
+        let seen = self.pulse_slots(events, end_ms, draws);
         let mut reported = Vec::new();
         for channel in 0..CHANNELS {
             let mut free = 0;
@@ -108,12 +108,12 @@ impl Wire {
             run.into_iter().for_each(&mut end);
         }
         reported.sort_unstable();
-        let carried = compared(events, &reported);
+        let carried = count_errors(events, &reported);
         (reported, carried)
     }
 
     /// Bit mask of the slots that have a pulse within the jitter.
-    fn seen(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> Vec<u64> {
+    fn pulse_slots(&self, events: &[(u32, u32)], end_ms: u32, draws: Draws) -> Vec<u64> {
         let jitter = self.jitter_us as usize;
         // The last events begin in the last millisecond and take one more.
         let slots = (end_ms as usize + 2) * SLOTS + 2 * jitter;
@@ -162,7 +162,7 @@ fn matches<'a>(seen: &'a [u64], signature: &'a [usize; PULSES]) -> impl Iterator
 }
 
 /// Matches each report with the first unmatched event of its channel within a millisecond.
-fn compared(sent: &[(u32, u32)], reported: &[(u32, u32)]) -> Carried {
+fn count_errors(sent: &[(u32, u32)], reported: &[(u32, u32)]) -> WireCounts {
     let of = |events: &[(u32, u32)]| {
         let mut times = vec![Vec::new(); CHANNELS as usize];
         for &(ms, channel) in events {
@@ -171,7 +171,7 @@ fn compared(sent: &[(u32, u32)], reported: &[(u32, u32)]) -> Carried {
         times.iter_mut().for_each(|times| times.sort_unstable());
         times
     };
-    let mut carried = Carried { sent: sent.len() as u64, ..Carried::default() };
+    let mut carried = WireCounts { sent: sent.len() as u64, ..WireCounts::default() };
     for (sent, reported) in of(sent).into_iter().zip(of(reported)) {
         let mut sent = sent.into_iter().peekable();
         for report in reported {
@@ -210,11 +210,14 @@ mod tests {
     fn sparse_events_on_a_quiet_wire_all_arrive_once() {
         let sent = events(156, 60, 0.01);
         assert!(sent.len() > 50);
-        let (reported, carried) = Wire { noise: 0.0, jitter_us: 0 }.carry(&sent, 60, Draws::new(1, 0));
-        assert_eq!((reported, carried), (sent.clone(), Carried { sent: sent.len() as u64, ..Carried::default() }));
-        let (_, jittered) = Wire { noise: 0.1, jitter_us: 1 }.carry(&sent, 60, Draws::new(1, 0));
+        let (reported, carried) = Wire { noise: 0.0, jitter_us: 0 }.transmit(&sent, 60, Draws::new(1, 0));
+        assert_eq!(
+            (reported, carried),
+            (sent.clone(), WireCounts { sent: sent.len() as u64, ..WireCounts::default() })
+        );
+        let (_, jittered) = Wire { noise: 0.1, jitter_us: 1 }.transmit(&sent, 60, Draws::new(1, 0));
         assert_eq!((jittered.missed, jittered.added), (0, 0));
-        assert_eq!(Wire { noise: 0.0, jitter_us: 0 }.carry(&[], 60, Draws::new(1, 0)).0, []);
+        assert_eq!(Wire { noise: 0.0, jitter_us: 0 }.transmit(&[], 60, Draws::new(1, 0)).0, []);
     }
 
     /// The decoder's words of bits against counting every pulse of every signature at every slot.
@@ -222,7 +225,7 @@ mod tests {
     fn words_of_bits_find_what_counting_finds() {
         let wire = Wire { noise: 0.2, jitter_us: 2 };
         let sent = events(40, 12, 0.15);
-        let seen = wire.seen(&sent, 12, Draws::new(2, 3));
+        let seen = wire.pulse_slots(&sent, 12, Draws::new(2, 3));
         let bit = |slot: usize| seen[slot / 64] >> (slot % 64) & 1 == 1;
         let mut found = 0;
         for channel in 0..40 {
@@ -241,9 +244,10 @@ mod tests {
 
     #[test]
     fn noise_and_crowds_cost_events() {
-        let carried =
-            |noise: f64, rate: f64| Wire { noise, jitter_us: 1 }.carry(&events(156, 40, rate), 40, Draws::new(1, 0)).1;
-        let errors = |carried: Carried| (carried.missed + carried.added) as f64 / carried.sent as f64;
+        let carried = |noise: f64, rate: f64| {
+            Wire { noise, jitter_us: 1 }.transmit(&events(156, 40, rate), 40, Draws::new(1, 0)).1
+        };
+        let errors = |carried: WireCounts| (carried.missed + carried.added) as f64 / carried.sent as f64;
         let (quiet, noisy, crowded) = (carried(0.1, 0.02), carried(0.4, 0.02), carried(0.1, 0.9));
         assert!(
             errors(quiet) < 0.01 && errors(noisy) > 0.1 && errors(crowded) > errors(quiet),

@@ -56,7 +56,7 @@ impl serde::Serialize for Rule {
 
 /// Bounds on the spikes of a population, from `docs/semantics.md` (7), (9), (10), (11).
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Pace {
+pub struct SpikeBounds {
     /// Least number of steps from a spike to the next, for each compartment; `None` where only a
     /// reset allows another spike.
     pub gaps: Vec<Option<NonZeroU32>>,
@@ -66,18 +66,18 @@ pub struct Pace {
     pub reset: Option<(Reset, u32)>,
 }
 
-impl Pace {
+impl SpikeBounds {
     /// Returns the bounds of a network's output population.
-    pub fn of_output(network: &Quantised) -> Pace {
+    pub fn for_output(network: &Quantised) -> SpikeBounds {
         let (parts, output) = (network.parts(), &network.populations()[network.parts().output]);
         // `Quantised` guarantees that the output is a population of compartments.
         let Units::Compartments { neurons, start_step, .. } = &output.units else {
-            return Pace { gaps: Vec::new(), start: 0, reset: None };
+            return SpikeBounds { gaps: Vec::new(), start: 0, reset: None };
         };
         let start =
             |index| neuron::fields(&neurons.get(index), *start_step, parts.semantics, parts.threshold).start_step;
         let gap = |index| neuron::shortest_interval(&neurons.get(index), parts.semantics);
-        Pace {
+        SpikeBounds {
             gaps: (0..output.shape.len()).map(gap).collect(),
             start: (0..output.shape.len()).map(start).min().unwrap_or(*start_step),
             reset: parts.reset.map(|reset| (reset, *start_step)),
@@ -128,7 +128,7 @@ pub struct EarlyExit {
     /// The rule that decides.
     pub rule: Rule,
     /// Bounds on the spikes of the outputs.
-    pub pace: Pace,
+    pub bounds: SpikeBounds,
     /// Whether a decided sample ends; if not, its decision is only recorded.
     pub ends: bool,
 }
@@ -136,11 +136,11 @@ pub struct EarlyExit {
 impl EarlyExit {
     /// Returns this rule for the output population of a network; decided samples end.
     pub fn new(rule: Rule, network: &Quantised) -> EarlyExit {
-        EarlyExit { rule, pace: Pace::of_output(network), ends: true }
+        EarlyExit { rule, bounds: SpikeBounds::for_output(network), ends: true }
     }
 
     /// Returns this rule for the output population of a network; no decided sample ends.
-    pub fn watched(rule: Rule, network: &Quantised) -> EarlyExit {
+    pub fn recording_only(rule: Rule, network: &Quantised) -> EarlyExit {
         EarlyExit { ends: false, ..EarlyExit::new(rule, network) }
     }
 }
@@ -162,7 +162,7 @@ pub struct Decision<'e> {
 impl<'e> Decision<'e> {
     /// Returns the state before the first of `steps` steps.
     pub fn new(exit: &'e EarlyExit, steps: u32) -> Self {
-        let outputs = exit.pace.gaps.len();
+        let outputs = exit.bounds.gaps.len();
         Decision {
             exit,
             steps: steps.into(),
@@ -177,7 +177,7 @@ impl<'e> Decision<'e> {
     pub fn spike(&mut self, step: u32, output: u32) {
         let output = output as usize;
         self.counts[output] += 1;
-        self.free[output] = self.exit.pace.free_after(output, step);
+        self.free[output] = self.exit.bounds.free_after(output, step);
         let count = self.counts[output];
         if self.leader.is_none_or(|l| count > self.counts[l] || (count == self.counts[l] && output < l)) {
             self.leader = Some(output);
@@ -195,14 +195,14 @@ impl<'e> Decision<'e> {
         if u64::from(step) < self.open_until {
             return false;
         }
-        let lacking = self.lacking(step);
-        self.open_until = u64::from(step) + lacking;
-        lacking == 0
+        let steps_to_decision = self.steps_to_decision(step);
+        self.open_until = u64::from(step) + steps_to_decision;
+        steps_to_decision == 0
     }
 
     /// Least number of steps after the update of `step` until the sample can be decided, for any
     /// spikes; 0 when it is decided.
-    fn lacking(&self, step: u32) -> u64 {
+    fn steps_to_decision(&self, step: u32) -> u64 {
         match self.exit.rule {
             Rule::Margin(margin) => {
                 // An output gains at most one spike a step, so the lead grows by at most 1.
@@ -212,7 +212,7 @@ impl<'e> Decision<'e> {
                 });
                 margin.get().saturating_sub(leads).into()
             }
-            Rule::Certain => self.lacking_certainty(step),
+            Rule::Certain => self.steps_to_certainty(step),
         }
     }
 
@@ -223,10 +223,10 @@ impl<'e> Decision<'e> {
     /// In the end, all but one output can reach at most the leader's count. A step adds at most 1
     /// to that count. It lowers the reach of an output by at most 1, if the output could have
     /// spiked and did not.
-    fn lacking_certainty(&self, step: u32) -> u64 {
+    fn steps_to_certainty(&self, step: u32) -> u64 {
         let from = u64::from(step) + 1;
         let reach = |output: usize| {
-            let more = self.exit.pace.most_spikes(output, self.free[output], from, self.steps);
+            let more = self.exit.bounds.most_spikes(output, self.free[output], from, self.steps);
             u64::from(self.counts[output]) + more
         };
         let ahead = self.leader.map_or(0, |leader| u64::from(self.counts[leader]));
@@ -252,7 +252,7 @@ impl<'e> Decision<'e> {
         let (mut open, mut decided) = (begin.max(self.open_until.min(end.into()) as u32), end);
         while open < decided {
             let middle = open + (decided - open) / 2;
-            if self.lacking(middle) == 0 {
+            if self.steps_to_decision(middle) == 0 {
                 decided = middle;
             } else {
                 open = middle + 1;
@@ -274,7 +274,7 @@ mod tests {
 
     fn exit(rule: Rule, gaps: &[u32]) -> EarlyExit {
         let gaps = gaps.iter().map(|&gap| NonZeroU32::new(gap)).collect();
-        EarlyExit { rule, pace: Pace { gaps, start: 0, reset: None }, ends: true }
+        EarlyExit { rule, bounds: SpikeBounds { gaps, start: 0, reset: None }, ends: true }
     }
 
     #[test]
@@ -311,11 +311,11 @@ mod tests {
     }
 
     /// Whether a compartment may spike, found from its earlier spikes instead of by formula.
-    fn may_spike(pace: &Pace, output: usize, train: &[u32], step: u32) -> bool {
-        let Some(&last) = train.last() else { return step >= pace.start };
-        let was_reset = pace.reset.is_some_and(|(reset, from)| (last + 1..=step).any(|s| falls_on(reset, s, from)));
-        let over = pace.gaps[output].is_some_and(|gap| step - last >= gap.get());
-        step >= pace.start && (was_reset || over)
+    fn may_spike(bounds: &SpikeBounds, output: usize, train: &[u32], step: u32) -> bool {
+        let Some(&last) = train.last() else { return step >= bounds.start };
+        let was_reset = bounds.reset.is_some_and(|(reset, from)| (last + 1..=step).any(|s| falls_on(reset, s, from)));
+        let over = bounds.gaps[output].is_some_and(|gap| step - last >= gap.get());
+        step >= bounds.start && (was_reset || over)
     }
 
     fn class(trains: &[Vec<u32>]) -> Option<usize> {
@@ -324,23 +324,29 @@ mod tests {
     }
 
     /// Whether every legal continuation from `step` on ends with this class, by enumeration.
-    fn all_end_with(pace: &Pace, trains: &mut [Vec<u32>], step: u32, steps: u32, wanted: Option<usize>) -> bool {
+    fn all_end_with(
+        bounds: &SpikeBounds,
+        trains: &mut [Vec<u32>],
+        step: u32,
+        steps: u32,
+        wanted: Option<usize>,
+    ) -> bool {
         if step == steps {
             return class(trains) == wanted;
         }
         (0u32..1 << trains.len()).all(|spiking| {
             let chosen = |output: usize| spiking >> output & 1 == 1;
-            if (0..trains.len()).any(|o| chosen(o) && !may_spike(pace, o, &trains[o], step)) {
+            if (0..trains.len()).any(|o| chosen(o) && !may_spike(bounds, o, &trains[o], step)) {
                 return true;
             }
             (0..trains.len()).filter(|&o| chosen(o)).for_each(|o| trains[o].push(step));
-            let same = all_end_with(pace, trains, step + 1, steps, wanted);
+            let same = all_end_with(bounds, trains, step + 1, steps, wanted);
             (0..trains.len()).filter(|&o| chosen(o)).for_each(|o| _ = trains[o].pop());
             same
         })
     }
 
-    fn random_pace(seed: u64, outputs: usize) -> Pace {
+    fn random_bounds(seed: u64, outputs: usize) -> SpikeBounds {
         let draw = |what, below| rng::below(below, seed, 1, what) as u32;
         let gap = |output: usize| match draw(output as u64, 6) {
             0 => None,
@@ -350,7 +356,7 @@ mod tests {
         // SLAYER holds a population until step 1 but counts its resets from 0.
         let counted_from = if start == 1 { draw(13, 2) } else { start };
         let reset = (draw(14, 3) == 0).then(|| (Reset { interval: 1 + draw(15, 5), offset }, counted_from));
-        Pace { gaps: (0..outputs).map(gap).collect(), start, reset }
+        SpikeBounds { gaps: (0..outputs).map(gap).collect(), start, reset }
     }
 
     #[test]
@@ -361,7 +367,7 @@ mod tests {
             let outputs = 1 + rng::below(3, seed, 0, 0) as usize;
             let steps = 1 + rng::below(14, seed, 0, 1) as u32;
             let busy = [5, 30, 60, 100][rng::below(4, seed, 0, 2) as usize];
-            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
+            let exit = EarlyExit { rule: Rule::Certain, bounds: random_bounds(seed, outputs), ends: true };
             let mut decision = Decision::new(&exit, steps);
             let mut trains = vec![Vec::new(); outputs];
             let mut first = None;
@@ -370,7 +376,7 @@ mod tests {
                     // One output spikes more often than the others, so that not every sample is a
                     // tie.
                     let rate = if output as u64 == seed % outputs as u64 { busy } else { busy / 2 };
-                    if may_spike(&exit.pace, output, train, step) && draw(step, output) < rate {
+                    if may_spike(&exit.bounds, output, train, step) && draw(step, output) < rate {
                         train.push(step);
                         decision.spike(step, output as u32);
                     }
@@ -380,7 +386,7 @@ mod tests {
                 let says = decision.decided_after(step);
                 // The enumeration grows as 2^(outputs * steps).
                 if (steps - step - 1) as usize * outputs <= 12 {
-                    let holds = all_end_with(&exit.pace, &mut trains.clone(), step + 1, steps, now);
+                    let holds = all_end_with(&exit.bounds, &mut trains.clone(), step + 1, steps, now);
                     assert_eq!(says, holds, "seed {seed}, step {step}: {exit:?} {trains:?}");
                     *(if says { &mut decided } else { &mut open }) += 1;
                 }
@@ -400,7 +406,7 @@ mod tests {
         for seed in 0..5000 {
             let outputs = 2 + rng::below(19, seed, 0, 0) as usize;
             let steps = 20 + rng::below(300, seed, 0, 1) as u32;
-            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
+            let exit = EarlyExit { rule: Rule::Certain, bounds: random_bounds(seed, outputs), ends: true };
             let mut decision = Decision::new(&exit, steps);
             let mut trains = vec![Vec::new(); outputs];
             let mut first = None;
@@ -408,13 +414,13 @@ mod tests {
                 for (output, train) in trains.iter_mut().enumerate() {
                     let rate = rng::below(100, seed, 1, output as u64) / 2 + if output == 0 { 50 } else { 0 };
                     let lucky = rng::below(100, seed, 2 + output as u64, u64::from(step)) < rate;
-                    if lucky && may_spike(&exit.pace, output, train, step) {
+                    if lucky && may_spike(&exit.bounds, output, train, step) {
                         train.push(step);
                         decision.spike(step, output as u32);
                     }
                 }
                 let decided = decision.decided_after(step);
-                assert_eq!(decided, decision.lacking(step) == 0, "seed {seed}: not looked at in time");
+                assert_eq!(decided, decision.steps_to_decision(step) == 0, "seed {seed}: not looked at in time");
                 assert!(decided || first.is_none(), "seed {seed}: a decision was taken back");
                 if decided && first.is_none() {
                     first = Some((step, class(&trains)));
@@ -433,16 +439,16 @@ mod tests {
         for seed in 0..2000 {
             let outputs = 1 + rng::below(4, seed, 0, 0) as usize;
             let steps = 2 + rng::below(60, seed, 0, 1) as u32;
-            let exit = EarlyExit { rule: Rule::Certain, pace: random_pace(seed, outputs), ends: true };
+            let exit = EarlyExit { rule: Rule::Certain, bounds: random_bounds(seed, outputs), ends: true };
             let mut decision = Decision::new(&exit, steps);
             let begin = rng::below(u64::from(steps), seed, 0, 2) as u32;
-            for step in exit.pace.start.min(begin)..begin {
+            for step in exit.bounds.start.min(begin)..begin {
                 if rng::below(3, seed, 5, u64::from(step)) == 0 {
                     decision.spike(step, rng::below(outputs as u64, seed, 6, u64::from(step)) as u32);
                 }
                 let _ = decision.decided_after(step);
             }
-            let by_steps = (begin..steps).find(|&step| decision.lacking(step) == 0);
+            let by_steps = (begin..steps).find(|&step| decision.steps_to_decision(step) == 0);
             assert_eq!(decision.decided_in_silence(begin, steps), by_steps, "seed {seed}");
             assert_eq!(decision.decided_in_silence(begin, begin), None);
         }

@@ -3,7 +3,7 @@
 use std::borrow::Cow;
 
 use nsim_compile::{CompileError, Reason};
-use nsim_files::target::shipped_with;
+use nsim_files::target::shipped_with_kinds;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::neurons::NeuronKind;
 
@@ -72,7 +72,7 @@ fn with_targets(diagnostic: Diagnostic) -> Diagnostic {
     let (Some(help), "map.neuron-kind" | "map.message") = (&diagnostic.help, diagnostic.code) else {
         return diagnostic;
     };
-    let targets = shipped_with(&NeuronKind::ALL.into_iter().collect());
+    let targets = shipped_with_kinds(&NeuronKind::ALL.into_iter().collect());
     let named: Vec<String> = targets.iter().map(|target| format!("--target {}", target.name())).collect();
     let help = format!("{help}: {}", named.join(", "));
     diagnostic.help(help)

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use crate::error::Error;
 use nsim_files::budget::MOST_STEPS_TOGETHER;
 use nsim_import::kind::FileKind;
-use nsim_import::spikes::{EventOptions, Expected, Manifest, PopulationSpikes, labels, read_manifest, read_spikes};
+use nsim_import::spikes::{EventOptions, InputSpec, Manifest, PopulationSpikes, labels, read_manifest, read_spikes};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::names::did_you_mean;
@@ -31,8 +31,8 @@ pub fn stimulus(
     default: Option<&str>,
     seed: Option<u64>,
 ) -> Result<Stimulus, Error> {
-    let mut stimulus = given(network, arguments, default, seed)?;
-    stimulus.samples = drained(network, stimulus.samples)?;
+    let mut stimulus = read_samples(network, arguments, default, seed)?;
+    stimulus.samples = with_drain(network, stimulus.samples)?;
     Ok(stimulus)
 }
 
@@ -57,7 +57,7 @@ const MOST_RUNS: u64 = 1 << 22;
 ///
 /// # Errors
 /// `input.too-many`, before memory for them is allocated.
-pub fn repeated(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnostic> {
+pub fn repeated_indices(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnostic> {
     let runs = range.len() as u64 * u64::from(repeat);
     if runs > MOST_RUNS {
         let message =
@@ -71,7 +71,7 @@ pub fn repeated(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnost
 ///
 /// # Errors
 /// `input.too-long`.
-pub fn drained(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>, Diagnostic> {
+pub fn with_drain(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>, Diagnostic> {
     let drain = network.parts().drain;
     let steps = samples.iter().map(|sample| u64::from(sample.steps()) + u64::from(drain)).sum::<u64>();
     if steps > MOST_STEPS_TOGETHER {
@@ -85,7 +85,7 @@ pub fn drained(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>,
 }
 
 /// Returns the samples of the arguments, or of the model's own scene.
-fn given(
+fn read_samples(
     network: &Quantised,
     arguments: &[String],
     default: Option<&str>,
@@ -95,14 +95,15 @@ fn given(
         [] => vec![default.unwrap_or("scene:noise").to_string()],
         given => given.to_vec(),
     };
-    let parsed = arguments.iter().map(|text| argument(network, text)).collect::<Result<Vec<_>, _>>()?;
+    let parsed = arguments.iter().map(|text| parse_argument(network, text)).collect::<Result<Vec<_>, _>>()?;
     if let [InputArg { population: None, source: InputSource::Scene(scene) }] = parsed.as_slice() {
         return Ok(scene_stimulus(network, scene, seed)?);
     }
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
     let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
     let mut clocks: Vec<(usize, Clock)> = Vec::new();
-    let position = |name: &str| inputs.iter().position(|p| p.name == name).ok_or_else(|| unknown(name, &inputs));
+    let position =
+        |name: &str| inputs.iter().position(|p| p.name == name).ok_or_else(|| unknown_population(name, &inputs));
     for argument in &parsed {
         let (path, pairs) = match (&argument.source, &argument.population) {
             (InputSource::Path(path), _) => (path, [].as_slice()),
@@ -131,7 +132,7 @@ fn given(
             }
         };
         let (manifest, options) = match is_manifest {
-            true => (Some(Part::new(read_manifest(path)?, &pairs)?), EventOptions::default()),
+            true => (Some(DatasetPart::new(read_manifest(path)?, &pairs)?), EventOptions::default()),
             false => (None, EventOptions::parse(&pairs)?),
         };
         for index in wanted {
@@ -139,7 +140,7 @@ fn given(
             let dt_ms = network.parts().timestep_ms;
             let values = matches!(population.message, Message::Value(_));
             let (units, volume) = (population.shape.len().into(), population.shape.volume());
-            let expected = Expected { units, volume, dt_ms, values };
+            let expected = InputSpec { units, volume, dt_ms, values };
             let mut spikes = match &manifest {
                 Some(part) => part.read(&population.name, &expected)?,
                 None => read_spikes(path, &population.name, &expected, &options)?,
@@ -158,7 +159,7 @@ fn given(
                 "a clock needs recordings of other populations, which give the length of a sample".to_string(),
             ));
         };
-        let spikes = recorded.iter().map(|sample| beside(sample, clock, inputs[index])).collect();
+        let spikes = recorded.iter().map(|sample| clock_spikes(sample, clock, inputs[index])).collect();
         if sources[index].replace(spikes).is_some() {
             return Err(Error::Usage(format!("population '{}' has two inputs", inputs[index].name)));
         }
@@ -168,11 +169,11 @@ fn given(
         source.ok_or_else(|| Error::Usage(message()))
     });
     let filled = filled.collect::<Result<Vec<_>, Error>>()?;
-    Ok(Stimulus { samples: joined(&inputs, filled)?, origin: arguments, seed: None })
+    Ok(Stimulus { samples: join_samples(&inputs, filled)?, origin: arguments, seed: None })
 }
 
 /// Returns the spikes of a clock over the steps of a sample.
-fn beside(sample: &PopulationSpikes, clock: Clock, population: &Population) -> PopulationSpikes {
+fn clock_spikes(sample: &PopulationSpikes, clock: Clock, population: &Population) -> PopulationSpikes {
     let units = population.shape.len();
     PopulationSpikes {
         units: Some(units.into()),
@@ -195,18 +196,18 @@ fn without_labels(path: &Path, pairs: &[(String, String)]) -> Result<(Pairs, Opt
 }
 
 /// A data set, or the training or test samples of one of its folds.
-struct Part {
+struct DatasetPart {
     manifest: Manifest,
     /// Whether the test samples are wanted, and the fold, from 0; `None` for all samples.
     fold: Option<(bool, usize)>,
 }
 
-impl Part {
+impl DatasetPart {
     /// Parses the options after the `?`: none, `train=K` or `test=K` for fold K, from 1.
-    fn new(manifest: Manifest, pairs: &[(String, String)]) -> Result<Part, Error> {
+    fn new(manifest: Manifest, pairs: &[(String, String)]) -> Result<DatasetPart, Error> {
         let wrong = |message: String| Diagnostic::new("input.option", message).in_file(manifest.source().path());
         let (key, value) = match pairs {
-            [] => return Ok(Part { manifest, fold: None }),
+            [] => return Ok(DatasetPart { manifest, fold: None }),
             [(key, value)] if key == "train" || key == "test" => (key, value),
             _ => {
                 let message = "a data set takes train=K or test=K, the samples that fold K trains or tests on";
@@ -217,10 +218,10 @@ impl Part {
         let Some(fold) = value.parse().ok().filter(|fold| (1..=folds).contains(fold)) else {
             return Err(wrong(format!("{key}={value}: the data set has {folds} folds, counted from 1")).into());
         };
-        Ok(Part { manifest, fold: Some((key == "test", fold - 1)) })
+        Ok(DatasetPart { manifest, fold: Some((key == "test", fold - 1)) })
     }
 
-    fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>, Diagnostic> {
+    fn read(&self, population: &str, expected: &InputSpec) -> Result<Vec<PopulationSpikes>, Diagnostic> {
         let all = self.manifest.read(population, expected)?;
         let Some((test, fold)) = self.fold else { return Ok(all) };
         let split = self.manifest.splits(all.len())?.swap_remove(fold);
@@ -232,7 +233,7 @@ impl Part {
 
 /// Parses one `--input`. The text before `=` is a population, unless none has this name and the
 /// whole text names a file.
-fn argument(network: &Quantised, text: &str) -> Result<InputArg, Diagnostic> {
+fn parse_argument(network: &Quantised, text: &str) -> Result<InputArg, Diagnostic> {
     let argument = InputArg::parse(text)?;
     match &argument.population {
         Some(name) if network.population_named(name).is_none() && Path::new(text).exists() => {
@@ -253,7 +254,7 @@ fn scene_stimulus(network: &Quantised, scene: &SceneArg, seed: Option<u64>) -> R
     Ok(stimulus)
 }
 
-fn unknown(name: &str, inputs: &[&Population]) -> Error {
+fn unknown_population(name: &str, inputs: &[&Population]) -> Error {
     let names: Vec<&str> = inputs.iter().map(|p| p.name.as_str()).collect();
     let help = format!("{}input populations are: {}", did_you_mean(name, names.iter().copied()), names.join(", "));
     Diagnostic::new("input.population", format!("--input names '{name}', which is not an input population"))
@@ -263,7 +264,7 @@ fn unknown(name: &str, inputs: &[&Population]) -> Error {
 
 /// Returns the input of `network` in a sample of `other`, matched by the names of input
 /// populations. `None` where `other` lacks an input population of equal name and size.
-pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Option<Sample> {
+pub fn translate_sample(network: &Quantised, other: &Quantised, sample: &Sample) -> Option<Sample> {
     let mut moved = Vec::new();
     for (_, population) in network.inputs() {
         let (_, same) = other.inputs().find(|(_, same)| same.name == population.name)?;
@@ -292,7 +293,7 @@ pub fn seen_by(network: &Quantised, other: &Quantised, sample: &Sample) -> Optio
 /// # Errors
 /// `input.samples` and `input.disagree` where the populations do not match, `input.spikes` for a
 /// spike outside its sample.
-pub fn joined(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Result<Vec<Sample>, Error> {
+pub fn join_samples(inputs: &[&Population], sources: Vec<Vec<PopulationSpikes>>) -> Result<Vec<Sample>, Error> {
     let Some(count) = sources.first().map(Vec::len) else {
         return Ok(Vec::new());
     };

@@ -27,16 +27,16 @@ pub mod warnings;
 
 use sha2::{Digest, Sha256};
 
-pub use outcome::{Keep, Outcome, Probe, Quantity};
+pub use outcome::{Outcome, Probe, Quantity, SampleSettings};
 pub use session::Session;
 
 /// The share of samples whose class is their label; `None` unless all have one.
 pub fn accuracy(outcomes: &[Outcome], labels: impl IntoIterator<Item = Option<u32>>) -> Option<f64> {
-    share_right(outcomes, labels, Outcome::class)
+    share_correct(outcomes, labels, Outcome::class)
 }
 
 /// The share of samples whose class, by this function, is their label; `None` unless all have one.
-pub fn share_right(
+pub fn share_correct(
     outcomes: &[Outcome],
     labels: impl IntoIterator<Item = Option<u32>>,
     class: impl Fn(&Outcome) -> Option<u32>,

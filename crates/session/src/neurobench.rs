@@ -19,7 +19,7 @@
 
 use super::samples::Run;
 use super::steps::groups;
-use super::{Keep, Outcome, Probe, Quantity};
+use super::{Outcome, Probe, Quantity, SampleSettings};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::Id;
@@ -85,14 +85,14 @@ fn entries(network: &Quantised, projection: &Projection) -> Entries {
             let all = size(projection.source) * size(projection.target);
             let sources = 0..size(projection.source) as u32;
             let mut row = Vec::new();
-            let nonzero = sources.map(|source| nonzero_of(&projection.connectivity, source, &mut row)).sum();
+            let nonzero = sources.map(|source| nonzero_entries(&projection.connectivity, source, &mut row)).sum();
             Entries { all, nonzero, dense: all }
         }
     }
 }
 
 /// Returns the number of a source's entries that are not zero.
-fn nonzero_of(connectivity: &Connectivity, source: u32, row: &mut Vec<(u32, i64)>) -> u64 {
+fn nonzero_entries(connectivity: &Connectivity, source: u32, row: &mut Vec<(u32, i64)>) -> u64 {
     row.clear();
     connectivity.for_each_from(source, |target, weight| row.push((target, weight.into())));
     row.sort_unstable_by_key(|&(target, _)| target);
@@ -113,7 +113,7 @@ fn operations(network: &Quantised, counts: &SourceCounts) -> (u64, u64) {
         let sum =
             if source.message.factor().is_some_and(|factor| factor.abs() == 1) { &mut plain } else { &mut graded };
         for (index, spikes) in (0..source.shape.len()).zip(spikes).filter(|(_, spikes)| **spikes > 0) {
-            *sum += spikes * nonzero_of(&projection.connectivity, index, &mut row);
+            *sum += spikes * nonzero_entries(&projection.connectivity, index, &mut row);
         }
     }
     (plain, graded)
@@ -136,14 +136,14 @@ impl NeuroBench {
     pub fn measure(
         network: &Quantised,
         samples: &[&Sample],
-        mut run: impl FnMut(&[&Sample], &Keep) -> Result<Run<()>>,
+        mut run: impl FnMut(&[&Sample], &SampleSettings) -> Result<Run<()>>,
     ) -> Result<NeuroBench> {
         let voltages = Probe { first: Id::new(0), count: network.compartments(), quantity: Quantity::V };
-        let keep = Keep { probes: vec![voltages], ..Keep::new(network.output()) };
+        let sample_settings = SampleSettings { probes: vec![voltages], ..SampleSettings::new(network.output()) };
         let (mut plain, mut graded, mut updates, mut spikes, mut timesteps) = (0, 0, 0, 0, 0);
         let mut right = Some(0u32);
         for group in groups(samples, network.compartments() as usize) {
-            let Run { outcomes, counts, .. } = run(group, &keep)?;
+            let Run { outcomes, counts, .. } = run(group, &sample_settings)?;
             let (more_plain, more_graded) = operations(network, &counts);
             plain += more_plain;
             graded += more_graded;

@@ -9,17 +9,17 @@ use nsim_ir::quantised::Output;
 use nsim_ir::spikes::Engine;
 
 use crate::decision::{Decision, Rule};
-use crate::outcome::{Keep, Outcome, Probe, Quantity};
+use crate::outcome::{Outcome, Probe, Quantity, SampleSettings};
 
 /// Consecutive steps with equal counts.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Passed {
+pub struct StepRange {
     /// The first of them.
     pub first: u32,
     /// Number of steps.
     pub steps: u32,
     /// Whether nothing happened in them.
-    pub at_rest: bool,
+    pub idle: bool,
     /// Whether the sample was decided before the first of them.
     pub decided: bool,
 }
@@ -27,17 +27,17 @@ pub struct Passed {
 /// An observer of an engine after its steps.
 pub trait Observer<E: ?Sized> {
     /// Sees the engine after consecutive steps.
-    fn see(&mut self, engine: &E, passed: Passed);
+    fn observe(&mut self, engine: &E, range: StepRange);
 }
 
-impl<E: ?Sized, F: FnMut(&E, Passed)> Observer<E> for F {
-    fn see(&mut self, engine: &E, passed: Passed) {
-        self(engine, passed);
+impl<E: ?Sized, F: FnMut(&E, StepRange)> Observer<E> for F {
+    fn observe(&mut self, engine: &E, range: StepRange) {
+        self(engine, range);
     }
 }
 
 impl<E: ?Sized> Observer<E> for () {
-    fn see(&mut self, _: &E, _: Passed) {}
+    fn observe(&mut self, _: &E, _: StepRange) {}
 }
 
 /// The outputs of a sample and, by the rule of an early exit, its decision.
@@ -57,16 +57,16 @@ pub(crate) struct Outputs<'k> {
 
 impl<'k> Outputs<'k> {
     /// Returns the state before the first of `steps` steps.
-    pub(crate) fn new(keep: &'k Keep, steps: u32) -> Self {
-        let Output { count, decision: read_out, .. } = keep.output;
+    pub(crate) fn new(sample_settings: &'k SampleSettings, steps: u32) -> Self {
+        let Output { count, decision: read_out, .. } = sample_settings.output;
         let potentials = Potentials::new(read_out, count);
-        let exit = keep.early_exit.as_ref();
+        let exit = sample_settings.early_exit.as_ref();
         let margin = exit.and_then(|exit| match exit.rule {
             Rule::Margin(margin) => Some(f64::from(margin.get())),
             Rule::Certain => None,
         });
         Outputs {
-            output: keep.output,
+            output: sample_settings.output,
             decision: exit.filter(|_| potentials.is_none()).map(|exit| Decision::new(exit, steps)),
             margin: margin.filter(|_| potentials.is_some()),
             ends: exit.is_some_and(|exit| exit.ends),
@@ -86,7 +86,7 @@ impl<'k> Outputs<'k> {
     }
 
     /// Returns the number of steps without input, of `step..next`, that may be skipped together.
-    pub(crate) fn may_rest<E: Engine + ?Sized>(&mut self, engine: &mut E, step: u32, next: u32) -> u32 {
+    pub(crate) fn skippable_steps<E: Engine + ?Sized>(&mut self, engine: &mut E, step: u32, next: u32) -> u32 {
         self.decides_at = None;
         match &self.decision {
             _ if self.margin.is_some() && !self.is_decided() => 0,
@@ -113,10 +113,10 @@ impl<'k> Outputs<'k> {
 }
 
 impl<E: Engine + ?Sized> Observer<E> for Outputs<'_> {
-    fn see(&mut self, engine: &E, Passed { first: step, steps, at_rest, .. }: Passed) {
+    fn observe(&mut self, engine: &E, StepRange { first: step, steps, idle, .. }: StepRange) {
         let Outputs { output, outcome, decision, margin, decides_at, .. } = self;
         let (first, potential) = (output.first.0, |output| engine.potential(CompartmentId(output)));
-        if at_rest {
+        if idle {
             outcome.skipped_steps += u64::from(steps);
         } else {
             let before = outcome.spikes.len();
@@ -153,15 +153,15 @@ pub(crate) struct Recording<'k, T, R> {
     steps: usize,
     /// Reads a quantity of a compartment.
     read: R,
-    pub(crate) kept: Vec<Vec<T>>,
+    pub(crate) values: Vec<Vec<T>>,
 }
 
 impl<'k, T: Copy + From<i32>, R> Recording<'k, T, R> {
     /// Returns the state before the first of `steps` steps.
     pub(crate) fn new(probes: &'k [Probe], steps: u32, read: R) -> Self {
         let steps = steps as usize;
-        let kept = probes.iter().map(|probe| vec![T::from(0); probe.count as usize * steps]).collect();
-        Recording { probes, steps, read, kept }
+        let values = probes.iter().map(|probe| vec![T::from(0); probe.count as usize * steps]).collect();
+        Recording { probes, steps, read, values }
     }
 }
 
@@ -171,22 +171,22 @@ where
     T: Copy + From<i32>,
     R: Fn(&E, Quantity, CompartmentId) -> T,
 {
-    fn see(&mut self, engine: &E, passed: Passed) {
-        if passed.at_rest {
+    fn observe(&mut self, engine: &E, range: StepRange) {
+        if range.idle {
             return;
         }
-        for (probe, kept) in self.probes.iter().zip(&mut self.kept) {
-            let place = |i: u32| i as usize * self.steps + passed.first as usize;
+        for (probe, values) in self.probes.iter().zip(&mut self.values) {
+            let place = |i: u32| i as usize * self.steps + range.first as usize;
             if !matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
                 for i in 0..probe.count {
-                    kept[place(i)] = (self.read)(engine, probe.quantity, CompartmentId(probe.first.0 + i));
+                    values[place(i)] = (self.read)(engine, probe.quantity, CompartmentId(probe.first.0 + i));
                 }
                 continue;
             }
             let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
             for (spike, payload) in engine.spikes().iter().zip(payloads) {
                 if let Some(i) = spike.0.checked_sub(probe.first.0).filter(|&i| i < probe.count) {
-                    kept[place(i)] = T::from(if probe.quantity == Quantity::Spikes { 1 } else { payload });
+                    values[place(i)] = T::from(if probe.quantity == Quantity::Spikes { 1 } else { payload });
                 }
             }
         }

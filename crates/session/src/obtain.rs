@@ -1,9 +1,9 @@
 //! Makes a named model ready to run; no other module does.
 //!
 //! Input: a [`Request`]: model, engine, target, saved mapping, copies, pruning, relays. Output: a
-//! [`Job`], or every reason why the network does not fit ([`Error::DoesNotFit`]). [`begin`] stops
-//! before mapping, for callers that compare mappings. Each of several processes makes an equal
-//! request and gets its share of the program ([`Options::share`]).
+//! [`Job`], or every reason why the network does not fit ([`Error::DoesNotFit`]).
+//! [`prepare_mapping`] stops before mapping, for callers that compare mappings. Each of several
+//! processes makes an equal request and gets its share of the program ([`Options::share`]).
 
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -31,7 +31,7 @@ use crate::{inputs, shapes};
 
 /// The engine for which a job is prepared.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Wanted {
+pub enum EngineKind {
     /// The fast engine: mapped onto a target.
     Mapped,
     /// The golden engine.
@@ -65,7 +65,7 @@ pub struct Request<'a> {
     /// Its conversion to integers.
     pub integers: Integers<'a>,
     /// The engine.
-    pub wanted: Wanted,
+    pub engine: EngineKind,
     /// The target.
     pub target: TargetChoice<'a>,
     /// The file of a saved mapping.
@@ -89,7 +89,7 @@ impl<'a> Request<'a> {
             model,
             network,
             integers,
-            wanted: Wanted::Mapped,
+            engine: EngineKind::Mapped,
             target: TargetChoice::Named(None),
             mapping: None,
             copies: None,
@@ -188,13 +188,13 @@ impl Job {
 /// # Errors
 /// [`Error`] when a part of the request cannot be used, or the network does not fit.
 pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
-    let Request { network, mapping, wanted, .. } = *request;
+    let Request { network, mapping, engine, .. } = *request;
     let scene = network.file().scene.clone();
-    let real = match wanted {
-        Wanted::Mapped | Wanted::Quantised => false,
-        Wanted::Real => true,
+    let real = match engine {
+        EngineKind::Mapped | EngineKind::Quantised => false,
+        EngineKind::Real => true,
         // Mappings and pruning apply to integers only.
-        Wanted::ByModel => has_srm(network) && mapping.is_none() && !request.prunes(),
+        EngineKind::ByModel => has_srm(network) && mapping.is_none() && !request.prunes(),
     };
     if real {
         if mapping.is_some() || request.prunes() {
@@ -204,34 +204,34 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
         let (graph, quantised) = real_and_integers(network)?;
         return Ok(Job::Real(Box::new(graph), Box::new(quantised), scene));
     }
-    if wanted == Wanted::Quantised {
+    if engine == EngineKind::Quantised {
         let quantised = request.front()?.into_quantised();
         refuse_large("--engine golden", &quantised, 1)?;
-        say_notes(&quantised);
+        log_notes(&quantised);
         return Ok(Job::Quantised(Box::new(quantised), scene));
     }
-    let (front, goal) = begin(request)?;
-    let mut compiled = goal.compiled(front)?;
-    if goal.options.share.rank > 0 {
+    let (front, settings) = prepare_mapping(request)?;
+    let mut compiled = settings.compiled(front)?;
+    if settings.options.share.rank > 0 {
         // Once the tables exist, only rank 0 needs the weights.
         compiled.one = compiled.one.without_projections();
         compiled.quantised = compiled.quantised.without_projections();
     }
-    say_notes(&compiled.quantised);
-    Ok(Job::Mapped(Box::new(compiled), Box::new(goal.target), scene))
+    log_notes(&compiled.quantised);
+    Ok(Job::Mapped(Box::new(compiled), Box::new(settings.target), scene))
 }
 
 /// Maps a network in integers, as a [`Request`] with default options does.
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn mapped_as_usual(network: Quantised, target: &Target) -> Result<Mapping, CompileError> {
+pub fn map_with_defaults(network: Quantised, target: &Target) -> Result<Mapping, CompileError> {
     compile(network, target, &Options::default())
 }
 
 /// Target and options of a mapping.
 #[derive(Debug)]
-pub struct Goal {
+pub struct MappingSettings {
     /// The target.
     pub target: Target,
     /// Options of the mapping.
@@ -244,7 +244,7 @@ pub struct Goal {
 ///
 /// # Errors
 /// As [`obtain`].
-pub fn begin(request: &Request<'_>) -> Result<(Front, Goal), Error> {
+pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings), Error> {
     let Request { network, mapping, .. } = *request;
     let target = match request.target {
         TargetChoice::Loaded(target) => target.clone(),
@@ -266,17 +266,17 @@ pub fn begin(request: &Request<'_>) -> Result<(Front, Goal), Error> {
     let front = request.front()?;
     let front = if request.relays { front.relay(&target)? } else { front };
     let saved = saved.zip(mapping).map(|(file, path)| (file, path.to_path_buf(), request.model.to_string()));
-    Ok((front, Goal { target, options, saved }))
+    Ok((front, MappingSettings { target, options, saved }))
 }
 
-impl Goal {
-    /// Returns the mapping of a network from [`begin`]: the saved one, or the best for these firing
-    /// rates of the sources of one copy.
+impl MappingSettings {
+    /// Returns the mapping of a network from [`prepare_mapping`]: the saved one, or the best
+    /// for these firing rates of the sources of one copy.
     ///
     /// # Errors
     /// [`CompileError`]; it names the file of a saved mapping.
     pub fn mapped(&self, front: Front, rates: &Rates) -> Result<Mapping, CompileError> {
-        let Goal { target, options, saved } = self;
+        let MappingSettings { target, options, saved } = self;
         let Some((file, path, model)) = saved else { return explore::map(front, target, options, rates) };
         let mapped = load(front, target, options, file);
         // A saved mapping stays unchanged; its cost follows the requested rates.
@@ -287,14 +287,14 @@ impl Goal {
     /// Returns the mapping for the default rate, with its program.
     ///
     /// # Errors
-    /// As [`Goal::mapped`], and for a network with too many synapses.
+    /// As [`MappingSettings::mapped`], and for a network with too many synapses.
     pub fn compiled(&self, front: Front) -> Result<Mapping, Error> {
         refuse_to_run(front.quantised(), self.options.copies)?;
         Ok(self.mapped(front, &Rates::assumed(DEFAULT_RATE))?)
     }
 }
 
-fn say_notes(quantised: &Quantised) {
+fn log_notes(quantised: &Quantised) {
     for note in &quantised.parts().notes {
         tracing::info!("{}: {}", note.entity, note.message);
     }

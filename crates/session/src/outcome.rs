@@ -1,7 +1,8 @@
 //! Settings of the stored results of a sample, and its outcome.
 //!
-//! Input: an output population, probes, optionally the rule of an early exit ([`Keep`]). Output: an
-//! [`Outcome`] with spikes or scores of the outputs, the class, counts and recorded numbers.
+//! Input: an output population, probes, optionally the rule of an early exit ([`SampleSettings`]).
+//! Output: an [`Outcome`] with spikes or scores of the outputs, the class, counts and recorded
+//! numbers.
 
 use serde::{Deserialize, Serialize};
 
@@ -72,7 +73,7 @@ impl Probe {
 
 /// Results to store of each sample, and the rule by which it ends.
 #[derive(Debug, Clone)]
-pub struct Keep {
+pub struct SampleSettings {
     /// The output compartments, which decide the class.
     pub output: Output,
     /// Probes; steps skipped by an early exit are zero in them.
@@ -82,10 +83,10 @@ pub struct Keep {
     pub early_exit: Option<EarlyExit>,
 }
 
-impl Keep {
+impl SampleSettings {
     /// Returns settings that store only the spikes and decision of these compartments.
     pub fn new(output: Output) -> Self {
-        Keep { output, probes: Vec::new(), early_exit: None }
+        SampleSettings { output, probes: Vec::new(), early_exit: None }
     }
 }
 

@@ -41,14 +41,14 @@ pub struct InputCounts {
 
 /// Counts of a run by population.
 #[derive(Debug, Clone, Default, PartialEq, Eq, serde::Serialize)]
-pub struct ByPopulation {
+pub struct CountsByPopulation {
     /// Populations of compartments.
     pub populations: Vec<PopulationCounts>,
     /// Input populations.
     pub inputs: Vec<InputCounts>,
 }
 
-impl ByPopulation {
+impl CountsByPopulation {
     /// Sums the counts of one or several copies of a network.
     pub fn new(network: &Quantised, counts: &SourceCounts) -> Self {
         let copies = match (network.compartments(), network.channels()) {
@@ -56,7 +56,7 @@ impl ByPopulation {
             (0, channels) => counts.channels.len() as u32 / channels,
             (compartments, _) => counts.compartments.len() as u32 / compartments,
         };
-        let mut sum = ByPopulation::default();
+        let mut sum = CountsByPopulation::default();
         for population in network.populations() {
             let (name, size) = (population.name.clone(), population.shape.len());
             let units = u64::from(size) * u64::from(copies);
@@ -85,8 +85,8 @@ impl ByPopulation {
     }
 
     /// Returns the counts of `copies` copies that all behave as the counted ones.
-    pub fn of_copies(network: &Quantised, counts: &SourceCounts, copies: u32) -> Self {
-        let mut sum = ByPopulation::new(network, counts);
+    pub fn for_copies(network: &Quantised, counts: &SourceCounts, copies: u32) -> Self {
+        let mut sum = CountsByPopulation::new(network, counts);
         let counted = counts.compartments.len() as u64 / u64::from(network.compartments()).max(1);
         // Every counted copy contributes equally to every sum.
         let scale = |count: &mut u64| *count = *count / counted.max(1) * u64::from(copies);

@@ -5,9 +5,9 @@
 
 use std::sync::Arc;
 
-use super::observers::Passed;
-use super::samples::{Meter, Run, Running, fast};
-use super::{Keep, Outcome};
+use super::observers::StepRange;
+use super::samples::{Meter, Run, RunSettings, fast};
+use super::{Outcome, SampleSettings};
 use nsim_compile::Mapping;
 use nsim_cost::estimate::{Estimate, EstimateInput, estimate, step_price};
 use nsim_cost::job::{Accounting, Mode};
@@ -22,8 +22,8 @@ use nsim_ir::program::Program;
 use nsim_ir::spikes::Sample;
 
 impl Meter for StepMeter {
-    fn see(&mut self, step: &StepActivity, passed: Passed) {
-        self.add(step, passed.steps, passed.decided);
+    fn observe(&mut self, step: &StepActivity, range: StepRange) {
+        self.add(step, range.steps, range.decided);
     }
 
     fn merge(&mut self, other: Self) {
@@ -32,36 +32,36 @@ impl Meter for StepMeter {
 }
 
 /// Least number of messages of a step that is queued, so that threads meter several in parallel.
-const MANY: u64 = 1 << 12;
+const LEAST_QUEUED: u64 = 1 << 12;
 
 /// A meter whose steps with many messages are metered by several threads.
-struct Shared {
+struct ParallelMeter {
     meter: StepMeter,
     /// Queued steps, at most one for each thread.
-    waiting: Vec<(StepActivity, u32, bool)>,
+    queue: Vec<(StepActivity, u32, bool)>,
 }
 
-impl Shared {
-    fn follow(&mut self) {
-        self.meter.add_all(&self.waiting);
-        self.waiting.clear();
+impl ParallelMeter {
+    fn flush(&mut self) {
+        self.meter.add_all(&self.queue);
+        self.queue.clear();
     }
 }
 
-impl Meter for Shared {
-    fn see(&mut self, step: &StepActivity, passed: Passed) {
-        if step.cores.iter().map(|core| core.messages_in).sum::<u64>() < MANY {
-            return self.meter.see(step, passed);
+impl Meter for ParallelMeter {
+    fn observe(&mut self, step: &StepActivity, range: StepRange) {
+        if step.cores.iter().map(|core| core.messages_in).sum::<u64>() < LEAST_QUEUED {
+            return self.meter.observe(step, range);
         }
-        self.waiting.push((step.clone(), passed.steps, passed.decided));
-        if self.waiting.len() >= rayon::current_num_threads() {
-            self.follow();
+        self.queue.push((step.clone(), range.steps, range.decided));
+        if self.queue.len() >= rayon::current_num_threads() {
+            self.flush();
         }
     }
 
     fn merge(&mut self, mut other: Self) {
-        self.follow();
-        other.follow();
+        self.flush();
+        other.flush();
         self.meter.merge(&other.meter);
     }
 }
@@ -69,7 +69,7 @@ impl Meter for Shared {
 /// A mapping to be metered: the program that runs, and the routes of its messages and of the
 /// messages of identical cores.
 #[derive(Debug)]
-pub struct Metered<'c> {
+pub struct MeteredMapping<'c> {
     compiled: &'c Mapping,
     /// One group of cores of each kind, which runs; `None` where all cores run.
     groups: Option<CoreGroups>,
@@ -77,7 +77,7 @@ pub struct Metered<'c> {
     pub routes: Arc<MessageRoutes>,
 }
 
-impl<'c> Metered<'c> {
+impl<'c> MeteredMapping<'c> {
     /// Runs one group of cores for all groups that hold identical copies.
     pub fn new(compiled: &'c Mapping) -> Self {
         let groups = compiled.core_groups();
@@ -85,7 +85,7 @@ impl<'c> Metered<'c> {
             Some(groups) => MessageRoutes::of_groups(groups),
             None => MessageRoutes::of_program(&compiled.program),
         };
-        Metered { compiled, groups, routes: Arc::new(routes) }
+        MeteredMapping { compiled, groups, routes: Arc::new(routes) }
     }
 
     /// Runs every core: the plain method, against which tests compare.
@@ -94,7 +94,7 @@ impl<'c> Metered<'c> {
         let groups = CoreGroups::each(&compiled.program, one, &compiled.together()).ok();
         let program = MessageRoutes::of_program(&compiled.program);
         let routes = groups.as_ref().map_or(program, MessageRoutes::of_groups);
-        Metered { compiled, groups, routes: Arc::new(routes) }
+        MeteredMapping { compiled, groups, routes: Arc::new(routes) }
     }
 
     /// Returns meter settings and deployment for steps as fast as possible, on the cores of the
@@ -143,10 +143,15 @@ impl<'c> Metered<'c> {
     pub(super) fn run_with<M: Meter>(
         &self,
         samples: &[&Sample],
-        running: Running<'_>,
+        run_settings: RunSettings<'_>,
         new_meter: impl Fn() -> M + Sync,
     ) -> Result<Run<M>> {
-        fast(self.program(), samples, Running { copies: self.copies_run(), per_step: true, ..running }, new_meter)
+        fast(
+            self.program(),
+            samples,
+            RunSettings { copies: self.copies_run(), per_step: true, ..run_settings },
+            new_meter,
+        )
     }
 
     /// Runs samples and meters each step. Counts by core and sums cover all copies, outcomes the
@@ -155,16 +160,21 @@ impl<'c> Metered<'c> {
     ///
     /// # Errors
     /// As [`fast`].
-    pub fn run(&self, settings: MeterSettings, samples: &[&Sample], running: Running<'_>) -> Result<Run<StepMeter>> {
+    pub fn run(
+        &self,
+        settings: MeterSettings,
+        samples: &[&Sample],
+        run_settings: RunSettings<'_>,
+    ) -> Result<Run<StepMeter>> {
         let settings = Arc::new(settings);
-        let shared = || Shared { meter: StepMeter::new(settings.clone()), waiting: Vec::new() };
-        let run = self.run_with(samples, running, shared)?;
+        let shared = || ParallelMeter { meter: StepMeter::new(settings.clone()), queue: Vec::new() };
+        let run = self.run_with(samples, run_settings, shared)?;
         // Merging the meters of samples has metered all queued steps.
-        Ok(self.of_all_copies(run.map_meter(|shared| shared.meter)))
+        Ok(self.extend_to_all_copies(run.map_meter(|shared| shared.meter)))
     }
 
     /// Extends the counts of the cores that ran to all cores.
-    pub(super) fn of_all_copies(&self, run: Run<StepMeter>) -> Run<StepMeter> {
+    pub(super) fn extend_to_all_copies(&self, run: Run<StepMeter>) -> Run<StepMeter> {
         let Some(groups) = &self.groups else { return run };
         // Every copy receives equal input.
         let spikes_in = run.activity.spikes_in() / u64::from(groups.copies()) * u64::from(self.copies());
@@ -211,12 +221,12 @@ pub struct Priced {
 /// A constant that does not fit an integer; as [`fast`].
 pub fn run_priced(compiled: &Mapping, target: &Target, samples: &[Sample]) -> Result<Priced> {
     let copies = compiled.options.copies;
-    let metered = Metered::new(compiled);
+    let metered = MeteredMapping::new(compiled);
     let (settings, deployment) = metered.offline(target)?;
     let price = step_price(&settings.tables[0], &deployment, copies, (Mode::Offline, Accounting::Profiler));
     let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let run = metered.run(settings, &samples, Running::new(&Keep::new(compiled.program.output())))?;
+    let run = metered.run(settings, &samples, RunSettings::new(&SampleSettings::new(compiled.program.output())))?;
     let case = EstimateInput::new(&run.activity, &run.meter, &deployment);
     let estimate = estimate(&EstimateInput { steps_per_sample: steps_per_sample(&samples), ..case });
     Ok(Priced { outcomes: run.outcomes, activity: run.activity, estimate })

@@ -37,7 +37,7 @@ pub struct RankRow {
 
 impl RankRow {
     /// Returns the row of this process, for its part of a program or for a whole program.
-    pub fn here(program: &Program, rank: u32) -> Self {
+    pub fn for_this_process(program: &Program, rank: u32) -> Self {
         let own = || program.cores().enumerate().filter(|(core, _)| program.is_local(*core)).map(|(_, image)| image);
         RankRow {
             rank,
@@ -72,7 +72,7 @@ pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Di
 
 /// The results of a rank: outcomes, counts of its cores and of its compartments, skipped updates,
 /// and the row of its part.
-pub(super) type Found = (Vec<Outcome>, Activity, SourceCounts, u64, RankRow);
+pub(super) type RankResults = (Vec<Outcome>, Activity, SourceCounts, u64, RankRow);
 
 /// Adds another rank's outcome of a sample. `shown`: every rank has received all output spikes.
 pub(super) fn add_outcome(outcome: &mut Outcome, other: Outcome, shown: bool) {

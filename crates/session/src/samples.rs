@@ -10,9 +10,9 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::decision::Rule;
-use super::observers::{Observer, Passed, Recording};
-use super::ranks::{Found, RankRow, add_outcome, part_of, peak_mib};
-use super::{Keep, Outcome, Quantity, Session};
+use super::observers::{Observer, Recording, StepRange};
+use super::ranks::{RankResults, RankRow, add_outcome, part_of, peak_mib};
+use super::{Outcome, Quantity, SampleSettings, Session};
 use nsim_golden::Golden;
 use nsim_ir::activity::{Activity, StepActivity};
 use nsim_ir::arithmetic::ReadOut;
@@ -29,18 +29,18 @@ use nsim_reference::{Model, Real, Reference};
 
 /// Maximum number of compartments over all threads for which each thread has its own machine,
 /// however few the synapses: about 300 MiB of state.
-const HELD: u64 = 8_000_000;
+const MOST_STATES: u64 = 8_000_000;
 /// Up to this number of synapses, sharing the cores of a sample costs more than it gains.
-const SHARED: u64 = 100_000;
+const MOST_UNSHARED_SYNAPSES: u64 = 100_000;
 
 /// Callback after each sample, from any thread.
 pub type Progress<'a> = &'a (dyn Fn() + Sync);
 
 /// Settings of the machine for a run of samples.
 #[derive(Clone, Copy)]
-pub struct Running<'a> {
+pub struct RunSettings<'a> {
     /// Results to store of each sample.
-    pub keep: &'a Keep,
+    pub sample_settings: &'a SampleSettings,
     /// Number of copies of the network in the program; each receives the sample.
     pub copies: u32,
     /// Whether work that cannot change a result is skipped.
@@ -53,24 +53,24 @@ pub struct Running<'a> {
     pub ranks: Option<&'a Ranks>,
 }
 
-impl<'a> Running<'a> {
+impl<'a> RunSettings<'a> {
     /// Returns settings of one copy in one process, without counts of each step.
-    pub fn new(keep: &'a Keep) -> Self {
-        Running { keep, copies: 1, skip: true, per_step: false, progress: &|| (), ranks: None }
+    pub fn new(sample_settings: &'a SampleSettings) -> Self {
+        RunSettings { sample_settings, copies: 1, skip: true, per_step: false, progress: &|| (), ranks: None }
     }
 }
 
 /// An observer of the steps of a run, which sees a part of the run in each thread.
 pub trait Meter: Send {
     /// Sees consecutive steps with equal counts.
-    fn see(&mut self, step: &StepActivity, passed: Passed);
+    fn observe(&mut self, step: &StepActivity, range: StepRange);
 
     /// Adds another meter's observations of later samples. Results must not depend on the division.
     fn merge(&mut self, other: Self);
 }
 
 impl Meter for () {
-    fn see(&mut self, _: &StepActivity, _: Passed) {}
+    fn observe(&mut self, _: &StepActivity, _: StepRange) {}
 
     fn merge(&mut self, (): ()) {}
 }
@@ -100,7 +100,7 @@ pub struct Division {
     /// Number of parts of a network that threads run in parallel.
     pub shards: usize,
     /// Whether samples run sequentially, rather than in parallel.
-    pub in_turn: bool,
+    pub sequential: bool,
 }
 
 impl Division {
@@ -109,8 +109,8 @@ impl Division {
     pub fn new(program: &Program, samples: usize) -> Self {
         let (synapses, threads) = (program.synapses_of(|_| true), rayon::current_num_threads());
         let states = u64::from(program.compartments()) * threads as u64;
-        let shares = synapses > SHARED && (samples < threads || states > HELD.max(synapses));
-        Division { shards: if shares { threads } else { 1 }, in_turn: shares || samples == 1 }
+        let shares = synapses > MOST_UNSHARED_SYNAPSES && (samples < threads || states > MOST_STATES.max(synapses));
+        Division { shards: if shares { threads } else { 1 }, sequential: shares || samples == 1 }
     }
 }
 
@@ -118,25 +118,25 @@ impl Division {
 ///
 /// # Errors
 /// `run.too-large` when the program's sums could not be exact.
-pub fn laid_out(program: &Arc<Program>, division: Division) -> Result<Arc<Image>, Diagnostic> {
+pub fn lay_out(program: &Arc<Program>, division: Division) -> Result<Arc<Image>, Diagnostic> {
     Image::new(program, division.shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))
 }
 
 /// Runs samples on the machine; a meter is made for each sample and sees its steps.
 ///
 /// # Errors
-/// As [`laid_out`].
+/// As [`lay_out`].
 pub fn fast<M: Meter>(
     program: &Arc<Program>,
     samples: &[&Sample],
-    running: Running<'_>,
+    run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M + Sync,
 ) -> Result<Run<M>, Diagnostic> {
-    if let Some(ranks) = running.ranks {
-        return on_ranks(program, samples, running, ranks, new_meter);
+    if let Some(ranks) = run_settings.ranks {
+        return on_ranks(program, samples, run_settings, ranks, new_meter);
     }
     let division = Division::new(program, samples.len());
-    Ok(fast_on(&laid_out(program, division)?, division, samples, running, new_meter))
+    Ok(fast_on_image(&lay_out(program, division)?, division, samples, run_settings, new_meter))
 }
 
 /// Runs samples together with other processes; every rank makes this call with equal samples.
@@ -144,37 +144,38 @@ pub fn fast<M: Meter>(
 /// the result of a single process.
 ///
 /// # Errors
-/// As [`laid_out`], and `run.part`.
+/// As [`lay_out`], and `run.part`.
 fn on_ranks<M: Meter>(
     program: &Arc<Program>,
     samples: &[&Sample],
-    running: Running<'_>,
+    run_settings: RunSettings<'_>,
     ranks: &Ranks,
     new_meter: impl Fn() -> M + Sync,
 ) -> Result<Run<M>, Diagnostic> {
-    let Running { keep, skip, per_step, .. } = running;
-    let margin = keep.early_exit.as_ref().is_some_and(|exit| matches!(exit.rule, Rule::Margin(_)));
-    if margin && keep.output.decision != ReadOut::Spikes {
+    let RunSettings { sample_settings, skip, per_step, .. } = run_settings;
+    let margin = sample_settings.early_exit.as_ref().is_some_and(|exit| matches!(exit.rule, Rule::Margin(_)));
+    if margin && sample_settings.output.decision != ReadOut::Spikes {
         let message = "this model decides by potentials, which are distributed over several processes";
         return Err(Diagnostic::new("run.early-exit", message).help("run it in one process, or without an early exit"));
     }
     let begin = Instant::now();
     let part = part_of(program, ranks)?;
-    let here = RankRow::here(&part, ranks.rank());
-    let shards = if here.synapses > SHARED { rayon::current_num_threads() } else { 1 };
-    let image = laid_out(&part, Division { shards, in_turn: true })?;
+    let here = RankRow::for_this_process(&part, ranks.rank());
+    let shards = if here.synapses > MOST_UNSHARED_SYNAPSES { rayon::current_num_threads() } else { 1 };
+    let image = lay_out(&part, Division { shards, sequential: true })?;
     // The deciding rank needs the spikes of all outputs.
-    let shown = keep.early_exit.as_ref().map(|_| (keep.output.first, keep.output.count));
+    let shown =
+        sample_settings.early_exit.as_ref().map(|_| (sample_settings.output.first, sample_settings.output.count));
     let run_all = || {
         let machine = Machine::of_part(&image, Settings { skip, per_step }, ranks, shown);
-        in_turn(Session::new(machine, running.copies), samples, running, &new_meter)
+        run_sequentially(Session::new(machine, run_settings.copies), samples, run_settings, &new_meter)
     };
     // Sharing a step from outside the pool would wake a thread for each step.
     let mut run = if shards > 1 { rayon::scope(|_| run_all()) } else { run_all() };
     let here = RankRow { peak_mib: peak_mib(), ..here };
     let Run { outcomes, activity, counts, skipped_updates, ranks: rows, .. } = &mut run;
     rows.push(here);
-    for other in ranks.gather::<_, Found>(&(&*outcomes, &*activity, &*counts, *skipped_updates, here)) {
+    for other in ranks.gather::<_, RankResults>(&(&*outcomes, &*activity, &*counts, *skipped_updates, here)) {
         let (of_samples, of_cores, of_compartments, skipped, row) = other;
         outcomes.iter_mut().zip(of_samples).for_each(|(sum, other)| add_outcome(sum, other, shown.is_some()));
         activity.merge_same_steps(&of_cores);
@@ -187,35 +188,35 @@ fn on_ranks<M: Meter>(
 }
 
 /// Runs samples on a program that is laid out for this division.
-pub fn fast_on<M: Meter>(
+pub fn fast_on_image<M: Meter>(
     image: &Arc<Image>,
     division: Division,
     samples: &[&Sample],
-    running: Running<'_>,
+    run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M + Sync,
 ) -> Run<M> {
-    let Running { skip, per_step, .. } = running;
+    let RunSettings { skip, per_step, .. } = run_settings;
     let begin = Instant::now();
-    let session = || Session::new(Machine::new(image, Settings { skip, per_step }), running.copies);
+    let session = || Session::new(Machine::new(image, Settings { skip, per_step }), run_settings.copies);
     let run = if division.shards > 1 {
         // Sharing a step from outside the pool would wake a thread for each step.
-        rayon::scope(|_| in_turn(session(), samples, running, &new_meter))
-    } else if division.in_turn {
-        in_turn(session(), samples, running, &new_meter)
+        rayon::scope(|_| run_sequentially(session(), samples, run_settings, &new_meter))
+    } else if division.sequential {
+        run_sequentially(session(), samples, run_settings, &new_meter)
     } else {
-        at_once(session, samples, running, &new_meter)
+        run_in_parallel(session, samples, run_settings, &new_meter)
     };
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
 
 /// Runs samples sequentially in a session; of several processes only rank 0 is metered.
-fn in_turn<M: Meter>(
+fn run_sequentially<M: Meter>(
     mut session: Session,
     samples: &[&Sample],
-    running: Running<'_>,
+    run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
-    let run = uncounted(&mut session, samples, running, new_meter);
+    let run = run_without_counts(&mut session, samples, run_settings, new_meter);
     let (activity, counts) = session.into_engine().take_counts();
     Run { activity, counts, ..run }
 }
@@ -225,10 +226,10 @@ const PARTS: usize = 16;
 
 /// Runs samples in parallel, in a session for each thread; a thread that finishes a part takes the
 /// next one. Counts are summed once, over all machines.
-fn at_once<M: Meter>(
+fn run_in_parallel<M: Meter>(
     new_session: impl Fn() -> Session + Sync,
     samples: &[&Sample],
-    running: Running<'_>,
+    run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M + Sync,
 ) -> Run<M> {
     let threads = rayon::current_num_threads();
@@ -240,7 +241,7 @@ fn at_once<M: Meter>(
             let place = next.fetch_add(1, Ordering::Relaxed);
             let Some(part) = parts.get(place) else { break };
             let session = session.get_or_insert_with(&new_session);
-            runs.push((place, uncounted(session, part, running, &new_meter)));
+            runs.push((place, run_without_counts(session, part, run_settings, &new_meter)));
         }
         (session, runs)
     };
@@ -263,20 +264,20 @@ fn at_once<M: Meter>(
 }
 
 /// Runs samples sequentially in a session, whose machine accumulates their counts.
-fn uncounted<M: Meter>(
+fn run_without_counts<M: Meter>(
     session: &mut Session,
     samples: &[&Sample],
-    running: Running<'_>,
+    run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
-    let Running { keep, progress, ranks, .. } = running;
+    let RunSettings { sample_settings, progress, ranks, .. } = run_settings;
     let is_first = ranks.is_none_or(|ranks| ranks.rank() == 0);
     let (mut outcomes, mut meter, mut skipped_updates) = (Vec::with_capacity(samples.len()), new_meter(), 0);
     for sample in samples {
         let mut of_sample = new_meter();
-        outcomes.push(session.run(sample, keep, |machine: &Machine, passed| {
+        outcomes.push(session.run(sample, sample_settings, |machine: &Machine, range| {
             if is_first {
-                of_sample.see(machine.last_step(), passed);
+                of_sample.observe(machine.last_step(), range);
             }
         }));
         meter.merge(of_sample);
@@ -289,7 +290,7 @@ fn uncounted<M: Meter>(
 
 /// Runs parts of the samples in parallel. Four parts a thread balance samples of different lengths.
 /// A single thread has one part, since counts are summed once a part.
-fn in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + Sync) -> Run<M> {
+fn run_in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + Sync) -> Run<M> {
     let parts = if rayon::current_num_threads() == 1 { 1 } else { rayon::current_num_threads() * 4 };
     let runs: Vec<Run<M>> = samples.par_chunks(samples.len().div_ceil(parts).max(1)).map(&run).collect();
     let joined = runs.into_iter().reduce(|mut all, later| {
@@ -330,14 +331,19 @@ fn add_inputs(counts: &mut SourceCounts, sample: &Sample, steps: u32) {
 }
 
 /// Runs samples on the golden interpreter.
-pub fn golden(network: &Quantised, samples: &[&Sample], keep: &Keep, progress: Progress<'_>) -> Run<()> {
+pub fn golden(
+    network: &Quantised,
+    samples: &[&Sample],
+    sample_settings: &SampleSettings,
+    progress: Progress<'_>,
+) -> Run<()> {
     let begin = Instant::now();
-    let run = in_parts(samples, |part| {
+    let run = run_in_parts(samples, |part| {
         let mut session = Session::new(Golden::new(network), 1);
         let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
         let run = |sample: &&Sample| {
             let add = |engine: &Golden, _| add_spikes(&mut counts, engine.spikes());
-            let outcome = session.run(sample, keep, add);
+            let outcome = session.run(sample, sample_settings, add);
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
             outcome
@@ -355,7 +361,7 @@ pub type Traces = Vec<Vec<f64>>;
 
 /// Traces of each sample.
 impl Meter for Vec<Traces> {
-    fn see(&mut self, _: &StepActivity, _: Passed) {}
+    fn observe(&mut self, _: &StepActivity, _: StepRange) {}
 
     fn merge(&mut self, other: Self) {
         self.extend(other);
@@ -368,12 +374,12 @@ pub fn reference<F: Real>(
     model: &Model<F>,
     (channels, compartments): (u32, u32),
     samples: &[&Sample],
-    keep: &Keep,
+    sample_settings: &SampleSettings,
     progress: Progress<'_>,
 ) -> Run<Vec<Traces>> {
     let begin = Instant::now();
-    let plain = Keep { probes: Vec::new(), ..keep.clone() };
-    let run = in_parts(samples, |part| {
+    let plain = SampleSettings { probes: Vec::new(), ..sample_settings.clone() };
+    let run = run_in_parts(samples, |part| {
         let mut session = Session::new(Reference::new(model), 1);
         let mut counts = SourceCounts::new(channels as usize, compartments as usize);
         let run = |sample: &&Sample| {
@@ -381,14 +387,14 @@ pub fn reference<F: Real>(
                 Quantity::U => engine.current(compartment),
                 _ => engine.potential(compartment),
             };
-            let mut traces = Recording::new(&keep.probes, sample.steps(), read);
-            let outcome = session.run(sample, &plain, |engine: &Reference<'_, F>, passed| {
-                traces.see(engine, passed);
+            let mut traces = Recording::new(&sample_settings.probes, sample.steps(), read);
+            let outcome = session.run(sample, &plain, |engine: &Reference<'_, F>, range| {
+                traces.observe(engine, range);
                 add_spikes(&mut counts, engine.spikes());
             });
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
-            (outcome, traces.kept)
+            (outcome, traces.values)
         };
         let (outcomes, meter) = part.iter().map(run).unzip();
         Run { outcomes, counts, meter, ..Run::default() }
@@ -400,7 +406,7 @@ pub fn reference<F: Real>(
 /// runs them, since it needs no mapping.
 pub fn firing_rates<'s>(network: &Quantised, samples: impl IntoIterator<Item = &'s Sample>) -> Rates {
     let samples: Vec<&Sample> = samples.into_iter().collect();
-    let Run { outcomes, counts, .. } = golden(network, &samples, &Keep::new(network.output()), &|| ());
+    let Run { outcomes, counts, .. } = golden(network, &samples, &SampleSettings::new(network.output()), &|| ());
     let steps = outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum();
     Rates::profile(counts.channels.as_slice(), counts.compartments.as_slice(), steps)
 }

@@ -23,11 +23,11 @@ use nsim_ir::spikes::{Engine, Sample, Spikes};
 use nsim_machine::plastic::places::PlasticProjection;
 use nsim_machine::{Image, Machine, Settings};
 
-use crate::observers::{Observer, Outputs, Passed, Recording, integer};
-use crate::outcome::{Keep, Outcome};
+use crate::observers::{Observer, Outputs, Recording, StepRange, integer};
+use crate::outcome::{Outcome, SampleSettings};
 
 /// Maximum number of stored input spikes, 12 bytes each; later ones only reach the engine.
-const MOST_KEPT: usize = 1 << 26;
+const MOST_STORED: usize = 1 << 26;
 
 /// The remedy where a network has no plastic projection.
 const MAKE_PLASTIC: &str = "set `format.plastic` of a projection before the network is mapped";
@@ -45,16 +45,16 @@ pub struct Session<E: ?Sized = Machine> {
     /// Whether weights were written.
     is_written: bool,
     /// Input spikes of one copy: (step, channel, value).
-    kept: Vec<(u32, ChannelId, i32)>,
+    stored_input: Vec<(u32, ChannelId, i32)>,
     steps: u32,
     /// Whether the engine has begun the sample that is stepped.
     is_begun: bool,
     /// Whether an input spike was not stored.
-    is_cut: bool,
+    is_truncated: bool,
     /// The last step's input, of one copy.
-    shown: Input,
+    last_input: Input,
     /// Scratch memory: the next step's input as it is given.
-    given: Vec<(ChannelId, i32)>,
+    step_input: Vec<(ChannelId, i32)>,
     /// Scratch memory: the input of all copies.
     all: Input,
     engine: E,
@@ -67,12 +67,12 @@ impl<E: Engine> Session<E> {
             copies,
             plastic: Arc::new([]),
             is_written: false,
-            kept: Vec::new(),
+            stored_input: Vec::new(),
             steps: 0,
             is_begun: false,
-            is_cut: false,
-            shown: Input::default(),
-            given: Vec::new(),
+            is_truncated: false,
+            last_input: Input::default(),
+            step_input: Vec::new(),
             all: Input::default(),
             engine,
         }
@@ -87,46 +87,52 @@ impl<E: Engine> Session<E> {
 impl<E: Engine + ?Sized> Session<E> {
     /// Runs one sample from its first step; an observer sees the engine after each step, or after
     /// steps in which nothing happened. A later [`Self::step`] is a first step again.
-    pub fn run(&mut self, sample: &Sample, keep: &Keep, mut observer: impl Observer<E>) -> Outcome {
+    pub fn run(
+        &mut self,
+        sample: &Sample,
+        sample_settings: &SampleSettings,
+        mut observer: impl Observer<E>,
+    ) -> Outcome {
         let steps = sample.steps();
-        let mut probes = Recording::new(&keep.probes, steps, integer::<E>);
-        let mut outputs = Outputs::new(keep, steps);
-        self.forget();
+        let mut probes = Recording::new(&sample_settings.probes, steps, integer::<E>);
+        let mut outputs = Outputs::new(sample_settings, steps);
+        self.clear_input();
         self.engine.begin(steps);
         let mut step = 0;
         while step < steps && !outputs.is_over() {
             let silent = sample.at(step).is_empty();
-            let rests = if silent { outputs.may_rest(&mut self.engine, step, sample.next_spike(step)) } else { 0 };
-            let at_rest = rests > 0 && self.engine.skip_idle(rests);
-            if !at_rest {
+            let skipped =
+                if silent { outputs.skippable_steps(&mut self.engine, step, sample.next_spike(step)) } else { 0 };
+            let idle = skipped > 0 && self.engine.skip_idle(skipped);
+            if !idle {
                 advance(&mut self.engine, sample.input(step), self.copies, &mut self.all);
             }
-            let steps = if at_rest { rests } else { 1 };
-            let passed = Passed { first: step, steps, at_rest, decided: outputs.is_decided() };
-            outputs.see(&self.engine, passed);
-            probes.see(&self.engine, passed);
-            observer.see(&self.engine, passed);
+            let steps = if idle { skipped } else { 1 };
+            let range = StepRange { first: step, steps, idle, decided: outputs.is_decided() };
+            outputs.observe(&self.engine, range);
+            probes.observe(&self.engine, range);
+            observer.observe(&self.engine, range);
             step += steps;
         }
         self.engine.settle();
         let (totals, overflow) = (self.engine.totals(), self.engine.overflow());
-        Outcome { probes: probes.kept, totals, overflow, ..outputs.outcome(step) }
+        Outcome { probes: probes.values, totals, overflow, ..outputs.outcome(step) }
     }
 
     /// Resets the session, weights included, to before the first step.
     pub fn reset(&mut self) {
-        self.forget();
+        self.clear_input();
         // The sample has no end, so every delivery is counted.
         self.engine.begin(u32::MAX);
         self.is_begun = true;
     }
 
     /// Forgets the input so far.
-    fn forget(&mut self) {
-        self.kept.clear();
-        self.shown.0.clear();
-        self.shown.1.clear();
-        (self.steps, self.is_begun, self.is_cut, self.is_written) = (0, false, false, false);
+    fn clear_input(&mut self) {
+        self.stored_input.clear();
+        self.last_input.0.clear();
+        self.last_input.1.clear();
+        (self.steps, self.is_begun, self.is_truncated, self.is_written) = (0, false, false, false);
     }
 
     /// Resets the session, unless the engine has begun the sample that is stepped.
@@ -148,30 +154,30 @@ impl<E: Engine + ?Sized> Session<E> {
     /// # Errors
     /// `session.channel`; the session stays as it was.
     pub fn step(&mut self, input: impl IntoIterator<Item = (ChannelId, i32)>) -> Result<()> {
-        let given = &mut self.given;
-        given.clear();
-        given.extend(input.into_iter().filter(|(_, value)| *value != 0));
-        if !given.is_sorted_by(|a, b| a.0 < b.0) {
-            given.sort_by_key(|(channel, _)| *channel);
-            given.dedup_by_key(|(channel, _)| *channel);
+        let step_input = &mut self.step_input;
+        step_input.clear();
+        step_input.extend(input.into_iter().filter(|(_, value)| *value != 0));
+        if !step_input.is_sorted_by(|a, b| a.0 < b.0) {
+            step_input.sort_by_key(|(channel, _)| *channel);
+            step_input.dedup_by_key(|(channel, _)| *channel);
         }
         let channels = self.engine.channels() / self.copies.max(1);
-        if let Some((last, _)) = given.last().filter(|(last, _)| last.0 >= channels) {
+        if let Some((last, _)) = step_input.last().filter(|(last, _)| last.0 >= channels) {
             let message = format!("channel {} is not one of the network's {channels}", last.0);
             return Err(Diagnostic::new("session.channel", message).help("channels are counted from 0"));
         }
         self.begin();
-        let given = &self.given;
-        self.is_cut |= self.kept.len() + given.len() > MOST_KEPT || self.steps == u32::MAX - 1;
-        if !self.is_cut {
-            self.kept.extend(given.iter().map(|&(channel, value)| (self.steps, channel, value)));
+        let step_input = &self.step_input;
+        self.is_truncated |= self.stored_input.len() + step_input.len() > MOST_STORED || self.steps == u32::MAX - 1;
+        if !self.is_truncated {
+            self.stored_input.extend(step_input.iter().map(|&(channel, value)| (self.steps, channel, value)));
         }
-        let (ids, values) = &mut self.shown;
+        let (ids, values) = &mut self.last_input;
         ids.clear();
         values.clear();
-        ids.extend(given.iter().map(|(channel, _)| channel));
-        values.extend(given.iter().map(|(_, value)| value));
-        let (ids, values) = &self.shown;
+        ids.extend(step_input.iter().map(|(channel, _)| channel));
+        values.extend(step_input.iter().map(|(_, value)| value));
+        let (ids, values) = &self.last_input;
         advance(&mut self.engine, Spikes { ids, values }, self.copies, &mut self.all);
         self.steps = self.steps.saturating_add(1);
         Ok(())
@@ -181,18 +187,18 @@ impl<E: Engine + ?Sized> Session<E> {
     /// does nothing and returns false.
     pub fn skip(&mut self, steps: u32) -> bool {
         self.begin();
-        let rests = self.engine.skip_idle(steps);
-        if rests && steps > 0 {
-            self.shown.0.clear();
-            self.shown.1.clear();
+        let skipped = self.engine.skip_idle(steps);
+        if skipped && steps > 0 {
+            self.last_input.0.clear();
+            self.last_input.1.clear();
             self.steps = self.steps.saturating_add(steps);
         }
-        rests
+        skipped
     }
 
     /// Returns the channels of one copy that spiked in the last step, ascending, with their values.
-    pub fn shown(&self) -> impl Iterator<Item = (ChannelId, i32)> {
-        self.shown.0.iter().copied().zip(self.shown.1.iter().copied())
+    pub fn last_input(&self) -> impl Iterator<Item = (ChannelId, i32)> {
+        self.last_input.0.iter().copied().zip(self.last_input.1.iter().copied())
     }
 
     /// Returns the compartments that spiked in the last step, of `count` from `first` on, with
@@ -322,12 +328,12 @@ impl Session {
             return Err(Diagnostic::new("session.weights.written", message).help(help));
         }
         let too_long = || {
-            let message = format!("a session stores at most {MOST_KEPT} input spikes, but more were given");
+            let message = format!("a session stores at most {MOST_STORED} input spikes, but more were given");
             Diagnostic::new("session.too-long", message).help("call reset() at the end of each trial")
         };
-        if self.is_cut {
+        if self.is_truncated {
             return Err(too_long());
         }
-        Sample::with_values(self.steps, &self.kept, None).map_err(|_| too_long())
+        Sample::with_values(self.steps, &self.stored_input, None).map_err(|_| too_long())
     }
 }

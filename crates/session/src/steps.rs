@@ -10,9 +10,9 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use super::observers::Passed;
-use super::priced::Metered;
-use super::samples::{Meter, Run, Running};
+use super::observers::StepRange;
+use super::priced::MeteredMapping;
+use super::samples::{Meter, Run, RunSettings};
 use nsim_cost::model::{Breakdown, StepTime, energy_of_counts};
 use nsim_cost::{MeterSettings, StepMeter};
 use nsim_files::steps::{Column, StepWriter, Unit};
@@ -79,7 +79,7 @@ pub(super) struct Recorder<'r, 'w> {
 
 impl<'r> Recorder<'r, '_> {
     /// Returns a recorder that stores rows over all copies of a mapping.
-    pub(super) fn kept(metered: &Metered<'_>, settings: Arc<MeterSettings>, layout: &'r StepLayout) -> Self {
+    pub(super) fn storing(metered: &MeteredMapping<'_>, settings: Arc<MeterSettings>, layout: &'r StepLayout) -> Self {
         let copies = (metered.copies_run().into(), metered.copies().into());
         Recorder { meter: StepMeter::new(settings), layout, copies, cells: Vec::new(), direct: None }
     }
@@ -117,12 +117,12 @@ impl<'r> Recorder<'r, '_> {
 }
 
 impl Meter for Recorder<'_, '_> {
-    fn see(&mut self, step: &StepActivity, passed: Passed) {
-        self.meter.see(step, passed);
+    fn observe(&mut self, step: &StepActivity, range: StepRange) {
+        self.meter.observe(step, range);
         let start = self.cells.len();
         self.add_row(step);
         let width = self.layout.columns.len();
-        for _ in 1..passed.steps {
+        for _ in 1..range.steps {
             if self.direct.is_some() && self.cells.len() > ROWS_TOGETHER * width {
                 let row = self.cells[self.cells.len() - width..].to_vec();
                 self.cells.truncate(self.cells.len() - width);
@@ -132,7 +132,7 @@ impl Meter for Recorder<'_, '_> {
             let from = self.cells.len() - width;
             self.cells.extend_from_within(from..);
         }
-        debug_assert!(self.direct.is_some() || self.cells.len() == start + passed.steps as usize * width);
+        debug_assert!(self.direct.is_some() || self.cells.len() == start + range.steps as usize * width);
         if self.cells.len() >= ROWS_TOGETHER * width {
             self.flush();
         }
@@ -148,11 +148,12 @@ impl Meter for Recorder<'_, '_> {
 /// Runs samples on a mapping, meters each step and writes a row for it.
 ///
 /// # Errors
-/// As [`Metered::run`]. The second result has the error of writing rows; later samples do not run.
+/// As [`MeteredMapping::run`]. The second result has the error of writing rows; later
+/// samples do not run.
 pub fn run_recorded(
-    metered: &Metered<'_>,
+    metered: &MeteredMapping<'_>,
     settings: MeterSettings,
-    (samples, running): (&[&Sample], Running<'_>),
+    (samples, run_settings): (&[&Sample], RunSettings<'_>),
     layout: &StepLayout,
     out: StepWriter<'_>,
 ) -> Result<(Run<StepMeter>, std::io::Result<()>)> {
@@ -161,8 +162,8 @@ pub fn run_recorded(
     for group in groups(samples, layout.columns.len()) {
         let steps: usize = group.iter().map(|sample| sample.steps() as usize).sum();
         let direct = (steps * layout.columns.len() > CELLS).then_some(&out);
-        let meter = || Recorder { direct, ..Recorder::kept(metered, settings.clone(), layout) };
-        let mut run = metered.run_with(group, running, meter)?;
+        let meter = || Recorder { direct, ..Recorder::storing(metered, settings.clone(), layout) };
+        let mut run = metered.run_with(group, run_settings, meter)?;
         run.meter.flush();
         let mut writer = out.lock().unwrap_or_else(PoisonError::into_inner);
         let mut cells = run.meter.cells.chunks(layout.columns.len());
@@ -181,10 +182,10 @@ pub fn run_recorded(
     }
     let whole = match whole {
         Some(whole) => whole,
-        None => metered.run_with(&[], running, || StepMeter::new(settings.clone()))?,
+        None => metered.run_with(&[], run_settings, || StepMeter::new(settings.clone()))?,
     };
     let written = out.into_inner().unwrap_or_else(PoisonError::into_inner).finish();
-    Ok((metered.of_all_copies(whole), written))
+    Ok((metered.extend_to_all_copies(whole), written))
 }
 
 /// Returns groups of consecutive samples with at most [`CELLS`] numbers in total, or of one longer

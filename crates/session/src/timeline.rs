@@ -8,11 +8,11 @@
 
 use std::sync::Arc;
 
-use super::observers::Passed;
-use super::priced::Metered;
-use super::samples::{Meter, Running};
+use super::observers::StepRange;
+use super::priced::MeteredMapping;
+use super::samples::{Meter, RunSettings};
 use super::steps::{Recorder, StepLayout};
-use super::{Keep, Probe, Quantity};
+use super::{Probe, Quantity, SampleSettings};
 use nsim_cost::MeterSettings;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
@@ -58,7 +58,7 @@ pub struct Timeline {
 }
 
 /// A meter that stores rows and spikes of a sample.
-struct Watch<'w> {
+struct TimelineMeter<'w> {
     recorder: Recorder<'w, 'w>,
     /// The first channel or compartment of each population.
     firsts: &'w [u32],
@@ -66,7 +66,7 @@ struct Watch<'w> {
     steps: u32,
 }
 
-impl Watch<'_> {
+impl TimelineMeter<'_> {
     /// Stores a spike; `populations` has the population of each source of the first copy only.
     fn keep(&mut self, populations: &[u32], source: usize) {
         let Some(&population) = populations.get(source) else { return };
@@ -80,13 +80,13 @@ impl Watch<'_> {
     }
 }
 
-impl Meter for Watch<'_> {
-    fn see(&mut self, step: &StepActivity, passed: Passed) {
-        self.recorder.see(step, passed);
+impl Meter for TimelineMeter<'_> {
+    fn observe(&mut self, step: &StepActivity, range: StepRange) {
+        self.recorder.observe(step, range);
         let layout = self.recorder.layout;
         step.channels.iter().for_each(|id| self.keep(&layout.channels, id.index()));
         step.fired.iter().for_each(|id| self.keep(&layout.compartments, id.index()));
-        self.steps += passed.steps;
+        self.steps += range.steps;
     }
 
     /// There is one sample, so `self` is an empty meter.
@@ -100,9 +100,9 @@ impl Timeline {
     /// Runs a sample on a mapping.
     ///
     /// # Errors
-    /// As [`Metered::run`].
+    /// As [`MeteredMapping::run`].
     pub fn new(
-        metered: &Metered<'_>,
+        metered: &MeteredMapping<'_>,
         network: &Quantised,
         settings: MeterSettings,
         sample: &Sample,
@@ -124,15 +124,16 @@ impl Timeline {
             })
             .collect();
         let probe = |&first: &CompartmentId| Probe { first, count: 1, quantity };
-        let keep = Keep { probes: traced.iter().map(probe).collect(), ..Keep::new(network.output()) };
-        let meter = || Watch {
-            recorder: Recorder::kept(metered, settings.clone(), &layout),
+        let sample_settings =
+            SampleSettings { probes: traced.iter().map(probe).collect(), ..SampleSettings::new(network.output()) };
+        let meter = || TimelineMeter {
+            recorder: Recorder::storing(metered, settings.clone(), &layout),
             firsts: &firsts,
             rasters: rasters.clone(),
             steps: 0,
         };
-        let run = metered.run_with(&[sample], Running::new(&keep), meter)?;
-        let Watch { recorder, rasters, .. } = run.meter;
+        let run = metered.run_with(&[sample], RunSettings::new(&sample_settings), meter)?;
+        let TimelineMeter { recorder, rasters, .. } = run.meter;
         let rows = recorder.cells;
         let outcome = run.outcomes.into_iter().next().unwrap_or_default();
         Ok(Timeline { steps: (sample.steps(), all), layout, rows, rasters, traces: outcome.probes })
@@ -160,7 +161,7 @@ mod tests {
                 .filter(|&(step, channel)| rng::below(4, seed, u64::from(step), channel.0.into()) == 0)
                 .collect();
             let sample = Sample::new(60, &events, None).unwrap();
-            let metered = Metered::new(&compiled);
+            let metered = MeteredMapping::new(&compiled);
             let (settings, _) = metered.offline(&board).unwrap();
             let watched: Vec<CompartmentId> = (0..network.compartments().min(5)).map(CompartmentId).collect();
             let found = Timeline::new(&metered, network, settings, &sample, (&watched, Quantity::V)).unwrap();

@@ -7,9 +7,9 @@
 use std::collections::{BTreeSet, HashSet};
 use std::sync::Arc;
 
-use crate::populations::{ByPopulation, PopulationCounts};
-use crate::samples::{Running, fast};
-use crate::{Keep, Outcome};
+use crate::populations::{CountsByPopulation, PopulationCounts};
+use crate::samples::{RunSettings, fast};
+use crate::{Outcome, SampleSettings};
 
 use nsim_dynamics as neuron;
 use nsim_files::table::count;
@@ -37,7 +37,7 @@ pub struct Warning {
 
 /// The engine that ran.
 #[derive(Debug, Clone, Copy)]
-pub enum Ran<'a> {
+pub enum RunEngine<'a> {
     /// The machine.
     Program(&'a Arc<Program>),
     /// The golden interpreter.
@@ -48,13 +48,13 @@ pub enum Ran<'a> {
 
 /// A finished run.
 #[derive(Debug, Clone, Copy)]
-pub struct Finished<'a> {
+pub struct FinishedRun<'a> {
     /// The network; of several copies, one.
     pub network: &'a Quantised,
     /// The engine.
-    pub ran: Ran<'a>,
+    pub engine: RunEngine<'a>,
     /// Its counts by population.
-    pub sums: &'a ByPopulation,
+    pub sums: &'a CountsByPopulation,
     /// The input samples.
     pub samples: &'a [&'a Sample],
     /// Outcome of each sample.
@@ -62,18 +62,18 @@ pub struct Finished<'a> {
 }
 
 /// Maximum number of synapses, and of potentials to read, for which samples run again.
-const MOST_AGAIN: u64 = 4_000_000;
+const MOST_REREAD: u64 = 4_000_000;
 /// Rounding error of real weights, as a share of the greatest weight, above which a warning
 /// follows: half a step of 5 bits and a sign.
 const COARSE: f64 = 1.0 / 64.0;
 /// Maximum number of samples that run again.
-const SAMPLES_AGAIN: usize = 20;
+const MOST_RERUN_SAMPLES: usize = 20;
 /// Maximum number of names in a warning.
 const LISTED: usize = 5;
 
 /// The compartment of a silent population that came nearest to its threshold.
 #[derive(Debug, Clone, Copy, PartialEq)]
-struct Nearest {
+struct NearestCompartment {
     index: u32,
     potential: i32,
     /// The least potential at which it would have fired.
@@ -81,14 +81,14 @@ struct Nearest {
     neuron: Neuron,
 }
 
-impl Nearest {
+impl NearestCompartment {
     fn share(&self) -> f64 {
         f64::from(self.potential) / f64::from(self.fires_from.max(1))
     }
 }
 
 /// Returns the warnings of a run, in the order of the populations.
-pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
+pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
     let mut found = Vec::new();
     let network = run.network;
     let compartments = network.populations().enumerate().filter(|(_, p)| p.first_compartment().is_some());
@@ -107,11 +107,11 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         let mut add = |code, message| found.push(Warning { code, population: Some(row.name.clone()), message });
         if by_potential {
             // An output that decides by its potentials may be silent.
-            if let Some(message) = still(run, &spiking, id) {
+            if let Some(message) = undecided_reason(run, &spiking, id) {
                 add("silent-output", message);
             }
         } else if let Ok(place) = silent.binary_search(&id) {
-            let change = wake(run, &spiking, id, nearest.get(place).copied().flatten());
+            let change = firing_advice(run, &spiking, id, nearest.get(place).copied().flatten());
             let what = if is_output { "the output never spikes, so no sample is decided" } else { "never spikes" };
             add(if is_output { "silent-output" } else { "silent-population" }, format!("{what}: {change}"));
         } else if is_output && let Some(message) = silent_classes(run) {
@@ -121,7 +121,7 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
         if row.cut > 0 {
             let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
             let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);
-            add("clipped", format!("{} clipped{place}: {}", count(row.cut, "voltage"), widen(network, id)));
+            add("clipped", format!("{} clipped{place}: {}", count(row.cut, "voltage"), clipping_advice(network, id)));
         }
         if row.wrapped > 0 {
             let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
@@ -135,8 +135,8 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
             };
             add("wrapped", message);
         }
-        if !matches!(run.ran, Ran::Reals)
-            && let Some(message) = rounded(network, id)
+        if !matches!(run.engine, RunEngine::Reals)
+            && let Some(message) = rounding_message(network, id)
         {
             add("weights-rounded", message);
         }
@@ -148,25 +148,32 @@ pub fn warnings(run: Finished<'_>) -> Vec<Warning> {
 ///
 /// # Errors
 /// As [`fast`].
-pub fn warnings_of(network: &Quantised, program: &Arc<Program>, samples: &[&Sample]) -> Result<Vec<Warning>> {
-    let keep = Keep::new(program.output());
-    let run = fast(program, samples, Running::new(&keep), || ())?;
-    let sums = ByPopulation::new(network, &run.counts);
-    Ok(warnings(Finished { network, ran: Ran::Program(program), sums: &sums, samples, outcomes: &run.outcomes }))
+pub fn run_warnings(network: &Quantised, program: &Arc<Program>, samples: &[&Sample]) -> Result<Vec<Warning>> {
+    let sample_settings = SampleSettings::new(program.output());
+    let run = fast(program, samples, RunSettings::new(&sample_settings), || ())?;
+    let sums = CountsByPopulation::new(network, &run.counts);
+    Ok(warnings(FinishedRun {
+        network,
+        engine: RunEngine::Program(program),
+        sums: &sums,
+        samples,
+        outcomes: &run.outcomes,
+    }))
 }
 
 /// Returns why the potentials that should decide the output stay 0; `None` otherwise.
-fn still(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
+fn undecided_reason(run: FinishedRun<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
-    let why =
-        || unreached(run, spiking, id).unwrap_or_else(|| "all weights into it round to zero; raise them".to_string());
+    let why = || {
+        no_input_reason(run, spiking, id).unwrap_or_else(|| "all weights into it round to zero; raise them".to_string())
+    };
     let what = "the potentials of the output never leave 0, so no sample is decided";
     (!decided && !run.outcomes.is_empty()).then(|| format!("{what}: {}", why()))
 }
 
 /// Returns why nothing reaches a population; `None` where input reaches it. `spiking` has the names
 /// of populations and inputs with spikes.
-fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
+fn no_input_reason(run: FinishedRun<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let network = run.network;
     let populations = network.populations();
     let sources: BTreeSet<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
@@ -185,9 +192,14 @@ fn unreached(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Op
 }
 
 /// Returns the change that makes a silent population fire.
-fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: Option<Nearest>) -> String {
+fn firing_advice(
+    run: FinishedRun<'_>,
+    spiking: &HashSet<&str>,
+    id: PopulationId,
+    nearest: Option<NearestCompartment>,
+) -> String {
     let network = run.network;
-    if let Some(why) = unreached(run, spiking, id) {
+    if let Some(why) = no_input_reason(run, spiking, id) {
         return why;
     }
     let population = &network.populations()[id];
@@ -216,20 +228,20 @@ fn wake(run: Finished<'_>, spiking: &HashSet<&str>, id: PopulationId, nearest: O
         };
         return format!("its thresholds have the maximum value, {advice}");
     }
-    match (nearest, run.ran) {
+    match (nearest, run.engine) {
         (Some(nearest), _) if nearest.potential <= 0 => {
             "its input never raises v above zero; give it positive weights, a weight_exp that does not round them to \
              zero, or a bias"
                 .to_string()
         }
-        (Some(nearest), _) => lower(network.parts().threshold, &nearest),
-        (None, Ran::Reals) => "lower its threshold, or scale up its input weights".to_string(),
+        (Some(nearest), _) => threshold_advice(network.parts().threshold, &nearest),
+        (None, RunEngine::Reals) => "lower its threshold, or scale up its input weights".to_string(),
         (None, _) => "lower its threshold (vth_mant), or raise the weight_exp of its inputs".to_string(),
     }
 }
 
 /// Returns the change at which the nearest compartment would have fired.
-fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
+fn threshold_advice(test: ThresholdTest, nearest: &NearestCompartment) -> String {
     let vth = nearest.neuron.vth.get();
     let below = if test == ThresholdTest::Strict { nearest.potential - 1 } else { nearest.potential };
     let percent = 100.0 * nearest.share();
@@ -249,7 +261,7 @@ fn lower(test: ThresholdTest, nearest: &Nearest) -> String {
 
 /// Returns the nearest compartment of each of these populations, in the samples with most spikes.
 /// Empty where the search would take too long.
-fn nearest(run: Finished<'_>, silent: &[PopulationId]) -> Vec<Option<Nearest>> {
+fn nearest(run: FinishedRun<'_>, silent: &[PopulationId]) -> Vec<Option<NearestCompartment>> {
     let network = run.network;
     let size = |&id: &PopulationId| u64::from(network.populations()[id].shape.len());
     let compartments = silent.iter().map(size).sum::<u64>();
@@ -258,32 +270,32 @@ fn nearest(run: Finished<'_>, silent: &[PopulationId]) -> Vec<Option<Nearest>> {
     let mut reads = 0;
     let affordable = samples.iter().take_while(|sample| {
         reads += compartments * u64::from(sample.steps());
-        reads <= MOST_AGAIN
+        reads <= MOST_REREAD
     });
-    let some = affordable.count().min(SAMPLES_AGAIN);
-    if silent.is_empty() || some == 0 || network.synapses() > MOST_AGAIN {
+    let some = affordable.count().min(MOST_RERUN_SAMPLES);
+    if silent.is_empty() || some == 0 || network.synapses() > MOST_REREAD {
         return Vec::new();
     }
     let samples = &samples[..some];
-    match run.ran {
-        Ran::Program(program) => match Image::new(program, 1) {
-            Ok(image) => watched(&mut Machine::new(&image, Settings::default()), run, silent, samples),
+    match run.engine {
+        RunEngine::Program(program) => match Image::new(program, 1) {
+            Ok(image) => nearest_of_runs(&mut Machine::new(&image, Settings::default()), run, silent, samples),
             Err(_) => Vec::new(),
         },
-        Ran::Integers => watched(&mut Golden::new(network), run, silent, samples),
-        Ran::Reals => Vec::new(),
+        RunEngine::Integers => nearest_of_runs(&mut Golden::new(network), run, silent, samples),
+        RunEngine::Reals => Vec::new(),
     }
 }
 
 /// Runs samples and reads the potentials of silent populations.
-fn watched(
+fn nearest_of_runs(
     engine: &mut dyn Engine,
-    run: Finished<'_>,
+    run: FinishedRun<'_>,
     silent: &[PopulationId],
     samples: &[&Sample],
-) -> Vec<Option<Nearest>> {
+) -> Vec<Option<NearestCompartment>> {
     let parts = run.network.parts();
-    let mut best: Vec<Option<Nearest>> = vec![None; silent.len()];
+    let mut best: Vec<Option<NearestCompartment>> = vec![None; silent.len()];
     let steps = samples.iter().flat_map(|sample| (0..sample.steps()).map(move |step| (sample, step)));
     for (sample, step) in steps {
         if step == 0 {
@@ -301,7 +313,7 @@ fn watched(
                 let neuron = neurons.get(index);
                 let fires_from = neuron::fields(&neuron, *start_step, parts.semantics, parts.threshold).fires_from;
                 let index = run.network.index_before_pruning(*id, index);
-                let here = Nearest { index, potential, fires_from, neuron };
+                let here = NearestCompartment { index, potential, fires_from, neuron };
                 if best.is_none_or(|best| here.share() > best.share()) {
                     *best = Some(here);
                 }
@@ -312,7 +324,7 @@ fn watched(
 }
 
 /// Returns the population of the first overflow, and a text with its place.
-fn first_overflow(run: Finished<'_>) -> Option<(PopulationId, String)> {
+fn first_overflow(run: FinishedRun<'_>) -> Option<(PopulationId, String)> {
     let firsts = run.outcomes.iter().enumerate();
     let (sample, (step, compartment)) = firsts.filter_map(|(i, outcome)| Some((i, outcome.overflow.first?))).next()?;
     let (population, index) = run.network.population_of(compartment);
@@ -321,7 +333,7 @@ fn first_overflow(run: Finished<'_>) -> Option<(PopulationId, String)> {
 }
 
 /// Returns a message on outputs that never spike although the run has samples of their class.
-fn silent_classes(run: Finished<'_>) -> Option<String> {
+fn silent_classes(run: FinishedRun<'_>) -> Option<String> {
     let mut silent: BTreeSet<u32> = run.samples.iter().filter_map(|sample| sample.label()).collect();
     let fired =
         |class: u32| run.outcomes.iter().any(|outcome| outcome.counts.get(class as usize).is_none_or(|&n| n > 0));
@@ -346,13 +358,13 @@ const HALVE: &str = "lower the weight_exp of its inputs by 1, and halve vth_mant
                      at half the values";
 
 /// Returns the advice that raises the upper bound of voltages.
-pub fn widen(network: &Quantised, id: PopulationId) -> String {
+pub fn clipping_advice(network: &Quantised, id: PopulationId) -> String {
     let narrow = network.populations()[id].any_neuron(|neuron| neuron.vmax < VmaxExponent::MAX);
     if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
 }
 
 /// Returns a message on the projections into a population whose weights were all rounded.
-fn rounded(network: &Quantised, id: PopulationId) -> Option<String> {
+fn rounding_message(network: &Quantised, id: PopulationId) -> Option<String> {
     // Real weights are hardly ever multiples of a step, so the size of the steps counts.
     let whole = |note: &&Note| {
         note.rounded.is_some_and(|rounded| {

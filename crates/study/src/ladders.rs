@@ -13,9 +13,9 @@ use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::rng;
 use nsim_ir::quantised::{Neuron, Quantised};
 use nsim_ir::spikes::Sample;
-use nsim_session::Keep;
+use nsim_session::SampleSettings;
 use nsim_session::error::Error;
-use nsim_session::samples::{Division, Running, fast_on, laid_out};
+use nsim_session::samples::{Division, RunSettings, fast_on_image, lay_out};
 
 use crate::networks::builder::Builder;
 use crate::networks::delivery::{NEVER, silent};
@@ -63,7 +63,7 @@ impl Class {
 
 /// A rung of a ladder: a network and the settings of its run.
 #[derive(Debug, Clone)]
-pub struct Rung {
+pub struct LadderCase {
     /// Property that differs along the ladder.
     pub ladder: &'static str,
     /// Its value here.
@@ -83,7 +83,7 @@ pub struct Rung {
 
 /// Measurements of a rung.
 #[derive(Debug, Clone, serde::Serialize)]
-pub struct Row {
+pub struct LadderRow {
     /// Property that differs along the ladder.
     pub ladder: &'static str,
     /// Its value here.
@@ -104,11 +104,11 @@ pub struct Row {
 }
 
 /// The rungs of all ladders, generated from `seed`, for up to `threads` threads.
-pub fn rungs(seed: u64, threads: usize) -> Vec<Rung> {
-    let mut rungs = Vec::new();
+pub fn ladder_cases(seed: u64, threads: usize) -> Vec<LadderCase> {
+    let mut cases = Vec::new();
     let base = |ladder: u64| {
         let draw = |what, least: u64, most: u64| least + rng::below(most - least + 1, seed, ladder, what);
-        Rung {
+        LadderCase {
             ladder: "",
             at: String::new(),
             class: Class::Lists { fan_out: draw(0, 32, 128) as u32, delays: 1 },
@@ -121,50 +121,58 @@ pub fn rungs(seed: u64, threads: usize) -> Vec<Rung> {
             seed: rng::bits(seed, ladder, 4),
         }
     };
-    let layer = |ladder| Rung { size: 8 * (2 + rng::below(7, seed, ladder, 5) as u32), ..base(ladder) };
-    let mut add = |ladder, at: &dyn std::fmt::Display, rung: Rung| {
-        rungs.push(Rung { ladder, at: at.to_string(), ..rung });
+    let layer = |ladder| LadderCase { size: 8 * (2 + rng::below(7, seed, ladder, 5) as u32), ..base(ladder) };
+    let mut add = |ladder, at: &dyn std::fmt::Display, case: LadderCase| {
+        cases.push(LadderCase { ladder, at: at.to_string(), ..case });
     };
     for fan_out in [8, 32, 128, 512] {
         let one = base(0);
         let per_mille = (one.per_mille * 64 / u64::from(fan_out)).clamp(2, 200);
-        add("fan-out", &fan_out, Rung { class: Class::Lists { fan_out, delays: 1 }, per_mille, ..one });
+        add("fan-out", &fan_out, LadderCase { class: Class::Lists { fan_out, delays: 1 }, per_mille, ..one });
     }
     for delays in [1, 2, 4, 8, 16, 32, 60] {
-        add("delays", &delays, Rung { class: Class::Lists { fan_out: 60, delays }, ..base(1) });
+        add("delays", &delays, LadderCase { class: Class::Lists { fan_out: 60, delays }, ..base(1) });
     }
     for steps in [2, 8, 32, 128, 512] {
-        add("steps of a sample", &steps, Rung { class: Class::Lists { fan_out: 64, delays: 2 }, steps, ..base(2) });
+        add(
+            "steps of a sample",
+            &steps,
+            LadderCase { class: Class::Lists { fan_out: 64, delays: 2 }, steps, ..base(2) },
+        );
     }
     for per_mille in [5, 20, 80, 320] {
-        add("spikes in 1,000", &per_mille, Rung { per_mille, ..base(3) });
+        add("spikes in 1,000", &per_mille, LadderCase { per_mille, ..base(3) });
     }
     for populations in [1, 2, 4, 8, 16, 32, 64] {
-        add("populations", &populations, Rung { populations, ..base(4) });
+        add("populations", &populations, LadderCase { populations, ..base(4) });
     }
     for kernel in [1, 3, 5, 7] {
-        add("kernel", &kernel, Rung { class: Class::Convolution { kernel, depthwise: false }, ..layer(5) });
+        add("kernel", &kernel, LadderCase { class: Class::Convolution { kernel, depthwise: false }, ..layer(5) });
     }
     for kernel in [3, 5, 7] {
-        add("depthwise kernel", &kernel, Rung { class: Class::Convolution { kernel, depthwise: true }, ..layer(6) });
+        add(
+            "depthwise kernel",
+            &kernel,
+            LadderCase { class: Class::Convolution { kernel, depthwise: true }, ..layer(6) },
+        );
     }
     for size in [512, 1_024, 2_048, 4_096] {
-        add("dense", &size, Rung { class: Class::Dense, size, ..base(7) });
+        add("dense", &size, LadderCase { class: Class::Dense, size, ..base(7) });
     }
     for strategy in Strategy::ALL {
         let class = Class::Convolution { kernel: 3, depthwise: false };
-        add("strategy", &strategy.name(), Rung { class, strategy, ..layer(8) });
+        add("strategy", &strategy.name(), LadderCase { class, strategy, ..layer(8) });
     }
     for count in std::iter::successors(Some(1), |count| Some(2 * count)).take_while(|&count| count <= threads) {
         let class = Class::Convolution { kernel: 3, depthwise: false };
-        add("threads", &count, Rung { class, threads: count, ..layer(9) });
+        add("threads", &count, LadderCase { class, threads: count, ..layer(9) });
     }
-    rungs
+    cases
 }
 
-impl Rung {
+impl LadderCase {
     fn build(&self) -> Result<Quantised, BuildError> {
-        let Rung { class, size, populations, seed, .. } = *self;
+        let LadderCase { class, size, populations, seed, .. } = *self;
         if let Class::Convolution { kernel, depthwise } = class {
             let mut layers = Layers::new("ladder", (size, 20, 20));
             layers.threshold = NEVER;
@@ -213,19 +221,19 @@ impl Rung {
     ///
     /// # Errors
     /// [`Error::Fault`], an internal error, since every rung fits its target.
-    pub fn measure(&self) -> Result<Row, Error> {
+    pub fn measure(&self) -> Result<LadderRow, Error> {
         let fault = |error: &dyn std::fmt::Display| Error::Fault(format!("{} {}: {error}", self.ladder, self.at));
         let network = self.build().map_err(|error| fault(&error))?;
         let samples = self.samples(network.channels(), network.synapses()).map_err(|error| fault(&error))?;
-        let keep = Keep::new(network.output());
+        let sample_settings = SampleSettings::new(network.output());
         let options = Options { strategy: self.strategy, ..Options::default() };
         let compiled = compile(network, &load_target(TARGET)?, &options).map_err(|error| fault(&error))?;
         let pool = rayon::ThreadPoolBuilder::new().num_threads(self.threads).build().map_err(|error| fault(&error))?;
         let samples: Vec<&Sample> = samples.iter().collect();
         let runs = pool.install(|| {
             let division = Division::new(&compiled.program, samples.len());
-            let image = laid_out(&compiled.program, division)?;
-            let run = |_| fast_on(&image, division, &samples, Running::new(&keep), || ());
+            let image = lay_out(&compiled.program, division)?;
+            let run = |_| fast_on_image(&image, division, &samples, RunSettings::new(&sample_settings), || ());
             Ok::<_, Error>((0..REPEATS).map(run).map(|run| (run.wall_s, run.activity)).collect::<Vec<_>>())
         })?;
         let events = runs[0].1.sum().synaptic_events();
@@ -239,12 +247,12 @@ impl Rung {
         let ((class, goal), at) = (class.goal(), self.at.clone());
         let updates = u64::from(compiled.program.compartments()) * u64::from(self.steps) * samples.len() as u64;
         let goal = goal + UPDATE_NS * updates as f64 / events.max(1) as f64;
-        Ok(Row { ladder: self.ladder, at, class, events, ns_an_event, goal, is_cliff: false })
+        Ok(LadderRow { ladder: self.ladder, at, class, events, ns_an_event, goal, is_cliff: false })
     }
 }
 
-/// Marks the cliffs among rows in the order of [`rungs`].
-pub fn mark_cliffs(rows: &mut [Row]) {
+/// Marks the cliffs among rows in the order of [`cases`].
+pub fn mark_cliffs(rows: &mut [LadderRow]) {
     for of_ladder in rows.chunk_by_mut(|a, b| a.ladder == b.ladder) {
         let times: Vec<(f64, f64)> = of_ladder.iter().map(|row| (row.ns_an_event, row.goal)).collect();
         for (place, row) in of_ladder.iter_mut().enumerate() {
@@ -261,20 +269,20 @@ mod tests {
 
     #[test]
     fn every_rung_can_be_built_and_seeds_differ() {
-        for rung in rungs(1, 2) {
-            let network = rung.build().unwrap();
-            let samples = rung.samples(network.channels(), network.synapses()).unwrap();
-            assert!(samples.len() >= 2 && samples.iter().all(|sample| sample.steps() == rung.steps), "{rung:?}");
+        for case in ladder_cases(1, 2) {
+            let network = case.build().unwrap();
+            let samples = case.samples(network.channels(), network.synapses()).unwrap();
+            assert!(samples.len() >= 2 && samples.iter().all(|sample| sample.steps() == case.steps), "{case:?}");
         }
-        let names = |seed| rungs(seed, 4).iter().map(|rung| (rung.ladder, rung.at.clone())).collect::<Vec<_>>();
-        let drawn = |seed| rungs(seed, 4).iter().map(|rung| (rung.size, rung.per_mille)).collect::<Vec<_>>();
+        let names = |seed| ladder_cases(seed, 4).iter().map(|case| (case.ladder, case.at.clone())).collect::<Vec<_>>();
+        let drawn = |seed| ladder_cases(seed, 4).iter().map(|case| (case.size, case.per_mille)).collect::<Vec<_>>();
         assert_eq!((names(1), drawn(1)), (names(2), drawn(1)));
         assert_ne!(drawn(1), drawn(2));
     }
 
     #[test]
     fn a_cliff_takes_longer_than_a_neighbour_of_its_ladder() {
-        let row = |(ladder, ns_an_event, goal)| Row {
+        let row = |(ladder, ns_an_event, goal)| LadderRow {
             ladder,
             at: String::new(),
             class: "lists",
@@ -287,7 +295,7 @@ mod tests {
         // A longer goal allows as many times more, a shorter one no less.
         let others =
             [("b", 8.0, 1.0), ("b", 59.0, 3.0), ("c", 8.0, 1.0), ("c", 59.0, 0.5), ("d", 8.0, 1.0), ("d", 61.0, 3.0)];
-        let mut rows: Vec<Row> = of_a.into_iter().chain(others).map(row).collect();
+        let mut rows: Vec<LadderRow> = of_a.into_iter().chain(others).map(row).collect();
         mark_cliffs(&mut rows);
         let marked: Vec<_> = rows.iter().filter(|row| row.is_cliff).map(|row| (row.ladder, row.ns_an_event)).collect();
         assert_eq!(marked, [("a", 7.0), ("c", 59.0), ("d", 61.0)]);

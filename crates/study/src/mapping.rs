@@ -23,7 +23,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
 use nsim_session::error::Error;
-use nsim_session::priced::Metered;
+use nsim_session::priced::MeteredMapping;
 use nsim_session::ranks::peak_mib;
 
 /// Measurements of a mapping.
@@ -72,15 +72,15 @@ fn golden(network: &Quantised, sample: &Sample) -> Vec<Vec<u32>> {
 }
 
 /// Strategies, objectives and placements (by traffic or not) of every network's mappings.
-pub const WAYS: [(Strategy, Objective, &[bool]); 4] = [
+pub const MAPPING_VARIANTS: [(Strategy, Objective, &[bool]); 4] = [
     (Strategy::Sequential, Objective::Cores, &[false, true]),
     (Strategy::Greedy, Objective::Cores, &[false, true]),
     (Strategy::Multilevel, Objective::Cores, &[false, true]),
     (Strategy::Multilevel, Objective::Latency, &[true]),
 ];
 
-/// Entries of [`WAYS`] for networks whose synapses are not listed.
-const IN_BOXES: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
+/// Entries of [`MAPPING_VARIANTS`] for networks whose synapses are not listed.
+const BOX_VARIANTS: [(Strategy, Objective, &[bool]); 1] = [(Strategy::Multilevel, Objective::Cores, &[false, true])];
 
 /// Maps a case in all ways; calls `row` with each result as soon as it is ready.
 ///
@@ -94,7 +94,7 @@ pub fn map_all(
     mut row: impl FnMut(MeasuredMapping),
 ) -> Result<(), Error> {
     let in_boxes = is_large(&bench.network, case.copies);
-    let ways = if in_boxes { &IN_BOXES[..] } else { &WAYS[..] };
+    let ways = if in_boxes { &BOX_VARIANTS[..] } else { &MAPPING_VARIANTS[..] };
     let rates = &Rates::assumed(DEFAULT_RATE);
     let front = || {
         let front = Front::from(bench.network.clone());
@@ -181,7 +181,7 @@ fn simulated(
 ) -> Result<(f64, f64), Error> {
     let strategy = compiled.options.strategy;
     let (settings, deployment) =
-        Metered::new(compiled).offline(target).map_err(|error| fault(case, strategy, error))?;
+        MeteredMapping::new(compiled).offline(target).map_err(|error| fault(case, strategy, error))?;
     // Every core runs, so the routes are the program's.
     let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
     let cores = settings.tables[0].core_static_power.milliwatts() * deployment.cores_used as f64;

@@ -14,14 +14,14 @@ use std::num::NonZeroU32;
 use std::time::Duration;
 
 use nsim_agree::classes::ClassTally;
-use nsim_agree::ladder::layers;
 use nsim_agree::metrics::TrainSums;
+use nsim_agree::staged::layers;
 use nsim_agree::trace::{Comparison, Layer, Trace};
 use nsim_compile::Mapping;
 use nsim_cost::meter::{MeterSettings, StepMeter};
 use nsim_cost::transport::{Timing, Transport};
 use nsim_dynamics::{model_thresholds, thresholds};
-use nsim_energy::cpu::{Timed, timed};
+use nsim_energy::cpu::{MeasuredTime, time_repeats};
 use nsim_golden::Golden;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::fixed::{Decay, OutOfRange, Refractory, SignMode, ThresholdMantissa, WeightBits};
@@ -36,10 +36,10 @@ use nsim_quantise::quantise::quantise;
 use nsim_reference::{Kernel, Model, Real, Reference};
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
-use nsim_session::observers::Passed;
-use nsim_session::obtain::mapped_as_usual;
-use nsim_session::priced::Metered;
-use nsim_session::{Keep, Session};
+use nsim_session::observers::StepRange;
+use nsim_session::obtain::map_with_defaults;
+use nsim_session::priced::MeteredMapping;
+use nsim_session::{SampleSettings, Session};
 
 /// A form of the network, and an engine that runs it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -227,7 +227,7 @@ impl<'a> Subject<'a> {
     }
 
     /// Compares traces with the trained network's.
-    fn row(&self, variant: Variant, traces: &[Trace], times: Timed) -> VariantRow {
+    fn row(&self, variant: Variant, traces: &[Trace], times: MeasuredTime) -> VariantRow {
         let integers = !matches!(variant, Variant::Reference { .. });
         let shift = if integers && self.graph.has_srm() { -1 } else { 0 };
         let (mut tally, mut classes, mut right) = (TrainSums::default(), ClassTally::default(), 0usize);
@@ -260,8 +260,8 @@ impl<'a> Subject<'a> {
     }
 
     /// Times runs of all samples.
-    fn timed(&self, run: impl FnMut()) -> Timed {
-        timed(self.samples.iter().map(|sample| u64::from(sample.steps())).sum(), self.budget, run)
+    fn timed(&self, run: impl FnMut()) -> MeasuredTime {
+        time_repeats(self.samples.iter().map(|sample| u64::from(sample.steps())).sum(), self.budget, run)
     }
 
     fn real<F: Real>(&self, variant: Variant, kernel: Kernel) -> Result<VariantRow, Error> {
@@ -273,7 +273,7 @@ impl<'a> Subject<'a> {
 
     /// Measures a network on the machine, with `merged` steps of each sample in one.
     fn machine(&self, variant: Variant, network: &Quantised, merged: u32) -> Result<VariantRow, Error> {
-        let compiled = mapped_as_usual(network.clone(), self.target)?;
+        let compiled = map_with_defaults(network.clone(), self.target)?;
         let image = Image::new(&compiled.program, 1).map_err(wrong)?;
         let meter = match variant {
             Variant::Metered(transport) => Some(self.meter(&compiled, transport)?),
@@ -287,7 +287,7 @@ impl<'a> Subject<'a> {
         let mut session = Session::new(Machine::new(&image, Settings { skip, per_step: meter.is_some() }), 1);
         let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
         let alone = meter.is_none() && early_exit.is_none();
-        let keep = Keep { early_exit, ..Keep::new(network.output()) };
+        let sample_settings = SampleSettings { early_exit, ..SampleSettings::new(network.output()) };
         let times = self.timed(|| {
             for sample in &given {
                 if alone {
@@ -295,19 +295,19 @@ impl<'a> Subject<'a> {
                     continue;
                 }
                 let mut seen = meter.as_ref().map(StepMeter::fresh);
-                let add = |machine: &Machine, passed: Passed| {
+                let add = |machine: &Machine, passed: StepRange| {
                     if let Some(seen) = &mut seen {
                         seen.add(machine.last_step(), passed.steps, false);
                     }
                 };
-                black_box(session.run(sample, &keep, add));
+                black_box(session.run(sample, &sample_settings, add));
                 black_box(&seen);
             }
         });
         let mut traces = self.traces(session.engine_mut(), network, merged);
-        if keep.early_exit.is_some() {
+        if sample_settings.early_exit.is_some() {
             for (trace, sample) in traces.iter_mut().zip(&given) {
-                let until = session.run(sample, &keep, ()).steps;
+                let until = session.run(sample, &sample_settings, ()).steps;
                 // Skipped steps have no spikes, and no potentials to compare.
                 let steps = trace.steps;
                 *trace = Trace { steps, potentials: Vec::new(), ..std::mem::take(trace).until(until) };
@@ -318,7 +318,7 @@ impl<'a> Subject<'a> {
 
     /// A meter that sees every step.
     fn meter(&self, compiled: &Mapping, transport: Transport) -> Result<StepMeter, Error> {
-        let (settings, _) = Metered::new(compiled).offline(self.target)?;
+        let (settings, _) = MeteredMapping::new(compiled).offline(self.target)?;
         let timing = Timing { transport, ..settings.timing };
         Ok(StepMeter::new(MeterSettings { timing, ..settings }))
     }

@@ -29,7 +29,7 @@ use nsim_session::{Outcome, digest, inputs};
 /// # Errors
 /// `io.*`; `train.unknown` for a name that is not shipped.
 pub fn training_text(argument: &str) -> Result<SourceText> {
-    Ok(shipped::text_of(argument, shipped::TRAININGS, "training file", "train.unknown")?.0)
+    Ok(shipped::path_or_shipped_text(argument, shipped::TRAININGS, "training file", "train.unknown")?.0)
 }
 
 /// The text of a training file with fields replaced, such as `layers.touch.size`.

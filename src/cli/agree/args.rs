@@ -17,7 +17,7 @@ use nsim_ir::spikes::Sample;
 use nsim_report::agree::AgreeReport;
 use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
-use nsim_session::warnings::{Warning, warnings_of};
+use nsim_session::warnings::{Warning, run_warnings};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -104,7 +104,7 @@ pub(super) fn within_bounds(args: &Args, class_agreement: Option<f64>, exact: bo
 
 /// Warnings about the deployed network, except of rounding, whose cost the comparison reports.
 pub(super) fn deployed_warnings(deployed: &Mapping, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
-    let mut warnings = warnings_of(&deployed.quantised, &deployed.program, samples)?;
+    let mut warnings = run_warnings(&deployed.quantised, &deployed.program, samples)?;
     warnings.retain(|warning| warning.code != "weights-rounded");
     Ok(warnings)
 }

@@ -16,8 +16,8 @@ use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use nsim_agree::attribution::attribute;
-use nsim_agree::compare::{Counterpart, Deployed, compare, output_layer};
-use nsim_agree::ladder::layers;
+use nsim_agree::compare::{Counterpart, DeployedNetwork, compare, output_layer};
+use nsim_agree::staged::layers;
 use nsim_compile::refuse_large;
 use nsim_files::target::target_with_neurons;
 use nsim_import::spikes::read_source;
@@ -28,7 +28,7 @@ use nsim_report::agree::{AgreeReport, bars, converted_from, named_fits};
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::inputs;
-use nsim_train::convert::next::{Typed, next};
+use nsim_train::convert::next::{CommandWords, suggest};
 use nsim_train::convert::staged::is_real;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
@@ -41,7 +41,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     refuse_large("nsim agree", &analytic, 1)?;
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
-    let models = models::named(&args.against)?;
+    let models = models::model_files(&args.against)?;
     // A network in real numbers is not mapped; its counterpart is.
     let deployed = match models.as_slice() {
         [other, ..] if is_real(&graph) => &args.timestep.load(other)?,
@@ -59,32 +59,32 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 
     let wanted = args.calibration_samples as usize;
     let integers = args.conversion.integers((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
-    let ladder = integers.ladder(&graph)?;
-    let Some(compiled) = models::deployed(&args.model, ladder.deployed(), on)? else { return Ok(Answer::No) };
+    let staged = integers.ladder(&graph)?;
+    let Some(compiled) = models::deployed(&args.model, staged.deployed(), on)? else { return Ok(Answer::No) };
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
     refuse_if(
         args.plot_causes.is_some() && !attributed,
         "--plot-causes draws the causes of disagreement: it needs --against srm or cuba, with --attribution on",
     )?;
     let (fits, program, steps) = (&integers.fits, &compiled.program, args.steps);
-    let deployed = Deployed { graph: &graph, fits, ladder: &ladder, program, samples: &samples, steps };
+    let deployed = DeployedNetwork { graph: &graph, fits, staged: &staged, program, samples: &samples, steps };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
     output::warn_all(&deployed_warnings(&compiled, &samples)?);
     let some = &samples[..samples.len().min(args.attribution_samples as usize)];
     let attribution = attributed.then(|| {
-        let _busy = output::busy("attributing the disagreement to causes");
-        attribute(&ladder, &output_layer(ladder.deployed()), some)
+        let _busy = output::spinner("attributing the disagreement to causes");
+        attribute(&staged, &output_layer(staged.deployed()), some)
     });
-    let words = output::typed();
+    let words = output::command_words();
     let drawn = ["--plot".to_string(), "first.svg".to_string()];
     let closer = args.plot.is_none().then(|| words.iter().cloned().chain(drawn).collect());
-    let typed = Typed {
+    let typed = CommandWords {
         words,
         model: &args.model,
         conversion: (args.conversion.conversion, args.conversion.copies.most()),
         closer,
     };
-    let next = attribution.as_ref().and_then(|attribution| next(&typed, (&graph, &ladder), attribution, some));
+    let next = attribution.as_ref().and_then(|attribution| suggest(&typed, (&graph, &staged), attribution, some));
     let name = &graph.facts().name;
     let bars = attribution.as_ref().map(|attribution| bars(name, attribution));
     if let (Some(path), Some(svg)) = (&args.plot_causes, &bars) {
@@ -104,7 +104,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         source: converted_from(&graph)
             .filter(|_| matches!(against, Counterpart::Cuba))
             .map(|trained| (trained, format!("nsim agree {trained} --against {}", args.model))),
-        ..AgreeReport::of_one((name, against.name()), shown, &agreement)
+        ..AgreeReport::for_counterpart((name, against.name()), shown, &agreement)
     };
     if let (Some(path), Some(svg)) = (&args.update, &bars) {
         let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));

@@ -20,17 +20,17 @@ use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_report::agree::{AgreeReport, role};
-use nsim_report::side_by_side::{Compared, SideBySideReport};
+use nsim_report::side_by_side::{ComparedNetwork, SideBySideReport};
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
-use nsim_session::obtain::mapped_as_usual;
+use nsim_session::obtain::map_with_defaults;
 use nsim_train::convert::staged::is_real;
 
 /// Model files that `--against` names; none where it names other things.
 ///
 /// # Errors
 /// Usage, where some names are model files and others are not.
-pub(super) fn named(against: &[String]) -> Result<Vec<&str>, Error> {
+pub(super) fn model_files(against: &[String]) -> Result<Vec<&str>, Error> {
     let is_model = |word: &&str| {
         let path = Path::new(word);
         let extension = path.extension().map(|extension| extension.to_string_lossy().to_ascii_lowercase());
@@ -53,10 +53,10 @@ pub(super) fn deployed(
     network: &Quantised,
     (target, context): (&Target, Context),
 ) -> Result<Option<Mapping>, Error> {
-    match mapped_as_usual(network.clone(), target) {
+    match map_with_defaults(network.clone(), target) {
         Ok(compiled) => Ok(Some(compiled)),
         Err(CompileError::DoesNotFit(reasons)) => {
-            Refusal::new(model, target.clone(), reasons).say(nsim_report::agree::nothing(), context)?;
+            Refusal::new(model, target.clone(), reasons).print(nsim_report::agree::empty_result(), context)?;
             Ok(None)
         }
         Err(other) => Err(other.into()),
@@ -65,13 +65,13 @@ pub(super) fn deployed(
 
 /// Compares the trained network with each file in integers. Returns each comparison with the role
 /// of the file; none where a network does not fit.
-fn compared(
+fn compare_each(
     args: &Args,
     (graph, integers): (&Graph, &Quantised),
     files: &[&str],
     samples: &[&Sample],
     (target, context): (&Target, Context),
-) -> Result<Option<Vec<(Compared, &'static str)>>, Error> {
+) -> Result<Option<Vec<(ComparedNetwork, &'static str)>>, Error> {
     // A network in real numbers is not mapped: it runs in its trained form.
     let mapped = if is_real(graph) { None } else { deployed(&args.model, integers, (target, context))? };
     if mapped.is_none() && !is_real(graph) {
@@ -88,7 +88,7 @@ fn compared(
         })?;
         output::warn_all(&deployed_warnings(&compiled, samples)?);
         let (against, name) = ((*file).to_string(), second.parts().name.clone());
-        all.push((Compared { against, name, cores: compiled.program.cores().len(), agreement }, role(&trained)));
+        all.push((ComparedNetwork { against, name, cores: compiled.program.cores().len(), agreement }, role(&trained)));
     }
     Ok(Some(all))
 }
@@ -101,13 +101,13 @@ pub(super) fn with_one(
     (stimulus, samples): (&Stimulus, &[&Sample]),
     (target, context): (&Target, Context),
 ) -> Result<Answer, Error> {
-    let all = compared(args, (graph, integers), &[other], samples, (target, context))?;
-    let Some((Compared { name, agreement, .. }, second)) = all.and_then(|mut all| all.pop()) else {
+    let all = compare_each(args, (graph, integers), &[other], samples, (target, context))?;
+    let Some((ComparedNetwork { name, agreement, .. }, second)) = all.and_then(|mut all| all.pop()) else {
         return Ok(Answer::No);
     };
     let files = draw(args, &graph.facts().name, &agreement.layers, context)?;
     let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
-    let two = AgreeReport::of_two([(&graph.facts().name, role(graph)), (&name, second)], shown, &agreement);
+    let two = AgreeReport::for_two_networks([(&graph.facts().name, role(graph)), (&name, second)], shown, &agreement);
     let report = AgreeReport { files: &files, target: Some(target.name()), ..two };
     answer(args, &report, args.plot.as_deref().is_some_and(io::text::is_standard_stream), context)
 }
@@ -122,7 +122,7 @@ pub(super) fn with_several(
 ) -> Result<Answer, Error> {
     let shows_one = args.plot.is_some() || args.plot_causes.is_some() || args.update.is_some();
     refuse_if(shows_one, "--plot, --plot-causes and --update show one comparison: give one --against")?;
-    let all = compared(args, (graph, integers), files, samples, (target, context))?;
+    let all = compare_each(args, (graph, integers), files, samples, (target, context))?;
     let Some(all) = all else { return Ok(Answer::No) };
     let report = SideBySideReport {
         model: &graph.facts().name,

@@ -9,7 +9,7 @@ use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_train::convert::calibration::RunInput;
 use nsim_train::convert::copies;
-use nsim_train::convert::deployed::{Choice, Conversion, Integers};
+use nsim_train::convert::deployed::{Conversion, ConversionSettings, ConvertedIntegers};
 
 /// Limit on the delayed copies of a conversion.
 #[derive(Debug, Clone, clap::Args)]
@@ -20,8 +20,8 @@ pub struct CopiesArgs {
         long,
         help_heading = "Conversion",
         value_name = "N",
-        default_value_t = copies::USUAL as u32,
-        value_parser = clap::value_parser!(u32).range(1..=copies::MOST as i64)
+        default_value_t = copies::DEFAULT_COPIES as u32,
+        value_parser = clap::value_parser!(u32).range(1..=copies::MOST_COPIES as i64)
     )]
     pub delayed_copies: u32,
 }
@@ -60,9 +60,9 @@ impl ConversionArgs {
         scene: Option<&str>,
         samples: &[&Sample],
         wanted: usize,
-    ) -> Result<Integers, Error> {
+    ) -> Result<ConvertedIntegers, Error> {
         let run = RunInput { sources: &input.input, seed: input.seed, scene };
-        let choice = Choice {
+        let choice = ConversionSettings {
             conversion: self.conversion,
             calibrate: &self.calibrate,
             run,
@@ -70,8 +70,8 @@ impl ConversionArgs {
             most_copies: self.copies.most(),
         };
         let _busy = (networks.0.has_srm() && self.conversion == Conversion::Search)
-            .then(|| output::busy("searching for integers"));
-        Integers::find(networks, choice, samples, |population| match population {
+            .then(|| output::spinner("searching for integers"));
+        ConvertedIntegers::find(networks, choice, samples, |population| match population {
             Some(population) => tracing::info!("searching '{population}'"),
             None => tracing::warn!("calibrating on the first samples of the input itself; --calibrate gives others"),
         })

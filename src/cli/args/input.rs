@@ -8,7 +8,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_quantise::prune::check_stimulus;
 use nsim_session::error::Error;
-use nsim_session::inputs::{MOST_REPEATS, repeated};
+use nsim_session::inputs::{MOST_REPEATS, repeated_indices};
 
 /// Sources and selection of the input samples of a run.
 #[derive(Debug, Clone, clap::Args)]
@@ -74,7 +74,7 @@ pub fn select_numbers(samples: usize, args: &InputArgs) -> Result<Vec<usize>, Er
     refuse_if(is_beyond, format!("--samples {start}..{end}: there are {samples} samples, 0 to {last}"))?;
     let chosen = start..end.min(samples);
     refuse_if(chosen.is_empty(), format!("--samples {start}..: there are {samples} samples"))?;
-    Ok(repeated(chosen, args.repeat)?)
+    Ok(repeated_indices(chosen, args.repeat)?)
 }
 
 /// Refuses samples that use pruned channels; samples are numbered as in the input.

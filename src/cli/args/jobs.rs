@@ -14,7 +14,7 @@ use nsim_files::network::Network;
 use nsim_ir::hardware::Target;
 use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
-use nsim_session::obtain::{Integers, Job, Request, TargetChoice, Wanted, obtain};
+use nsim_session::obtain::{EngineKind, Integers, Job, Request, TargetChoice, obtain};
 use nsim_train::convert::copies;
 use nsim_train::convert::prepare::integers;
 
@@ -35,7 +35,11 @@ pub struct MappingArgs {
 
 impl Default for MappingArgs {
     fn default() -> Self {
-        MappingArgs { relays: false, prune: Vec::new(), copies: CopiesArgs { delayed_copies: copies::USUAL as u32 } }
+        MappingArgs {
+            relays: false,
+            prune: Vec::new(),
+            copies: CopiesArgs { delayed_copies: copies::DEFAULT_COPIES as u32 },
+        }
     }
 }
 
@@ -112,9 +116,9 @@ impl Refusal {
 
     /// Prints the reasons on stderr. With JSON it also prints `object`, the empty result of the
     /// command, with model, target and reasons.
-    pub fn say(&self, mut object: serde_json::Value, context: Context) -> Result<Answer> {
+    pub fn print(&self, mut object: serde_json::Value, context: Context) -> Result<Answer> {
         let text = nsim_report::map::refusal(&self.model, &self.target, &self.reasons);
-        diagnostics::say(&text);
+        diagnostics::write_stderr(&text);
         if context.format == crate::cli::context::Format::Json {
             object["model"] = self.model.as_str().into();
             object["target"] = self.target.name().into();
@@ -129,15 +133,20 @@ impl Refusal {
 /// Loads a model and prepares it for an engine, or returns the reasons for which it does not fit.
 /// `copies` defaults to the number of the saved mapping, else 1. Populations that match a pattern
 /// of `probed` are never pruned.
-pub fn prepare(args: &JobArgs, wanted: Wanted, copies: Option<u32>, probed: &[&str]) -> Result<Result<Job, Refusal>> {
+pub fn prepare(
+    args: &JobArgs,
+    engine: EngineKind,
+    copies: Option<u32>,
+    probed: &[&str],
+) -> Result<Result<Job, Refusal>> {
     let network = args.timestep.load(&args.model)?;
     if args.needs_scene {
         let help = "give spikes with --input FILE, or --input scene:noise to try";
         inputs::require_scene(&args.model, network.file().scene.as_deref(), help)?;
     }
     let integers = |network: &Network| integers(network, args.anew.copies.most());
-    let request = Request { wanted, copies, probed, ..args.request(&network, &integers) };
-    let _busy = output::busy(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
+    let request = Request { engine, copies, probed, ..args.request(&network, &integers) };
+    let _busy = output::spinner(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
     match obtain(&request) {
         Err(Error::DoesNotFit(reasons)) => {
             let target = io::target::load_target(network.file().target_or_usual(args.target.as_deref()))?;

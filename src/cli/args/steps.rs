@@ -11,8 +11,8 @@ use nsim_files::write::{Batch, check_free};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
-use nsim_session::priced::Metered;
-use nsim_session::samples::{Run, Running};
+use nsim_session::priced::MeteredMapping;
+use nsim_session::samples::{Run, RunSettings};
 use nsim_session::steps::{StepLayout, run_recorded};
 
 /// Checks the file before the run.
@@ -35,16 +35,16 @@ fn form(path: &Path) -> Result<StepFormat, Error> {
 /// # Errors
 /// [`Error::Usage`] for a .npy file of samples that end early; as [`run_recorded`]; when the file
 /// cannot be written.
-pub fn recorded(
+pub fn run_with_step_rows(
     (path, batch): (&Path, &mut Batch),
     network: &Quantised,
-    metered: &Metered<'_>,
+    metered: &MeteredMapping<'_>,
     settings: MeterSettings,
     samples: &[&Sample],
-    running: Running<'_>,
+    run_settings: RunSettings<'_>,
 ) -> Result<Run<StepMeter>, Error> {
     let format = form(path)?;
-    let ends_early = running.keep.early_exit.as_ref().is_some_and(|exit| exit.ends);
+    let ends_early = run_settings.sample_settings.early_exit.as_ref().is_some_and(|exit| exit.ends);
     let message = "with --early-exit the number of rows is not known in advance, which .npy requires: name the file \
                    .csv";
     refuse_if(ends_early && format == StepFormat::Npy, format!("--steps {}: {message}", path.display()))?;
@@ -55,11 +55,11 @@ pub fn recorded(
         let mut nowhere = std::io::sink();
         let table = StepWriter::new(&mut nowhere, StepFormat::Csv, layout.columns(), None)
             .map_err(|error| Error::Fault(error.to_string()))?;
-        return Ok(run_recorded(metered, settings, (samples, running), &layout, table)?.0);
+        return Ok(run_recorded(metered, settings, (samples, run_settings), &layout, table)?.0);
     }
     let run = batch.add(path, |out| {
         let table = StepWriter::new(out, format, layout.columns(), (!ends_early).then_some(rows))?;
-        match run_recorded(metered, settings, (samples, running), &layout, table) {
+        match run_recorded(metered, settings, (samples, run_settings), &layout, table) {
             Ok((run, written)) => written.map(|()| Ok(run)),
             Err(problem) => Ok(Err(problem)),
         }

@@ -56,18 +56,18 @@ EXAMPLES:
 #[command(after_help = EXAMPLES)]
 pub struct Args {
     #[command(subcommand)]
-    bench: Which,
+    bench: BenchCommand,
 }
 
 impl Args {
     /// Whether several processes can share the work.
     pub fn has_ranks(&self) -> bool {
-        matches!(self.bench, Which::Step(_))
+        matches!(self.bench, BenchCommand::Step(_))
     }
 }
 
 #[derive(Debug, clap::Subcommand)]
-enum Which {
+enum BenchCommand {
     Step(StepArgs),
     Map(MapArgs),
     Pareto(Box<ParetoArgs>),
@@ -133,14 +133,14 @@ fn standard(name: &str) -> Result<StandardNetwork, String> {
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     match &args.bench {
-        Which::Step(args) => step(args, context),
-        Which::Map(args) => map_suite(args, context),
-        Which::Pareto(args) => pareto::run(args, context),
-        Which::Published(args) => published::run(args, context),
-        Which::Paper(args) => paper::run(args, context),
-        Which::Sweep(args) => sweep::run(args, context),
+        BenchCommand::Step(args) => step(args, context),
+        BenchCommand::Map(args) => map_suite(args, context),
+        BenchCommand::Pareto(args) => pareto::run(args, context),
+        BenchCommand::Published(args) => published::run(args, context),
+        BenchCommand::Paper(args) => paper::run(args, context),
+        BenchCommand::Sweep(args) => sweep::run(args, context),
         #[cfg(feature = "ann")]
-        Which::Ann(args) => ann::run(args, context),
+        BenchCommand::Ann(args) => ann::run(args, context),
     }
 }
 
@@ -151,7 +151,7 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
         given => given.to_vec(),
     };
     let environment = output::environment();
-    let ways: usize = mapping::WAYS.iter().map(|(_, _, places)| places.len()).sum();
+    let ways: usize = mapping::MAPPING_VARIANTS.iter().map(|(_, _, places)| places.len()).sum();
     let rows = output::with_progress(context, cases.len() * ways, "mappings", |done| {
         let mut rows = Vec::new();
         for case in &cases {
@@ -259,7 +259,7 @@ fn step_rows(
             _ => rayon::scope(|_| measure_agreed(&mut machine, period, budget, agreed)),
         };
         let bytes = (image.bytes() + machine.bytes()) as u64;
-        let (measured, bytes, synapses) = of_all_ranks(measured, bytes, own);
+        let (measured, bytes, synapses) = sum_over_ranks(measured, bytes, own);
         let begin = Instant::now();
         black_box(machine.take_activity());
         Ok(StepRow {
@@ -277,7 +277,7 @@ fn step_rows(
 
 /// Measurement of this rank with the counts, bytes and synapses of all ranks on the first rank;
 /// with its own on every other rank.
-fn of_all_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
+fn sum_over_ranks(measured: StepTiming, bytes: u64, synapses: u64) -> (StepTiming, u64, u64) {
     let Some(ranks) = ranks::several() else { return (measured, bytes, synapses) };
     let (mut totals, mut sums) = (measured.totals, (bytes, synapses));
     for (other, bytes, synapses) in ranks.gather::<_, (Totals, u64, u64)>(&(totals, bytes, synapses)) {

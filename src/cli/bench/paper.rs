@@ -20,12 +20,12 @@ use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_reference::{Model, Options};
 use nsim_report::bench::paper as report;
-use nsim_session::Keep;
+use nsim_session::SampleSettings;
 use nsim_session::error::{Error, Result};
-use nsim_session::obtain::{Job, Wanted};
+use nsim_session::obtain::{EngineKind, Job};
 use nsim_session::samples::reference;
 use nsim_study::early::Trial;
-use nsim_study::published::cells::{LOSSES, Neurons, Tested, is_among};
+use nsim_study::published::cells::{LOSSES, Neurons, TestedNetworks, is_among};
 use nsim_study::published::paper::{self, PaperRow};
 use nsim_train::checkpoint::fingerprint;
 use nsim_train::fit::{Example, Plan};
@@ -91,8 +91,8 @@ const FOLDS: u32 = 5;
 /// Accuracy of a network over the steps of samples: on simulated cores, or in real numbers for
 /// spike response neurons, which no chip has.
 fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) -> Result<Trial> {
-    let wanted = if neurons == Neurons::Srm { Wanted::Real } else { Wanted::Mapped };
-    let Ok(job) = jobs::prepare(&JobArgs::for_model(model), wanted, Some(1), &[])? else {
+    let engine = if neurons == Neurons::Srm { EngineKind::Real } else { EngineKind::Mapped };
+    let Ok(job) = jobs::prepare(&JobArgs::for_model(model), engine, Some(1), &[])? else {
         return Err(Error::Usage(format!("{model} does not fit the default target: nsim map prints the reasons")));
     };
     let Job::Real(graph, quantised, _) = &job else {
@@ -102,7 +102,7 @@ fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) 
         return timed(&Workload::new(compiled, target, stimulus, order)?, context);
     };
     let samples: Vec<&Sample> = samples.iter().collect();
-    let keep = Keep::new(quantised.output());
+    let keep = SampleSettings::new(quantised.output());
     let (model, units) =
         (Model::<f64>::new(graph, Options::default())?, (quantised.channels(), quantised.compartments()));
     let outcomes = output::with_progress(context, samples.len(), "samples", |progress| {
@@ -133,7 +133,7 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
         let source = SourceText::new(cell.training.path, cell.training.text);
         let job = Training::new(source, None, args.epochs)?;
         let network = job.inputs()?;
-        let samples = scenes.seen_by(&network)?;
+        let samples = scenes.samples_for(&network)?;
         let examples = job.examples(&network, &samples, "training")?;
         for neurons in Neurons::ALL.into_iter().filter(|kind| args.neurons.is_empty() || args.neurons.contains(kind)) {
             let neuron = neurons.field(&job.file);
@@ -163,7 +163,7 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
                     trials.push(trial);
                 }
                 let (folds, epochs) = (args.folds, job.plan.epochs);
-                rows.extend(Tested { cell, loss, neurons, folds, epochs, trials: &trials }.rows());
+                rows.extend(TestedNetworks { cell, loss, neurons, folds, epochs, trials: &trials }.rows());
             }
         }
         Ok(())
@@ -181,7 +181,7 @@ fn run_shipped(args: &PaperArgs, rows: &mut [PaperRow], context: Context) -> Res
                 continue;
             }
             let network = nsim_session::front::front(&nsim_import::model::load_model(&model)?)?.into_quantised();
-            let samples = scenes.seen_by(&network)?;
+            let samples = scenes.samples_for(&network)?;
             let labels: Vec<u32> = samples.iter().filter_map(Sample::label).collect();
             let folds = Training::folds_by_label(&labels, FOLDS);
             let trial = trial(&model, chosen(&samples, &folds[0]), Neurons::Loihi, context)?;

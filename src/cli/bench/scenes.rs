@@ -7,7 +7,7 @@ use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_session::error::{Error, Result};
-use nsim_session::inputs::{seen_by, stimulus};
+use nsim_session::inputs::{stimulus, translate_sample};
 use nsim_study::published::cells::{Cell, cells};
 use nsim_train::job::Job as Training;
 
@@ -29,8 +29,8 @@ impl Scenes {
     }
 
     /// Scenes as input of a network with some of the senses.
-    pub(super) fn seen_by(&self, network: &Quantised) -> Result<Vec<Sample>> {
-        let seen = self.stimulus.samples.iter().map(|sample| seen_by(network, &self.network, sample));
+    pub(super) fn samples_for(&self, network: &Quantised) -> Result<Vec<Sample>> {
+        let seen = self.stimulus.samples.iter().map(|sample| translate_sample(network, &self.network, sample));
         let unlike = || Error::Fault(format!("the inputs of a network of task {} do not match its scenes", self.task));
         seen.collect::<Option<_>>().ok_or_else(unlike)
     }

@@ -4,7 +4,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_report::bench::ladders as report;
 use nsim_session::error::Error;
-use nsim_study::ladders::{Rung, mark_cliffs, rungs};
+use nsim_study::ladders::{LadderCase, ladder_cases, mark_cliffs};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -25,9 +25,9 @@ pub struct SweepArgs {
 /// The answer is no when there is a cliff.
 pub fn run(args: &SweepArgs, context: Context) -> Result<Answer, Error> {
     let environment = output::environment();
-    let rungs = rungs(args.seed, context.threads);
-    let mut rows = output::with_progress(context, rungs.len(), "rungs", |done| {
-        rungs.iter().map(Rung::measure).inspect(|_| done()).collect::<Result<Vec<_>, _>>()
+    let cases = ladder_cases(args.seed, context.threads);
+    let mut rows = output::with_progress(context, cases.len(), "rungs", |done| {
+        cases.iter().map(LadderCase::measure).inspect(|_| done()).collect::<Result<Vec<_>, _>>()
     })?;
     mark_cliffs(&mut rows);
     let json = || report::json(args.seed, &environment, &rows);

@@ -9,13 +9,13 @@ use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use nsim_cost::Host;
 use nsim_cost::job::{Accounting, Mode};
-use nsim_energy::evaluate::{self, Plan};
+use nsim_energy::evaluate::{self, DeploymentPlan};
 use nsim_energy::options::CostOptions;
 use nsim_files as io;
 use nsim_ir::hardware::Target;
-use nsim_report::compare::{self as report, ComparedTarget, Comparison, Intervals, Priced, Refused};
+use nsim_report::compare::{self as report, ComparedTarget, Comparison, Intervals, RefusalReason, TargetCost};
 use nsim_session::error::Error;
-use nsim_session::obtain::Wanted;
+use nsim_session::obtain::EngineKind;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -64,7 +64,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             // A diagnostic of mapping reports a feature that a chip lacks.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
                 let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
-                Err(vec![Refused { code: problem.code.to_string(), message: problem.message.clone() + &help }])
+                Err(vec![RefusalReason { code: problem.code.to_string(), message: problem.message.clone() + &help }])
             }
             other => other?,
         };
@@ -72,7 +72,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let hardware = target.chip().hardware().to_string();
         found.targets.push(ComparedTarget { target: target.name().to_string(), hardware, constants, found: on_target });
     }
-    let set = io::changes::of_process().iter().filter(|change| change.is_of_target());
+    let set = io::changes::process_changes().iter().filter(|change| change.changes_target());
     found.set.extend(set.map(|change| change.path().to_string()));
     output::print(context.format, || report::text(&found), || report::json(&found), || report::csv_rows(&found))?;
     let holds = found.targets.iter().any(|target| target.found.is_ok());
@@ -86,7 +86,7 @@ fn priced(
     target: &Target,
     found: &mut Comparison,
     context: Context,
-) -> Result<Result<Priced, Vec<Refused>>, Error> {
+) -> Result<Result<TargetCost, Vec<RefusalReason>>, Error> {
     let job = JobArgs {
         timestep: args.timestep,
         target: Some(name.to_string()),
@@ -94,14 +94,18 @@ fn priced(
         needs_scene: args.input.input.is_empty(),
         ..JobArgs::for_model(&args.model)
     };
-    let prepared = match jobs::prepare(&job, Wanted::Mapped, Some(1), &[])? {
+    let prepared = match jobs::prepare(&job, EngineKind::Mapped, Some(1), &[])? {
         Ok(job) => job,
-        Err(refusal) => return Ok(Err(refusal.reasons().iter().map(Refused::from).collect())),
+        Err(refusal) => return Ok(Err(refusal.reasons().iter().map(RefusalReason::from).collect())),
     };
     let workload = workload(&prepared, None, &args.input)?;
-    let plan = Plan::new(&args.model, None, Some(1))?;
-    let options =
-        CostOptions { mode: args.mode, host: args.host, accounting: args.accounting, ..CostOptions::usual(Some(&[]))? };
+    let plan = DeploymentPlan::new(&args.model, None, Some(1))?;
+    let options = CostOptions {
+        mode: args.mode,
+        host: args.host,
+        accounting: args.accounting,
+        ..CostOptions::with_baselines(Some(&[]))?
+    };
     let evaluated = evaluate::evaluate(&plan, &workload, &options, None, |metered, watched| {
         simulate(&workload, metered, watched, true, None, context)
     })?;
@@ -121,6 +125,6 @@ fn priced(
         _ => Some(Intervals::Works),
     };
     let (chips_used, cores_used) = (evaluated.deployment.chips_used, evaluated.deployment.cores_used);
-    let of_constants = evaluated.energy.of_constants;
-    Ok(Ok(Priced { chips_used, cores_used, row, intervals, of_constants, x86_share }))
+    let constant_notes = evaluated.energy.constant_notes;
+    Ok(Ok(TargetCost { chips_used, cores_used, row, intervals, constant_notes, x86_share }))
 }

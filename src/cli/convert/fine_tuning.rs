@@ -14,8 +14,8 @@ use nsim_files::shipped;
 use nsim_ir::graph::Graph;
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
-use nsim_train::convert::fine_tune::{BestEpoch, Task, Tuned, trainable};
-use nsim_train::convert::job::{Done, FineTuning, Job};
+use nsim_train::convert::fine_tune::{BestEpoch, Task, TunedIntegers, trainable};
+use nsim_train::convert::job::{ConversionRun, FineTuning, Job};
 use nsim_train::convert::model_file;
 
 /// Options of fine-tuning.
@@ -47,14 +47,14 @@ impl FineTuneArgs {
     pub fn tune(
         &self,
         job: &Job,
-        done: &Done,
+        done: &ConversionRun,
         held_out: &[&Sample],
         output: Option<(&Path, &str)>,
         context: Context,
-    ) -> Result<Option<Tuned>, Error> {
+    ) -> Result<Option<TunedIntegers>, Error> {
         let Some(epochs) = self.fine_tune else { return Ok(None) };
         let named = self.training.as_deref().unwrap_or(&job.graph.facts().name);
-        let (source, _) = shipped::text_of(named, shipped::TRAININGS, "training file", "convert.training")
+        let (source, _) = shipped::path_or_shipped_text(named, shipped::TRAININGS, "training file", "convert.training")
             .map_err(|error| error.help("--training names the training file of the model"))?;
         let converted = &done.converted;
         let tuning = FineTuning::new(job, converted, &source, (&self.train, held_out), epochs)?;
@@ -62,7 +62,7 @@ impl FineTuneArgs {
         let _ending = output.map(|(path, provenance)| {
             let (task, best, graph) = (Arc::clone(&tuning.task), Arc::clone(&best), job.graph.clone());
             let (path, provenance, force) = (path.to_path_buf(), provenance.to_string(), context.force);
-            signals::at_end(move || keep(&task, &best, &graph, &path, &provenance, force))
+            signals::at_end(move || save_at_signal(&task, &best, &graph, &path, &provenance, force))
         });
         let bar = output::progress(context, tuning.work(), "fine-tuning");
         let tuned = tuning.run(converted, held_out, &|| bar.inc(1), |epoch| {
@@ -76,7 +76,7 @@ impl FineTuneArgs {
 }
 
 /// Writes the integers of the best epoch so far; returns a message.
-fn keep(
+fn save_at_signal(
     task: &Task,
     best: &Mutex<Option<BestEpoch>>,
     graph: &Graph,

@@ -21,8 +21,8 @@ use nsim_session::error::Error;
 use nsim_session::inputs;
 use nsim_train::convert::calibration::{self, RunInput};
 use nsim_train::convert::deployed::Conversion;
-use nsim_train::convert::job::{Job, Split};
-use nsim_train::convert::next::{Typed, next};
+use nsim_train::convert::job::{Job, SampleSplit};
+use nsim_train::convert::next::{CommandWords, suggest};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -77,7 +77,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let wanted = args.calibration_samples as usize;
     let run = RunInput { sources: &args.input.input, seed: args.input.seed, scene: scene.as_deref() };
     let apart = calibration::stimulus(&job.integers, &args.calibrate, run, wanted)?;
-    let split = Split::new((&stimulus.origin, &shown), apart.as_ref(), wanted);
+    let split = SampleSplit::new((&stimulus.origin, &shown), apart.as_ref(), wanted);
     let done = job.convert(&split, args.copies.most(), |population| tracing::info!("searching '{population}'"))?;
     let provenance = job.provenance(&args.model, &split, &done);
     let output = args.output.as_deref().map(|path| (path, provenance.as_str()));
@@ -91,18 +91,18 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             tracing::warn!("'{}': {problem}", layer.name);
         }
     }
-    let words = output::typed();
+    let words = output::command_words();
     let sets = words.windows(2).filter(|pair| pair[0] == "--set").flatten().cloned();
     let closer = ["agree", &args.model].map(str::to_string).into_iter().chain(args.input.words()).chain(sets);
     let closer: Vec<String> = closer.chain(["--plot".to_string(), "first.svg".to_string()]).collect();
-    let typed = Typed {
+    let typed = CommandWords {
         model: &args.model,
         conversion: (Conversion::Search, args.copies.most()),
         // The target of `nsim agree` has no reset by subtraction either.
         closer: (!job.resets_are_replaced()).then_some(closer),
         words,
     };
-    let next = next(&typed, (&job.graph, &done.converted.ladder), &done.converted.attribution, &split.calibration);
+    let next = suggest(&typed, (&job.graph, &done.converted.ladder), &done.converted.attribution, &split.calibration);
     let report = ConvertReport {
         job: &job,
         done: &done,

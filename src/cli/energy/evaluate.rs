@@ -9,12 +9,12 @@ use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use crate::cli::process::ranks;
-use nsim_energy::evaluate::{self, Evaluated, Plan};
+use nsim_energy::evaluate::{self, DeploymentPlan, Evaluation};
 use nsim_energy::options::{CostOptions, baselines};
-use nsim_energy::report::table::nothing;
+use nsim_energy::report::table::empty_result;
 use nsim_energy::workload::Workload;
 use nsim_session::error::Error;
-use nsim_session::obtain::Wanted;
+use nsim_session::obtain::EngineKind;
 
 /// Runs and prices a job, prints its warnings, and passes the result to `report`. With `steps` each
 /// timestep is a row of that file. A model that does not fit is reported, and the answer is no.
@@ -22,30 +22,30 @@ pub fn evaluate(
     args: &CostArgs,
     steps: Option<&Path>,
     context: Context,
-    report: impl FnOnce(&Workload<'_>, Evaluated) -> Result<Answer, Error>,
+    report: impl FnOnce(&Workload<'_>, Evaluation) -> Result<Answer, Error>,
 ) -> Result<Answer, Error> {
     ranks::price();
     let options = options(args)?;
-    let plan = Plan::new(&args.job.model, args.deployment.as_deref(), args.copies)?;
+    let plan = DeploymentPlan::new(&args.job.model, args.deployment.as_deref(), args.copies)?;
     if args.job.mapping.is_some() {
-        plan.of_mapping()?;
+        plan.check_mapping()?;
     }
     let copies = plan.mapped_copies();
     let needs_scene = args.input.input.is_empty();
     let mapped_as = JobArgs { placement: plan.placement(), needs_scene, ..args.job.clone() };
-    let job = match jobs::prepare(&mapped_as, Wanted::Mapped, copies, &[])? {
+    let job = match jobs::prepare(&mapped_as, EngineKind::Mapped, copies, &[])? {
         Ok(job) => job,
         Err(refusal) => {
             let copies = copies.unwrap_or(1);
-            return refusal.say(nothing(copies, args.mode, args.convention), context);
+            return refusal.print(empty_result(copies, args.mode, args.convention), context);
         }
     };
     // The network of a published job is mapped as in its publication.
-    let of_job = job.mapped().map(|(compiled, target)| plan.job_mapped(compiled, target)).transpose()?.flatten();
+    let of_job = job.mapped().map(|(compiled, target)| plan.map_job(compiled, target)).transpose()?.flatten();
     let workload = workload(&job, of_job.as_ref(), &args.input)?;
     // Other hardware runs the network without additions for the chip, such as relays.
     let alone = match of_job.is_some() || options.baselines.cpu && workload.copies > 1 {
-        true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, Wanted::Mapped, Some(1), &[])?),
+        true => Some(jobs::prepare(&JobArgs { mapping: None, ..args.job.clone() }, EngineKind::Mapped, Some(1), &[])?),
         false => None,
     };
     let alone = match &alone {

@@ -13,7 +13,7 @@ use crate::cli::context::{Answer, Context, Format};
 use crate::cli::energy::args::EnergyArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::output;
-use nsim_energy::evaluate::Evaluated;
+use nsim_energy::evaluate::Evaluation;
 use nsim_energy::sanafe::Export;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
@@ -23,8 +23,8 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
     io::write::check_all_free(args.export_sanafe.iter().flat_map(|folder| sanafe_files(folder)), context.force)?;
     args.steps.iter().try_for_each(|path| steps::check(path, context.force))?;
-    let reported = |workload: &Workload<'_>, evaluated: Evaluated| {
-        let Evaluated { energy, run, deployment } = evaluated;
+    let reported = |workload: &Workload<'_>, evaluated: Evaluation| {
+        let Evaluation { energy, run, deployment } = evaluated;
         if let (Some(path), Some(svg)) = (&args.plot, nsim_report::charts::results::hardware(&energy.json())) {
             output::write_picture(path, &svg, context)?;
         }

@@ -4,7 +4,7 @@
 use std::path::Path;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
-use crate::cli::args::steps::recorded;
+use crate::cli::args::steps::run_with_step_rows;
 use crate::cli::context::Context;
 use crate::cli::output;
 use crate::cli::process::ranks;
@@ -16,8 +16,8 @@ use nsim_ir::spikes::Sample;
 use nsim_session::decision::EarlyExit;
 use nsim_session::error::Error;
 use nsim_session::obtain::Job;
-use nsim_session::samples::{Run, Running};
-use nsim_session::{Keep, inputs};
+use nsim_session::samples::{Run, RunSettings};
+use nsim_session::{SampleSettings, inputs};
 
 /// A mapped job, or another mapping of its network, with its input.
 pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs) -> Result<Workload<'j>, Error> {
@@ -47,12 +47,12 @@ pub fn simulate(
             workload.simulate(settings, early_exit, skip, (progress, ranks))
         });
     };
-    let keep = Keep { early_exit, ..Keep::new(workload.compiled.program.output()) };
+    let keep = SampleSettings { early_exit, ..SampleSettings::new(workload.compiled.program.output()) };
     let mut batch = io::write::Batch::new(context.force);
     let run = output::with_progress(context, samples.len(), "samples", |progress| {
-        let running = Running { skip, progress, ranks, ..Running::new(&keep) };
+        let run_settings = RunSettings { skip, progress, ranks, ..RunSettings::new(&keep) };
         let network = &workload.compiled.one;
-        recorded((steps, &mut batch), network, workload.meter(), settings, &samples, running)
+        run_with_step_rows((steps, &mut batch), network, workload.meter(), settings, &samples, run_settings)
     })?;
     ranks::leave_to_first();
     batch.commit()?;

@@ -31,7 +31,7 @@ const MOST_NUMBERS: usize = 1 << 28;
 /// # Errors
 /// `inspect.kind` for any other file; `hdf5.*`, `import.*` and `io.*` for an unreadable one.
 pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
-    let bytes = hdf5::bytes_of(path)?;
+    let bytes = hdf5::read_foreign_file(path)?;
     let in_file = |problem: Diagnostic| problem.or_in_file(path);
     let importable =
         import_summary(&foreign::from_bytes(path, bytes.clone(), &Options { dt_ms, ..Options::default() }));

@@ -111,7 +111,7 @@ fn inspect_shipped(name: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnosti
 
 fn inspect_ron(source: SourceText, origin: Origin, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
     match root_name(source.text()) {
-        "Network" => Ok(network_findings(&model::agreeing(model::network(source, origin)?, dt_ms)?)),
+        "Network" => Ok(network_findings(&model::check_timestep(model::network(source, origin)?, dt_ms)?)),
         "Target" => Ok(target_findings(&target::target(&source, origin)?)),
         "Chip" => Ok(chip_findings(&target::parse_chip(&source)?)),
         "Constants" => Ok(constants_findings(&target::parse_constants(&source)?)),
@@ -164,7 +164,7 @@ fn mapping_findings(mapping: &MappingFile) -> Findings {
             ("copies", json!(mapping.copies)),
             ("strategy", json!(mapping.strategy)),
             ("seed", json!(mapping.seed)),
-            ("pruned", mapping.pruned.as_ref().map_or(json!("none"), of_pruning)),
+            ("pruned", mapping.pruned.as_ref().map_or(json!("none"), pruning_text)),
             ("cores_used", json!(mapping.cores.len() + mapping.places().count())),
             ("chips_used", json!(chips.len())),
         ],
@@ -173,7 +173,7 @@ fn mapping_findings(mapping: &MappingFile) -> Findings {
 }
 
 /// Pruning of a mapping, as text: for its input spikes, or static.
-fn of_pruning(pruned: &PrunedFile) -> Value {
+fn pruning_text(pruned: &PrunedFile) -> Value {
     let dead: u64 = pruned.dead.iter().map(|run| u64::from(run.count)).sum();
     match &pruned.stimulus {
         Some(stimulus) => json!(format!("for {}, which never fires {dead} channels", stimulus.join(" "))),

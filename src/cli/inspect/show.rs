@@ -18,7 +18,7 @@ use nsim_files::mapping::pretty;
 use nsim_files::shipped::{self, Shipped};
 use nsim_ir::base::names::named_variants;
 use nsim_session::error::Error;
-use nsim_session::obtain::Wanted;
+use nsim_session::obtain::EngineKind;
 
 named_variants! {
     /// A stage of the compiler.
@@ -84,10 +84,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         None => find(name).map(|file| (without_extension(file), file.text.to_string()))?,
         Some(stage) => {
             let job = JobArgs { target: args.target.clone(), ..JobArgs::for_model(name) };
-            let wanted = if stage == Stage::Quantised { Wanted::Quantised } else { Wanted::Mapped };
-            let job = match prepare(&job, wanted, args.copies.or(Some(1)), &[])? {
+            let engine = if stage == Stage::Quantised { EngineKind::Quantised } else { EngineKind::Mapped };
+            let job = match prepare(&job, engine, args.copies.or(Some(1)), &[])? {
                 Ok(job) => job,
-                Err(why) => return why.say(json!({ "schema": "nsim.show/1", "name": name }), context),
+                Err(why) => return why.print(json!({ "schema": "nsim.show/1", "name": name }), context),
             };
             // At these depths an entry of a table takes a line.
             let text = match (stage, job.mapped()) {

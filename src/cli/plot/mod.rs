@@ -30,8 +30,8 @@ use nsim_report::charts::sample::{raster, traced, traces};
 use nsim_report::charts::{board, results};
 use nsim_session::Quantity;
 use nsim_session::error::Error;
-use nsim_session::obtain::Wanted;
-use nsim_session::priced::Metered;
+use nsim_session::obtain::EngineKind;
+use nsim_session::priced::MeteredMapping;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -47,7 +47,7 @@ EXAMPLES:
 
 /// Kinds of pictures.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum What {
+pub enum PlotKind {
     /// Spikes of a sample over time, a panel for each population
     Raster,
     /// Potentials of compartments over time
@@ -69,23 +69,23 @@ pub enum What {
 }
 
 /// Schemas of results, the command that prints one, and the function that draws one.
-type OfResult = (&'static [&'static str], &'static str, fn(&Value) -> Option<String>);
+type ResultPlot = (&'static [&'static str], &'static str, fn(&Value) -> Option<String>);
 
-impl What {
+impl PlotKind {
     /// Name of the kind on the command line.
     fn name(self) -> String {
         self.to_possible_value().map_or(String::new(), |value| value.get_name().to_string())
     }
 
     /// Drawing from a result; none for a picture that needs a run.
-    fn of_result(self) -> Option<OfResult> {
+    fn result_plot(self) -> Option<ResultPlot> {
         Some(match self {
-            What::Raster | What::Voltage | What::Messages | What::Map => return None,
-            What::Hardware => (&["nsim.energy/1"], "nsim energy", results::hardware),
-            What::Energy => (&["nsim.energy/1"], "nsim energy", results::energy),
-            What::Time => (&["nsim.energy/1"], "nsim energy", results::time),
-            What::Pareto => (&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto", results::pareto),
-            What::Agreement => (&["nsim.agree/1"], "nsim agree", results::agreement),
+            PlotKind::Raster | PlotKind::Voltage | PlotKind::Messages | PlotKind::Map => return None,
+            PlotKind::Hardware => (&["nsim.energy/1"], "nsim energy", results::hardware),
+            PlotKind::Energy => (&["nsim.energy/1"], "nsim energy", results::energy),
+            PlotKind::Time => (&["nsim.energy/1"], "nsim energy", results::time),
+            PlotKind::Pareto => (&["nsim.bench/1", "nsim.map/1"], "nsim bench pareto", results::pareto),
+            PlotKind::Agreement => (&["nsim.agree/1"], "nsim agree", results::agreement),
         })
     }
 }
@@ -96,7 +96,7 @@ impl What {
 pub struct Args {
     /// Kind of picture
     #[arg(value_enum, value_name = "WHAT")]
-    what: What,
+    what: PlotKind,
     #[command(flatten)]
     cost: CostArgs,
     /// Populations to draw, by name or pattern; for voltage and messages also single compartments,
@@ -110,19 +110,20 @@ pub struct Args {
 }
 
 /// Most compartments of a population that are drawn if none is named.
-const OF_EACH: usize = 3;
+const MOST_OF_POPULATION: usize = 3;
 /// Most compartments of a picture.
-const MOST_TRACED: usize = 11;
+const MOST_OF_PICTURE: usize = 11;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     refuse_if(context.format != Format::Text, "nsim plot writes a picture and does not support --format")?;
     let taken = output::check_files(None, [&args.output], context)?;
     let (what, name) = (args.what, args.what.name());
-    let is_probed = !args.probe.is_empty() && !matches!(what, What::Raster | What::Voltage | What::Messages);
+    let is_probed =
+        !args.probe.is_empty() && !matches!(what, PlotKind::Raster | PlotKind::Voltage | PlotKind::Messages);
     refuse_if(is_probed, format!("nsim plot {name} does not support --probe; raster, voltage and messages do"))?;
-    let (model, of_result) = (&args.cost.job.model, what.of_result());
+    let (model, result_plot) = (&args.cost.job.model, what.result_plot());
     if saved::is_result(model) {
-        let Some((schemas, command, draw)) = of_result else {
+        let Some((schemas, command, draw)) = result_plot else {
             return Err(Error::Usage(format!("nsim plot {name} runs a model: {model} is a result")));
         };
         let help = format!("give JSON that {command} printed with --format json");
@@ -133,9 +134,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         };
         return write(args, &draw(&result).ok_or_else(missing)?, taken, context);
     }
-    match (what, of_result) {
+    match (what, result_plot) {
         (_, None) => mapped(args, taken, context),
-        (What::Pareto | What::Agreement, Some((_, command, _))) => Err(Error::Usage(format!(
+        (PlotKind::Pareto | PlotKind::Agreement, Some((_, command, _))) => Err(Error::Usage(format!(
             "nsim plot {name} draws a result: {command} {model} --format json > FILE.json, then give that file"
         ))),
         (_, Some((.., draw))) => evaluate(&args.cost, None, context, |_, evaluated| {
@@ -149,13 +150,13 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 /// A picture of a mapping or of a sample on it.
 fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let cost = &args.cost;
-    let copies = if args.what == What::Map { cost.copies } else { cost.copies.or(Some(1)) };
+    let copies = if args.what == PlotKind::Map { cost.copies } else { cost.copies.or(Some(1)) };
     let names: Vec<&str> = args.probe.iter().map(|text| pattern(text).0).collect();
-    let job = match jobs::prepare(&cost.job, Wanted::Mapped, copies, &names)? {
+    let job = match jobs::prepare(&cost.job, EngineKind::Mapped, copies, &names)? {
         Ok(job) => job,
-        Err(refusal) => return refusal.say(Value::Null, context),
+        Err(refusal) => return refusal.print(Value::Null, context),
     };
-    if args.what == What::Map {
+    if args.what == PlotKind::Map {
         let Some((compiled, target)) = job.mapped() else {
             return Err(Error::Fault("a map needs a mapped job".to_string()));
         };
@@ -168,8 +169,8 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let Some(sample) = samples.first() else {
         return Err(Error::Usage("there is no sample to draw".to_string()));
     };
-    let metered = Metered::new(workload.compiled);
-    let quantity = if args.what == What::Messages { Quantity::Message } else { Quantity::V };
+    let metered = MeteredMapping::new(workload.compiled);
+    let quantity = if args.what == PlotKind::Messages { Quantity::Message } else { Quantity::V };
     let drawn = |ids: &[CompartmentId]| {
         let (settings, _) = metered.offline(workload.target)?;
         workload.timeline(settings, sample, (ids, quantity))
@@ -182,7 +183,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let title = format!("{}, sample {number}{label}", network.parts().name);
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&[]))?;
     let populations = chosen(network, &args.probe, args.what)?;
-    if args.what == What::Raster {
+    if args.what == PlotKind::Raster {
         let shown: Vec<PopulationId> = populations.into_iter().map(|(id, _)| id).collect();
         return write(args, &raster(&title, network, &timeline, &shown), taken, context);
     }
@@ -192,9 +193,9 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
             raster.spikes.iter().for_each(|&(_, unit)| counts[(first.0 + unit) as usize] += 1);
         }
     }
-    let wanted = populations.into_iter().map(|(id, named)| (id, named, OF_EACH));
+    let wanted = populations.into_iter().map(|(id, named)| (id, named, MOST_OF_POPULATION));
     let spikes = |id: CompartmentId| u64::from(counts[id.0 as usize]);
-    let (ids, traced) = traced(network, wanted, spikes, MOST_TRACED);
+    let (ids, traced) = traced(network, wanted, spikes, MOST_OF_PICTURE);
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
     write(args, &traces(&title, network, &timeline, &traced, quantity), taken, context)
 }
@@ -208,8 +209,8 @@ fn pattern(text: &str) -> (&str, Option<&str>) {
 }
 
 /// Populations that probes name, each with its named compartment, if any; all without probes.
-fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(PopulationId, Option<u32>)>, Error> {
-    let fits = |id: PopulationId| what == What::Raster || network.populations()[id].first_compartment().is_some();
+fn chosen(network: &Quantised, probes: &[String], what: PlotKind) -> Result<Vec<(PopulationId, Option<u32>)>, Error> {
+    let fits = |id: PopulationId| what == PlotKind::Raster || network.populations()[id].first_compartment().is_some();
     let all: Vec<PopulationId> = network.populations().ids().filter(|&id| fits(id)).collect();
     if probes.is_empty() {
         return Ok(all.into_iter().map(|id| (id, None)).collect());
@@ -221,7 +222,7 @@ fn chosen(network: &Quantised, probes: &[String], what: What) -> Result<Vec<(Pop
         for &id in all.iter().filter(|&&id| fits_pattern(named, &network.populations()[id].name)) {
             let index = match index {
                 None => None,
-                Some(index) if what != What::Raster => {
+                Some(index) if what != PlotKind::Raster => {
                     let shown = index.parse().ok().and_then(|index| network.index_after_pruning(id, index));
                     let units = network.units_before_pruning(id);
                     let name = &network.populations()[id].name;

@@ -8,9 +8,9 @@ use tracing_subscriber::prelude::*;
 use crate::cli::diagnostics;
 
 /// Stderr, whose errors are ignored.
-struct Unheard;
+struct LossyStderr;
 
-impl Write for Unheard {
+impl Write for LossyStderr {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         if !nsim_files::write::is_silent() {
             let _ = std::io::stderr().lock().write_all(bytes);
@@ -35,7 +35,7 @@ pub fn start(verbose: u8, quiet: bool, recordings: bool) {
         (false, _) => all(LevelFilter::DEBUG),
     };
     let lines = tracing_subscriber::fmt::layer()
-        .with_writer(|| Unheard)
+        .with_writer(|| LossyStderr)
         .with_ansi(diagnostics::colour())
         .log_internal_errors(false)
         .without_time()

@@ -27,7 +27,7 @@ pub fn guarded<T>(work: impl FnOnce() -> Result<T, Error>) -> Result<T, Error> {
         }
         let trace = std::backtrace::Backtrace::capture();
         if trace.status() == std::backtrace::BacktraceStatus::Captured {
-            diagnostics::say(&format!("{trace}\n"));
+            diagnostics::write_stderr(&format!("{trace}\n"));
         }
     }));
     catch_unwind(AssertUnwindSafe(work)).unwrap_or_else(|_| {

@@ -19,57 +19,57 @@ use nsim_session::ranks::RankRow;
 
 /// Wait of a failed rank, per rank number, for the message of another rank.
 #[cfg(feature = "mpi")]
-const MOMENT: Duration = Duration::from_millis(250);
+const WAIT_PER_RANK: Duration = Duration::from_millis(250);
 /// Wait of rank 0, after a signal, for the notice of another rank: `mpirun` soon forwards no more
 /// output.
 #[cfg(feature = "mpi")]
-const HEARING: Duration = Duration::from_millis(10);
+const SIGNAL_WAIT: Duration = Duration::from_millis(10);
 /// From this rank on the wait is constant: a job ends within two seconds.
 #[cfg(feature = "mpi")]
-const LONGEST: u32 = 4;
+const MOST_WAITS: u32 = 4;
 
 /// Job of this process, with one rank or several.
-static HERE: OnceLock<Ranks> = OnceLock::new();
+static JOB: OnceLock<Ranks> = OnceLock::new();
 /// Whether rank 0 needs the whole program.
-static WHOLE: AtomicBool = AtomicBool::new(false);
+static KEEP_WHOLE: AtomicBool = AtomicBool::new(false);
 
 /// Joins the job, if this process belongs to one.
 pub fn start() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = nsim_machine::ranks::mpi::start() {
         nsim_files::write::be_silent(ranks.rank() > 0);
-        let _ = HERE.set(ranks);
+        let _ = JOB.set(ranks);
     }
 }
 
 /// The processes of the job, where there are several.
 pub fn several() -> Option<&'static Ranks> {
-    HERE.get().filter(|ranks| ranks.ranks() > 1)
+    JOB.get().filter(|ranks| ranks.ranks() > 1)
 }
 
 /// Returns a usage error if several processes run `what`.
-pub fn alone(what: &str) -> Result<(), Error> {
+pub fn refuse_several(what: &str) -> Result<(), Error> {
     let message = format!("{what} runs in one process: start it without mpirun or srun, or with one task");
     refuse_if(several().is_some(), message)
 }
 
 /// Makes rank 0 keep the whole program, which it prices.
 pub fn price() {
-    WHOLE.store(true, Ordering::SeqCst);
+    KEEP_WHOLE.store(true, Ordering::SeqCst);
 }
 
 /// Share of a program for this process.
 pub fn share() -> RankShare {
     several().map_or(RankShare::ALL, |ranks| {
-        let whole = ranks.rank() == 0 && WHOLE.load(Ordering::SeqCst);
+        let whole = ranks.rank() == 0 && KEEP_WHOLE.load(Ordering::SeqCst);
         RankShare { rank: ranks.rank(), ranks: ranks.ranks(), whole }
     })
 }
 
 /// Rows of the processes of a run, also for a job of one process.
 pub fn rows(of_run: &[RankRow], program: Option<&Program>) -> Vec<RankRow> {
-    match (HERE.get(), program) {
-        (Some(_), Some(program)) if of_run.is_empty() => vec![RankRow::here(program, 0)],
+    match (JOB.get(), program) {
+        (Some(_), Some(program)) if of_run.is_empty() => vec![RankRow::for_this_process(program, 0)],
         _ => of_run.to_vec(),
     }
 }
@@ -85,7 +85,7 @@ pub fn leave_to_first() {
 /// Leaves the job without an error, once every rank does.
 pub fn finish() {
     #[cfg(feature = "mpi")]
-    if HERE.get().is_some() {
+    if JOB.get().is_some() {
         nsim_machine::ranks::mpi::finish();
     }
 }
@@ -96,7 +96,7 @@ pub fn before_failing() {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {
         use nsim_machine::ranks::mpi::{another_rank_failed, report_failure};
-        let until = Instant::now() + MOMENT * ranks.rank().min(LONGEST);
+        let until = Instant::now() + WAIT_PER_RANK * ranks.rank().min(MOST_WAITS);
         while Instant::now() < until {
             if another_rank_failed() {
                 return;
@@ -109,10 +109,10 @@ pub fn before_failing() {
 }
 
 /// Whether another rank reports the signal that ends this process.
-pub fn is_said_elsewhere() -> bool {
+pub fn is_reported_elsewhere() -> bool {
     #[cfg(feature = "mpi")]
     if let Some(ranks) = several() {
-        let until = Instant::now() + HEARING;
+        let until = Instant::now() + SIGNAL_WAIT;
         while ranks.rank() == 0 && Instant::now() < until {
             if nsim_machine::ranks::mpi::another_rank_failed() {
                 return true;

@@ -18,25 +18,25 @@ use crate::cli::process::ranks;
 use nsim_files::write;
 
 /// Last action of a command that a signal ends: it saves finished work and returns a message.
-type Last = Box<dyn FnOnce() -> Option<String> + Send>;
+type LastAction = Box<dyn FnOnce() -> Option<String> + Send>;
 
-static LAST: Mutex<Option<Last>> = Mutex::new(None);
+static LAST_ACTION: Mutex<Option<LastAction>> = Mutex::new(None);
 
 /// Guard of a last action, which stays registered until the guard is dropped.
 #[derive(Debug)]
-pub struct Ending(());
+pub struct ActionGuard(());
 
 /// Registers an action that a signal runs before it ends the process.
-pub fn at_end(last: impl FnOnce() -> Option<String> + Send + 'static) -> Ending {
-    if let Ok(mut place) = LAST.lock() {
+pub fn at_end(last: impl FnOnce() -> Option<String> + Send + 'static) -> ActionGuard {
+    if let Ok(mut place) = LAST_ACTION.lock() {
         *place = Some(Box::new(last));
     }
-    Ending(())
+    ActionGuard(())
 }
 
-impl Drop for Ending {
+impl Drop for ActionGuard {
     fn drop(&mut self) {
-        if let Ok(mut place) = LAST.lock() {
+        if let Ok(mut place) = LAST_ACTION.lock() {
             *place = None;
         }
     }
@@ -77,10 +77,10 @@ pub fn listen(format: Format) {
 fn end(signal: i32, format: Format) {
     let name = if signal == SIGINT { "SIGINT" } else { "SIGTERM" };
     // The command runs on meanwhile, and may end before the process is ended.
-    let last = LAST.lock().ok().and_then(|mut last| last.take());
+    let last = LAST_ACTION.lock().ok().and_then(|mut last| last.take());
     let kept = last.and_then(|last| last());
     let unfinished: Vec<String> = write::abandon().iter().map(|folder| folder.display().to_string()).collect();
-    if ranks::is_said_elsewhere() {
+    if ranks::is_reported_elsewhere() {
         std::process::exit(128 + signal);
     }
     let mut message = format!("ended by {name}; every file is unchanged, complete, or absent");
@@ -97,7 +97,7 @@ fn end(signal: i32, format: Format) {
         });
         let _ = write::stdout(&format!("{object:#}\n"));
     } else {
-        diagnostics::say(&format!("nsim: {message}\n"));
+        diagnostics::write_stderr(&format!("nsim: {message}\n"));
     }
     std::process::exit(128 + signal);
 }

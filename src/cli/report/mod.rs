@@ -11,7 +11,7 @@ use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::output;
-use nsim_energy::evaluate::Evaluated;
+use nsim_energy::evaluate::Evaluation;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
 use nsim_ir::stimulus::{InputArg, InputSource};
@@ -79,7 +79,7 @@ fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
 }
 
 /// Writes the page of a run.
-fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluated, context: Context) -> Result<Answer, Error> {
+fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluation, context: Context) -> Result<Answer, Error> {
     let (target, network) = (workload.target, &workload.compiled.one);
     // A model from a pipe cannot be read again: it is neither compared with its real form nor
     // hashed.

@@ -42,7 +42,7 @@ struct Plan {
 
 /// Counts of a run, which show whether a case reached its edge.
 #[derive(Default)]
-struct Seen {
+struct RunCounts {
     /// Non-zero sums, by step and compartment.
     arrivals: u64,
     spikes: u64,
@@ -133,22 +133,22 @@ impl Plan {
         target: &Target,
         steps: u32,
         drive: impl Fn(u32) -> Vec<u32>,
-        met: impl Fn(&Seen) -> bool,
+        met: impl Fn(&RunCounts) -> bool,
     ) -> Outcome {
-        let seen = self.run(target, steps, drive)?;
-        let Seen { spikes, q_wrapped, u_wrapped, v_clipped, .. } = seen;
+        let counts = self.run(target, steps, drive)?;
+        let RunCounts { spikes, q_wrapped, u_wrapped, v_clipped, .. } = counts;
         let detail = format!(
             "{spikes} spikes; {q_wrapped} accumulators and {u_wrapped} currents wrapped, {v_clipped} voltages \
              clipped, as counted by all"
         );
-        match met(&seen) {
+        match met(&counts) {
             true => Ok((steps.into(), detail)),
             false => Err((steps.into(), format!("the edge was not met: {detail}"))),
         }
     }
 
     /// Runs the three engines over this number of steps and compares each with the exact model.
-    fn run(&self, target: &Target, steps: u32, drive: impl Fn(u32) -> Vec<u32>) -> Result<Seen, (u64, String)> {
+    fn run(&self, target: &Target, steps: u32, drive: impl Fn(u32) -> Vec<u32>) -> Result<RunCounts, (u64, String)> {
         let (network, program) = self.program(target).map_err(fault)?;
         let image = Image::new(&program, 1).map_err(fault)?;
         let machine = |skip| Machine::new(&image, Settings { skip, per_step: false });
@@ -158,7 +158,7 @@ impl Plan {
         engines.iter_mut().for_each(|(_, engine)| engine.begin(steps));
         let mut exact = vec![Compartment::default(); self.neurons.len()];
         let mut coming: HashMap<(u32, usize), i128> = HashMap::new();
-        let mut seen = Seen::default();
+        let mut counts = RunCounts::default();
         for now in 0..steps {
             let channels = drive(now);
             for link in self.links.iter().filter(|link| !link.recurrent) {
@@ -167,16 +167,16 @@ impl Plan {
             let mut spikes = Vec::new();
             for (index, (compartment, p)) in exact.iter_mut().zip(&self.neurons).enumerate() {
                 let arrived = coming.remove(&(now, index)).unwrap_or(0);
-                seen.arrivals += u64::from(arrived != 0);
+                counts.arrivals += u64::from(arrived != 0);
                 let step = compartment.step(now.into(), arrived, p);
-                seen.q_wrapped += u64::from(step.q_wrapped);
-                seen.u_wrapped += u64::from(step.u_wrapped);
-                seen.v_clipped += u64::from(step.v_clipped);
+                counts.q_wrapped += u64::from(step.q_wrapped);
+                counts.u_wrapped += u64::from(step.u_wrapped);
+                counts.v_clipped += u64::from(step.v_clipped);
                 if step.spiked {
                     spikes.push(CompartmentId(index as u32));
                 }
             }
-            seen.spikes += spikes.len() as u64;
+            counts.spikes += spikes.len() as u64;
             for link in self.links.iter().filter(|link| link.recurrent) {
                 spikes.iter().for_each(|s| send(&mut coming, link, s.0 as usize, now + 1 + link.delay));
             }
@@ -201,13 +201,13 @@ impl Plan {
         for (name, engine) in &engines {
             let overflow = engine.overflow();
             let counted = (overflow.q_wrapped, overflow.u_wrapped, overflow.v_clipped);
-            let exactly = (seen.q_wrapped, seen.u_wrapped, seen.v_clipped);
+            let exactly = (counts.q_wrapped, counts.u_wrapped, counts.v_clipped);
             if counted != exactly {
                 let message = format!("{name}: counted q, u, v overflows {counted:?}, exactly {exactly:?}");
                 return Err((steps.into(), message));
             }
         }
-        Ok(seen)
+        Ok(counts)
     }
 }
 
@@ -219,13 +219,13 @@ fn send(coming: &mut HashMap<(u32, usize), i128>, link: &Link, source: usize, st
 }
 
 /// Synapses of the channels without delay.
-fn feed(weights: Vec<Vec<i16>>, exponent: i32) -> Link {
+fn link_from_channels(weights: Vec<Vec<i16>>, exponent: i32) -> Link {
     Link { recurrent: false, weights, exponent, delay: 0 }
 }
 
 /// Every channel with the same weight to every compartment.
 fn uniform(channels: u32, targets: usize, weight: i16, exponent: i32) -> Link {
-    feed(vec![vec![weight; targets]; channels as usize], exponent)
+    link_from_channels(vec![vec![weight; targets]; channels as usize], exponent)
 }
 
 /// The ends of decays and their neighbours.
@@ -253,36 +253,36 @@ pub(super) fn fan_in(target: &Target, weight: i16) -> Outcome {
         neurons: vec![PLAIN, Parameters { du: 4096, dv: 0, vth: 131_071, ..PLAIN }],
         links: vec![uniform(AXONS, 2, weight, 0)],
     };
-    plan.outcome(target, 96, drive, |seen| seen.q_wrapped > 32)
+    plan.outcome(target, 96, drive, |counts| counts.q_wrapped > 32)
 }
 
-fn exponent(target: &Target, exponent: i32, met: fn(&Seen) -> bool) -> Outcome {
+fn exponent(target: &Target, exponent: i32, met: fn(&RunCounts) -> bool) -> Outcome {
     // Every weight of the format, hence every pattern of lost low bits.
     let weights = (-128..128).map(|half: i16| vec![2 * half, -2 * half.max(-127)]).collect();
     let plan = Plan {
         channels: 256,
         neurons: vec![PLAIN, Parameters { du: 1, dv: 4095, vth: 0, ..PLAIN }],
-        links: vec![feed(weights, exponent)],
+        links: vec![link_from_channels(weights, exponent)],
     };
     plan.outcome(target, 600, noise(256, 3, 0.2), met)
 }
 
 pub(super) fn exponent_least(target: &Target) -> Outcome {
     // Only the weight -256 stays non-zero: the others lose all of their bits.
-    exponent(target, -8, |seen| seen.q_wrapped == 0 && seen.arrivals > 50)
+    exponent(target, -8, |counts| counts.q_wrapped == 0 && counts.arrivals > 50)
 }
 
 pub(super) fn exponent_greatest(target: &Target) -> Outcome {
-    exponent(target, 7, |seen| seen.q_wrapped > 0 && seen.spikes > 0)
+    exponent(target, 7, |counts| counts.q_wrapped > 0 && counts.spikes > 0)
 }
 
 pub(super) fn decays(target: &Target) -> Outcome {
     let plan = Plan {
         channels: 8,
         neurons: every_decay(),
-        links: vec![feed((0..8i16).map(|c| vec![(2 * (31 * c % 101 - 50)) & !1; 16]).collect(), 3)],
+        links: vec![link_from_channels((0..8i16).map(|c| vec![(2 * (31 * c % 101 - 50)) & !1; 16]).collect(), 3)],
     };
-    plan.outcome(target, 2000, noise(8, 5, 0.3), |seen| seen.spikes > 0)
+    plan.outcome(target, 2000, noise(8, 5, 0.3), |counts| counts.spikes > 0)
 }
 
 pub(super) fn thresholds(target: &Target) -> Outcome {
@@ -291,11 +291,11 @@ pub(super) fn thresholds(target: &Target) -> Outcome {
         channels: 2,
         neurons: vec![of(1), of(131_071), of(0), of(131_070)],
         links: vec![
-            feed(vec![vec![2; 4], vec![-2; 4]], -1),
-            Link { delay: 1, ..feed(vec![vec![254; 4], vec![0; 4]], 5) },
+            link_from_channels(vec![vec![2; 4], vec![-2; 4]], -1),
+            Link { delay: 1, ..link_from_channels(vec![vec![254; 4], vec![0; 4]], 5) },
         ],
     };
-    plan.outcome(target, 3000, |step| if step % 5 == 4 { vec![0, 1] } else { vec![0] }, |seen| seen.spikes > 0)
+    plan.outcome(target, 3000, |step| if step % 5 == 4 { vec![0, 1] } else { vec![0] }, |counts| counts.spikes > 0)
 }
 
 pub(super) fn biases(target: &Target) -> Outcome {
@@ -305,14 +305,14 @@ pub(super) fn biases(target: &Target) -> Outcome {
     let plan =
         Plan { channels: 1, neurons: ends.iter().flat_map(neuron).collect(), links: vec![uniform(1, 12, -256, 3)] };
     let drive = |step: u32| if step.is_multiple_of(7) { vec![0] } else { Vec::new() };
-    plan.outcome(target, 2000, drive, |seen| seen.v_clipped > 0 && seen.spikes > 0)
+    plan.outcome(target, 2000, drive, |counts| counts.v_clipped > 0 && counts.spikes > 0)
 }
 
 pub(super) fn refractory(target: &Target) -> Outcome {
     let of = |refractory| Parameters { refractory, ..PLAIN };
     let plan = Plan { channels: 1, neurons: [0, 1, 2, 62, 63].map(of).to_vec(), links: vec![uniform(1, 5, 254, 0)] };
     // A compartment that spikes whenever it may spikes 1000, 1000, 500, 17 and 16 times.
-    plan.outcome(target, 1000, |_| vec![0], |seen| seen.spikes == 1000 + 1000 + 500 + 17 + 16)
+    plan.outcome(target, 1000, |_| vec![0], |counts| counts.spikes == 1000 + 1000 + 500 + 17 + 16)
 }
 
 pub(super) fn overflow(target: &Target, weight: i16) -> Outcome {
@@ -322,7 +322,7 @@ pub(super) fn overflow(target: &Target, weight: i16) -> Outcome {
         neurons: vec![of(0, 4096), of(1, 4096), of(0, 0), of(1, 128)],
         links: vec![uniform(1, 4, weight, 6)],
     };
-    plan.outcome(target, 500, |_| vec![0], |seen| seen.u_wrapped > 20)
+    plan.outcome(target, 500, |_| vec![0], |counts| counts.u_wrapped > 20)
 }
 
 pub(super) fn clips(target: &Target) -> Outcome {
@@ -331,15 +331,15 @@ pub(super) fn clips(target: &Target) -> Outcome {
     neurons.extend((0..=23).map(|vmin| of(vmin, 7)));
     let count = neurons.len();
     let weights = vec![vec![254; count], vec![-256; count]];
-    let plan = Plan { channels: 2, neurons, links: vec![feed(weights, 6)] };
-    plan.outcome(target, 400, |step| vec![step / 50 % 2], |seen| seen.v_clipped > 1000)
+    let plan = Plan { channels: 2, neurons, links: vec![link_from_channels(weights, 6)] };
+    plan.outcome(target, 400, |step| vec![step / 50 % 2], |counts| counts.v_clipped > 1000)
 }
 
 pub(super) fn alternating(target: &Target) -> Outcome {
     let count = 16;
     let weights = (0..128).map(|_| vec![254; count]).chain((0..128).map(|_| vec![-256; count])).collect();
-    let plan = Plan { channels: 256, neurons: every_decay(), links: vec![feed(weights, 0)] };
-    plan.outcome(target, 2000, |step| (step % 2 * 128..step % 2 * 128 + 128).collect(), |seen| seen.spikes > 0)
+    let plan = Plan { channels: 256, neurons: every_decay(), links: vec![link_from_channels(weights, 0)] };
+    plan.outcome(target, 2000, |step| (step % 2 * 128..step % 2 * 128 + 128).collect(), |counts| counts.spikes > 0)
 }
 
 pub(super) fn delays(target: &Target) -> Outcome {
@@ -351,7 +351,7 @@ pub(super) fn delays(target: &Target) -> Outcome {
     };
     // The last spikes' deliveries fall after the end.
     let drive = |step: u32| if step % 61 < 3 || step > 930 { vec![0, 1] } else { Vec::new() };
-    plan.outcome(target, 1000, drive, |seen| seen.spikes > 100)
+    plan.outcome(target, 1000, drive, |counts| counts.spikes > 100)
 }
 
 pub(super) fn ten_million(target: &Target) -> Outcome {

@@ -66,8 +66,12 @@ pub const FIGURES: [&str; 6] = ["static_mw", "dynamic_mw", "total_mw", "latency_
 /// # Errors
 /// `measurements.*`, `io.*`.
 pub fn load_measurements(argument: &str) -> Result<MeasurementsFile> {
-    let (source, _) =
-        shipped::text_of(argument, shipped::MEASUREMENTS, "table of measurements", "measurements.unknown")?;
+    let (source, _) = shipped::path_or_shipped_text(
+        argument,
+        shipped::MEASUREMENTS,
+        "table of measurements",
+        "measurements.unknown",
+    )?;
     measurements(&source)
 }
 

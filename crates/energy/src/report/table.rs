@@ -29,7 +29,7 @@ const WIDTHS: [usize; 7] = [16, 7, 8, 8, 11, 10, 9];
 
 /// Savings of a run if samples ended at their decisions: equation (16).
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Saved {
+pub struct EarlyExitSavings {
     /// The rule that decides a sample.
     pub rule: Rule,
     /// Samples that were decided before their end.
@@ -54,14 +54,14 @@ pub struct Saved {
 
 /// A unit of the published job, as computed here and as printed by its source.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Part {
+pub struct JobPart {
     /// The row by the constants of the report.
     pub here: EnergyRow,
     /// The printed row of this unit.
     pub printed: EnergyRow,
 }
 
-impl Part {
+impl JobPart {
     /// Ratios of static, dynamic and total power here to the printed ones; `None` if not printed.
     fn ratios(&self) -> [Option<f64>; 3] {
         let powers = |row: &EnergyRow| [row.static_mw, row.dynamic_mw, row.total_mw];
@@ -108,7 +108,7 @@ pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
 }
 
 /// The object of `nsim.energy/1` for a network that did not run.
-pub fn nothing(copies: u32, mode: Mode, convention: Convention) -> Value {
+pub fn empty_result(copies: u32, mode: Mode, convention: Convention) -> Value {
     json!({
         "schema": "nsim.energy/1", "model": null, "target": null, "copies": copies, "deployment": null,
         "mode": mode.name(), "convention": convention.name(), "fits": false, "reasons": [], "seed": null, "rows": [],
@@ -155,7 +155,7 @@ pub struct EnergyReport {
     /// Comparison with other hardware.
     pub comparison: Comparison,
     /// Savings if samples ended at their decisions.
-    pub early_exit: Option<Saved>,
+    pub early_exit: Option<EarlyExitSavings>,
     /// The constants of the preset.
     pub constants: Vec<ConstantEntry>,
     /// Counts by population, input and core, and warnings.
@@ -167,14 +167,14 @@ pub struct EnergyReport {
     /// Energy and energy-delay product as printed for that job and other published hardware.
     pub printed: Vec<[f64; 2]>,
     /// Units of the published job, here and as printed.
-    pub parts: Vec<Part>,
+    pub parts: Vec<JobPart>,
     /// Number of copies counted in the run.
     pub copies_counted: u32,
     /// Unknown facts and reasons, for readers; also on stderr when the output is for programs.
     pub notes: Vec<String>,
     /// Remarks on the constants: their hardware, absent ones, ones without effect, figures without
     /// an interval.
-    pub of_constants: Vec<String>,
+    pub constant_notes: Vec<String>,
 }
 
 /// The object of `nsim.energy/1`.
@@ -210,7 +210,7 @@ struct EnergyResult<'r> {
     accounting: Accounting,
     #[serde(flatten)]
     comparison: &'r Comparison,
-    early_exit: Option<Saved>,
+    early_exit: Option<EarlyExitSavings>,
     parts: Vec<Value>,
     constants: &'r [ConstantEntry],
     expected: Option<Score>,
@@ -357,10 +357,10 @@ impl EnergyReport {
             accounting: self.accounting,
             comparison: &self.comparison,
             early_exit: self.early_exit,
-            parts: self.parts.iter().map(Part::json).collect(),
+            parts: self.parts.iter().map(JobPart::json).collect(),
             constants: &self.constants,
             expected: self.expected,
-            notes: self.notes.iter().chain(&self.of_constants).collect(),
+            notes: self.notes.iter().chain(&self.constant_notes).collect(),
             low: total.and_then(|row| row.low).unwrap_or_default(),
             high: total.and_then(|row| row.high).unwrap_or_default(),
             share: total.and_then(|row| row.share),
@@ -450,7 +450,7 @@ impl EnergyReport {
             };
             lines.push((row_name(row, self.hardware()), self.cells(row), source));
             if is_printed(row) {
-                for Part { here, printed } in &self.parts {
+                for JobPart { here, printed } in &self.parts {
                     let name = format!("  {}", row_name(here, &here.hardware));
                     lines.push((name, self.cells(printed), String::new()));
                 }
@@ -532,14 +532,14 @@ impl EnergyReport {
         for (name, cells, source) in lines {
             out += &line(&widths, &name, &cells, &source);
         }
-        for remark in self.remarks().iter().chain(&self.of_constants) {
+        for remark in self.table_notes().iter().chain(&self.constant_notes) {
             out += &wrapped(remark);
         }
         out
     }
 
     /// Remarks below the table, at most seven.
-    fn remarks(&self) -> Vec<String> {
+    fn table_notes(&self) -> Vec<String> {
         let Deployment { cores_used, copies, board_chips, chips_used, .. } = &self.deployment;
         if self.accounting == Accounting::Rails {
             let unused = board_chips - chips_used.min(board_chips);
@@ -548,7 +548,7 @@ impl EnergyReport {
                 format!("{} mW of it belong to chips of the board that are not used ({unused}).", three(boot))
             });
             let packing = "Packing copies on fewer chips saves profiler milliwatts, not board watts.".to_string();
-            return unused.into_iter().chain([packing]).chain(self.dominant()).collect();
+            return unused.into_iter().chain([packing]).chain(self.dominant_text()).collect();
         }
         let each = |total: u64, copies: u32| {
             let cores = total as f64 / f64::from(copies.max(1));
@@ -565,7 +565,7 @@ impl EnergyReport {
             let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
             said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power scales with them."));
         }
-        said.extend(job.map(|job| self.inferred(job)));
+        said.extend(job.map(|job| self.assumptions_text(job)));
         let mut marks = Vec::new();
         let printed: Vec<String> = self.printed.iter().map(|[energy, edp]| format!("{energy} and {edp}")).collect();
         if !printed.is_empty() {
@@ -583,7 +583,7 @@ impl EnergyReport {
             marks.push("busy: measured while other programs kept this many processors busy".to_string());
         }
         said.extend(Some(marks.join(" ")).filter(|marks| !marks.is_empty()));
-        said.extend(self.dominant());
+        said.extend(self.dominant_text());
         let last = match job {
             Some(_) => "nsim bench published omits the paper's own results, so its intervals are wider.",
             None => "Fewer cores save profiler milliwatts, not board watts (--accounting rails).",
@@ -594,8 +594,8 @@ impl EnergyReport {
 
     /// Remark on the ratios of units of the published job, and on the assumptions of its figures
     /// here that its source does not state.
-    fn inferred(&self, job: &ScenarioFile) -> String {
-        let part = |part: &Part| {
+    fn assumptions_text(&self, job: &ScenarioFile) -> String {
+        let part = |part: &JobPart| {
             let [fixed, dynamic, _] = part.ratios().map(|ratio| ratio.map_or_else(unknown, |x| format!("{x:.2}")));
             format!("{} {fixed}, {dynamic}", row_name(&part.here, &part.here.hardware))
         };
@@ -610,12 +610,12 @@ impl EnergyReport {
     }
 
     /// Remark on the largest part of a step's time.
-    fn dominant(&self) -> Option<String> {
+    fn dominant_text(&self) -> Option<String> {
         let times = self.estimate.time_us?;
         let all: f64 = times.iter().map(|(_, us)| us).sum();
         let (name, most) = times.into_iter().max_by(|a, b| a.1.total_cmp(&b.1)).filter(|_| all > 0.0)?;
         let what = match name {
-            "injection" => &self.injecting(most),
+            "injection" => &self.injection_text(most),
             "turn" => "the turn of the x86 core",
             "slowest core" => "the slowest core",
             "transport" => "messages on the mesh",
@@ -628,7 +628,7 @@ impl EnergyReport {
     }
 
     /// Text on injection: the input spikes of a step, and the constants' time of one.
-    fn injecting(&self, injection_us: f64) -> String {
+    fn injection_text(&self, injection_us: f64) -> String {
         let of_one = self.constants.iter().find(|entry| entry.name == "injection_time").map(|entry| entry.value);
         match of_one {
             Some(us) if us > 0.0 => format!("{} input spikes of {} us", three(injection_us / us), three(us)),

@@ -34,7 +34,7 @@ const MOST_STRINGS: u64 = 1 << 16;
 
 /// Command that copies FILE to NEW: links become copies of their targets, and arrays get h5py's
 /// default layout.
-const REWRITTEN: &str = "python3 -c \"import h5py; copy = lambda old, new: [copy(old[k], new.create_group(k)) if \
+const REWRITE_COMMAND: &str = "python3 -c \"import h5py; copy = lambda old, new: [copy(old[k], new.create_group(k)) if \
                          hasattr(old[k], 'keys') else new.create_dataset(k, data=old[k][()]) for k in old]; \
                          copy(h5py.File('FILE'), h5py.File('NEW', 'w'))\"";
 
@@ -209,10 +209,10 @@ impl Group {
     }
 
     /// The path and type of the first member of a type that is not read.
-    pub fn unread(&self) -> Option<(String, &str)> {
+    pub fn first_unsupported(&self) -> Option<(String, &str)> {
         self.items.iter().find_map(|(name, item)| match item {
             Item::Other(what) => Some((name.clone(), what.as_str())),
-            Item::Group(group) => group.unread().map(|(path, what)| (format!("{name}/{path}"), what)),
+            Item::Group(group) => group.first_unsupported().map(|(path, what)| (format!("{name}/{path}"), what)),
             Item::Numbers(_) | Item::Texts(..) => None,
         })
     }
@@ -227,12 +227,12 @@ impl Group {
 }
 
 /// The remaining budget of a file that is being read.
-struct Reading<'a> {
+struct ReadBudget<'a> {
     path: &'a Path,
     budget: Budget,
 }
 
-impl Reading<'_> {
+impl ReadBudget<'_> {
     /// Subtracts a claim from the budget.
     fn take(&mut self, claim: impl FnOnce(&mut Budget) -> Result<(), Exceeded>) -> Result<()> {
         claim(&mut self.budget)
@@ -244,7 +244,8 @@ impl Reading<'_> {
         let layout = ["data layout", "chunk index", "external files", "filter"].iter().any(|part| what.contains(part));
         let mut problem = Diagnostic::new("hdf5.format", format!("the HDF5 file cannot be read: {what}"));
         if layout {
-            problem = problem.help(format!("h5py writes its arrays in the oldest layout, which is read: {REWRITTEN}"));
+            problem =
+                problem.help(format!("h5py writes its arrays in the oldest layout, which is read: {REWRITE_COMMAND}"));
         }
         problem.in_file(self.path)
     }
@@ -255,7 +256,7 @@ impl Reading<'_> {
 ///
 /// # Errors
 /// As [`read_bytes`]; `hdf5.events`.
-pub fn bytes_of(path: &Path) -> Result<Vec<u8>> {
+pub fn read_foreign_file(path: &Path) -> Result<Vec<u8>> {
     read_bytes(path, MOST_ARRAY).map_err(|problem| {
         let large = problem.code == "io.too-large" && !is_standard_stream(path);
         let file = if large { File::open_streaming(path).ok() } else { None };
@@ -269,10 +270,10 @@ pub fn bytes_of(path: &Path) -> Result<Vec<u8>> {
 /// # Errors
 /// `hdf5.format`, `hdf5.link`, `hdf5.too-large`.
 pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
-    let mut budget = Reading { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
+    let mut budget = ReadBudget { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
     if let Some(link) = super::hdf5_links::find(&bytes) {
         return Err(Diagnostic::new("hdf5.link", format!("the HDF5 file has links that are not followed: {link}"))
-            .help(format!("write their targets in their place: {REWRITTEN}"))
+            .help(format!("write their targets in their place: {REWRITE_COMMAND}"))
             .in_file(path));
     }
     let options = FileAccessProperties::new().with_chunk_cache(ChunkCacheConfig::disabled());
@@ -303,7 +304,7 @@ fn refuse_events(root: &hdf5_pure::Group) -> Result<()> {
     Err(Diagnostic::new("hdf5.events", format!("this HDF5 file is {what}, which is not read")).help(help))
 }
 
-fn group(group: &hdf5_pure::Group, budget: &mut Reading<'_>, depth: usize) -> Result<Group> {
+fn group(group: &hdf5_pure::Group, budget: &mut ReadBudget<'_>, depth: usize) -> Result<Group> {
     budget.take(|budget| budget.item(depth))?;
     let mut items = BTreeMap::new();
     for (name, child) in group.iter_groups().map_err(|error| budget.wrong(&error))? {
@@ -350,8 +351,8 @@ fn element(datatype: &Datatype) -> Option<(Element, bool)> {
     }
 }
 
-fn dataset(name: &str, dataset: &Dataset, budget: &mut Reading<'_>) -> Result<Item> {
-    let wrong = |budget: &Reading<'_>, error: &dyn std::fmt::Display| budget.wrong(&format!("{name}: {error}"));
+fn dataset(name: &str, dataset: &Dataset, budget: &mut ReadBudget<'_>) -> Result<Item> {
+    let wrong = |budget: &ReadBudget<'_>, error: &dyn std::fmt::Display| budget.wrong(&format!("{name}: {error}"));
     let axes = dataset.shape().map_err(|error| wrong(budget, &error))?;
     if axes.len() > MOST_AXES {
         return Err(wrong(budget, &format!("an array of {} axes", axes.len())));
@@ -417,13 +418,13 @@ pub fn write(root: &Group) -> Result<Vec<u8>> {
         match item {
             Item::Group(group) => {
                 let builder = file.create_group(name);
-                file.add_group(filled(builder, group));
+                file.add_group(build_group(builder, group));
             }
-            item => fill(file.create_dataset(name), item),
+            item => build_dataset(file.create_dataset(name), item),
         }
     }
     for (name, attribute) in &root.attributes {
-        file.set_attr(name, attribute.written());
+        file.set_attr(name, attribute.to_value());
     }
     file.finish().map_err(|error| Diagnostic::new("hdf5.write", format!("the HDF5 file cannot be written: {error}")))
 }
@@ -436,7 +437,7 @@ impl Attribute {
         number.map(Attribute::Number).or_else(|| Some(Attribute::Text(value.as_str()?.to_string())))
     }
 
-    fn written(&self) -> AttrValue {
+    fn to_value(&self) -> AttrValue {
         match self {
             Attribute::Number(x) => AttrValue::F64(*x),
             Attribute::Text(text) => AttrValue::String(text.clone()),
@@ -444,23 +445,23 @@ impl Attribute {
     }
 }
 
-fn filled(mut builder: GroupBuilder, group: &Group) -> FinishedGroup {
+fn build_group(mut builder: GroupBuilder, group: &Group) -> FinishedGroup {
     for (name, item) in &group.items {
         match item {
             Item::Group(inner) => {
-                let inner = filled(builder.create_group(name), inner);
+                let inner = build_group(builder.create_group(name), inner);
                 builder.add_group(inner);
             }
-            item => fill(builder.create_dataset(name), item),
+            item => build_dataset(builder.create_dataset(name), item),
         }
     }
     for (name, attribute) in &group.attributes {
-        builder.set_attr(name, attribute.written());
+        builder.set_attr(name, attribute.to_value());
     }
     builder.finish()
 }
 
-fn fill(builder: &mut DatasetBuilder, item: &Item) {
+fn build_dataset(builder: &mut DatasetBuilder, item: &Item) {
     let shape = |axes: &[usize]| axes.iter().map(|&axis| axis as u64).collect::<Vec<_>>();
     match item {
         Item::Numbers(numbers) => {
@@ -493,6 +494,6 @@ mod tests {
             ..Group::default()
         };
         let root = Group::default().with("a", Numbers::i64(&[1], &[1])).with("nodes", inner);
-        assert_eq!(root.unread(), Some(("nodes/w".to_string(), "Compound")));
+        assert_eq!(root.first_unsupported(), Some(("nodes/w".to_string(), "Compound")));
     }
 }

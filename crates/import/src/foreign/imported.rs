@@ -10,7 +10,7 @@ use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
 use nsim_ir::base::names::named_variants;
 
 /// The greatest threshold mantissa, for compartments that should not spike.
-pub(super) const NEVER: f64 = ThresholdMantissa::MAX.get() as f64;
+pub(super) const MAX_THRESHOLD: f64 = ThresholdMantissa::MAX.get() as f64;
 /// The greatest delay field.
 pub(super) const LONGEST_DELAY: f64 = Delay::MAX.get() as f64;
 
@@ -171,11 +171,11 @@ impl fmt::Display for LayerWeights {
 
 /// Parameters of compartments that sum and never spike.
 pub(super) fn integrator(du: f64, dv: f64) -> Vec<(&'static str, Parameter)> {
-    vec![("du", Parameter::Same(du)), ("dv", Parameter::Same(dv)), ("vth_mant", Parameter::Same(NEVER))]
+    vec![("du", Parameter::Same(du)), ("dv", Parameter::Same(dv)), ("vth_mant", Parameter::Same(MAX_THRESHOLD))]
 }
 
 /// The parameters of a compartment that spikes in every step.
-pub(super) fn every_step() -> Vec<(&'static str, Parameter)> {
+pub(super) fn always_spiking() -> Vec<(&'static str, Parameter)> {
     let parameters = [("du", 4096.0), ("dv", 4096.0), ("vth_mant", 1.0), ("bias_mant", 65.0), ("bias_exp", 0.0)];
     parameters.map(|(key, value)| (key, Parameter::Same(value))).to_vec()
 }
@@ -185,7 +185,7 @@ pub(super) fn every_step() -> Vec<(&'static str, Parameter)> {
 ///
 /// Sums in single precision round that excess away; sums in double precision do not. So a voltage
 /// that equals its threshold in the tool equals it here.
-pub(super) fn decimal(single: f64) -> f64 {
+pub(super) fn shortest_decimal(single: f64) -> f64 {
     let narrow = single as f32;
     let short = narrow.to_bits().trailing_zeros() >= 8;
     if short { single } else { narrow.to_string().parse().unwrap_or(single) }
@@ -195,7 +195,7 @@ impl Imported {
     /// The import with a refractory period of 2 in the populations `names`. The reset to zero of
     /// snnTorch 1.0.0 also removes the input of the next step, except in Leaky (`_base_zero`).
     #[must_use]
-    pub(super) fn held(mut self, names: &[String]) -> Self {
+    pub(super) fn with_refractory(mut self, names: &[String]) -> Self {
         if names.is_empty() {
             return self;
         }
@@ -218,10 +218,10 @@ impl Imported {
     /// by potential. The score is the sum of v where u and v decay fully in a step, the last v
     /// where u or v never decays, else the greatest v.
     #[must_use]
-    pub(super) fn read_out(mut self, option: Option<ReadOut>) -> Self {
+    pub(super) fn with_decision(mut self, option: Option<ReadOut>) -> Self {
         let output = self.model.population(&self.model.output).and_then(|output| output.loihi.clone());
         let parameter = |key: &str| output.as_ref()?.iter().find(|(given, _)| *given == key).map(|(_, value)| value);
-        let never = parameter("vth_mant") == Some(&Parameter::Same(NEVER));
+        let never = parameter("vth_mant") == Some(&Parameter::Same(MAX_THRESHOLD));
         if let Some(decision) = option {
             self.model.decision = decision;
             if !never && decision != ReadOut::Spikes {
@@ -253,7 +253,7 @@ impl Imported {
 }
 
 /// A list of names for messages.
-pub(super) fn listed(names: &[&str]) -> String {
+pub(super) fn name_list(names: &[&str]) -> String {
     if names.is_empty() { "no members".to_string() } else { names.join(", ") }
 }
 

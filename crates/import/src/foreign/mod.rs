@@ -20,7 +20,7 @@ mod window;
 
 use std::path::Path;
 
-use self::imported::listed;
+use self::imported::name_list;
 pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
 pub use self::netx::export as netx_export;
 pub use self::nir::export as nir_export;
@@ -41,7 +41,7 @@ pub fn is_foreign(path: &Path) -> bool {
 /// # Errors
 /// `import.*` for the content of the file, `hdf5.*` and `io.*` for the file itself.
 pub fn read(path: &Path, options: &Options) -> Result<Imported> {
-    from_bytes(path, hdf5::bytes_of(path)?, options)
+    from_bytes(path, hdf5::read_foreign_file(path)?, options)
 }
 
 /// Reads a foreign model from the bytes of its file; the path is for messages and names.
@@ -72,14 +72,14 @@ pub fn from_nodes(
 ) -> Result<Imported> {
     options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
     let root = hdf5::Group::default().with("node", nir_export::nir_graph(nodes, edges));
-    Ok(nir::read(&root, name, options)?.held(held))
+    Ok(nir::read(&root, name, options)?.with_refractory(held))
 }
 
 fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let root = hdf5::tree(path, bytes)?;
     let name = network_name(path);
     let network = root.group("layer").or_else(|| root.group("node"));
-    if let Some((name, what)) = network.and_then(hdf5::Group::unread) {
+    if let Some((name, what)) = network.and_then(hdf5::Group::first_unsupported) {
         return Err(Diagnostic::new("import.type", format!("'{name}' has type {what}, which is not supported"))
             .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
     }
@@ -92,7 +92,7 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
         nir::read(&root, &name, options)
     } else {
         let members: Vec<&str> = root.items.keys().take(8).map(String::as_str).collect();
-        let message = format!("this HDF5 file holds no network; its root contains {}", listed(&members));
+        let message = format!("this HDF5 file holds no network; its root contains {}", name_list(&members));
         Err(Diagnostic::new("import.not-a-network", message)
             .help("lava-dl's netx files have a group 'layer', NIR files a group 'node'"))
     }

@@ -424,15 +424,15 @@ impl<'a> Machine<'a> {
 mod tests {
     use super::*;
 
-    fn shown(arena: &Arena, id: ValueId) -> String {
-        let each = |ids: &[ValueId]| ids.iter().map(|&id| shown(arena, id)).collect::<Vec<_>>().join(" ");
+    fn value_text(arena: &Arena, id: ValueId) -> String {
+        let each = |ids: &[ValueId]| ids.iter().map(|&id| value_text(arena, id)).collect::<Vec<_>>().join(" ");
         match arena.get(id) {
             Value::Tuple(items) => format!("({})", each(items)),
             Value::List(items) => format!("[{}]", each(items)),
             Value::Dict(pairs) => {
                 format!("{{{}}}", pairs.iter().map(|&(k, v)| each(&[k, v])).collect::<Vec<_>>().join(", "))
             }
-            Value::Persistent(id) => format!("@{}", shown(arena, *id)),
+            Value::Persistent(id) => format!("@{}", value_text(arena, *id)),
             Value::Call(name, arguments) => format!("{name}({})", each(arguments)),
             other => format!("{other:?}"),
         }
@@ -449,7 +449,7 @@ mod tests {
         ];
         for pickle in pickles {
             let (arena, top, taken) = load(pickle).unwrap();
-            assert_eq!((shown(&arena, top).as_str(), taken), (expected, pickle.len()));
+            assert_eq!((value_text(&arena, top).as_str(), taken), (expected, pickle.len()));
         }
     }
 

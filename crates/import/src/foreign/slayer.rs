@@ -72,7 +72,7 @@ pub enum NeuronKind {
 /// Units of the mantissa in a real weight of 1 of lava-dl (`w_scale` of its neurons, d825ac5).
 pub(super) const LAVA_SCALE: f64 = 64.0;
 /// Fields of training: shapes of the surrogate gradient, lava-dl's handling of parameters.
-const OF_TRAINING: &str =
+const TRAINING_FIELDS: &str =
     "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state norm dropout";
 
 #[derive(Deserialize)]
@@ -192,7 +192,7 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
         }
         other => return Err(wrong(format!("neuron type '{other}' is not supported")).help(KINDS)),
     };
-    match fields.into_keys().find(|key| !OF_TRAINING.split(' ').any(|known| known == key)) {
+    match fields.into_keys().find(|key| !TRAINING_FIELDS.split(' ').any(|known| known == key)) {
         Some(key) => Err(wrong(format!("neurons of type {kind} do not support field '{key}'"))
             .help("remove it if the network does not depend on it; docs/import.md lists the fields of each type")),
         None => Ok(Neuron { kind: read, dt_ms: file.simulation.and_then(|simulation| simulation.ts) }),
@@ -257,7 +257,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
         matrices.push(Matrix { name: (*part).to_string(), targets, sources, weights, ..Matrix::default() });
     }
     options.refuse_unused("weights of VT_SNN", &["--neuron", "--input-shape"])?;
-    let (neuron, notes) = neuron_of(options)?;
+    let (neuron, notes) = read_neuron(options)?;
     build("weights of VT_SNN", prefix.unwrap_or("vtsnn"), matrices, &neuron, notes, options)
 }
 
@@ -266,7 +266,7 @@ fn slayer(message: impl Into<String>) -> Diagnostic {
 }
 
 /// The neuron of `--neuron`, and the note about it.
-pub(super) fn neuron_of(options: &Options) -> Result<(Neuron, Vec<String>)> {
+pub(super) fn read_neuron(options: &Options) -> Result<(Neuron, Vec<String>)> {
     let Some(path) = &options.neuron else {
         return Err(wrong_option("the file holds weights but no parameters of the neurons").help(format!(
             "add --neuron CONFIG.yml, a mapping 'neuron' with the type and the parameters used in training; {KINDS}"
@@ -427,7 +427,7 @@ pub(super) fn build(
         model.output = matrix.name;
     }
     model.provenance = Some(format!("imported from {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, model, notes, layers, assumed: None, reset: None }.read_out(options.decision))
+    Ok(Imported { kind, model, notes, layers, assumed: None, reset: None }.with_decision(options.decision))
 }
 
 /// The shape of an input of `units` channels: `--input-shape`, or `[units]`.

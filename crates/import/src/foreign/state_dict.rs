@@ -15,8 +15,8 @@
 use std::collections::BTreeMap;
 
 use super::hdf5::{Group, Numbers};
-use super::imported::{Imported, LayerWeights, Options, ResetMode, decimal, population_name, wrong_option};
-use super::nir::export::{ENDLESS, nir_graph, node};
+use super::imported::{Imported, LayerWeights, Options, ResetMode, population_name, shortest_decimal, wrong_option};
+use super::nir::export::{NO_DECAY_TAU, nir_graph, node};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -71,12 +71,12 @@ const ROLES: [(&str, Role); 17] = [
 const WITHOUT_MEANING: [&str; 8] =
     ["srmKernel", "refKernel", "mem", "syn", "spk", "current_state", "voltage_state", "num_batches_tracked"];
 /// Parts of a checkpoint that belong to the training.
-const OF_TRAINING: [&str; 4] = ["optimizer", "optimizer_state_dict", "optim", "scheduler"];
+const TRAINING_PARTS: [&str; 4] = ["optimizer", "optimizer_state_dict", "optim", "scheduler"];
 
 /// Help: the command that reads a whole network of snnTorch.
 const FROM_TORCH: &str = "save a network of snnTorch with nsim.from_torch(net, sample).save(\"net.ron\") in Python";
 /// Tensors of snnTorch 1.0.0 neurons that are not read, and the neurons.
-const OF_OTHER_NEURONS: [(&str, &str); 4] =
+const UNSUPPORTED_TENSORS: [(&str, &str); 4] =
     [("time_step", "Lapicque"), ("R", "Lapicque"), ("C", "Lapicque"), ("tau", "StateLeaky or LinearLeaky")];
 
 /// A tensor.
@@ -129,14 +129,18 @@ pub fn read(bytes: Vec<u8>, name: &str, options: &Options) -> Result<Imported> {
             let message = "the file has the parameters of its neurons (beta, threshold)";
             return Err(wrong_option(message).help("leave --neuron out"));
         }
-        return real("PyTorch state dict of snnTorch", name, modules, None, notes, options);
+        return build_real_network("PyTorch state dict of snnTorch", name, modules, None, notes, options);
     }
-    let (neuron, described) = slayer::neuron_of(options)?;
+    let (neuron, described) = slayer::read_neuron(options)?;
     notes.extend(described);
     match neuron.kind {
-        NeuronKind::Leaky { .. } => real("PyTorch state dict", name, modules, Some(&neuron), notes, options),
-        NeuronKind::Lif { .. } => real("PyTorch state dict of Norse", name, modules, Some(&neuron), notes, options),
-        _ => integers(name, &modules, neuron, notes, options),
+        NeuronKind::Leaky { .. } => {
+            build_real_network("PyTorch state dict", name, modules, Some(&neuron), notes, options)
+        }
+        NeuronKind::Lif { .. } => {
+            build_real_network("PyTorch state dict of Norse", name, modules, Some(&neuron), notes, options)
+        }
+        _ => build_integer_network(name, &modules, neuron, notes, options),
     }
 }
 
@@ -172,7 +176,7 @@ fn arrays(checkpoint: &mut torch::Checkpoint) -> Result<Vec<Array>> {
             return Err(wrong(format!("'{key}' is a direction of weights, but its lengths '{length}' are missing")));
         };
         let lengths = checkpoint.tensor(&length)?;
-        let numbers = multiplied(&numbers, shape, &lengths, &axes).ok_or_else(|| {
+        let numbers = weight_norm(&numbers, shape, &lengths, &axes).ok_or_else(|| {
             wrong(format!(
                 "'{length}' has shape {axes:?}, '{key}' has shape {shape:?}: lengths and directions do not match"
             ))
@@ -183,7 +187,7 @@ fn arrays(checkpoint: &mut torch::Checkpoint) -> Result<Vec<Array>> {
 }
 
 /// `g v / |v|`, where the norm is over all axes that the lengths lack.
-fn multiplied(directions: &[f64], shape: &[usize], lengths: &[f64], axes: &[usize]) -> Option<Vec<f64>> {
+fn weight_norm(directions: &[f64], shape: &[usize], lengths: &[f64], axes: &[usize]) -> Option<Vec<f64>> {
     let fits = axes.is_empty() || (axes.len() == shape.len() && axes.iter().zip(shape).all(|(g, v)| *g == 1 || g == v));
     if !fits || lengths.is_empty() {
         return None;
@@ -217,7 +221,7 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
         arrays.iter().filter_map(|array| Some(array.key.strip_suffix("beta")?.to_string())).collect();
     for array in arrays {
         let last = array.key.rsplit('.').next().unwrap_or_default();
-        let of_training = array.key.split('.').any(|part| OF_TRAINING.contains(&part));
+        let of_training = array.key.split('.').any(|part| TRAINING_PARTS.contains(&part));
         // Layers without delays may store delays of 0.
         let undelayed = last == "delay" && array.numbers.iter().all(|&delay| delay < 1.0);
         if of_training || undelayed || WITHOUT_MEANING.contains(&last) {
@@ -239,7 +243,7 @@ fn modules(arrays: Vec<Array>) -> Result<(Vec<Module>, Vec<String>)> {
         });
         let of_neuron = neurons.iter().any(|module| array.key.strip_prefix(module.as_str()) == Some(last));
         if role.is_none() && of_neuron {
-            let kind = OF_OTHER_NEURONS.iter().find(|(name, _)| *name == last).map(|(_, kind)| format!(" ({kind})"));
+            let kind = UNSUPPORTED_TENSORS.iter().find(|(name, _)| *name == last).map(|(_, kind)| format!(" ({kind})"));
             let (key, kind) = (&array.key, kind.unwrap_or_default());
             let message =
                 format!("'{key}' belongs to another neuron{kind}; supported are Leaky, Synaptic, RLeaky and RSynaptic");
@@ -304,7 +308,7 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
                         "'{key}' has shape {shape:?}: it is a convolution, or a dense layer on an image {kernel:?}"
                     );
                     return Err(wrong_option(message)
-                        .help(format!("if it is a dense layer, give --input-shape {}", listed(kernel))));
+                        .help(format!("if it is a dense layer, give --input-shape {}", axes_text(kernel))));
                 }
             },
         };
@@ -314,7 +318,7 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
             return Err(Diagnostic::new("import.unsupported", message).help(format!(
                 "{advice}{FROM_TORCH}, or export it as .nir, or with lava-dl as .net; a dense layer on an image \
                  {kernel:?} is read with --input-shape {}",
-                listed(kernel)
+                axes_text(kernel)
             )));
         }
         let square = |role: Role| match module.arrays.get(&role) {
@@ -346,12 +350,12 @@ fn matrices(modules: &[Module], options: &Options) -> Result<Vec<(usize, Matrix)
     Ok(matrices)
 }
 
-fn listed(axes: &[usize]) -> String {
+fn axes_text(axes: &[usize]) -> String {
     axes.iter().map(usize::to_string).collect::<Vec<_>>().join(",")
 }
 
 /// Builds a network of lava-dl or SLAYER.
-fn integers(
+fn build_integer_network(
     name: &str,
     modules: &[Module],
     mut neuron: slayer::Neuron,
@@ -411,7 +415,7 @@ struct RealNeuron {
 
 /// Builds a network of snnTorch or Norse from a NIR graph; `neuron` describes the neurons where the
 /// file does not.
-fn real(
+fn build_real_network(
     kind: &'static str,
     name: &str,
     mut modules: Vec<Module>,
@@ -421,7 +425,7 @@ fn real(
 ) -> Result<Imported> {
     options.refuse_unused("a state dict", &["--neuron", "--reset", "--input-shape"])?;
     for array in modules.iter_mut().flat_map(|module| module.arrays.values_mut()).filter(|array| array.single) {
-        array.numbers.iter_mut().for_each(|number| *number = decimal(*number));
+        array.numbers.iter_mut().for_each(|number| *number = shortest_decimal(*number));
     }
     let modules = &modules[..];
     let layers = matrices(modules, options)?;
@@ -549,7 +553,7 @@ fn real(
     let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
     let root = Group::default().with("node", nir_graph(graph.nodes, graph.edges));
     held.retain(|_| reset == Some(ResetMode::Zero));
-    let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?.held(&held);
+    let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?.with_refractory(&held);
     notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
     model.provenance = Some(format!("imported from a {kind}; {}", notes.join("; ")));
     Ok(Imported { kind, model, notes, layers: lines, assumed: Some(assumed), reset })
@@ -647,7 +651,7 @@ fn neuron_node(neuron: &RealNeuron, units: usize, dt: f64) -> Result<Group> {
     let spread = |numbers: &[f64]| each(&neuron.name, numbers, units);
     let array = |numbers: &[f64]| Numbers::f64(&[units], numbers);
     let steps = |shares: &[f64]| -> Vec<f64> {
-        shares.iter().map(|&share| if share > 0.0 { 1.0 / share } else { ENDLESS }).collect()
+        shares.iter().map(|&share| if share > 0.0 { 1.0 / share } else { NO_DECAY_TAU }).collect()
     };
     let seconds = |steps: &[f64]| array(&steps.iter().map(|steps| steps * dt).collect::<Vec<_>>());
     let membrane = steps(&spread(&neuron.membrane)?);

@@ -67,7 +67,7 @@ fn wrong(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("import.torch", message)
 }
 
-fn refused(error: &PickleError) -> Diagnostic {
+fn pickle_diagnostic(error: &PickleError) -> Diagnostic {
     match error {
         PickleError::Class(class) => Diagnostic::new(
             "import.pickle",
@@ -106,19 +106,19 @@ fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint> {
     let Some(root) = pickle.map(|name| name.trim_end_matches("data.pkl").to_string()) else {
         return Err(wrong("the archive has no data.pkl, so it is not a checkpoint of PyTorch"));
     };
-    if let Ok(order) = stored(&mut archive, most, &format!("{root}byteorder"))
+    if let Ok(order) = read_entry(&mut archive, most, &format!("{root}byteorder"))
         && order != b"little"
     {
         return Err(wrong("the checkpoint's numbers are big-endian").help("save it on a little-endian machine"));
     }
-    let pickled = stored(&mut archive, most, &format!("{root}data.pkl"))?;
-    let (arena, top, _) = pickle::load(&pickled).map_err(|error| refused(&error))?;
+    let pickled = read_entry(&mut archive, most, &format!("{root}data.pkl"))?;
+    let (arena, top, _) = pickle::load(&pickled).map_err(|error| pickle_diagnostic(&error))?;
     let views = views(&arena, top)?;
     Ok(Checkpoint { container: Container::Zip(Box::new(archive), root, most), views })
 }
 
 /// A file of an archive. PyTorch stores without compression, so no file is larger than the archive.
-fn stored(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) -> Result<Vec<u8>> {
+fn read_entry(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) -> Result<Vec<u8>> {
     let mut file = archive.by_name(name).map_err(|error| wrong(format!("'{name}' of the archive: {error}")))?;
     let mut bytes = Vec::new();
     if file.size() > most {
@@ -132,7 +132,7 @@ fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
     let mut at = 0;
     let mut next = |what: &str| {
         let (arena, top, taken) = pickle::load(&bytes[at..]).map_err(|error| match error {
-            PickleError::Class(_) => refused(&error),
+            PickleError::Class(_) => pickle_diagnostic(&error),
             other => wrong(format!("{what} of the checkpoint cannot be read: {other}")),
         })?;
         at += taken;
@@ -279,7 +279,7 @@ impl Checkpoint {
         };
         match &mut self.container {
             Container::Zip(archive, root, most) => {
-                let bytes = stored(archive, *most, &format!("{root}data/{}", view.storage))?;
+                let bytes = read_entry(archive, *most, &format!("{root}data/{}", view.storage))?;
                 numbers(&bytes, view, name)
             }
             Container::Legacy(bytes, ranges) => match ranges.get(&view.storage) {

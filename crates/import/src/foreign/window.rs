@@ -106,7 +106,7 @@ impl Sliding {
 
 /// The synapses of a projection between two shapes; `None` where they may be more than
 /// [`MOST_LISTED`], or are not in place.
-pub fn listed(kind: ProjectionKind, source: &[u64], target: &[u64]) -> Option<Synapses> {
+pub fn synapse_list(kind: ProjectionKind, source: &[u64], target: &[u64]) -> Option<Synapses> {
     match kind {
         ProjectionKind::Sparse(synapses) => Some(synapses),
         ProjectionKind::Dense(weights) => {

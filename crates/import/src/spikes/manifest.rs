@@ -12,11 +12,11 @@ use rayon::prelude::*;
 
 use super::csv::lines;
 use super::options::EventOptions;
-use super::population::{Expected, PopulationSpikes};
+use super::population::{InputSpec, PopulationSpikes};
 use super::recordings::{Request, read, read_sample};
 use nsim_files::dataset::DataSet;
-use nsim_files::text::beside;
 use nsim_files::text::read_text;
+use nsim_files::text::sibling_path;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::spanned::{Spanned, parse};
 use nsim_ir::stimulus::pairs;
@@ -40,7 +40,7 @@ pub struct Split {
 }
 
 /// Samples of each fold, and labels by sample from the lists.
-type Listed = (Vec<Split>, BTreeMap<u32, u32>);
+type FoldsAndLabels = (Vec<Split>, BTreeMap<u32, u32>);
 
 /// Reads a manifest, but not its recordings.
 ///
@@ -145,7 +145,7 @@ impl Manifest {
     ///
     /// # Errors
     /// `dataset.population` with the populations of the data set.
-    pub fn recording_of(&self, population: &str) -> Result<&str> {
+    pub fn recording_name(&self, population: &str) -> Result<&str> {
         let mut populations = self.set.populations.iter();
         let Some((name, _)) = populations.find(|(_, for_population)| *for_population == population) else {
             let known: Vec<&str> = self.set.populations.values().map(String::as_str).collect();
@@ -158,7 +158,7 @@ impl Manifest {
     }
 
     /// The samples of each fold, and the labels in the lists.
-    fn listed(&self, samples: usize) -> Result<Listed> {
+    fn folds_and_labels(&self, samples: usize) -> Result<FoldsAndLabels> {
         let mut labels = BTreeMap::new();
         if self.set.splits.is_empty() {
             let all = 0..samples as u32;
@@ -174,9 +174,9 @@ impl Manifest {
         let mut splits = Vec::new();
         for entry in &self.set.splits {
             let mut read = |name: &str, other: &BTreeSet<u32>| {
-                let text =
-                    read_text(&beside(self.source.path(), name)).map_err(|p| self.point_at(entry.span, name, p))?;
-                samples_of(&text, other, &mut labels)
+                let text = read_text(&sibling_path(self.source.path(), name))
+                    .map_err(|p| self.point_at(entry.span, name, p))?;
+                parse_sample_list(&text, other, &mut labels)
             };
             let train = read(&entry.train, &BTreeSet::new())?;
             let test = read(&entry.test, &train.iter().copied().collect())?;
@@ -195,17 +195,17 @@ impl Manifest {
     /// # Errors
     /// `dataset.split` for a row of a list, `dataset.label` where two lists disagree; `io.*`.
     pub fn splits(&self, samples: usize) -> Result<Vec<Split>> {
-        Ok(self.listed(samples)?.0)
+        Ok(self.folds_and_labels(samples)?.0)
     }
 
     /// The result of `read` on a file for a population.
-    fn recorded<T>(
+    fn read_recording<T>(
         &self,
         (name, file): (&str, &Spanned<String>),
-        (population, expected): (&str, &Expected),
+        (population, expected): (&str, &InputSpec),
         read: impl Fn(&Path, Request<'_>) -> Result<T>,
     ) -> Result<T> {
-        let path = beside(self.source.path(), &file.value);
+        let path = sibling_path(self.source.path(), &file.value);
         let options = &self.options.get(name).cloned().unwrap_or_default();
         read(&path, Request { population, expected, options })
             .map_err(|problem| self.point_at(file.span, &file.value, problem))
@@ -216,14 +216,14 @@ impl Manifest {
     /// # Errors
     /// `dataset.population`, `dataset.samples` for a sample that does not exist, `dataset.steps`;
     /// problems with the file at the place that names it.
-    pub fn read_sample(&self, population: &str, expected: &Expected, sample: usize) -> Result<PopulationSpikes> {
-        let name = self.recording_of(population)?;
+    pub fn read_sample(&self, population: &str, expected: &InputSpec, sample: usize) -> Result<PopulationSpikes> {
+        let name = self.recording_name(population)?;
         let Some(entry) = self.set.samples.get(sample) else {
             let message = format!("there is no sample {sample}; the data set has {}", self.set.samples.len());
             return Err(Diagnostic::new("dataset.samples", message).in_file(self.source.path()));
         };
         let file = &entry.value.files[name];
-        let mut spikes = self.recorded((name, file), (population, expected), read_sample)?;
+        let mut spikes = self.read_recording((name, file), (population, expected), read_sample)?;
         spikes.label = entry.label.or(spikes.label);
         self.check_steps(&mut spikes, file)?;
         Ok(spikes)
@@ -248,7 +248,7 @@ impl Manifest {
     /// # Errors
     /// As [`Manifest::read_sample`] and [`Manifest::splits`]; `dataset.samples` for a list with
     /// absent samples.
-    pub fn read(&self, population: &str, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
+    pub fn read(&self, population: &str, expected: &InputSpec) -> Result<Vec<PopulationSpikes>> {
         let mut all = if self.set.recordings.is_empty() {
             let read: Vec<_> = (0..self.set.samples.len())
                 .into_par_iter()
@@ -257,15 +257,15 @@ impl Manifest {
             // Independent of threads, the first problem in the order of samples is reported.
             read.into_iter().collect::<Result<Vec<_>, _>>()?
         } else {
-            let name = self.recording_of(population)?;
+            let name = self.recording_name(population)?;
             let file = &self.set.recordings[name];
-            let mut all = self.recorded((name, file), (population, expected), read)?;
+            let mut all = self.read_recording((name, file), (population, expected), read)?;
             for spikes in &mut all {
                 self.check_steps(spikes, file)?;
             }
             all
         };
-        let (splits, labels) = self.listed(all.len())?;
+        let (splits, labels) = self.folds_and_labels(all.len())?;
         let most = splits.iter().flat_map(|split| split.train.iter().chain(&split.test)).max();
         if let Some(sample) = most.filter(|&&sample| sample as usize >= all.len()) {
             let message = format!("a fold names sample {sample}; there are {}", all.len());
@@ -292,7 +292,7 @@ impl Manifest {
     ///
     /// # Errors
     /// As [`Manifest::read`]; `dataset.population` when there are several.
-    pub fn read_only(&self, expected: &Expected) -> Result<Vec<PopulationSpikes>> {
+    pub fn read_only(&self, expected: &InputSpec) -> Result<Vec<PopulationSpikes>> {
         let mut populations = self.set.populations.values();
         match (populations.next(), populations.next()) {
             (Some(population), None) => self.read(population, expected),
@@ -309,7 +309,7 @@ impl Manifest {
 }
 
 /// The samples of a list of rows `sample label`, which must not contain samples of `other`.
-fn samples_of(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
+fn parse_sample_list(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
     let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
     for (start, line) in lines(source.text()) {
         let row = line.split('#').next().unwrap_or_default();
@@ -364,8 +364,8 @@ mod tests {
     seed: 5,
 )"#;
 
-    fn expected(units: u64) -> Expected {
-        Expected { units, volume: None, dt_ms: 1.0, values: false }
+    fn expected(units: u64) -> InputSpec {
+        InputSpec { units, volume: None, dt_ms: 1.0, values: false }
     }
 
     fn load(text: &str) -> Result<Manifest> {

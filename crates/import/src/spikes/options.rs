@@ -109,7 +109,7 @@ pub struct ArrayOptions {
 }
 
 /// The rule for the number of a spike, for messages.
-pub const WHOLE: &str = "spikes are whole numbers";
+pub const SPIKE_RULE: &str = "spikes are whole numbers";
 
 impl ArrayOptions {
     /// A number as the value of a message.
@@ -133,7 +133,7 @@ impl ArrayOptions {
         match self.least {
             Some(least) => Ok(number >= least),
             None if number.fract() == 0.0 => Ok(number != 0.0),
-            None => Err(Diagnostic::new("input.value", format!("the array holds {number}, but {WHOLE}"))
+            None => Err(Diagnostic::new("input.value", format!("the array holds {number}, but {SPIKE_RULE}"))
                 .help(format!(
                     "encode real numbers as spikes, or let values from 0.5 be spikes: {}?least=0.5",
                     path.display()
@@ -145,10 +145,10 @@ impl ArrayOptions {
 
 impl EventOptions {
     /// The options of an array; `None` if others are given.
-    pub fn of_array(&self) -> Option<ArrayOptions> {
+    pub fn array_options(&self) -> Option<ArrayOptions> {
         let &EventOptions { polarity, least, .. } = self;
-        let of_array = ArrayOptions { polarity, least, values: false };
-        (*self == EventOptions { polarity, least, ..EventOptions::default() }).then_some(of_array)
+        let array = ArrayOptions { polarity, least, values: false };
+        (*self == EventOptions { polarity, least, ..EventOptions::default() }).then_some(array)
     }
 
     /// Parses the `key=value` pairs of an argument.

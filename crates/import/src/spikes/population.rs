@@ -29,7 +29,7 @@ impl PopulationSpikes {
 
 /// Requirements of the model's input population on a recording.
 #[derive(Debug, Clone, Copy)]
-pub struct Expected {
+pub struct InputSpec {
     /// Channels.
     pub units: u64,
     /// Channels, height and width, when it has a shape.

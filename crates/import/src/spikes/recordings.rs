@@ -8,7 +8,7 @@ use super::events::nir_data;
 use super::events::read::{read_file, read_input, report};
 use super::folder::list_folder;
 use super::options::{ArrayOptions, EventOptions};
-use super::population::{Expected, PopulationSpikes};
+use super::population::{InputSpec, PopulationSpikes};
 use super::{array, csv, npz};
 use crate::foreign::hdf5;
 use crate::kind::{FileKind, RECORDINGS};
@@ -22,7 +22,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 pub(super) struct Request<'a> {
     /// The name of the population.
     pub(super) population: &'a str,
-    pub(super) expected: &'a Expected,
+    pub(super) expected: &'a InputSpec,
     /// The options after the `?` of the source.
     pub(super) options: &'a EventOptions,
 }
@@ -98,12 +98,12 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
 /// The options of an array.
 fn array_options(path: &Path, Request { options, expected, .. }: Request<'_>) -> Result<ArrayOptions> {
     let message = "an array already has timesteps: it supports the options polarity and least only";
-    let of_array = options.of_array().map(|options| ArrayOptions { values: expected.values, ..options });
-    of_array.ok_or_else(|| Diagnostic::new("input.option", message).in_file(path))
+    let array = options.array_options().map(|options| ArrayOptions { values: expected.values, ..options });
+    array.ok_or_else(|| Diagnostic::new("input.option", message).in_file(path))
 }
 
 fn read_nir_data(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSpikes>> {
-    let tree = hdf5::tree(path, hdf5::bytes_of(path)?)?;
+    let tree = hdf5::tree(path, hdf5::read_foreign_file(path)?)?;
     if !nir_data::is_data(&tree) {
         return Err(Diagnostic::new("input.kind", "this is not a file of NIR data")
             .in_file(path)

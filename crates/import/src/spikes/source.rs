@@ -8,7 +8,7 @@ use std::path::Path;
 
 use super::manifest::read_manifest;
 use super::options::EventOptions;
-use super::population::{Expected, PopulationSpikes};
+use super::population::{InputSpec, PopulationSpikes};
 use super::recordings::{self, Request};
 use crate::kind::FileKind;
 use nsim_ir::base::diagnostic::Result;
@@ -19,7 +19,7 @@ use nsim_ir::base::diagnostic::Result;
 /// `input.kind` for an unknown kind of file; `input.*`, `npy.*`, `io.*` for problems of a known
 /// one.
 pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
-    read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &EventOptions::default())
+    read_spikes(path, "", &InputSpec { units, volume: None, dt_ms: 1.0, values: false }, &EventOptions::default())
 }
 
 /// Reads a source for a population, with the options after its `?`. Options other than `polarity`
@@ -31,7 +31,7 @@ pub fn read_source(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
 pub fn read_spikes(
     path: &Path,
     population: &str,
-    expected: &Expected,
+    expected: &InputSpec,
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>> {
     if FileKind::detect(path)? != FileKind::Ron {
@@ -95,7 +95,7 @@ mod tests {
 
     fn read_as(path: &Path, units: u64, options: &str) -> Result<Vec<PopulationSpikes>> {
         let options = EventOptions::parse(&nsim_ir::stimulus::pairs(options)?)?;
-        read_spikes(path, "", &Expected { units, volume: None, dt_ms: 1.0, values: false }, &options)
+        read_spikes(path, "", &InputSpec { units, volume: None, dt_ms: 1.0, values: false }, &options)
     }
 
     /// Compares [N, taxels, 2, T] and [N, 2, height, width, T], as VT_SNN writes them, with loops

@@ -5,10 +5,10 @@ use serde_json::{Value, json};
 use crate::bench::step::rounded;
 use nsim_energy::environment::Environment;
 use nsim_files::table::{Column, csv, table_of, three, with_rounded, wrapped};
-use nsim_study::ladders::{CLIFF, Row};
+use nsim_study::ladders::{CLIFF, LadderRow};
 
 /// `nsim.bench/1`.
-pub fn json(seed: u64, environment: &Environment, rows: &[Row]) -> Value {
+pub fn json(seed: u64, environment: &Environment, rows: &[LadderRow]) -> Value {
     let rows = with_rounded(json!(rows), rounded);
     json!({ "schema": "nsim.bench/1", "name": "sweep", "seed": seed, "environment": environment, "rows": rows })
 }
@@ -19,8 +19,8 @@ pub fn csv_of(json: &Value) -> String {
 }
 
 /// The result as text.
-pub fn text(seed: u64, environment: &Environment, rows: &[Row]) -> String {
-    let columns: [Column<Row>; 6] = [
+pub fn text(seed: u64, environment: &Environment, rows: &[LadderRow]) -> String {
+    let columns: [Column<LadderRow>; 6] = [
         ("ladder", |row| row.ladder.to_string()),
         ("at", |row| row.at.clone()),
         ("class", |row| row.class.to_string()),
@@ -42,7 +42,7 @@ mod tests {
 
     #[test]
     fn cliffs_are_marked_in_every_form() {
-        let row = |ns_an_event, is_cliff| Row {
+        let row = |ns_an_event, is_cliff| LadderRow {
             ladder: "delays",
             at: "8".to_string(),
             class: "delays",

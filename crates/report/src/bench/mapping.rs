@@ -17,7 +17,7 @@ const KEYS: &str = "network,strategy,placed,objective,cores,chips,cut_spikes,hop
 const LEAST_RATIO: f64 = 0.05;
 
 /// A figure of a step; expected ones are marked by `~`.
-fn of_step(value: f64, simulated: bool) -> String {
+fn per_step_text(value: f64, simulated: bool) -> String {
     format!("{}{}", if simulated { "" } else { "~" }, three(value))
 }
 
@@ -86,8 +86,8 @@ pub fn text(environment: &Environment, rows: &[MeasuredMapping]) -> String {
         ("hops", |row| three(row.traffic.hops_per_step)),
         ("multicast", |row| three(row.traffic.hops_multicast_per_step)),
         ("busiest link", |row| three(row.traffic.max_link_load)),
-        ("uJ a step", |row| of_step(row.energy_uj, row.simulated)),
-        ("us a step", |row| of_step(row.step_us, row.simulated)),
+        ("uJ a step", |row| per_step_text(row.energy_uj, row.simulated)),
+        ("us a step", |row| per_step_text(row.step_us, row.simulated)),
         ("s", |row| three(row.seconds)),
         ("MiB", |row| or_empty(row.peak_mib.map(|mib| format!("{mib:.0}")))),
     ];

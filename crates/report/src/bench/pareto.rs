@@ -60,20 +60,20 @@ impl ParetoReport<'_> {
         csv(self.json()["rows"].as_array().into_iter().flatten(), KEYS)
     }
 
-    fn what(&self) -> String {
+    fn summary_text(&self) -> String {
         format!("{}, {} samples of {}", self.model, self.samples, origin(self.input, self.seed))
     }
 
     /// The result as text.
     pub fn text(&self) -> String {
         let table = table_of(self.rows, &COLUMNS);
-        let said = format!("{}, against the trained network in doubles; one thread", self.what());
+        let said = format!("{}, against the trained network in doubles; one thread", self.summary_text());
         format!("{}{}\n{table}", wrapped(&self.environment.to_string()), wrapped(&said))
     }
 
     /// A section of a Markdown document, with a chart under `picture`.
     pub fn markdown(&self, picture: &str) -> String {
-        let mut out = format!("{}; {}.\n\n", self.what(), self.environment);
+        let mut out = format!("{}; {}.\n\n", self.summary_text(), self.environment);
         out += &format!("![run time against error of {}]({picture})\n\n", self.model);
         out + &markdown_of(self.rows, &COLUMNS)
     }

@@ -15,7 +15,7 @@ fn end(row: &PublishedRow, of: fn((f64, f64)) -> f64) -> String {
 }
 
 /// A table of rows, grouped by workload.
-fn table_of<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
+fn rows_table<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
     let (mut lines, mut last) = (Vec::new(), "");
     for row in rows {
         if std::mem::replace(&mut last, &row.workload) != row.workload {
@@ -64,30 +64,33 @@ pub fn csv(rows: &[PublishedRow]) -> String {
     nsim_files::table::csv(json(rows)["rows"].as_array().into_iter().flatten(), KEYS)
 }
 
-fn of_kind(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &PublishedRow> {
+fn rows_with_omission(rows: &[PublishedRow], left_out: bool) -> impl Iterator<Item = &PublishedRow> {
     rows.iter().filter(move |row| row.left_out == left_out)
 }
 
 /// The result as text.
 pub fn text(rows: &[PublishedRow]) -> String {
     let mut out = String::new();
-    if of_kind(rows, true).next().is_some() {
-        out += &format!("predicted without results of a work's own authors\n\n{}", table_of(of_kind(rows, true)));
+    if rows_with_omission(rows, true).next().is_some() {
+        out += &format!(
+            "predicted without results of a work's own authors\n\n{}",
+            rows_table(rows_with_omission(rows, true))
+        );
     }
     let second_hand = || rows.iter().filter(|row| !row.first_hand);
     if second_hand().next().is_some() {
-        out += &format!("\npublished values known second-hand\n\n{}", table_of(second_hand()));
+        out += &format!("\npublished values known second-hand\n\n{}", rows_table(second_hand()));
     }
     // Chips without rows that judge the model.
     let is_modelled = |chip: &str| rows.iter().all(|row| row.chip != chip || row.first_hand && !row.left_out);
     let mut chips: Vec<&str> = rows.iter().map(|row| row.chip.as_str()).filter(|chip| is_modelled(chip)).collect();
     chips.dedup();
     for chip in chips {
-        let of_chip = table_of(rows.iter().filter(|row| row.chip == chip));
+        let of_chip = rows_table(rows.iter().filter(|row| row.chip == chip));
         let gap = if out.is_empty() { "" } else { "\n" };
         out += &format!("{gap}on {chip}, by modelled constants; not in the averages\n\n{of_chip}");
     }
-    let without: Vec<&PublishedRow> = of_kind(rows, true).filter(|row| row.interval.is_none()).collect();
+    let without: Vec<&PublishedRow> = rows_with_omission(rows, true).filter(|row| row.interval.is_none()).collect();
     if without.iter().any(|row| row.quantity.class().is_some()) {
         out += "\n-: no interval, because the error of a changed constant is unknown (--set)\n";
     } else if !without.is_empty() {
@@ -109,14 +112,14 @@ pub fn text(rows: &[PublishedRow]) -> String {
         out += &wrapped(&works.join(", "));
     }
     let mut said: Vec<&str> = Vec::new();
-    for row in of_kind(rows, true).filter(|row| row.factor() > FAR) {
+    for row in rows_with_omission(rows, true).filter(|row| row.factor() > FAR) {
         if let Some(cause) = row.cause.as_deref().filter(|cause| !said.contains(cause)) {
             out += &wrapped(&format!("{}, {}: {cause}", row.workload, row.quantity.name()));
             said.push(cause);
         }
     }
     let mut last = "";
-    for row in of_kind(rows, true).filter(|row| !row.assumed.is_empty()) {
+    for row in rows_with_omission(rows, true).filter(|row| !row.assumed.is_empty()) {
         if std::mem::replace(&mut last, &row.workload) != row.workload {
             out += &wrapped(&format!("{} assumes: {}", row.workload, row.assumed.join("; ")));
         }
@@ -129,7 +132,7 @@ pub fn text(rows: &[PublishedRow]) -> String {
 
 /// SVG of published against predicted values, with intervals and the line of equality.
 pub fn svg(rows: &[PublishedRow]) -> String {
-    let own: Vec<&PublishedRow> = of_kind(rows, true).filter(|row| row.published > 0.0).collect();
+    let own: Vec<&PublishedRow> = rows_with_omission(rows, true).filter(|row| row.published > 0.0).collect();
     let ends = own.iter().map(|row| row.published);
     let (low, high) = ends.fold((f64::INFINITY, 0.0), |(low, high): (f64, f64), x| (low.min(x), high.max(x)));
     let intervals = own.iter().filter_map(|row| Some((row.published, row.interval?.0, row.interval?.1)));

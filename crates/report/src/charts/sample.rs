@@ -51,7 +51,7 @@ pub struct Panels {
     /// The title.
     pub title: String,
     /// Common quantity of all panels; empty where panels name their own.
-    pub what: String,
+    pub y_label: String,
     /// Timesteps.
     pub steps: u32,
     /// Milliseconds of a timestep.
@@ -65,7 +65,7 @@ pub struct Panels {
 impl Panels {
     /// The picture.
     pub fn svg(&self) -> String {
-        let mut sheet = Sheet::chart(&self.title, "time into the sample, ms", &self.what);
+        let mut sheet = Sheet::chart(&self.title, "time into the sample, ms", &self.y_label);
         let end_ms = f64::from(self.steps) * self.timestep_ms;
         let across = Scale::new(&Axis::linear(""), [0.0, end_ms].into_iter(), LEFT, RIGHT);
         let at = |steps: f64| across.place(steps * self.timestep_ms).unwrap_or(LEFT);
@@ -146,7 +146,7 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
     };
     let (title, timestep_ms) = (format!("{title}{first}{cut}"), network.parts().timestep_ms);
     let panels = drawn.iter().map(panel).collect();
-    Panels { title, what: String::new(), steps, timestep_ms, onset_ms: None, panels }.svg()
+    Panels { title, y_label: String::new(), steps, timestep_ms, onset_ms: None, panels }.svg()
 }
 
 /// SVG with a panel for each compartment: potentials as fractions of their thresholds, or messages
@@ -176,9 +176,9 @@ pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[T
         Panel { label, share: 1.0, content: Content::Potential(points) }
     };
     let panels = traced.iter().zip(&timeline.traces).map(panel).collect();
-    let what = if is_message { "message (dashed: the greatest)" } else { "potential (dashed: threshold)" };
-    let (title, what) = (title.to_string(), format!("{what}{reduced}"));
-    Panels { title, what, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
+    let y_label = if is_message { "message (dashed: the greatest)" } else { "potential (dashed: threshold)" };
+    let (title, y_label) = (title.to_string(), format!("{y_label}{reduced}"));
+    Panels { title, y_label, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
 }
 
 /// A compartment whose potential or messages are drawn.
@@ -228,7 +228,7 @@ mod tests {
         };
         let raster = Panels {
             title: "a < b".into(),
-            what: String::new(),
+            y_label: String::new(),
             steps: 10,
             timestep_ms: 2.0,
             onset_ms: Some(6.0),

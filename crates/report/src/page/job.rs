@@ -11,7 +11,7 @@ use crate::charts::sample::{Traced, traced};
 use crate::page::{Sections, fit, network, sample};
 use nsim_agree::compare::compare_models;
 use nsim_cost::Transport;
-use nsim_energy::evaluate::Evaluated;
+use nsim_energy::evaluate::Evaluation;
 use nsim_energy::workload::Workload;
 use nsim_files::network::Network;
 use nsim_files::write::checksum;
@@ -23,7 +23,7 @@ use nsim_ir::source_counts::SourceCounts;
 use nsim_session::Quantity;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
-use nsim_session::obtain::mapped_as_usual;
+use nsim_session::obtain::map_with_defaults;
 use nsim_session::samples::Progress;
 use nsim_train::convert::staged::is_real;
 
@@ -40,8 +40,8 @@ const MOST_COMPARED: u64 = 4_000_000;
 ///
 /// # Errors
 /// The errors of a second run of the first sample, step by step.
-pub fn sections(workload: &Workload<'_>, evaluated: &Evaluated, transport: Transport) -> Result<Sections, Error> {
-    let Evaluated { energy, run, deployment } = evaluated;
+pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Transport) -> Result<Sections, Error> {
+    let Evaluation { energy, run, deployment } = evaluated;
     let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
     let samples = workload.samples();
     let rates = Rates::from_counts(&run.counts, network, run.activity.steps());
@@ -82,7 +82,7 @@ pub fn compared(workload: &Workload<'_>) -> usize {
 /// has no such populations.
 ///
 /// # Errors
-/// As [`mapped_as_usual`] and [`compare_models`].
+/// As [`map_with_defaults`] and [`compare_models`].
 pub fn agreement(
     workload: &Workload<'_>,
     (trained, network): &(Graph, Quantised),
@@ -90,10 +90,11 @@ pub fn agreement(
 ) -> Result<Value, Error> {
     let samples = workload.samples();
     let some = &samples[..compared(workload)];
-    let one = mapped_as_usual(network.clone(), workload.target)?;
+    let one = map_with_defaults(network.clone(), workload.target)?;
     let agreement = compare_models((trained, network, None), (network, &one.program), some, None, progress)?;
     let shown = (workload.origin.as_slice(), workload.seed, some.len());
-    let report = AgreeReport::of_two([(&network.parts().name, ""), ("the trained network", "")], shown, &agreement);
+    let report =
+        AgreeReport::for_two_networks([(&network.parts().name, ""), ("the trained network", "")], shown, &agreement);
     Ok(report.json())
 }
 

@@ -4,7 +4,7 @@ use serde::{Serialize, Serializer};
 use serde_json::{Value, json};
 
 use crate::cores::CoreRow;
-use crate::populations::{ByPopulation, PopulationCounts};
+use crate::populations::{CountsByPopulation, PopulationCounts};
 use crate::ranks::RankRow;
 use crate::warnings::Warning;
 use nsim_files::table::{Column, table_of, three};
@@ -14,7 +14,7 @@ use nsim_files::table::{Column, table_of, three};
 pub struct Detail {
     /// Counts by population and input.
     #[serde(flatten)]
-    pub sums: ByPopulation,
+    pub sums: CountsByPopulation,
     /// Counts by core; empty for engines without cores.
     #[serde(serialize_with = "core_rows")]
     pub cores: Vec<CoreRow>,
@@ -67,12 +67,12 @@ impl Detail {
         if rows.is_empty() {
             return String::new();
         }
-        let alike = |row: &CoreRow| self.cores.iter().filter(|other| other.counts == row.counts).count();
-        let rows: Vec<(&CoreRow, usize)> = rows.into_iter().map(|row| (row, alike(row))).collect();
+        let identical = |row: &CoreRow| self.cores.iter().filter(|other| other.counts == row.counts).count();
+        let rows: Vec<(&CoreRow, usize)> = rows.into_iter().map(|row| (row, identical(row))).collect();
         let columns: [Column<(&CoreRow, usize)>; 8] = [
             ("core", |(row, _)| row.core.0.to_string()),
             ("chip", |(row, _)| row.chip.to_string()),
-            ("like it", |(_, alike)| alike.to_string()),
+            ("like it", |(_, identical)| identical.to_string()),
             ("slowest in steps", |(row, _)| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
             ("busy us", |(row, _)| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
             ("energy nJ", |(row, _)| three(row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))),

@@ -113,7 +113,7 @@ pub fn is_among(row: &PaperRow, cells: &[&str], neurons: &[Neurons]) -> bool {
 
 /// Tested networks of a cell, one for each fold.
 #[derive(Debug)]
-pub struct Tested<'a> {
+pub struct TestedNetworks<'a> {
     /// The cell.
     pub cell: Cell,
     /// Its loss.
@@ -128,7 +128,7 @@ pub struct Tested<'a> {
     pub trials: &'a [Trial],
 }
 
-impl Tested<'_> {
+impl TestedNetworks<'_> {
     /// A row with the figure of each fold, their mean and their standard deviation.
     fn row(&self, table: &str, quantity: &str, note: String, figures: Vec<f64>) -> PaperRow {
         let (mean, deviation) = mean_sd(&figures);
@@ -153,7 +153,7 @@ impl Tested<'_> {
 
     /// Rows of accuracy, of accuracy by time, and of the time since which decisions stay right.
     pub fn rows(&self) -> Vec<PaperRow> {
-        let Tested { folds, epochs, trials, .. } = self;
+        let TestedNetworks { folds, epochs, trials, .. } = self;
         let tested = trials.len();
         let of_trials = |figure: &dyn Fn(&Trial) -> Option<f64>| trials.iter().filter_map(figure).collect::<Vec<f64>>();
         let (table, early, kind, place) = match self.neurons {
@@ -188,7 +188,7 @@ impl Tested<'_> {
 }
 
 /// The interval of an accuracy at a time.
-struct At {
+struct AccuracyAtTime {
     time_ms: u32,
     low: f64,
     high: f64,
@@ -214,7 +214,7 @@ pub fn leads(rows: &[PaperRow]) -> Vec<String> {
             });
             let at = |row: &PaperRow| {
                 let time_ms = row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.parse().ok()?;
-                Some(At { time_ms, low: row.low?, high: row.high? })
+                Some(AccuracyAtTime { time_ms, low: row.low?, high: row.high? })
             };
             of_cell.filter_map(at).collect::<Vec<_>>()
         };
@@ -224,8 +224,8 @@ pub fn leads(rows: &[PaperRow]) -> Vec<String> {
         if pairs.is_empty() {
             continue;
         }
-        let leads = |one: &At, other: &At| one.low > other.high.max(chance(task));
-        let times = |above: &dyn Fn(&At, &At) -> bool| {
+        let leads = |one: &AccuracyAtTime, other: &AccuracyAtTime| one.low > other.high.max(chance(task));
+        let times = |above: &dyn Fn(&AccuracyAtTime, &AccuracyAtTime) -> bool| {
             let times: Vec<String> =
                 pairs.iter().filter(|(a, b)| above(a, b)).map(|(a, _)| a.time_ms.to_string()).collect();
             if times.is_empty() { "never".to_string() } else { format!("at {} ms", times.join(", ")) }
@@ -273,7 +273,7 @@ mod tests {
         late[149] = 0.75;
         let trials = [trial(late, 4), trial(vec![1.0; 150], 4)];
         let neurons = Neurons::Loihi;
-        let tested = Tested { cell, loss: "count", neurons, folds: 5, epochs: 9, trials: &trials };
+        let tested = TestedNetworks { cell, loss: "count", neurons, folds: 5, epochs: 9, trials: &trials };
         let rows = tested.rows();
         let of = |quantity: &str| rows.iter().find(|row| row.quantity == quantity).unwrap();
         let accuracy = of("accuracy");
@@ -285,7 +285,7 @@ mod tests {
         assert_eq!(of("accuracy_by_20_ms").measured, Some(0.75));
         assert_eq!(of("decided_ms").measured, Some(7.0));
         assert_eq!(rows.len(), 1 + 8 + 1);
-        let rows = Tested { neurons: Neurons::Srm, ..tested }.rows();
+        let rows = TestedNetworks { neurons: Neurons::Srm, ..tested }.rows();
         assert!(rows.len() == 1 + 8 + 1 && rows.iter().all(|row| row.table == "srm"));
     }
 

@@ -12,7 +12,7 @@ pub mod predict;
 
 use std::collections::BTreeMap;
 
-use self::network::Taken;
+use self::network::RateChoice;
 use self::predict::predict;
 use nsim_cost::CostTable;
 use nsim_energy::published::workload::{FigureKind, Quantity, WorkloadFile};
@@ -88,7 +88,7 @@ pub fn rows(
         let is_judged = file.first_hand && chip.hardware() == constants.hardware;
         let constants = if chip.hardware() == constants.hardware { constants } else { &target.constants()[0] };
         let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
-        let figures = |taken: Taken| predict(file, &target, taken, &tables);
+        let figures = |choice: RateChoice| predict(file, &target, choice, &tables);
         let values = figures(|rate| rate.value)?;
         // A published rate has no range.
         let ends = match file.activity {

@@ -24,12 +24,12 @@ pub const COUNTED: u32 = 128;
 const MOST_WARM_UP: u32 = 4_096;
 
 /// Choice of a number from the range of a rate: the rate itself, or an end.
-pub type Taken = fn(Between) -> f64;
+pub type RateChoice = fn(Between) -> f64;
 
 /// Steps before counting: twice the wait of the slowest compartment for its first spike.
-pub fn warm_up(file: &WorkloadFile, taken: Taken) -> u32 {
+pub fn warm_up(file: &WorkloadFile, choice: RateChoice) -> u32 {
     let layers = file.populations.iter().filter(|population| matches!(population, WorkloadPopulation::Layer { .. }));
-    let rates = layers.filter_map(|layer| layer.parts().2.map(taken)).filter(|&rate| rate > 0.0);
+    let rates = layers.filter_map(|layer| layer.parts().2.map(choice)).filter(|&rate| rate > 0.0);
     rates.map(|rate| (2.0 / rate).ceil() as u32).max().unwrap_or(0).clamp(COUNTED, MOST_WARM_UP)
 }
 
@@ -78,12 +78,12 @@ fn local(sources: u32, targets: u32, fan_out: u32, reach: u32, seed: u64) -> Con
 ///
 /// # Errors
 /// [`BuildError`] where the shapes of a convolution do not fit each other.
-pub fn build(file: &WorkloadFile, taken: Taken) -> Result<(Quantised, Sample), BuildError> {
-    let all_steps = warm_up(file, taken) + COUNTED;
+pub fn build(file: &WorkloadFile, choice: RateChoice) -> Result<(Quantised, Sample), BuildError> {
+    let all_steps = warm_up(file, choice) + COUNTED;
     let (mut net, mut channels, mut input, mut ids) = (Builder::new(&file.name), 0u32, Vec::new(), Vec::new());
     for (index, population) in file.populations.iter().enumerate() {
         let (name, sides, rate) = population.parts();
-        let (units, own_rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, taken));
+        let (units, own_rate) = (sides.iter().product::<u32>(), rate.map_or(0.0, choice));
         ids.push(match population {
             WorkloadPopulation::Input { .. } => {
                 let first = channels;
@@ -161,10 +161,10 @@ mod tests {
         for file in
             workload::shipped().unwrap().iter().filter(|file| ["braille", "nxtf-mnist"].contains(&file.name.as_str()))
         {
-            let taken = |rate: Between| rate.value;
-            let (network, sample) = build(file, taken).unwrap();
+            let choice = |rate: Between| rate.value;
+            let (network, sample) = build(file, choice).unwrap();
             let mut engine = Golden::new(&network);
-            let before_steps = warm_up(file, taken);
+            let before_steps = warm_up(file, choice);
             engine.begin(before_steps + COUNTED);
             let mut run = |from: u32, to: u32| {
                 (from..to).for_each(|step| engine.step(sample.input(step)));

@@ -7,7 +7,7 @@
 
 use std::sync::Arc;
 
-use super::network::{COUNTED, Taken, build, warm_up};
+use super::network::{COUNTED, RateChoice, build, warm_up};
 use nsim_compile::{CompileError, Front, Mapping, Options};
 use nsim_cost::estimate::{EstimateInput, JobPower};
 use nsim_cost::job::{DeployedCores, Mode};
@@ -146,15 +146,15 @@ fn figure(
 pub fn predict(
     file: &WorkloadFile,
     target: &Target,
-    taken: Taken,
+    choice: RateChoice,
     tables: &[CostTable],
 ) -> Result<Vec<Vec<f64>>, Error> {
-    let (network, sample) = build(file, taken).map_err(|error| failed(file, error))?;
+    let (network, sample) = build(file, choice).map_err(|error| failed(file, error))?;
     let compiled = mapped(file, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
     // Biases keep every compartment active; the cost is linear in the share of active steps.
-    let share = taken(file.active_share);
+    let share = choice(file.active_share);
     let table = |table: &CostTable| {
         let mut table = table.clone();
         table.compartment_active_energy.0 = (table.compartment_active_energy.0 as f64 * share).round() as u128;
@@ -167,7 +167,7 @@ pub fn predict(
     let (mut meter, mut activity) = (StepMeter::new(settings), Activity::new(compiled.program.cores().len()));
     let image = Image::new(&compiled.program, 1).map_err(|error| failed(file, error))?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: true });
-    let before = warm_up(file, taken);
+    let before = warm_up(file, choice);
     machine.begin(before + COUNTED);
     for step in 0..before + COUNTED {
         machine.step(sample.input(step));

@@ -7,8 +7,8 @@
 //! `report::sweep` plots two columns. A row equals the output of the single commands with the same
 //! values. Errors: `sweep.*`; a variant that cannot be run has a row with the reason.
 
+pub mod cache;
 pub mod file;
-pub mod made;
 pub mod row;
 pub mod table;
 pub mod variants;

@@ -11,17 +11,17 @@
 
 use std::sync::Arc;
 
-use crate::sweep::made::MadeOnce;
+use crate::sweep::cache::SharedCache;
 use crate::sweep::variants::{FIGURES, Job, Training};
 use nsim_compile::{Front, Mapping};
 use nsim_cost::HostWork;
 use nsim_cost::estimate::{EstimateInput, estimate};
-use nsim_energy::options::priced_by;
-use nsim_files::changes::{Change, within};
+use nsim_energy::options::select_constants;
+use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
 use nsim_files::table::or_empty;
 use nsim_files::target::load_target;
-use nsim_import::model::{Unchanged, agreeing, load_model_with};
+use nsim_import::model::{BaseModel, check_timestep, load_model_with};
 use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::stats::wilson;
@@ -33,10 +33,10 @@ use nsim_quantise::prune::check_stimulus;
 use nsim_session::error::Error;
 use nsim_session::front::has_srm;
 use nsim_session::inputs::{require_scene, stimulus};
-use nsim_session::obtain::{Request, TargetChoice, begin};
-use nsim_session::priced::{Metered, steps_per_sample};
-use nsim_session::samples::{Run, Running};
-use nsim_session::{Keep, accuracy, digest};
+use nsim_session::obtain::{Request, TargetChoice, prepare_mapping};
+use nsim_session::priced::{MeteredMapping, steps_per_sample};
+use nsim_session::samples::{Run, RunSettings};
+use nsim_session::{SampleSettings, accuracy, digest};
 use nsim_train::convert::prepare::integers;
 use nsim_train::job as train;
 use nsim_train::job::{Part, training_text, with_fields};
@@ -70,26 +70,26 @@ impl Trained {
 }
 
 /// Key of a mapping; variants with the same key share it.
-fn shared_by(job: &Job) -> String {
-    let of_model = (&job.model, &job.training, &job.of_model, job.dt_ms);
+fn mapping_key(job: &Job) -> String {
+    let of_model = (&job.model, &job.training, &job.model_changes, job.dt_ms);
     let of_mapping = (&job.options, job.relays, &job.prune, job.delayed_copies);
-    format!("{:?}", (of_model, &job.target, &job.of_target, of_mapping))
+    format!("{:?}", (of_model, &job.target, &job.target_changes, of_mapping))
 }
 
 /// Runs variants.
 #[derive(Debug, Default)]
 pub struct Runner {
-    models: MadeOnce<String, Option<Unchanged>>,
-    trained: MadeOnce<String, Trained>,
-    converted: MadeOnce<String, Front>,
+    models: SharedCache<String, Option<BaseModel>>,
+    trained: SharedCache<String, Trained>,
+    converted: SharedCache<String, Front>,
     /// The preset that prices a variant comes first among its target's constants.
-    targets: MadeOnce<(String, Vec<Change>, Option<String>), Target>,
-    mappings: MadeOnce<String, Mapping>,
-    stimuli: MadeOnce<String, Stimulus>,
+    targets: SharedCache<(String, Vec<Change>, Option<String>), Target>,
+    mappings: SharedCache<String, Mapping>,
+    stimuli: SharedCache<String, Stimulus>,
 }
 
 /// Whether an error concerns the whole sweep and not one variant.
-fn ends_all(error: &Error) -> bool {
+fn stops_sweep(error: &Error) -> bool {
     let code = error.code();
     matches!(error, Error::Usage(_) | Error::Fault(_))
         || code == "energy.input"
@@ -125,7 +125,7 @@ impl Runner {
     /// [`Error`] that concerns the whole sweep.
     pub fn row(&self, job: &Job) -> Result<Cells, Error> {
         match self.figures(job) {
-            Err(error) if ends_all(&error) => Err(error),
+            Err(error) if stops_sweep(&error) => Err(error),
             Err(error) => {
                 let first = if let Error::DoesNotFit(reasons) = &error { reasons.first() } else { None };
                 let (of, reason) = match (first, &error) {
@@ -150,11 +150,11 @@ impl Runner {
     /// Relative run time of a variant: the elements of its model's arrays times its copies.
     pub fn size(&self, job: &Job) -> u64 {
         let Ok(model) = self.model(&job.model) else { return 0 };
-        model.as_ref().as_ref().map_or(0, Unchanged::numbers) * u64::from(job.options.copies)
+        model.as_ref().as_ref().map_or(0, BaseModel::element_count) * u64::from(job.options.copies)
     }
 
-    fn model(&self, name: &str) -> Result<Arc<Option<Unchanged>>, Error> {
-        self.models.get(name.to_string(), || Ok(Unchanged::load(name)))
+    fn model(&self, name: &str) -> Result<Arc<Option<BaseModel>>, Error> {
+        self.models.get(name.to_string(), || Ok(BaseModel::load(name)))
     }
 
     fn trained(&self, training: &Training) -> Result<Arc<Trained>, Error> {
@@ -163,20 +163,20 @@ impl Runner {
 
     fn network(&self, job: &Job) -> Result<Network, Error> {
         if let Some(training) = &job.training {
-            return Ok(agreeing(self.trained(training)?.network.clone(), job.dt_ms)?);
+            return Ok(check_timestep(self.trained(training)?.network.clone(), job.dt_ms)?);
         }
         let model = self.model(&job.model)?;
-        Ok(within(&job.of_model, || match &*model {
-            Some(model) => agreeing(model.changed()?, job.dt_ms),
+        Ok(with_changes(&job.model_changes, || match &*model {
+            Some(model) => check_timestep(model.with_changes()?, job.dt_ms),
             None => load_model_with(&job.model, job.dt_ms),
         })?)
     }
 
     fn target(&self, job: &Job) -> Result<Arc<Target>, Error> {
-        let key = (job.target.clone(), job.of_target.clone(), job.constants.clone());
+        let key = (job.target.clone(), job.target_changes.clone(), job.constants.clone());
         self.targets.get(key, || {
-            within(&job.of_target, || {
-                let (target, _) = priced_by(load_target(&job.target)?, job.constants.as_deref())?;
+            with_changes(&job.target_changes, || {
+                let (target, _) = select_constants(load_target(&job.target)?, job.constants.as_deref())?;
                 Ok(target)
             })
         })
@@ -188,7 +188,8 @@ impl Runner {
             if !has_srm(network) {
                 return integers(network, job.delayed_copies);
             }
-            let network_of = format!("{:?}", (&job.model, &job.training, job.dt_ms, &job.of_model, job.delayed_copies));
+            let network_of =
+                format!("{:?}", (&job.model, &job.training, job.dt_ms, &job.model_changes, job.delayed_copies));
             Ok(Front::clone(&*self.converted.get(network_of, || integers(network, job.delayed_copies))?))
         };
         let request = Request {
@@ -199,9 +200,9 @@ impl Runner {
             relays: job.relays,
             ..Request::new(&job.model, network, &as_integers)
         };
-        self.mappings.get(shared_by(job), || {
-            let (front, goal) = begin(&request)?;
-            goal.compiled(front)
+        self.mappings.get(mapping_key(job), || {
+            let (front, settings) = prepare_mapping(&request)?;
+            settings.compiled(front)
         })
     }
 
@@ -239,12 +240,13 @@ impl Runner {
         }
         let samples: Vec<&Sample> = shown.samples[range.start..range.end.min(all)].iter().collect();
         check_stimulus(&compiled.one, &samples, range.start)?;
-        let metered = Metered::new(&compiled);
+        let metered = MeteredMapping::new(&compiled);
         let work = HostWork::fed_by(job.host, &target)
             .map_err(|problem| Diagnostic::new("sweep.value", format!("options.host: {problem}")))?;
         let (settings, deployment) = metered.offline_with(&target, work)?;
-        let keep = Keep::new(compiled.program.output());
-        let Run { outcomes, activity, meter, .. } = metered.run(settings, &samples, Running::new(&keep))?;
+        let sample_settings = SampleSettings::new(compiled.program.output());
+        let Run { outcomes, activity, meter, .. } =
+            metered.run(settings, &samples, RunSettings::new(&sample_settings))?;
         let labels = || samples.iter().map(|sample| sample.label());
         let accuracy = accuracy(&outcomes, labels());
         let ends = accuracy.map(|share| wilson(share, labels().flatten().count()));

@@ -17,7 +17,7 @@ use nsim_files::changes::Change;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::spanned::parse;
-use nsim_train::convert::copies::USUAL;
+use nsim_train::convert::copies::DEFAULT_COPIES;
 
 /// The columns after the varied values.
 pub const FIGURES: [&str; 22] = [
@@ -115,9 +115,9 @@ pub struct Job {
     /// Power that counts: neuron and x86 cores, or the rails of the board.
     pub accounting: Accounting,
     /// Changes of the model.
-    pub of_model: Vec<Change>,
+    pub model_changes: Vec<Change>,
     /// Changes of the target and its constants.
-    pub of_target: Vec<Change>,
+    pub target_changes: Vec<Change>,
 }
 
 fn named<T: Copy>(all: &[T], name_of: fn(T) -> &'static str, value: &str) -> Result<T, String> {
@@ -150,7 +150,7 @@ impl Job {
             target: file.target.clone(),
             input: file.input.clone(),
             seed: file.seed,
-            delayed_copies: USUAL,
+            delayed_copies: DEFAULT_COPIES,
             options: Options { copies: file.copies, ..Options::default() },
             ..Job::default()
         }
@@ -183,11 +183,11 @@ impl Job {
             _ => {
                 let change = Change::new(path, value);
                 change.check()?;
-                if self.training.is_some() && !change.is_of_target() {
+                if self.training.is_some() && !change.changes_target() {
                     return Err(Diagnostic::new("sweep.path", format!("{path}: the model of this sweep is trained"))
                         .help("train.FIELD changes the training, such as train.layers.out.size"));
                 }
-                let changes = if change.is_of_target() { &mut self.of_target } else { &mut self.of_model };
+                let changes = if change.changes_target() { &mut self.target_changes } else { &mut self.model_changes };
                 changes.push(change);
             }
         }
@@ -492,7 +492,7 @@ mod tests {
         let of_model = ["populations.x.vth_mant", "populations.y.vth_mant"].map(|path| Change::new(path, "2.5"));
         assert_eq!((job.model.as_str(), job.seed, job.options.copies), ("b", Some(5), 2));
         assert_eq!(
-            (job.of_model, job.of_target),
+            (job.model_changes, job.target_changes),
             (of_model.to_vec(), vec![Change::new("constants.injection_time", "3")])
         );
     }

@@ -7,7 +7,7 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
-use crate::sweep::made::held;
+use crate::sweep::cache::lock;
 use crate::sweep::row::{Cells, Runner};
 use crate::sweep::variants::Sweep;
 use nsim_session::error::Error;
@@ -38,9 +38,9 @@ pub fn run(
         while !ended.load(Ordering::Relaxed) {
             let Some(&number) = numbers.get(next.fetch_add(1, Ordering::Relaxed)) else { return };
             let done = sweep.job(number).map_err(Error::from).and_then(|job| runner.row(&job));
-            if let Err(error) = done.and_then(|cells| held(&take)(number, cells)) {
+            if let Err(error) = done.and_then(|cells| lock(&take)(number, cells)) {
                 ended.store(true, Ordering::Relaxed);
-                held(&first_error).get_or_insert(error);
+                lock(&first_error).get_or_insert(error);
             }
         }
     };
@@ -64,5 +64,5 @@ pub fn run(
     if left && !ended.load(Ordering::Relaxed) {
         return Err(Error::Fault("threads cannot be started".to_string()));
     }
-    held(&first_error).take().map_or(Ok(()), Err)
+    lock(&first_error).take().map_or(Ok(()), Err)
 }

@@ -19,10 +19,10 @@ use nsim_ir::graph::SrmParameters;
 use nsim_quantise::analytic;
 
 /// Greatest number of copies that an option can set.
-pub const MOST: usize = 32;
+pub const MOST_COPIES: usize = 32;
 /// Greatest number of copies by default. The synapses of a source onto one compartment, delayed by
 /// up to 62 steps, then take 310 bits, five words of a Loihi core's memory.
-pub const USUAL: usize = 15;
+pub const DEFAULT_COPIES: usize = 15;
 
 /// Time constants of the current relative to the response's; fractions of v kept by a step.
 const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
@@ -49,7 +49,7 @@ pub struct Arrivals<'a> {
 /// Delays and factors of the copies of a population's input.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Copies {
-    each: [(u32, f64); MOST],
+    each: [(u32, f64); MOST_COPIES],
     count: usize,
 }
 
@@ -75,7 +75,7 @@ pub fn relevance(potential: f64) -> f64 {
 }
 
 /// The solution of `matrix x = right`, positive definite; none for a singular matrix.
-fn solved(matrix: &[Vec<f64>], right: &[f64]) -> Option<Vec<f64>> {
+fn solve(matrix: &[Vec<f64>], right: &[f64]) -> Option<Vec<f64>> {
     let n = right.len();
     let mut rows: Vec<Vec<f64>> =
         matrix.iter().zip(right).map(|(row, &r)| row.iter().copied().chain([r]).collect()).collect();
@@ -93,7 +93,7 @@ fn solved(matrix: &[Vec<f64>], right: &[f64]) -> Option<Vec<f64>> {
 }
 
 /// The nearest decay of the chip, as the fraction kept by a step.
-fn kept(keep: f64) -> f64 {
+fn nearest_decay(keep: f64) -> f64 {
     1.0 - libm::rint(DECAY_ONE as f64 * (1.0 - keep)).clamp(1.0, DECAY_ONE as f64) / DECAY_ONE as f64
 }
 
@@ -114,8 +114,8 @@ pub fn candidates(
     let wanted = potentials(task, srm, timestep_ms);
     let of_voltage = |&voltage: &f64| {
         let pairs = CURRENTS.iter().flat_map(|current| {
-            let keep_u = kept(libm::exp(-1.0 / (current * tau)));
-            let found = of_pair(task, &wanted, (keep_u, kept(voltage)), &delays, most);
+            let keep_u = nearest_decay(libm::exp(-1.0 / (current * tau)));
+            let found = copies_for_decays(task, &wanted, (keep_u, nearest_decay(voltage)), &delays, most);
             found.into_iter().map(move |(taken, copies)| (taken, keep_u, copies))
         });
         let mut pairs: Vec<(f64, f64, Copies)> = pairs.collect();
@@ -130,7 +130,7 @@ pub fn candidates(
         }
         pairs
             .into_iter()
-            .map(|(_, keep_u, copies)| (keep_u, kept(voltage), copies.scaled(srm.theta)))
+            .map(|(_, keep_u, copies)| (keep_u, nearest_decay(voltage), copies.scaled(srm.theta)))
             .collect::<Vec<_>>()
     };
     let each: Vec<Vec<(f64, f64, Copies)>> = VOLTAGES.par_iter().map(of_voltage).collect();
@@ -179,7 +179,7 @@ struct Products {
 }
 
 /// Residuals of each delay's response after some delays are chosen.
-struct Left {
+struct Residuals {
     /// Squared length, and product with the residual of the potentials.
     squares: Vec<f64>,
     right: Vec<f64>,
@@ -227,8 +227,8 @@ impl Products {
     }
 
     /// Residuals after these delays are chosen; each is orthogonalised to those before it.
-    fn left(&self, chosen: &[usize]) -> Left {
-        let mut left = Left {
+    fn residuals(&self, chosen: &[usize]) -> Residuals {
+        let mut left = Residuals {
             squares: (0..self.right.len()).map(|j| self.between[j][j]).collect(),
             right: self.right.clone(),
             taken: 0.0,
@@ -254,8 +254,8 @@ impl Products {
     }
 
     /// The delay that, added to the chosen ones, reduces the error most, and the total reduction.
-    fn next(&self, chosen: &[usize]) -> Option<(f64, usize)> {
-        let left = self.left(chosen);
+    fn best_next(&self, chosen: &[usize]) -> Option<(f64, usize)> {
+        let left = self.residuals(chosen);
         let each = (0..self.right.len()).filter(|j| !chosen.contains(j)).filter_map(|j| {
             let distinct = left.squares[j] > 1e-7 * self.between[j][j];
             distinct.then(|| (left.taken + left.right[j] * left.right[j] / left.squares[j], j))
@@ -265,12 +265,12 @@ impl Products {
 
     fn factors(&self, chosen: &[usize]) -> Option<Vec<f64>> {
         let row = |&i: &usize| chosen.iter().map(|&j| self.between[i][j]).collect::<Vec<_>>();
-        solved(&chosen.iter().map(row).collect::<Vec<_>>(), &chosen.iter().map(|&i| self.right[i]).collect::<Vec<_>>())
+        solve(&chosen.iter().map(row).collect::<Vec<_>>(), &chosen.iter().map(|&i| self.right[i]).collect::<Vec<_>>())
     }
 }
 
 /// Reduction of the error and the copies, for each number in `COUNTS` up to `most`.
-fn of_pair(
+fn copies_for_decays(
     task: Arrivals<'_>,
     wanted: &[Vec<f64>],
     keeps: (f64, f64),
@@ -279,7 +279,7 @@ fn of_pair(
 ) -> Vec<(f64, Copies)> {
     let products = Products::new(task, wanted, keeps, delays);
     let (mut chosen, mut found): (Vec<usize>, Vec<(f64, Copies)>) = (Vec::new(), Vec::new());
-    while let Some((mut taken, next)) = products.next(&chosen).filter(|_| chosen.len() < most) {
+    while let Some((mut taken, next)) = products.best_next(&chosen).filter(|_| chosen.len() < most) {
         chosen.push(next);
         if !COUNTS.contains(&chosen.len()) {
             continue;
@@ -290,7 +290,9 @@ fn of_pair(
             for member in 0..chosen.len() {
                 let without: Vec<usize> =
                     chosen.iter().enumerate().filter(|(k, _)| *k != member).map(|(_, &place)| place).collect();
-                if let Some((better, place)) = products.next(&without).filter(|next| next.0 > taken * (1.0 + 1e-12)) {
+                if let Some((better, place)) =
+                    products.best_next(&without).filter(|next| next.0 > taken * (1.0 + 1e-12))
+                {
                     (taken, chosen[member]) = (better, place);
                 }
             }
@@ -316,9 +318,9 @@ mod tests {
     #[test]
     fn a_system_of_equations_is_solved_and_a_singular_one_refused() {
         let matrix = [vec![4.0, 1.0], vec![1.0, 3.0]];
-        let found = solved(&matrix, &[9.0, 7.0]).unwrap();
+        let found = solve(&matrix, &[9.0, 7.0]).unwrap();
         assert!(found.iter().zip([20.0 / 11.0, 19.0 / 11.0]).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
-        assert_eq!(solved(&[vec![1.0, 2.0], vec![2.0, 4.0]], &[1.0, 2.0]), None);
+        assert_eq!(solve(&[vec![1.0, 2.0], vec![2.0, 4.0]], &[1.0, 2.0]), None);
     }
 
     /// A potential that is the sum of two delayed responses is decomposed into them.
@@ -335,7 +337,7 @@ mod tests {
         let samples = [arrivals];
         let task = Arrivals { neurons: 1, samples: &samples };
         let delays: Vec<u32> = (0..20).collect();
-        let found = of_pair(task, &wanted, keeps, &delays, 2);
+        let found = copies_for_decays(task, &wanted, keeps, &delays, 2);
         let (_, copies) = found.iter().find(|(_, copies)| copies.count == 2).unwrap();
         for (&(delay, factor), (d, planted)) in copies.as_slice().iter().zip(planted) {
             assert_eq!(delay as usize, d);

@@ -1,12 +1,12 @@
 //! A network's integers and the trained network, for the comparison by `nsim agree`.
 //!
 //! Input: a network with its analytic integers, the settings of a search for better ones, samples.
-//! Output: [`Integers`], whose stages lead from the trained network to the machine. Omitted on
-//! purpose: the comparison itself (`agree`).
+//! Output: [`ConvertedIntegers`], whose stages lead from the trained network to the machine. Omitted
+//! on purpose: the comparison itself (`agree`).
 
 use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::{self, SearchResult};
-use nsim_agree::ladder::Ladder;
+use nsim_agree::staged::StagedNetwork;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
@@ -27,7 +27,7 @@ named_variants!(Conversion { Search = "search", Analytic = "analytic" });
 
 /// Settings of a conversion.
 #[derive(Debug, Clone, Copy)]
-pub struct Choice<'a> {
+pub struct ConversionSettings<'a> {
     /// The conversion, with a search or without.
     pub conversion: Conversion,
     /// Samples for the search; [`calibration::stimulus`] chooses them if empty.
@@ -42,14 +42,14 @@ pub struct Choice<'a> {
 
 /// Integers that represent a network.
 #[derive(Debug)]
-pub struct Integers {
+pub struct ConvertedIntegers {
     /// The converted form of each spike response population.
     pub fits: Vec<Option<Fit>>,
     /// Result of the search, if there was one.
     pub found: Option<SearchResult>,
 }
 
-impl Integers {
+impl ConvertedIntegers {
     /// Finds integers for a network. `searching` receives the name of each population, and first
     /// `None` if the search has to use the compared samples.
     ///
@@ -57,12 +57,12 @@ impl Integers {
     /// A source that cannot be used.
     pub fn find(
         (graph, network): (&Graph, &Quantised),
-        choice: Choice<'_>,
+        choice: ConversionSettings<'_>,
         samples: &[&Sample],
         mut searching: impl FnMut(Option<&str>),
     ) -> Result<Self> {
         if !graph.has_srm() || choice.conversion == Conversion::Analytic {
-            return Ok(Integers { fits: analytic::starts(graph), found: None });
+            return Ok(ConvertedIntegers { fits: analytic::starts(graph), found: None });
         }
         let stimulus = calibration::stimulus(network, choice.calibrate, choice.run, choice.wanted)?;
         let calibration: Vec<&Sample> = match &stimulus {
@@ -73,17 +73,17 @@ impl Integers {
             }
         };
         let found = search::search(graph, &calibration, choice.most_copies, |population| searching(Some(population)))?;
-        Ok(Integers { fits: found.conversion.fits.clone(), found: Some(found) })
+        Ok(ConvertedIntegers { fits: found.conversion.fits.clone(), found: Some(found) })
     }
 
     /// The comparison stages from the trained network to these integers.
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
-    pub fn ladder(&self, graph: &Graph) -> Result<Ladder> {
+    pub fn ladder(&self, graph: &Graph) -> Result<StagedNetwork> {
         Ok(match &self.found {
             Some(found) => found.conversion.ladder(graph)?,
-            None => Ladder::new(graph, &self.fits)?,
+            None => StagedNetwork::new(graph, &self.fits)?,
         })
     }
 }

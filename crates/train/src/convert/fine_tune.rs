@@ -3,7 +3,7 @@
 //! Input: a network of spike response neurons, the converted form of each population, a training
 //! plan and labelled training samples. Output: the trained weights whose integers decide best, and
 //! their scores. Invariants: in every minibatch `quantise` makes the weights integers, and exactly
-//! these run the samples (`agree::ladder`, whose last stage equals the golden interpreter bit for
+//! these run the samples (`agree::staged`, whose last stage equals the golden interpreter bit for
 //! bit). The gradient is the trained neurons' at the integers' potentials, in thresholds, and at
 //! their spikes. Rounding, reset and delayed copies have a derivative of 1. The selected epoch does
 //! best on the unvaried training samples, the start included: most right, then least loss. Held-out
@@ -25,15 +25,15 @@ use rayon::prelude::*;
 use crate::cells::Cells;
 use crate::checkpoint;
 use crate::convert::resets::subtracts;
-use crate::convert::search::firsts;
-use crate::convert::staged::Measured;
+use crate::convert::search::first_indices;
+use crate::convert::staged::MeasuredDistance;
 use crate::fit::{Example, Forward, Plan};
 use crate::network::{Deployed, Source, Weights, Workspace};
 use crate::raster::Raster;
 use crate::trace::Trace as TrainedTrace;
-use nsim_agree::causes::Rung;
+use nsim_agree::causes::ComparisonStage;
 use nsim_agree::compare::output_layer;
-use nsim_agree::ladder::Ladder;
+use nsim_agree::staged::StagedNetwork;
 use nsim_agree::trace::{Layer, Trace};
 use nsim_files::training::TrainingFile;
 use nsim_ir::arithmetic::ReadOut;
@@ -53,13 +53,13 @@ pub struct Task {
     detail: Detail,
     plan: Plan,
     /// For each projection of the graph, its target layer and the place of its first source.
-    places: Vec<Place>,
+    places: Vec<ProjectionPlace>,
     /// The plan's layers, with the integers' numbering of compartments.
     layers: Vec<Layer>,
 }
 
 #[derive(Debug, Clone, Copy)]
-struct Place {
+struct ProjectionPlace {
     layer: usize,
     offset: usize,
     sources: usize,
@@ -87,7 +87,7 @@ pub struct FineTuneRow {
 
 /// Scores on samples that were not trained on.
 #[derive(Debug, Clone, Copy, PartialEq, serde::Serialize)]
-pub struct HeldOut {
+pub struct HeldOutScores {
     /// Number of samples.
     pub samples: usize,
     /// Fraction with the right class in the trained network.
@@ -111,7 +111,7 @@ pub struct FineTuned {
     /// Number of training samples.
     pub samples: usize,
     /// Scores on samples that were not trained on; none without labelled ones.
-    pub held_out: Option<HeldOut>,
+    pub held_out: Option<HeldOutScores>,
     /// The seed of the order of samples.
     pub seed: u64,
     /// SHA-256 of the plan and of all training samples.
@@ -129,22 +129,22 @@ impl FineTuned {
 
 /// Fine-tuned integers.
 #[derive(Debug)]
-pub struct Tuned {
+pub struct TunedIntegers {
     /// The epochs and their scores.
     pub tuned: FineTuned,
     /// Requested number of epochs.
     pub epochs: u32,
     /// The selected integers.
-    pub integers: Ladder,
+    pub integers: StagedNetwork,
     /// Sources of the training samples.
     pub samples: Vec<String>,
     /// Distance from the trained network on samples that no stage used.
-    pub held_out: Option<Measured>,
+    pub held_out: Option<MeasuredDistance>,
 }
 
-impl Tuned {
+impl TunedIntegers {
     /// A sentence for a model's provenance.
-    pub fn sentence(&self) -> String {
+    pub fn provenance_text(&self) -> String {
         let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
         let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
         let (before, after) = self.tuned.scores();
@@ -174,7 +174,7 @@ pub struct BestEpoch {
     pub score: TaskScore,
 }
 
-fn unlike(graph: &Graph, message: &str) -> Diagnostic {
+fn unsupported(graph: &Graph, message: &str) -> Diagnostic {
     Diagnostic::new("convert.fine-tune", format!("{}: {message}", graph.facts().name))
         .help("fine-tuning supports dense layers of spike response neurons, with their training file")
 }
@@ -186,14 +186,14 @@ fn unlike(graph: &Graph, message: &str) -> Diagnostic {
 pub fn trainable(graph: &Graph) -> Result<()> {
     if graph.facts().decision != ReadOut::Spikes {
         let message = "it decides by potentials, but fine-tuning needs decisions by spikes";
-        return Err(unlike(graph, message).help(
+        return Err(unsupported(graph, message).help(
             "train it as Loihi neurons instead: nsim train, with the loss Potential and theta: inf for its output",
         ));
     }
     for (_, population) in graph.populations() {
         if matches!(population.kind, PopulationKind::Neurons(_)) {
             let message = format!("'{}' has neurons that are not spike response neurons", population.name);
-            let unlike = unlike(graph, &message);
+            let unlike = unsupported(graph, &message);
             return Err(match subtracts(&population.kind) {
                 true => unlike.help(
                     "train the network again with a reset to zero (snnTorch: reset_mechanism='zero'): the conversion \
@@ -207,7 +207,7 @@ pub fn trainable(graph: &Graph) -> Result<()> {
         let plain = matches!(projection.kind, ProjectionKind::Dense { .. }) && projection.delay.get() == 0;
         if !plain || source >= target || graph.population(source).message != Message::Spike {
             let message = format!("projection {} is not a dense layer without a delay", projection.name);
-            return Err(unlike(graph, &message));
+            return Err(unsupported(graph, &message));
         }
     }
     Ok(())
@@ -229,17 +229,17 @@ impl Task {
         for (input, &size) in file.inputs.iter().zip(&plan.topology.inputs) {
             if !channels.next().is_some_and(|(_, p)| p.name == input.name && p.shape.len() as usize == size) {
                 let message = format!("the training file's input '{}' is not its next input", input.name);
-                return Err(unlike(graph, &message));
+                return Err(unsupported(graph, &message));
             }
         }
         if let Some((_, more)) = channels.next() {
-            return Err(unlike(graph, &format!("the training file has no input '{}'", more.name)));
+            return Err(unsupported(graph, &format!("the training file has no input '{}'", more.name)));
         }
         let node_of = |name: &str| graph.populations().find(|(_, p)| p.name == name).map(|(node, _)| node);
         let inputs: Vec<Option<NodeIndex>> = file.inputs.iter().map(|input| node_of(&input.name)).collect();
         let nodes: Vec<Option<NodeIndex>> = file.layers.iter().map(|layer| node_of(&layer.name)).collect();
         let mut layers = Vec::new();
-        let firsts = firsts(graph);
+        let firsts = first_indices(graph);
         for (layer, node) in plan.topology.layers.iter().zip(&nodes) {
             let population = node.map(|node| (node, graph.population(node)));
             let timestep_ms = graph.facts().timestep_ms;
@@ -254,13 +254,16 @@ impl Task {
             });
             let Some((node, population)) = same else {
                 let message = format!("there is no population '{}' with the neurons of the training file", layer.name);
-                return Err(unlike(graph, &message));
+                return Err(unsupported(graph, &message));
             };
             let first = firsts[node.index()];
             layers.push(Layer { name: population.name.clone(), first, count: population.shape.len() });
         }
         if file.inputs.len() + layers.len() != firsts.len() || nodes.last().copied().flatten() != Some(graph.output()) {
-            return Err(unlike(graph, "its layers, with the output last, differ from the layers of the training file"));
+            return Err(unsupported(
+                graph,
+                "its layers, with the output last, differ from the layers of the training file",
+            ));
         }
         let mut places = Vec::new();
         for (_, source, target, projection) in graph.projections() {
@@ -274,7 +277,7 @@ impl Task {
                     let sources = node.map_or(0, |node| graph.population(node).shape.len() as usize);
                     if node == Some(source) {
                         let first_column = projection.first_source as usize;
-                        return Some(Place { layer, offset, sources, first_column });
+                        return Some(ProjectionPlace { layer, offset, sources, first_column });
                     }
                     offset += sources;
                 }
@@ -282,12 +285,12 @@ impl Task {
             });
             let Some(place) = place else {
                 let message = format!("projection {} is not a dense layer of the training file", projection.name);
-                return Err(unlike(graph, &message));
+                return Err(unsupported(graph, &message));
             };
             places.push(place);
         }
         if places.len() != plan.topology.layers.iter().map(|layer| layer.sources.len()).sum::<usize>() {
-            return Err(unlike(graph, "it lacks projections of the training file"));
+            return Err(unsupported(graph, "it lacks projections of the training file"));
         }
         Ok(Task { graph: graph.clone(), fits: fits.to_vec(), detail, plan, places, layers })
     }
@@ -305,8 +308,8 @@ impl Task {
     }
 
     /// Indices of each weight of a projection: among all declared with it, and in the plan's layer.
-    fn pairs(&self, place: Place, declared: usize) -> impl Iterator<Item = (usize, usize)> {
-        let Place { layer, offset, sources, first_column } = place;
+    fn pairs(&self, place: ProjectionPlace, declared: usize) -> impl Iterator<Item = (usize, usize)> {
+        let ProjectionPlace { layer, offset, sources, first_column } = place;
         let targets = self.plan.topology.layers[layer].cells.count();
         let columns = declared / targets.max(1);
         (0..targets).flat_map(move |target| {
@@ -352,15 +355,15 @@ impl Task {
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
-    pub fn integers(&self, weights: &Weights) -> Result<Ladder> {
-        Ladder::with_exponents(&self.with_weights(weights), &self.fits, self.detail)
+    pub fn integers(&self, weights: &Weights) -> Result<StagedNetwork> {
+        StagedNetwork::with_exponents(&self.with_weights(weights), &self.fits, self.detail)
     }
 
     /// The score of integers on examples.
-    fn score(&self, ladder: &Ladder, examples: &[Example], step: &(impl Fn() + Sync)) -> TaskScore {
+    fn score(&self, ladder: &StagedNetwork, examples: &[Example], step: &(impl Fn() + Sync)) -> TaskScore {
         let output = output_layer(ladder.deployed());
         let one = |example: &Example| {
-            let trace = ladder.run(Rung::MACHINE, &sample(&example.inputs), false);
+            let trace = ladder.run(ComparisonStage::MACHINE, &sample(&example.inputs), false);
             let mut error = vec![0.0; (trace.steps as usize + 1) * output.count as usize];
             let spikes = TrainedTrace { spikes: raster(&trace, &output), ..TrainedTrace::default() };
             let loss = self.plan.loss.evaluate(&spikes, example.label, &mut error);
@@ -400,7 +403,7 @@ impl Task {
         let mut best = BestEpoch { weights: state.weights.clone(), epoch: 0, score };
         after(&best);
         let mut rows = vec![FineTuneRow { epoch: 0, score }];
-        let integers = Integers { task: self, shown };
+        let integers = IntegerForward { task: self, shown };
         let mut workers = Vec::new();
         while state.epoch < epochs {
             plan.epoch(&integers, &mut state, &train, &mut workers)?;
@@ -413,7 +416,7 @@ impl Task {
             }
         }
         let after = self.score(&self.integers(&best.weights)?, &unseen, shown);
-        let held_out = (!unseen.is_empty()).then_some(HeldOut { samples: unseen.len(), trained, before, after });
+        let held_out = (!unseen.is_empty()).then_some(HeldOutScores { samples: unseen.len(), trained, before, after });
         let (weights, kept) = (best.weights, best.epoch);
         Ok(FineTuned { weights, kept, rows, samples: train.len(), held_out, seed: plan.seed, fingerprint })
     }
@@ -421,21 +424,21 @@ impl Task {
 
 /// The integers as the forward pass of a training.
 #[derive(Debug)]
-struct Integers<'a, F> {
+struct IntegerForward<'a, F> {
     task: &'a Task,
     shown: &'a F,
 }
 
-impl<F: Fn() + Sync> Forward for Integers<'_, F> {
-    type Network = Ladder;
+impl<F: Fn() + Sync> Forward for IntegerForward<'_, F> {
+    type Network = StagedNetwork;
     type Error = Diagnostic;
 
-    fn network(&self, weights: &Weights) -> Result<Ladder> {
+    fn network(&self, weights: &Weights) -> Result<StagedNetwork> {
         self.task.integers(weights)
     }
 
-    fn run(&self, ladder: &Ladder, _: &Deployed, inputs: &[Raster], work: &mut Workspace) {
-        let trace = ladder.run(Rung::MACHINE, &sample(inputs), true);
+    fn run(&self, ladder: &StagedNetwork, _: &Deployed, inputs: &[Raster], work: &mut Workspace) {
+        let trace = ladder.run(ComparisonStage::MACHINE, &sample(inputs), true);
         let each = self.task.layers.iter().zip(&self.task.plan.topology.layers).zip(&mut work.traces);
         for ((layer, trained), kept) in each {
             let theta = trained.cells.theta();

@@ -8,8 +8,8 @@
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::convert::fine_tune::{BestEpoch, Task, Tuned};
-use crate::convert::staged::{self, Converted, Measured};
+use crate::convert::fine_tune::{BestEpoch, Task, TunedIntegers};
+use crate::convert::staged::{self, Converted, MeasuredDistance};
 use crate::convert::{model_file, resets};
 use crate::fit::Example;
 use crate::plan::plan;
@@ -41,7 +41,7 @@ pub struct Job {
 
 /// Samples for the search, and samples that judge its integers.
 #[derive(Debug)]
-pub struct Split<'s> {
+pub struct SampleSplit<'s> {
     /// Sources of the calibration samples.
     pub origin: &'s [String],
     /// Samples for the search.
@@ -50,19 +50,19 @@ pub struct Split<'s> {
     pub held_out: Vec<&'s Sample>,
 }
 
-impl<'s> Split<'s> {
+impl<'s> SampleSplit<'s> {
     /// Splits samples. With separate samples for the search (`apart`), all of `shown` is held out;
     /// otherwise the search takes its first half.
     pub fn new((origin, shown): (&'s [String], &[&'s Sample]), apart: Option<&'s Stimulus>, wanted: usize) -> Self {
         match apart {
-            Some(apart) => Split {
+            Some(apart) => SampleSplit {
                 origin: &apart.origin,
                 calibration: apart.samples.iter().take(wanted).collect(),
                 held_out: shown.to_vec(),
             },
             None => {
                 let half = shown.len().div_ceil(2).min(wanted);
-                Split { origin, calibration: shown[..half].to_vec(), held_out: shown[half..].to_vec() }
+                SampleSplit { origin, calibration: shown[..half].to_vec(), held_out: shown[half..].to_vec() }
             }
         }
     }
@@ -70,17 +70,17 @@ impl<'s> Split<'s> {
 
 /// Converted integers and their distances.
 #[derive(Debug)]
-pub struct Done {
+pub struct ConversionRun {
     /// The conversion, by stages.
     pub converted: Converted,
     /// Measures on samples that no stage used; none without such samples.
-    pub held_out: Option<Measured>,
+    pub held_out: Option<MeasuredDistance>,
     /// Seconds of the search.
     pub seconds: f64,
 }
 
 /// The distance of integers in words.
-pub fn sentence(measured: &Measured) -> String {
+pub fn distance_text(measured: &MeasuredDistance) -> String {
     let layers = measured.layers.iter().map(|(name, coincidence, _)| match coincidence {
         Some(coincidence) => format!("{name} {coincidence:.3}"),
         None => format!("{name} silent"),
@@ -118,18 +118,23 @@ impl Job {
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
-    pub fn convert(&self, samples: &Split<'_>, most_copies: usize, searching: impl FnMut(&str)) -> Result<Done> {
-        let choices = staged::Choices { most_copies, soft_reset: self.soft_reset };
+    pub fn convert(
+        &self,
+        samples: &SampleSplit<'_>,
+        most_copies: usize,
+        searching: impl FnMut(&str),
+    ) -> Result<ConversionRun> {
+        let choices = staged::ConversionLimits { most_copies, soft_reset: self.soft_reset };
         let start = Instant::now();
         let converted = staged::convert(&self.graph, &samples.calibration, choices, searching)?;
         let seconds = start.elapsed().as_secs_f64();
-        let held_out = (!samples.held_out.is_empty()).then(|| converted.compared(&converted.ladder, &samples.held_out));
-        Ok(Done { converted, held_out, seconds })
+        let held_out = (!samples.held_out.is_empty()).then(|| converted.measure(&converted.ladder, &samples.held_out));
+        Ok(ConversionRun { converted, held_out, seconds })
     }
 
     /// The origin of the integers for their model file; `model` is the network's file or name.
-    pub fn provenance(&self, model: &str, samples: &Split<'_>, done: &Done) -> String {
-        let Done { converted, held_out, .. } = done;
+    pub fn provenance(&self, model: &str, samples: &SampleSplit<'_>, done: &ConversionRun) -> String {
+        let ConversionRun { converted, held_out, .. } = done;
         let kept: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();
         let mut provenance = format!(
             "nsim convert {model}; SHA-256 of its text {}; {} calibration samples of {}; stages: {}; on these {}",
@@ -137,10 +142,10 @@ impl Job {
             converted.calibration.samples,
             samples.origin.join(" "),
             kept.join(", "),
-            sentence(&converted.calibration)
+            distance_text(&converted.calibration)
         );
         if let Some(held) = held_out {
-            provenance += &format!("; on {} held-out samples {}", held.samples, sentence(held));
+            provenance += &format!("; on {} held-out samples {}", held.samples, distance_text(held));
         }
         if let Some(before) = &self.graph.facts().provenance {
             provenance += &format!("; converted from: {before}");
@@ -152,9 +157,9 @@ impl Job {
     ///
     /// # Errors
     /// `convert.*` for integers that a model file cannot have.
-    pub fn model(&self, done: &Done, tuned: Option<&Tuned>, provenance: &str) -> Result<NetworkFile> {
+    pub fn model(&self, done: &ConversionRun, tuned: Option<&TunedIntegers>, provenance: &str) -> Result<NetworkFile> {
         let (integers, provenance) = match tuned {
-            Some(tuned) => (tuned.integers.deployed(), format!("{provenance}; {}", tuned.sentence())),
+            Some(tuned) => (tuned.integers.deployed(), format!("{provenance}; {}", tuned.provenance_text())),
             None => (&done.converted.network, provenance.to_string()),
         };
         Ok(model_file::model(&self.graph, integers, provenance)?)
@@ -224,11 +229,11 @@ impl FineTuning {
         held_out: &[&Sample],
         shown: &(impl Fn() + Sync),
         after: impl FnMut(&BestEpoch),
-    ) -> Result<Tuned> {
+    ) -> Result<TunedIntegers> {
         let FineTuning { task, epochs, origin, examples, unseen } = self;
         let tuned = task.run((&examples, &unseen), epochs, shown, after)?;
         let integers = task.integers(&tuned.weights)?;
-        let held_out = (!held_out.is_empty()).then(|| converted.compared(&integers, held_out));
-        Ok(Tuned { tuned, epochs, integers, samples: origin, held_out })
+        let held_out = (!held_out.is_empty()).then(|| converted.measure(&integers, held_out));
+        Ok(TunedIntegers { tuned, epochs, integers, samples: origin, held_out })
     }
 }

@@ -6,11 +6,11 @@
 
 use crate::convert::copies;
 use crate::convert::deployed::Conversion;
-use nsim_agree::attribution::{Attribution, Distance, LayerLoss, as_trained, measured};
-use nsim_agree::causes::{Cause, Rung};
+use nsim_agree::attribution::{Attribution, Distance, LayerLoss, as_trained, compare_stages};
+use nsim_agree::causes::{Cause, ComparisonStage};
 use nsim_agree::compare::output_layer;
-use nsim_agree::ladder::Ladder;
-use nsim_files::changes::{Change, within};
+use nsim_agree::staged::StagedNetwork;
+use nsim_files::changes::{Change, with_changes};
 use nsim_files::lower::lower;
 use nsim_import::model::load_model;
 use nsim_ir::base::fixed::ThresholdMantissa;
@@ -19,13 +19,13 @@ use nsim_ir::spikes::Sample;
 use nsim_quantise::analytic;
 
 /// Coincidence or classes that a change has to gain.
-const WORTH: f64 = 0.005;
+const LEAST_GAIN: f64 = 0.005;
 /// Most doublings of the thresholds.
 const DOUBLINGS: i64 = 3;
 
 /// The suggested command.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Next {
+pub struct Suggestion {
     /// The cause that it reduces; none if it looks closer.
     pub cause: Option<Cause>,
     /// Its effect.
@@ -36,7 +36,7 @@ pub struct Next {
 
 /// Command-line arguments.
 #[derive(Debug, Clone)]
-pub struct Typed<'a> {
+pub struct CommandWords<'a> {
     /// The words after `nsim`.
     pub words: Vec<String>,
     /// The model among them.
@@ -62,9 +62,9 @@ fn command(words: &[String]) -> String {
     std::iter::once("nsim".to_string()).chain(words).collect::<Vec<_>>().join(" ")
 }
 
-impl Typed<'_> {
+impl CommandWords<'_> {
     /// The command line with options replaced or added. Files that it wrote are replaced.
-    fn with(&self, options: &[(&str, &str)]) -> String {
+    fn with_options(&self, options: &[(&str, &str)]) -> String {
         let mut words = self.words.clone();
         for &(name, value) in options {
             let given = words.iter().position(|word| word == name || word.starts_with(&format!("{name}=")));
@@ -142,47 +142,47 @@ fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
 }
 
 /// Distance of the changed model's integers from this model as its tool runs it.
-fn tried(model: &str, changes: &[String], samples: &[&Sample]) -> Option<Distance> {
+fn distance_after(model: &str, changes: &[String], samples: &[&Sample]) -> Option<Distance> {
     let changes: Vec<Change> = changes.iter().map(|change| Change::parse(change)).collect::<Result<_, _>>().ok()?;
-    let graph = lower(&within(&changes, || load_model(model)).ok()?).ok()?;
-    let ladder = Ladder::new(&graph, &analytic::starts(&graph)).ok()?;
+    let graph = lower(&with_changes(&changes, || load_model(model)).ok()?).ok()?;
+    let ladder = StagedNetwork::new(&graph, &analytic::starts(&graph)).ok()?;
     let output = output_layer(ladder.deployed());
     let trained = as_trained(&ladder, &output, samples);
-    Some(measured((&ladder, trained), &[(&ladder, Rung::MACHINE)], &output, samples).first()?.distance)
+    Some(compare_stages((&ladder, trained), &[(&ladder, ComparisonStage::MACHINE)], &output, samples).first()?.distance)
 }
 
-fn figures(distance: &Distance) -> String {
+fn distance_text(distance: &Distance) -> String {
     let classes = distance.class_agreement.map_or(String::new(), |share| format!("classes agree in {share:.3}, "));
     format!("{classes}coincidence {:.3}", distance.coincidence)
 }
 
 /// The next command; `None` if almost nothing is lost, or nothing is left to try.
-pub fn next(
-    typed: &Typed<'_>,
-    (graph, ladder): (&Graph, &Ladder),
+pub fn suggest(
+    typed: &CommandWords<'_>,
+    (graph, ladder): (&Graph, &StagedNetwork),
     attribution: &Attribution,
     samples: &[&Sample],
-) -> Option<Next> {
+) -> Option<Suggestion> {
     let worst = attribution.worst();
     let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
     let found = worst.and_then(|cause| remedy(typed, (graph, ladder), cause, attribution, samples));
     let found = found.or_else(|| {
         let (what, command) = search(typed).filter(|_| lossy && graph.has_srm())?;
-        Some(Next { cause: worst, what: what.to_string(), command })
+        Some(Suggestion { cause: worst, what: what.to_string(), command })
     });
     found.or_else(|| {
         let words = typed.closer.as_ref().filter(|_| lossy)?;
         let what = "draws both potentials around the first spike that differs".to_string();
-        Some(Next { cause: None, what, command: command(words) })
+        Some(Suggestion { cause: None, what, command: command(words) })
     })
 }
 
 /// The next call in Python, where the model's file cannot be changed; `None` if almost nothing is
 /// lost. `target` names the target.
-pub fn in_python(attribution: &Attribution, target: Option<&str>) -> Option<Next> {
+pub fn suggest_in_python(attribution: &Attribution, target: Option<&str>) -> Option<Suggestion> {
     attribution.worst().filter(|_| attribution.layers.iter().any(LayerLoss::is_lossy))?;
     let target = target.map_or(String::new(), |target| format!(", target='{target}'"));
-    Some(Next {
+    Some(Suggestion {
         cause: None,
         what: "draws both potentials around the first spike that differs".to_string(),
         command: format!("network.agree(spikes{target}, plot='first.svg')"),
@@ -190,15 +190,15 @@ pub fn in_python(attribution: &Attribution, target: Option<&str>) -> Option<Next
 }
 
 fn remedy(
-    typed: &Typed<'_>,
-    (graph, ladder): (&Graph, &Ladder),
+    typed: &CommandWords<'_>,
+    (graph, ladder): (&Graph, &StagedNetwork),
     cause: Cause,
     attribution: &Attribution,
     samples: &[&Sample],
-) -> Option<Next> {
+) -> Option<Suggestion> {
     let spelled = |changes: &[String], what: String| {
         let options: Vec<(&str, &str)> = changes.iter().map(|change| ("--set", change.as_str())).collect();
-        Some(Next { cause: Some(cause), what, command: typed.with(&options) })
+        Some(Suggestion { cause: Some(cause), what, command: typed.with_options(&options) })
     };
     let before = &attribution.machine;
     if cause == Cause::Pipeline {
@@ -206,8 +206,8 @@ fn remedy(
         let without = attribution.shares.iter().find(|share| share.cause == cause)?.without;
         let what = format!(
             "starts each layer at the step of its depth, and extends samples until the output answers: {} (now {})",
-            figures(&without),
-            figures(before)
+            distance_text(&without),
+            distance_text(before)
         );
         return spelled(&changes, what);
     }
@@ -216,26 +216,26 @@ fn remedy(
     // A model that is read again has the resets of its file.
     let replaced = !graph.has_srm() && ladder.causes().contains(&Cause::HardReset);
     for (what, changes) in candidates(cause, graph).into_iter().filter(|_| !replaced) {
-        let Some(after) = tried(typed.model, &changes, samples) else { continue };
-        let least = best.as_ref().map_or(total(before), |(.., best)| total(best)) + WORTH;
-        if total(&after) > least && after.coincidence > before.coincidence + WORTH {
+        let Some(after) = distance_after(typed.model, &changes, samples) else { continue };
+        let least = best.as_ref().map_or(total(before), |(.., best)| total(best)) + LEAST_GAIN;
+        if total(&after) > least && after.coincidence > before.coincidence + LEAST_GAIN {
             best = Some((what, changes, after));
         }
     }
     let (what, changes, after) = best?;
-    spelled(&changes, format!("{what}: {} (now {})", figures(&after), figures(before)))
+    spelled(&changes, format!("{what}: {} (now {})", distance_text(&after), distance_text(before)))
 }
 
 /// A better search for the integers of a spike response network, unless this one was full.
-fn search(typed: &Typed<'_>) -> Option<(&'static str, String)> {
+fn search(typed: &CommandWords<'_>) -> Option<(&'static str, String)> {
     let (conversion, most_copies) = typed.conversion;
     match conversion {
         Conversion::Analytic => {
-            Some(("searches for better integers", typed.with(&[("--conversion", Conversion::Search.name())])))
+            Some(("searches for better integers", typed.with_options(&[("--conversion", Conversion::Search.name())])))
         }
-        Conversion::Search => (most_copies < copies::USUAL).then(|| {
-            let most = copies::USUAL.to_string();
-            ("gives the search more delayed copies of the input", typed.with(&[("--delayed-copies", &most)]))
+        Conversion::Search => (most_copies < copies::DEFAULT_COPIES).then(|| {
+            let most = copies::DEFAULT_COPIES.to_string();
+            ("gives the search more delayed copies of the input", typed.with_options(&[("--delayed-copies", &most)]))
         }),
     }
 }

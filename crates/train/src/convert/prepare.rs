@@ -42,7 +42,7 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
         "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes \
          agree in {:.4}, coincidence {:.3}; `nsim convert -o` writes them",
         found.samples,
-        found.end.classes.kept(),
+        found.end.classes.share_reproduced(),
         found.end.coincidence
     );
     Ok(found.conversion.integers(&graph)?.with_chosen_rounding().into())

@@ -22,12 +22,12 @@ use petgraph::algo::toposort;
 use petgraph::graph::NodeIndex;
 use rayon::prelude::*;
 
-use nsim_agree::attribution::{ComparedSample, Measured};
-use nsim_agree::causes::{Cause, Rung};
+use nsim_agree::attribution::{ComparedSample, StageComparison};
+use nsim_agree::causes::{Cause, ComparisonStage};
 use nsim_agree::classes::ClassTally;
 use nsim_agree::compare::output_layer;
-use nsim_agree::ladder::Ladder;
 use nsim_agree::metrics::{TrainSums, coincidence};
+use nsim_agree::staged::StagedNetwork;
 use nsim_agree::trace::{Layer, Trace};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, Delay, Refractory};
@@ -40,23 +40,23 @@ use nsim_quantise::exponents::Detail;
 use nsim_quantise::quantise::quantise_with;
 use nsim_reference::synapses::Synapses;
 
-use super::copies::{self, Arrivals, Copies, MOST};
+use super::copies::{self, Arrivals, Copies, MOST_COPIES};
 
 /// Most neuron-steps on which a candidate is tried; further calibration samples are skipped.
 const MOST_WORK: u64 = 2_000_000;
 
 /// Neuron-steps of the first trial of shapes, and most neuron-steps of the refinement.
-const SKETCH: usize = 40_000;
-const DRAWING: usize = 240_000;
+const FIRST_TRIAL_WORK: usize = 40_000;
+const REFINEMENT_WORK: usize = 240_000;
 /// Least number of samples of a first trial and of a refinement.
-const LEAST: usize = 8;
+const LEAST_SAMPLES: usize = 8;
 
 /// Synapses of a compartment onto itself. After this many steps the paper's refractory response is
 /// below 0.001 thresholds. With 10, its tail costs 0.01 to 0.03 in coincidence.
-const OWN: usize = 12;
+const SELF_SYNAPSES: usize = 12;
 
 /// Factor on the greatest input of the calibration samples up to which no register wraps.
-const FORESEEN: f64 = 2.0;
+const INPUT_MARGIN: f64 = 2.0;
 
 /// Distance that one more copy must gain: a constant, and a part for each synapse.
 const COPY_PRICE: f64 = 0.0005;
@@ -69,7 +69,7 @@ const MOST_SYNAPSES: usize = 49_152;
 const FEW_SYNAPSES: f64 = 24_576.0;
 
 /// Most compartments of a searched population, whose synapses onto themselves are listed.
-const MOST_OWN: u32 = 1 << 16;
+const MOST_SELF_CONNECTED: u32 = 1 << 16;
 
 named_variants! {
     /// Stages of the search, each added to the previous one.
@@ -100,7 +100,7 @@ pub struct ConversionScore {
 impl ConversionScore {
     /// The objective: wrong classes, wrong counts of the output, spikes that do not coincide.
     fn distance(&self) -> f64 {
-        2.0 * (1.0 - self.classes.kept()) + self.count_error + (1.0 - self.mean_coincidence)
+        2.0 * (1.0 - self.classes.share_reproduced()) + self.count_error + (1.0 - self.mean_coincidence)
     }
 }
 
@@ -118,8 +118,8 @@ impl Conversion {
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
-    pub fn ladder(&self, graph: &Graph) -> Result<Ladder> {
-        Ladder::with_exponents(graph, &self.fits, self.detail)
+    pub fn ladder(&self, graph: &Graph) -> Result<StagedNetwork> {
+        StagedNetwork::with_exponents(graph, &self.fits, self.detail)
     }
 
     /// The integers.
@@ -166,7 +166,7 @@ struct Candidate {
     keep_v: f64,
     threshold: f64,
     copies: Copies,
-    own: [f64; OWN],
+    own: [f64; SELF_SYNAPSES],
 }
 
 impl Candidate {
@@ -175,18 +175,18 @@ impl Candidate {
         spikes.clear();
         let (mut u, mut v) = (0.0, 0.0);
         // Arrivals from its own spikes, in this step and the next ones.
-        let (mut coming, mut at) = ([0.0; OWN], 0);
+        let (mut coming, mut at) = ([0.0; SELF_SYNAPSES], 0);
         for (step, x) in copied.iter().enumerate() {
             let x = x + coming[at];
             u = self.keep_u * u + x;
             see(x, u);
             coming[at] = 0.0;
-            at = if at + 1 == OWN { 0 } else { at + 1 };
+            at = if at + 1 == SELF_SYNAPSES { 0 } else { at + 1 };
             v = self.keep_v * v + u;
             if v > self.threshold {
                 v = 0.0;
                 spikes.push(step as u32);
-                let (first, rest) = self.own.split_at(OWN - at);
+                let (first, rest) = self.own.split_at(SELF_SYNAPSES - at);
                 coming[at..].iter_mut().zip(first).for_each(|(sum, weight)| *sum += weight);
                 coming.iter_mut().zip(rest).for_each(|(sum, weight)| *sum += weight);
             }
@@ -256,8 +256,8 @@ impl Task {
         gap
     }
 
-    /// The greatest input of a step to plan for: `FORESEEN` times the greatest of these samples, or
-    /// times the constant input that holds the current at its greatest value.
+    /// The greatest input of a step to plan for: `INPUT_MARGIN` times the greatest of these samples,
+    /// or times the constant input that holds the current at its greatest value.
     fn greatest_input(&self, c: &Candidate) -> f64 {
         let of_sample = |copied: &Vec<f64>| {
             let (mut most, mut spikes) = (0.0, Vec::new());
@@ -266,7 +266,7 @@ impl Task {
             }
             most
         };
-        FORESEEN * self.copied(&c.copies).par_iter().map(of_sample).reduce(|| 0.0, f64::max)
+        INPUT_MARGIN * self.copied(&c.copies).par_iter().map(of_sample).reduce(|| 0.0, f64::max)
     }
 
     fn distance(&self, candidate: &Candidate, copied: &[Vec<f64>]) -> f64 {
@@ -278,7 +278,7 @@ impl Task {
     /// The task over evenly chosen samples, enough to distinguish shapes.
     fn part(&self, neuron_steps: usize) -> Task {
         let all: usize = self.arrivals.iter().map(Vec::len).sum();
-        let every = all.div_ceil(neuron_steps).clamp(1, self.arrivals.len().div_ceil(LEAST).max(1));
+        let every = all.div_ceil(neuron_steps).clamp(1, self.arrivals.len().div_ceil(LEAST_SAMPLES).max(1));
         Task {
             neurons: self.neurons,
             arrivals: self.arrivals.iter().step_by(every).cloned().collect(),
@@ -307,7 +307,8 @@ impl Shape {
 
     fn candidate(&self, srm: &SrmParameters, timestep_ms: f64) -> Candidate {
         let Shape { keep_u, keep_v, copies, threshold, given_back, refractory } = *self;
-        let relative = analytic::own_synapses((srm, timestep_ms), (keep_u, keep_v), (given_back, refractory), OWN);
+        let relative =
+            analytic::own_synapses((srm, timestep_ms), (keep_u, keep_v), (given_back, refractory), SELF_SYNAPSES);
         let own = std::array::from_fn(|step| relative.get(step).map_or(0.0, |relative| relative * threshold));
         Candidate { keep_u, keep_v, threshold, copies, own }
     }
@@ -326,13 +327,15 @@ impl Shape {
 /// `most` is the greatest number of delayed copies of a population's input.
 pub fn search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<SearchResult> {
     let starts = analytic::starts(graph);
-    let ladder = Ladder::new(graph, &starts)?;
+    let ladder = StagedNetwork::new(graph, &starts)?;
     let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).max().unwrap_or(1);
     let fitting = (MOST_WORK / (largest * steps).max(1)).max(4) as usize;
     let samples = &samples[..samples.len().min(fitting)];
-    let trained: Vec<Trace> =
-        samples.par_iter().map(|sample| ladder.run(Rung::TRAINED.with(Cause::Untruncated), sample, false)).collect();
+    let trained: Vec<Trace> = samples
+        .par_iter()
+        .map(|sample| ladder.run(ComparisonStage::TRAINED.with(Cause::Untruncated), sample, false))
+        .collect();
     let layers = ladder.layers();
     let output = output_layer(ladder.deployed());
     let score = |conversion: &Conversion| -> Result<ConversionScore> {
@@ -369,7 +372,7 @@ fn pipeline(
         let population = graph.population(node);
         let PopulationKind::Srm(srm) = &population.kind else { continue };
         let Some(layer) = layers.iter().find(|layer| layer.name == population.name) else { continue };
-        if layer.count > MOST_OWN {
+        if layer.count > MOST_SELF_CONNECTED {
             // It keeps its analytic fit.
             continue;
         }
@@ -396,17 +399,17 @@ fn earlier(trace: &Trace) -> Trace {
 }
 
 fn scored(
-    ladder: &Ladder,
+    ladder: &StagedNetwork,
     layers: &[Layer],
     output: &Layer,
     samples: &[&Sample],
     trained: &[Trace],
 ) -> ConversionScore {
     let compared = |(sample, trained): (&&Sample, &Trace)| {
-        ComparedSample::new(layers, output, (trained, &ladder.run(Rung::MACHINE, sample, false)), -1)
+        ComparedSample::new(layers, output, (trained, &ladder.run(ComparisonStage::MACHINE, sample, false)), -1)
     };
     let each: Vec<ComparedSample> = samples.par_iter().zip(trained).map(compared).collect();
-    let Measured { distance, layers: by_layer, classes, .. } = Measured::new(layers.len(), each.iter());
+    let StageComparison { distance, layers: by_layer, classes, .. } = StageComparison::new(layers.len(), each.iter());
     let last = layers.iter().position(|layer| layer == output).map(|place| by_layer[place]).unwrap_or_default();
     ConversionScore {
         classes,
@@ -417,7 +420,7 @@ fn scored(
 }
 
 /// The first channel or compartment of each population.
-pub(super) fn firsts(graph: &Graph) -> Vec<u32> {
+pub(super) fn first_indices(graph: &Graph) -> Vec<u32> {
     let (mut channels, mut compartments) = (0, 0);
     let first = |(_, population): (NodeIndex, &Population)| {
         let counter = if matches!(population.kind, PopulationKind::Input) { &mut channels } else { &mut compartments };
@@ -435,7 +438,7 @@ fn task(
     (samples, converted, trained): (&[&Sample], &[Trace], &[Trace]),
     count_weight: f64,
 ) -> Task {
-    let (neurons, firsts) = (layer.count as usize, firsts(graph));
+    let (neurons, firsts) = (layer.count as usize, first_indices(graph));
     let links: Vec<_> = graph
         .incoming(node)
         .map(|(source, projection)| {
@@ -484,7 +487,7 @@ fn best_shape(
     tried: &mut u64,
 ) -> Option<Shape> {
     let timestep_ms = graph.facts().timestep_ms;
-    let (sketch, drawing) = (task.part(SKETCH), task.part(DRAWING));
+    let (sketch, drawing) = (task.part(FIRST_TRIAL_WORK), task.part(REFINEMENT_WORK));
     let into = || graph.incoming(node).map(|(_, projection)| projection);
     let latest = into().map(|projection| u32::from(projection.delay.get())).max().unwrap_or(0);
     let room = u32::from(Delay::MAX.get()) - latest;
@@ -494,7 +497,7 @@ fn best_shape(
     let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { most };
     let fan_in = (synapses / task.neurons.max(1) as f64) as usize;
     // With few synapses, copies are almost free.
-    let most = if 2.0 * most as f64 * synapses <= FEW_SYNAPSES { (2 * most).min(MOST) } else { most };
+    let most = if 2.0 * most as f64 * synapses <= FEW_SYNAPSES { (2 * most).min(MOST_COPIES) } else { most };
     let most = most.min(MOST_SYNAPSES / fan_in.max(1)).max(1);
     let shape = |(keep_u, keep_v, copies): (f64, f64, Copies)| {
         // Random weights have no factor, so the threshold is scaled.

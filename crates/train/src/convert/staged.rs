@@ -5,30 +5,30 @@
 //! [`super::search`], all others through the choice of exponents (`nsim_quantise::exponents`). If
 //! the target cannot reset by subtraction, a first stage replaces this by a reset to zero. The cost
 //! of each kind of integer is found by replacing it with its real numbers, while all other integers
-//! stay (`agree::ladder`).
+//! stay (`agree::staged`).
 
 use crate::convert::resets;
 use crate::convert::search::{self, Conversion, SearchResult};
 use nsim_agree::attribution::{self, Attribution, Distance, Share};
-use nsim_agree::causes::{Cause, Rung};
+use nsim_agree::causes::{Cause, ComparisonStage};
 use nsim_agree::compare::output_layer;
-use nsim_agree::ladder::Ladder;
+use nsim_agree::staged::StagedNetwork;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::graph::{Graph, PopulationKind};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_quantise::analytic::{self, Fit};
 use nsim_quantise::exponents::Detail;
-use nsim_session::Keep;
-use nsim_session::populations::ByPopulation;
+use nsim_session::SampleSettings;
+use nsim_session::populations::CountsByPopulation;
 use nsim_session::samples::golden;
-use nsim_session::warnings::widen;
+use nsim_session::warnings::clipping_advice;
 
 /// Samples on which the slow interpreter counts overflows.
-const COUNTED: usize = 4;
+const OVERFLOW_SAMPLES: usize = 4;
 
 /// Calibration samples on which the loss is attributed to kinds of integers.
-const ATTRIBUTED: usize = 20;
+const ATTRIBUTION_SAMPLES: usize = 20;
 
 /// A stage and the network's distance after it.
 #[derive(Debug, Clone, PartialEq, serde::Serialize)]
@@ -63,7 +63,7 @@ pub struct LayerRow {
 
 /// Distance of integers from the network that they represent.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Measured {
+pub struct MeasuredDistance {
     /// Distance over all layers.
     pub distance: Distance,
     /// Name of each layer, coincidence (none where nothing spikes), spikes of the integers.
@@ -90,11 +90,11 @@ pub struct Converted {
     /// Loss of coincidence by cause and layer, on these samples.
     pub attribution: Attribution,
     /// Measures on the calibration samples.
-    pub calibration: Measured,
+    pub calibration: MeasuredDistance,
     /// The comparison stages between the network and its integers.
-    pub ladder: Ladder,
+    pub ladder: StagedNetwork,
     /// The network as its tool runs it.
-    pub trained: Rung,
+    pub trained: ComparisonStage,
     /// Detail at which exponents and weights were chosen.
     pub detail: Detail,
 }
@@ -112,27 +112,27 @@ pub fn is_real(graph: &Graph) -> bool {
         || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some())
 }
 
-fn by_layer(ladder: &Ladder, measured: attribution::Measured, samples: usize) -> Measured {
+fn by_layer(ladder: &StagedNetwork, measured: attribution::StageComparison, samples: usize) -> MeasuredDistance {
     let rows = ladder.layers().into_iter().zip(measured.layers).map(|(layer, sum)| {
         let silent = sum.spikes_a + sum.spikes_b == 0;
         (layer.name, (!silent).then(|| sum.coincidence()), sum.spikes_b)
     });
-    Measured { distance: measured.distance, layers: rows.collect(), samples, accuracy: measured.accuracy }
+    MeasuredDistance { distance: measured.distance, layers: rows.collect(), samples, accuracy: measured.accuracy }
 }
 
 impl Converted {
     /// Distance of these integers, or others of these populations, from the trained network.
-    pub fn compared(&self, integers: &Ladder, samples: &[&Sample]) -> Measured {
+    pub fn measure(&self, integers: &StagedNetwork, samples: &[&Sample]) -> MeasuredDistance {
         let from = (&self.ladder, self.trained);
         let output = output_layer(self.ladder.deployed());
-        let on = attribution::measured(from, &[(integers, Rung::MACHINE)], &output, samples).remove(0);
+        let on = attribution::compare_stages(from, &[(integers, ComparisonStage::MACHINE)], &output, samples).remove(0);
         by_layer(&self.ladder, on, samples.len())
     }
 }
 
 /// Limits of a conversion.
 #[derive(Debug, Clone, Copy)]
-pub struct Choices {
+pub struct ConversionLimits {
     /// Most delayed copies of a population's input.
     pub most_copies: usize,
     /// Whether compartments can reset by subtraction.
@@ -143,13 +143,18 @@ pub struct Choices {
 ///
 /// # Errors
 /// As `nsim_quantise::quantise`.
-pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: impl FnMut(&str)) -> Result<Converted> {
+pub fn convert(
+    given: &Graph,
+    samples: &[&Sample],
+    choices: ConversionLimits,
+    progress: impl FnMut(&str),
+) -> Result<Converted> {
     let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
     let graph = replaced.as_ref().unwrap_or(given);
     let most = choices.most_copies;
-    let Steps { fits, detail, mut stages, mut ladder } = match graph.has_srm() {
-        true => by_search(graph, samples, most, progress)?,
-        false => by_exponents(graph)?,
+    let UnmeasuredConversion { fits, detail, mut stages, mut ladder } = match graph.has_srm() {
+        true => convert_by_search(graph, samples, most, progress)?,
+        false => convert_by_exponents(graph)?,
     };
     if replaced.is_some() {
         ladder = ladder.from_subtraction(given);
@@ -157,21 +162,22 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
             first.name = format!("reset to zero; {}", first.name);
         }
         let name = "reset by subtraction, which the target does not have".to_string();
-        let as_given = Ladder::with_exponents(given, &analytic::starts(given), Detail::Zero)?;
+        let as_given = StagedNetwork::with_exponents(given, &analytic::starts(given), Detail::Zero)?;
         stages.insert(0, StageIntegers { name, kept: false, ladder: Some(as_given), decides: &[] });
     }
     let output = output_layer(ladder.deployed());
     let trained = attribution::as_trained(&ladder, &output, samples);
-    let mut rungs: Vec<(&Ladder, Rung)> = vec![(&ladder, Rung::MACHINE)];
-    rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, Rung::MACHINE))));
-    let mut all = attribution::measured((&ladder, trained), &rungs, &output, samples).into_iter();
-    let none = || attribution::Measured::new(0, std::iter::empty());
+    let mut rungs: Vec<(&StagedNetwork, ComparisonStage)> = vec![(&ladder, ComparisonStage::MACHINE)];
+    rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, ComparisonStage::MACHINE))));
+    let mut all = attribution::compare_stages((&ladder, trained), &rungs, &output, samples).into_iter();
+    let none = || attribution::StageComparison::new(0, std::iter::empty());
     let calibration = by_layer(&ladder, all.next().unwrap_or_else(none), samples.len());
     let distances_of_stages: Vec<Distance> = stages
         .iter()
         .map(|stage| stage.ladder.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
         .collect();
-    let some: Vec<&Sample> = samples.iter().step_by(samples.len().div_ceil(ATTRIBUTED).max(1)).copied().collect();
+    let some: Vec<&Sample> =
+        samples.iter().step_by(samples.len().div_ceil(ATTRIBUTION_SAMPLES).max(1)).copied().collect();
     let attribution = attribution::attribute_from(&ladder, trained, &output, &some);
     let left_from = attribution.machine;
     let left: Vec<Share> = attribution.shares.iter().filter(|share| share.cause != Cause::Kernel).copied().collect();
@@ -195,11 +201,11 @@ pub fn convert(given: &Graph, samples: &[&Sample], choices: Choices, progress: i
 }
 
 /// A conversion before it is measured.
-struct Steps {
+struct UnmeasuredConversion {
     fits: Vec<Option<Fit>>,
     detail: Detail,
     stages: Vec<StageIntegers>,
-    ladder: Ladder,
+    ladder: StagedNetwork,
 }
 
 /// A stage before it is measured.
@@ -208,12 +214,17 @@ struct StageIntegers {
     /// Whether the result includes it.
     kept: bool,
     /// Its integers; none where they are the result.
-    ladder: Option<Ladder>,
+    ladder: Option<StagedNetwork>,
     /// The kinds of integers that it chooses.
     decides: &'static [Cause],
 }
 
-fn by_search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<Steps> {
+fn convert_by_search(
+    graph: &Graph,
+    samples: &[&Sample],
+    most: usize,
+    progress: impl FnMut(&str),
+) -> Result<UnmeasuredConversion> {
     let SearchResult { conversion, stages, .. } = search::search(graph, samples, most, progress)?;
     let last = stages.iter().position(|(_, of_stage)| *of_stage == conversion).unwrap_or(0);
     let row = |(place, (stage, of_stage)): (usize, &(search::Stage, Conversion))| {
@@ -227,13 +238,14 @@ fn by_search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnM
     };
     let stages = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
     let ladder = conversion.ladder(graph)?;
-    Ok(Steps { fits: conversion.fits, detail: conversion.detail, stages, ladder })
+    Ok(UnmeasuredConversion { fits: conversion.fits, detail: conversion.detail, stages, ladder })
 }
 
-fn by_exponents(graph: &Graph) -> Result<Steps> {
+fn convert_by_exponents(graph: &Graph) -> Result<UnmeasuredConversion> {
     let fits = analytic::starts(graph);
     let row = |(name, detail): (&str, Detail)| {
-        let ladder = if detail == Detail::Groups { None } else { Some(Ladder::with_exponents(graph, &fits, detail)?) };
+        let ladder =
+            if detail == Detail::Groups { None } else { Some(StagedNetwork::with_exponents(graph, &fits, detail)?) };
         let decides: &[Cause] = if detail == Detail::Zero { &[] } else { &[Cause::Weights] };
         Ok(StageIntegers { name: name.to_string(), kept: true, ladder, decides })
     };
@@ -243,14 +255,15 @@ fn by_exponents(graph: &Graph) -> Result<Steps> {
         ("an exponent for weights of like size", Detail::Groups),
     ];
     let stages = stages.into_iter().map(row).collect::<Result<_>>()?;
-    let ladder = Ladder::new(graph, &fits)?;
-    Ok(Steps { fits, detail: Detail::default(), stages, ladder })
+    let ladder = StagedNetwork::new(graph, &fits)?;
+    Ok(UnmeasuredConversion { fits, detail: Detail::default(), stages, ladder })
 }
 
 /// Each layer of the integers, with its problem.
-fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<LayerRow> {
-    let some = &samples[..samples.len().min(COUNTED)];
-    let sums = ByPopulation::new(network, &golden(network, some, &Keep::new(network.output()), &|| ()).counts);
+fn rows(network: &Quantised, measured: &MeasuredDistance, samples: &[&Sample]) -> Vec<LayerRow> {
+    let some = &samples[..samples.len().min(OVERFLOW_SAMPLES)];
+    let sums =
+        CountsByPopulation::new(network, &golden(network, some, &SampleSettings::new(network.output()), &|| ()).counts);
     let rows = measured.layers.iter().map(|(name, coincidence, spikes)| {
         let target = network.population_named(name);
         let into = target.into_iter().flat_map(|target| network.incoming(target));
@@ -260,7 +273,7 @@ fn rows(network: &Quantised, measured: &Measured, samples: &[&Sample]) -> Vec<La
                 Some("it never fires, so there is nothing to compare; give input that drives it".to_string())
             }
             (0, Some(_), _) => Some("with integers it never fires, but the trained layer does".to_string()),
-            (_, _, 1..) => target.map(|target| format!("its voltages clip: {}", widen(network, target))),
+            (_, _, 1..) => target.map(|target| format!("its voltages clip: {}", clipping_advice(network, target))),
             _ => None,
         };
         let weight_exp = into.map(|(_, projection)| projection.format.exponent.get().into()).collect();

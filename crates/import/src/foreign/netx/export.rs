@@ -9,7 +9,7 @@
 //! Errors: `export.unsupported` for a model without a form in netx.
 
 use crate::foreign::hdf5::{Group, Item, Numbers};
-use crate::foreign::nir::export::{MOST_MATRIX, check_neurons, text_of};
+use crate::foreign::nir::export::{MOST_MATRIX, check_neurons, model_metadata};
 use crate::foreign::window::Step;
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -19,7 +19,7 @@ use nsim_ir::neurons::{NeuronKind, Port};
 pub(super) const GROUP: &str = "nsim";
 
 /// The netx form of a neuron kind.
-pub(super) struct Form {
+pub(super) struct NetxNeuron {
     /// Its type in netx.
     pub(super) kind: &'static str,
     /// Fields: nsim's parameter, netx's field, and the parameter's value for 1 in netx.
@@ -30,12 +30,12 @@ pub(super) struct Form {
     bias: Option<f64>,
 }
 
-const LEAKY: &[(&str, &str, f64)] =
+const LEAKY_FIELDS: &[(&str, &str, f64)] =
     &[("du", "iDecay", 1.0), ("dv", "vDecay", 1.0), ("vth_mant", "vThMant", 1.0), ("refractory", "refDelay", 1.0)];
-const CHANGES: &[(&str, &str, f64)] = &[("vth_mant", "vThMant", 1.0)];
-const TURNS: &[(&str, &str, f64)] =
+const SIGMA_DELTA_FIELDS: &[(&str, &str, f64)] = &[("vth_mant", "vThMant", 1.0)];
+const RESONATOR_FIELDS: &[(&str, &str, f64)] =
     &[("sin_decay", "sinDecay", 1.0), ("cos_decay", "cosDecay", 1.0), ("threshold", "vThMant", 64.0)];
-const ADAPTIVE: &[(&str, &str, f64)] = &[
+const ADAPTIVE_FIELDS: &[(&str, &str, f64)] = &[
     ("du", "iDecay", 1.0),
     ("dv", "vDecay", 1.0),
     ("dtheta", "thDecay", 1.0),
@@ -43,7 +43,7 @@ const ADAPTIVE: &[(&str, &str, f64)] = &[
     ("threshold", "vThMant", 64.0),
     ("threshold_step", "vThStep", 64.0),
 ];
-const TURNS_ADAPTIVE: &[(&str, &str, f64)] = &[
+const ADAPTIVE_RESONATOR_FIELDS: &[(&str, &str, f64)] = &[
     ("sin_decay", "sinDecay", 1.0),
     ("cos_decay", "cosDecay", 1.0),
     ("dtheta", "thDecay", 1.0),
@@ -52,25 +52,25 @@ const TURNS_ADAPTIVE: &[(&str, &str, f64)] = &[
     ("threshold_step", "vThStep", 64.0),
 ];
 /// Fractional bits of a resonator's state: lava-dl's weights are in 64ths, its states in 4096ths.
-const RESONATING: &[(&str, f64)] = &[("state_exp", 6.0)];
-const EXPONENTS: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0)];
-const RECTIFIED: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0), ("relu", 1.0)];
+const RESONATOR_CONSTANTS: &[(&str, f64)] = &[("state_exp", 6.0)];
+const DELTA_CONSTANTS: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0)];
+const SIGMA_DELTA_CONSTANTS: &[(&str, f64)] = &[("spike_exp", 6.0), ("state_exp", 6.0), ("relu", 1.0)];
 
-pub(super) fn form(kind: NeuronKind) -> Option<Form> {
+pub(super) fn netx_neuron(kind: NeuronKind) -> Option<NetxNeuron> {
     let (kind, fields, fixed, bias): (_, _, &[_], _) = match kind {
-        NeuronKind::Loihi => ("CUBA", LEAKY, &[], Some(64.0)),
-        NeuronKind::GradedLif => ("CUBA", LEAKY, &[], None),
-        NeuronKind::SigmaDelta => ("SDNN", CHANGES, RECTIFIED, Some(1.0)),
-        NeuronKind::Delta => ("SDNN", CHANGES, EXPONENTS, None),
+        NeuronKind::Loihi => ("CUBA", LEAKY_FIELDS, &[], Some(64.0)),
+        NeuronKind::GradedLif => ("CUBA", LEAKY_FIELDS, &[], None),
+        NeuronKind::SigmaDelta => ("SDNN", SIGMA_DELTA_FIELDS, SIGMA_DELTA_CONSTANTS, Some(1.0)),
+        NeuronKind::Delta => ("SDNN", SIGMA_DELTA_FIELDS, DELTA_CONSTANTS, None),
         NeuronKind::Sigma => ("SDNN", &[][..], &[], None),
-        NeuronKind::Rf => ("RF_PHASE", TURNS, RESONATING, None),
-        NeuronKind::RfIz => ("RF_IZHIKEVICH", TURNS, RESONATING, None),
-        NeuronKind::Alif => ("ALIF", ADAPTIVE, &[], None),
-        NeuronKind::Adrf => ("ADRF_PHASE", TURNS_ADAPTIVE, RESONATING, None),
-        NeuronKind::AdrfIz => ("ADRF_IZHIKEVICH", TURNS_ADAPTIVE, RESONATING, None),
+        NeuronKind::Rf => ("RF_PHASE", RESONATOR_FIELDS, RESONATOR_CONSTANTS, None),
+        NeuronKind::RfIz => ("RF_IZHIKEVICH", RESONATOR_FIELDS, RESONATOR_CONSTANTS, None),
+        NeuronKind::Alif => ("ALIF", ADAPTIVE_FIELDS, &[], None),
+        NeuronKind::Adrf => ("ADRF_PHASE", ADAPTIVE_RESONATOR_FIELDS, RESONATOR_CONSTANTS, None),
+        NeuronKind::AdrfIz => ("ADRF_IZHIKEVICH", ADAPTIVE_RESONATOR_FIELDS, RESONATOR_CONSTANTS, None),
         _ => return None,
     };
-    Some(Form { kind, fields, fixed, bias })
+    Some(NetxNeuron { kind, fields, fixed, bias })
 }
 
 fn unsupported(message: impl Into<String>) -> Diagnostic {
@@ -129,7 +129,7 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     }
     let simulation = Group::default().with("Ts", Numbers::f64(&[], &[model.timestep_ms]));
     let root = Group::default().with("layer", layers).with("simulation", simulation);
-    Ok((root.with(GROUP, text_of(model)?), notes))
+    Ok((root.with(GROUP, model_metadata(model)?), notes))
 }
 
 fn int(number: i64) -> Numbers {
@@ -150,7 +150,7 @@ fn numbers(parameter: &Parameter) -> Numbers {
 
 fn neuron(population: &PopulationDesc, notes: &mut Vec<String>) -> Result<Group> {
     let name = &population.name;
-    let Some(form) = population.loihi.as_ref().and(form(population.kind)) else {
+    let Some(form) = population.loihi.as_ref().and(netx_neuron(population.kind)) else {
         return Err(unsupported(format!("'{name}' has {} neurons, which netx does not have", population.kind_name())));
     };
     let mut neuron = Group::default().with("type", form.kind);
@@ -187,7 +187,7 @@ fn neuron(population: &PopulationDesc, notes: &mut Vec<String>) -> Result<Group>
 
 /// The bias in units of netx, unless it is 0.
 fn bias(population: &PopulationDesc) -> Option<Parameter> {
-    let (unit, mantissa) = (form(population.kind)?.bias?, population.parameter("bias_mant")?);
+    let (unit, mantissa) = (netx_neuron(population.kind)?.bias?, population.parameter("bias_mant")?);
     let exponent = |at: usize| population.parameter("bias_exp").map_or(0.0, |exponent| exponent.get(at));
     let each = (0..population.units() as usize).map(|at| mantissa.get(at) * exponent(at).exp2() / unit).collect();
     Some(Parameter::from_values(each)).filter(|bias| *bias != Parameter::Same(0.0))
@@ -232,13 +232,13 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
     match &first.kind {
         ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups } if into.len() == 1 => {
             let kernel = weights.tensor();
-            let weights = whole(first, kernel.reals())?;
+            let weights = integer_weights(first, kernel.reals())?;
             let layer = typed("conv", &population.shape).with("groups", int(*groups as i64));
             let layer = layer.with("weight", Numbers::f64(kernel.shape(), &weights));
             window(layer, [*stride, *padding, *dilation], *padding_after)
         }
         ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight } if into.len() == 1 => {
-            let weights = whole(first, vec![*weight; (kernel.0 * kernel.1) as usize])?;
+            let weights = integer_weights(first, vec![*weight; (kernel.0 * kernel.1) as usize])?;
             let weights = Numbers::f64(&[1, 1, kernel.0 as usize, kernel.1 as usize], &weights);
             let layer = typed("pool", &population.shape).with("kernelSize", pair(*kernel)).with("weight", weights);
             window(layer, [*stride, *padding, (1, 1)], *padding_after)
@@ -258,7 +258,7 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
                         return Err(unsupported(format!("netx does not support the {kind} projection into '{name}'")));
                     }
                 };
-                Ok(Numbers::f64(&[flat[0] as usize, sources], &whole(projection, weights)?))
+                Ok(Numbers::f64(&[flat[0] as usize, sources], &integer_weights(projection, weights)?))
             };
             let weights: Vec<Numbers> = into.iter().map(matrix).collect::<Result<_>>()?;
             let weights = match weights.as_slice() {
@@ -272,7 +272,7 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
 }
 
 /// Weights times their exponent.
-fn whole(projection: &ProjectionDesc, weights: impl IntoIterator<Item = f64>) -> Result<Vec<f64>> {
+fn integer_weights(projection: &ProjectionDesc, weights: impl IntoIterator<Item = f64>) -> Result<Vec<f64>> {
     let unit = (projection.weight_exp.unwrap_or(0) as f64).exp2();
     let scaled: Vec<f64> = weights.into_iter().map(|weight| weight * unit).collect();
     match scaled.iter().all(|weight| weight.fract() == 0.0) {

@@ -4,7 +4,7 @@
 //! are cross-correlated as stored. Shapes and numbers of weights are checked before their use.
 
 use super::layer::{Layer, geometry, input_of_window, volume};
-use super::reader::{Last, Reader, units};
+use super::reader::{LastPopulation, Reader, units};
 use crate::foreign::imported::integrator;
 use crate::foreign::window::{MOST_LISTED, Sliding};
 use nsim_files::network::{ProjectionKind, padding_after, tensor};
@@ -56,7 +56,7 @@ impl Reader<'_> {
             }
             // SLAYER feeds back the spikes of the previous step, so the delay field is 0. The
             // layer's own delay applies to the next layer only.
-            let undelayed = Last { delays: Vec::new(), ..recurrent };
+            let undelayed = LastPopulation { delays: Vec::new(), ..recurrent };
             let dense = |weights| ProjectionKind::Dense(tensor(square, weights));
             self.project(layer, &undelayed, &name, "weight_rec", dense)?;
         }

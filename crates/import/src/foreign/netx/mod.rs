@@ -19,8 +19,8 @@ mod reader;
 use std::cell::Cell;
 
 use super::hdf5::Group;
-use super::imported::{Imported, Options, listed, wrong_option};
-use super::nir::restored;
+use super::imported::{Imported, Options, name_list, wrong_option};
+use super::nir::unmodified_model;
 use crate::foreign::nir::export::restore;
 use layer::Layer;
 use neuron::set_bias;
@@ -39,7 +39,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     if let Some(Ok(_)) = &written {
         options.refuse_unused("a model of nsim, restored unchanged", &[])?;
     }
-    if let Some(imported) = restored("lava-dl netx", written, options, &mut notes)? {
+    if let Some(imported) = unmodified_model("lava-dl netx", written, options, &mut notes)? {
         return Ok(imported);
     }
     let layers = layers(root)?;
@@ -106,7 +106,7 @@ impl Reader<'_> {
             let members: Vec<&str> = group.items.keys().take(8).map(String::as_str).collect();
             return Err(wrong(format!(
                 "field 'type' of layer {number} is missing; the layer holds {}",
-                listed(&members)
+                name_list(&members)
             )));
         };
         let layer = Layer { number, kind: kind.to_string(), group };
@@ -305,7 +305,7 @@ impl Reader<'_> {
         let assumed = (!self.lost.is_empty()).then(|| self.lost.join("; "));
         let (model, notes, layers) = (self.model, self.notes, self.layers);
         let mut imported = Imported { kind: "lava-dl netx", model, notes, layers, assumed, reset: None }
-            .read_out(self.options.decision);
+            .with_decision(self.options.decision);
         imported.model.provenance = Some(format!("imported from a lava-dl netx file; {}", imported.notes.join("; ")));
         Ok(imported)
     }

@@ -3,18 +3,18 @@
 //! Input: a layer with a group `neuron`, or none. Output: a kind and its parameters, each one for
 //! all units or one per unit.
 
-use super::export::{Form, form};
+use super::export::{NetxNeuron, netx_neuron};
 use super::layer::Layer;
 use super::reader::{BIAS_EXP, DEFAULT_BITS, MOST_EXPANDED, Neurons, Reader, SDNN_EXP, units};
-use crate::foreign::imported::{NEVER, integrator};
+use crate::foreign::imported::{MAX_THRESHOLD, integrator};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::neurons::NeuronKind;
 
 /// The fields of a neuron; tauRho and scaleRho shape the surrogate gradient of training.
 const FIELDS: &str = "type iDecay vDecay vThMant refDelay gradedSpike wgtExp weight_exp theta tauRho scaleRho";
-/// The kinds whose fields are read by a table, [`form`].
-const TABLED: [NeuronKind; 5] =
+/// The kinds whose fields are read by a table, [`netx_neuron`].
+const TABLE_KINDS: [NeuronKind; 5] =
     [NeuronKind::Rf, NeuronKind::RfIz, NeuronKind::Alif, NeuronKind::Adrf, NeuronKind::AdrfIz];
 
 impl Reader<'_> {
@@ -36,9 +36,9 @@ impl Reader<'_> {
             let whole: Vec<f64> = given.iter().map(|x| x.trunc()).collect();
             let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
             if cut > 0 {
-                self.lose(format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number));
+                self.note_loss(format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number));
             }
-            let biases = self.each(layer, "bias", whole, shape)?;
+            let biases = self.expand(layer, "bias", whole, shape)?;
             match neurons.kind {
                 _ if biases == Parameter::Same(0.0) => {}
                 NeuronKind::Loihi => set_bias(&mut neurons.parameters, biases.values().to_vec()),
@@ -53,7 +53,7 @@ impl Reader<'_> {
     }
 
     /// Expands numbers that are one for all units, one per channel or one per unit.
-    pub(super) fn each(&self, layer: &Layer<'_>, key: &str, numbers: Vec<f64>, shape: &[u64]) -> Result<Parameter> {
+    pub(super) fn expand(&self, layer: &Layer<'_>, key: &str, numbers: Vec<f64>, shape: &[u64]) -> Result<Parameter> {
         let count = numbers.len() as u64;
         let all = units(shape).unwrap_or(u64::MAX);
         let value = Parameter::from_values(numbers);
@@ -85,15 +85,17 @@ impl Reader<'_> {
             "LOIHI" => self.slayer_time = true,
             "SDNN" => return self.sigma_delta(layer, shape),
             _ => {
-                let tabled = TABLED.iter().find_map(|&ours| Some((ours, form(ours).filter(|form| form.kind == kind)?)));
-                let Some((kind, form)) = tabled else {
+                let table_kind = TABLE_KINDS
+                    .iter()
+                    .find_map(|&ours| Some((ours, netx_neuron(ours).filter(|form| form.kind == kind)?)));
+                let Some((kind, form)) = table_kind else {
                     return Err(layer.unsupported(
                         format!("neuron type '{kind}' is not supported"),
                         "supported types: CUBA, LOIHI, SDNN, ALIF, RF_PHASE, RF_IZHIKEVICH, ADRF_PHASE and \
                          ADRF_IZHIKEVICH",
                     ));
                 };
-                return self.tabled(layer, shape, kind, &form);
+                return self.read_by_table(layer, shape, kind, &form);
             }
         }
         check_fields(layer, kind, FIELDS)?;
@@ -107,7 +109,7 @@ impl Reader<'_> {
         for (ours, theirs, range) in [
             ("du", "iDecay", 0.0..=4096.0),
             ("dv", "vDecay", 0.0..=4096.0),
-            ("vth_mant", "vThMant", 0.0..=NEVER),
+            ("vth_mant", "vThMant", 0.0..=MAX_THRESHOLD),
             ("refractory", "refDelay", 0.0..=63.0),
         ] {
             let key = format!("neuron/{theirs}");
@@ -118,7 +120,7 @@ impl Reader<'_> {
             if let Some(x) = numbers.iter().find(|x| x.fract() != 0.0 || !range.contains(*x)) {
                 return Err(layer.wrong(format!("{theirs} is {x}, outside {} to {}", range.start(), range.end())));
             }
-            let value = self.each(layer, theirs, numbers, shape)?;
+            let value = self.expand(layer, theirs, numbers, shape)?;
             if ours != "refractory" || value != Parameter::Same(1.0) {
                 parameters.push((ours, value));
             }
@@ -135,7 +137,7 @@ impl Reader<'_> {
     /// Resonate-and-fire neurons, with the rotation of the file, and neurons with an adaptive
     /// threshold. (netx recomputes the rotation from its period, which lowers some by one. It does
     /// not import adaptive neurons: it drops the layer or the adaptation.)
-    fn tabled(&self, layer: &Layer<'_>, shape: &[u64], kind: NeuronKind, form: &Form) -> Result<Neurons> {
+    fn read_by_table(&self, layer: &Layer<'_>, shape: &[u64], kind: NeuronKind, form: &NetxNeuron) -> Result<Neurons> {
         let leaky = kind == NeuronKind::Alif;
         let own: String = form.fields.iter().map(|(_, theirs, _)| format!(" {theirs}")).collect();
         let others = if leaky { "type gradedSpike refDelay" } else { "type gradedSpike" };
@@ -147,7 +149,7 @@ impl Reader<'_> {
         let mut parameters = Vec::new();
         for &(ours, theirs, unit) in form.fields {
             let numbers = layer.reals(&format!("neuron/{theirs}"))?;
-            parameters.push((ours, self.each(layer, theirs, numbers, shape)?.map(|number| number * unit)));
+            parameters.push((ours, self.expand(layer, theirs, numbers, shape)?.map(|number| number * unit)));
         }
         parameters.extend(form.fixed.iter().map(|&(name, value)| (name, Parameter::Same(value))));
         Ok(Neurons { kind, parameters, message_bits: None })
@@ -166,7 +168,7 @@ impl Reader<'_> {
         }
         let bits = layer.group.number("messageBits").map_or(DEFAULT_BITS, |bits| bits as i64);
         let mut parameters = vec![
-            ("vth_mant", self.each(layer, "vThMant", layer.reals("neuron/vThMant")?, shape)?),
+            ("vth_mant", self.expand(layer, "vThMant", layer.reals("neuron/vThMant")?, shape)?),
             ("spike_exp", Parameter::Same(self.options.spike_exp.map_or(SDNN_EXP, f64::from))),
             ("state_exp", Parameter::Same(self.options.state_exp.map_or(SDNN_EXP, f64::from))),
         ];

@@ -4,10 +4,10 @@
 //! synapse format; where delays differ, a list of synapses for each delay.
 
 use super::layer::Layer;
-use super::reader::{Last, Reader};
+use super::reader::{LastPopulation, Reader};
 use crate::foreign::encode;
 use crate::foreign::imported::{LONGEST_DELAY, LayerWeights};
-use crate::foreign::window::{MOST_LISTED, by_delay, listed};
+use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::SignMode;
@@ -18,7 +18,7 @@ impl Reader<'_> {
     pub(super) fn project(
         &mut self,
         layer: &Layer<'_>,
-        source: &Last,
+        source: &LastPopulation,
         to: &str,
         key: &str,
         kind: impl FnOnce(Vec<f64>) -> ProjectionKind,
@@ -34,7 +34,7 @@ impl Reader<'_> {
         let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();
         let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
         if cut > 0 {
-            self.lose(format!(
+            self.note_loss(format!(
                 "layer {}: {cut} numbers of '{key}' are not whole and lose their fraction",
                 layer.number
             ));
@@ -46,7 +46,7 @@ impl Reader<'_> {
         }
         let encoded = encode::encode(whole, exponent as i64);
         if encoded.changed > 0 {
-            self.lose(format!(
+            self.note_loss(format!(
                 "layer {}: {} of {} numbers of '{key}' do not fit into one synapse format with the others; they are \
                  rounded to even steps and clipped",
                 layer.number,
@@ -72,7 +72,7 @@ impl Reader<'_> {
     pub(super) fn connect(
         &mut self,
         layer: &Layer<'_>,
-        source: &Last,
+        source: &LastPopulation,
         to: &str,
         kind: ProjectionKind,
         weight_exp: Option<i64>,
@@ -88,7 +88,7 @@ impl Reader<'_> {
         }
         let target = self.model.population(to).map_or(&[][..], |population| &population.shape);
         let kind = std::mem::replace(&mut projection.kind, ProjectionKind::Sparse(Vec::new()));
-        let synapses = listed(kind, &source.shape, target).ok_or_else(|| {
+        let synapses = synapse_list(kind, &source.shape, target).ok_or_else(|| {
             layer.unsupported(
                 format!("its delays differ, so more than {MOST_LISTED} synapses would be listed individually"),
                 "give all units of the layer before it one delay",
@@ -123,9 +123,9 @@ impl Reader<'_> {
     }
 
     /// Delays of the layer's own synapses, `[target][source]`; delays of its inputs are expanded.
-    pub(super) fn synaptic_delays(&self, layer: &Layer<'_>, source: &Last) -> Result<Option<Vec<u32>>> {
+    pub(super) fn synaptic_delays(&self, layer: &Layer<'_>, source: &LastPopulation) -> Result<Option<Vec<u32>>> {
         let Some(delays) = self.delay_numbers(layer)? else { return Ok(None) };
-        let (targets, sources) = (self.last.as_ref().map_or(0, Last::units), source.units());
+        let (targets, sources) = (self.last.as_ref().map_or(0, LastPopulation::units), source.units());
         let count = delays.len() as u64;
         if layer.kind == "average" || count <= 1 || self.is_axonal(count) {
             return Ok(None);
@@ -150,7 +150,7 @@ impl Reader<'_> {
         let count = delays.len() as u64;
         if count == 1 || self.is_axonal(count) {
             let delays = delays.iter().map(|&delay| f64::from(delay)).collect();
-            let expanded = self.each(layer, "delay", delays, &last.shape)?;
+            let expanded = self.expand(layer, "delay", delays, &last.shape)?;
             last.delays = expanded.values().iter().map(|&delay| delay as u32).collect();
             self.last = Some(last);
         }

@@ -23,7 +23,7 @@ pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
 
 /// The population whose spikes reach the next layer.
 #[derive(Debug, Clone)]
-pub(super) struct Last {
+pub(super) struct LastPopulation {
     /// Its name.
     pub(super) name: String,
     pub(super) shape: Vec<u64>,
@@ -31,7 +31,7 @@ pub(super) struct Last {
     pub(super) delays: Vec<u32>,
 }
 
-impl Last {
+impl LastPopulation {
     pub(super) fn units(&self) -> u64 {
         units(&self.shape).unwrap_or(u64::MAX)
     }
@@ -63,7 +63,7 @@ pub(super) struct Reader<'a> {
     /// The notes about changed numbers.
     pub(super) lost: Vec<String>,
     pub(super) layers: Vec<LayerWeights>,
-    pub(super) last: Option<Last>,
+    pub(super) last: Option<LastPopulation>,
     pub(super) expanded: Cell<u64>,
     pub(super) slayer_time: bool,
     /// Number of populations of compartments so far, which is the start step of the next one.
@@ -72,7 +72,7 @@ pub(super) struct Reader<'a> {
 
 impl Reader<'_> {
     /// Adds a note about changed numbers of the file.
-    pub(super) fn lose(&mut self, note: String) {
+    pub(super) fn note_loss(&mut self, note: String) {
         self.lost.push(note.clone());
         self.notes.push(note);
     }
@@ -91,11 +91,11 @@ impl Reader<'_> {
             (population.kind, population.loihi, population.message_bits) = (kind, Some(parameters), message_bits);
         }
         self.model.populations.push(population);
-        self.last = Some(Last { name: name.to_string(), shape, delays: Vec::new() });
+        self.last = Some(LastPopulation { name: name.to_string(), shape, delays: Vec::new() });
     }
 
     /// The previous layer; without one, adds an input of this shape.
-    pub(super) fn source(&mut self, shape: impl FnOnce() -> Result<Vec<u64>>) -> Result<Last> {
+    pub(super) fn source(&mut self, shape: impl FnOnce() -> Result<Vec<u64>>) -> Result<LastPopulation> {
         if self.last.is_none() {
             let shape = shape()?;
             self.push("input", shape, None);

@@ -14,22 +14,22 @@ use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Help to join layers without neurons between them.
-const JOINED: &str = "put a neuron between them, or join them into one layer. A convolution of stride s followed by a \
+const JOIN_HELP: &str = "put a neuron between them, or join them into one layer. A convolution of stride s followed by a \
                       pool without padding is read as one convolution with kernels of size k + (p - 1) s";
 
 impl Reader<'_> {
     /// The linear map of `nodes` after a population of the shape `source`.
-    pub(super) fn walk(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
+    pub(super) fn linear_map(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
         let (linear, bias) = (Linear::Diagonal(vec![1.0]), None);
         let mut connection =
             Connection { shape: source.to_vec(), linear, bias, source_delay: Vec::new(), delay: Vec::new() };
         for name in nodes {
-            connection = self.pass(connection, name)?;
+            connection = self.apply_node(connection, name)?;
         }
         Ok(connection)
     }
 
-    pub(super) fn pass(&self, mut connection: Connection, name: &str) -> Result<Connection> {
+    pub(super) fn apply_node(&self, mut connection: Connection, name: &str) -> Result<Connection> {
         let node = &self.flat.nodes[name];
         let group = node.group;
         let units =
@@ -78,8 +78,8 @@ impl Reader<'_> {
                         numbers.shape()
                     )));
                 }
-                self.before_weights(&mut connection, name)?;
-                connection.linear = self.then_dense(connection.linear, weights, targets, sources, name)?;
+                self.delays_to_sources(&mut connection, name)?;
+                connection.linear = self.compose_dense(connection.linear, weights, targets, sources, name)?;
                 connection.shape = vec![targets];
                 connection.bias = self.bias(group, name, &connection.shape)?;
             }
@@ -94,9 +94,9 @@ impl Reader<'_> {
                 if shared.is_some() {
                     connection.bias = None;
                 }
-                self.before_weights(&mut connection, name)?;
+                self.delays_to_sources(&mut connection, name)?;
                 let target = window.sliding.target.to_vec();
-                connection.linear = self.then_window(connection.linear, window, &connection.shape, name)?;
+                connection.linear = self.compose_window(connection.linear, window, &connection.shape, name)?;
                 let plane = target[1] * target[2];
                 connection.shape = target;
                 connection.bias = match shared {
@@ -146,13 +146,13 @@ impl Reader<'_> {
     }
 
     /// Converts the delays so far to delays of the sources, before weights that mix units.
-    fn before_weights(&self, connection: &mut Connection, name: &str) -> Result<()> {
+    fn delays_to_sources(&self, connection: &mut Connection, name: &str) -> Result<()> {
         if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {
             let pool = self.flat.nodes[name].kind.ends_with("Pool2d");
             return Err(unsupported(
                 format!("a bias is added before node '{name}', without a neuron in between"),
                 if pool {
-                    JOINED
+                    JOIN_HELP
                 } else {
                     "multiply the bias by the weights of the node and add the product to its own bias"
                 },
@@ -293,11 +293,11 @@ impl Reader<'_> {
             format!(
                 "node '{name}' follows another without a neuron in between, and their product has too many synapses"
             ),
-            JOINED,
+            JOIN_HELP,
         )
     }
 
-    pub(super) fn then_dense(
+    pub(super) fn compose_dense(
         &self,
         before: Linear,
         weights: Vec<f64>,
@@ -312,7 +312,7 @@ impl Reader<'_> {
                 Ok(Linear::Dense(scaled, sources))
             }
             before => {
-                let list = self.listed(before, sources, name)?;
+                let list = self.synapse_list(before, sources, name)?;
                 let inputs = list.iter().map(|s| s.0 + 1).max().unwrap_or(1) as usize;
                 let whole = targets.checked_mul(inputs).filter(|&n| n <= MOST_LISTED);
                 let work = targets.checked_mul(list.len()).filter(|&n| n <= 64 * MOST_LISTED);
@@ -328,7 +328,7 @@ impl Reader<'_> {
         }
     }
 
-    pub(super) fn then_window(&self, before: Linear, window: Window, shape: &[usize], name: &str) -> Result<Linear> {
+    pub(super) fn compose_window(&self, before: Linear, window: Window, shape: &[usize], name: &str) -> Result<Linear> {
         if let Linear::Window(first) = &before
             && let Some(joined) = first.then(&window)
         {
@@ -343,7 +343,7 @@ impl Reader<'_> {
                 Ok(Linear::Window(Window { kernel, ..window }))
             }
             before => {
-                let first = self.listed(before, product(shape).unwrap_or(0), name)?;
+                let first = self.synapse_list(before, product(shape).unwrap_or(0), name)?;
                 let second = window.list().ok_or_else(|| self.too_many(name))?;
                 let mut by_source: BTreeMap<u64, Vec<(u64, f64)>> = BTreeMap::new();
                 for (via, to, weight) in second {
@@ -364,7 +364,7 @@ impl Reader<'_> {
     }
 
     /// A linear part as a list of synapses; `units` is the size of a diagonal.
-    pub(super) fn listed(&self, linear: Linear, units: usize, name: &str) -> Result<Synapses> {
+    pub(super) fn synapse_list(&self, linear: Linear, units: usize, name: &str) -> Result<Synapses> {
         match linear {
             Linear::List(list) => Ok(list),
             Linear::Window(window) => window.list().ok_or_else(|| self.too_many(name)),

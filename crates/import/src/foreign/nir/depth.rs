@@ -34,7 +34,7 @@ impl Reader<'_> {
     }
 
     /// Steps by which spikes between two populations are delayed to align with longer paths.
-    pub(super) fn waits(&mut self, from: &str, to: &str) -> u32 {
+    pub(super) fn alignment_delay(&mut self, from: &str, to: &str) -> u32 {
         let depth = |name: &str| self.depths.get(name).copied().unwrap_or(0);
         if self.flat.nodes[from].kind == "Input" {
             return depth(to);

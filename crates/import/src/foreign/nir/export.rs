@@ -11,7 +11,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::foreign::hdf5::{Group, Item, Numbers};
-use crate::foreign::imported::{NEVER, every_step};
+use crate::foreign::imported::{MAX_THRESHOLD, always_spiking};
 use crate::foreign::window::Step;
 use nsim_files::network::{ArrayRef, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
@@ -22,12 +22,12 @@ use nsim_ir::tensor::Tensor;
 /// The version of NIR of the written layout.
 const VERSION: &str = "1.0.8";
 /// The key of the model's text in the metadata.
-const TEXT: &str = "nsim_model";
+const MODEL_TEXT_KEY: &str = "nsim_model";
 /// The file name of the arrays in the text.
-const ARRAYS: &str = "arrays";
+const ARRAYS_FILE: &str = "arrays";
 /// Time constant, in steps, that represents a decay of zero: `4096 dt / tau` rounds to 0, but `dt /
 /// tau` is not 0.
-pub(in crate::foreign) const ENDLESS: f64 = 4_503_599_627_370_496.0;
+pub(in crate::foreign) const NO_DECAY_TAU: f64 = 4_503_599_627_370_496.0;
 /// The most elements of a matrix that is written for a list of synapses.
 pub(in crate::foreign) const MOST_MATRIX: u64 = 1 << 24;
 
@@ -59,8 +59,8 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     }
     let dt = model.timestep_ms / 1e3;
     let mut graph = Graph { dt, ..Graph::default() };
-    let wires = Wires::new(model);
-    let biases = model.populations.iter().filter(|population| graph.takes_biases_of(&wires, population));
+    let wires = Connectivity::new(model);
+    let biases = model.populations.iter().filter(|population| graph.absorb_bias_source(&wires, population));
     let biases: BTreeSet<&String> = biases.map(|population| &population.name).collect();
     for population in model.populations.iter().filter(|population| !biases.contains(&population.name)) {
         graph.population(population)?;
@@ -77,23 +77,23 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
         }
     }
     let output = wires.population(&model.output).ok_or_else(|| unsupported("the model has no output"))?;
-    let name = graph.free("output");
+    let name = graph.unused_name("output");
     graph.nodes.insert(&name, node("Output").with("shape", shape(&output.shape)));
     graph.edges.push((model.output.clone(), name));
-    let metadata = text_of(model)?;
+    let metadata = model_metadata(model)?;
     let root = nir_graph(graph.nodes, graph.edges).with("metadata", metadata);
     Ok((Group::default().with("version", VERSION).with("node", root), graph.notes))
 }
 
 /// The text of a model and its arrays.
-pub(in crate::foreign) fn text_of(model: &NetworkFile) -> Result<Group> {
-    let (text, arrays) = model.ron(ARRAYS)?;
+pub(in crate::foreign) fn model_metadata(model: &NetworkFile) -> Result<Group> {
+    let (text, arrays) = model.ron(ARRAYS_FILE)?;
     let mut stored = Group::default();
     for (index, (key, tensor)) in arrays.iter().enumerate() {
         let entry = Group::default().with("key", key.as_str()).with("numbers", array(tensor));
         stored.insert(&index.to_string(), entry);
     }
-    Ok(Group::default().with(TEXT, text.as_str()).with("nsim_arrays", stored))
+    Ok(Group::default().with(MODEL_TEXT_KEY, text.as_str()).with("nsim_arrays", stored))
 }
 
 /// The model in the group `metadata` of a file that nsim wrote; `None` for other files. An error
@@ -105,7 +105,7 @@ pub(in crate::foreign) fn restore(
     export: impl Fn(&NetworkFile) -> Result<(Group, Vec<String>)>,
 ) -> Option<Result<NetworkFile, String>> {
     let metadata = root.group(metadata)?;
-    Some(restored(metadata, metadata.text(TEXT)?).and_then(|model| match export(&model) {
+    Some(parse_metadata(metadata, metadata.text(MODEL_TEXT_KEY)?).and_then(|model| match export(&model) {
         // Another version of nsim may write this model differently.
         Ok((again, _)) if parts.iter().all(|part| again.get(part) == root.get(part)) => Ok(model),
         Ok(_) => Err(format!("its {what} differ from the model in its metadata")),
@@ -113,7 +113,7 @@ pub(in crate::foreign) fn restore(
     }))
 }
 
-fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
+fn parse_metadata(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
     let source = SourceText::new("metadata", text);
     let file = NetworkFile::parse(&source).map_err(|problem| problem.to_string())?;
     let mut arrays = BTreeMap::new();
@@ -133,7 +133,7 @@ fn restored(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
         };
         let tensor =
             Tensor::new(numbers.shape().to_vec(), numbers_of).ok_or("an entry of its metadata is not an array")?;
-        arrays.insert(ArrayRef::Safetensors(ARRAYS.to_string(), key.to_string()), tensor);
+        arrays.insert(ArrayRef::Safetensors(ARRAYS_FILE.to_string(), key.to_string()), tensor);
     }
     let network = Network::new(file, source, arrays).map_err(|problem| problem.to_string())?;
     network.resolved().map_err(|problem| problem.to_string())
@@ -173,17 +173,17 @@ fn array(tensor: &Tensor) -> Numbers {
 
 /// The populations of a model by name, and the projections that enter and leave each.
 #[derive(Default)]
-struct Wires<'a> {
+struct Connectivity<'a> {
     output: &'a str,
     populations: BTreeMap<&'a str, &'a PopulationDesc>,
     entering: BTreeMap<&'a str, Vec<&'a ProjectionDesc>>,
     leaving: BTreeMap<&'a str, Vec<&'a ProjectionDesc>>,
 }
 
-impl<'a> Wires<'a> {
+impl<'a> Connectivity<'a> {
     fn new(model: &'a NetworkFile) -> Self {
         let populations = model.populations.iter().map(|population| (population.name.as_str(), population)).collect();
-        let mut wires = Wires { output: &model.output, populations, ..Wires::default() };
+        let mut wires = Connectivity { output: &model.output, populations, ..Connectivity::default() };
         for projection in &model.projections {
             wires.entering.entry(&projection.to).or_default().push(projection);
             for from in projection.from.iter().collect::<BTreeSet<_>>() {
@@ -220,9 +220,9 @@ struct Graph {
 impl Graph {
     /// Whether a population is the compartment that an import makes for biases of a current, which
     /// spikes in every step. If so, stores these biases, which become biases of nodes again.
-    fn takes_biases_of(&mut self, wires: &Wires<'_>, population: &PopulationDesc) -> bool {
+    fn absorb_bias_source(&mut self, wires: &Connectivity<'_>, population: &PopulationDesc) -> bool {
         let is_made = population.units() == 1
-            && population.loihi == Some(every_step())
+            && population.loihi == Some(always_spiking())
             && population.name != wires.output
             && wires.entering(&population.name).is_empty();
         if !is_made {
@@ -242,7 +242,7 @@ impl Graph {
             else {
                 return false;
             };
-            let unit = counts(wires, projection);
+            let unit = weight_unit(wires, projection);
             let weights: Vec<f64> = weights.tensor().reals().map(|w| w * unit).collect();
             let by_channel = matches!(other.kind, ProjectionKind::Conv2d { .. })
                 && by_channel(&weights, wires.population(&projection.to).map_or(&[][..], |p| &p.shape)).is_some();
@@ -259,7 +259,7 @@ impl Graph {
     }
 
     /// A name that no node has.
-    fn free(&self, name: &str) -> String {
+    fn unused_name(&self, name: &str) -> String {
         let mut free = name.to_string();
         let mut count = 1;
         while self.nodes.items.contains_key(&free) {
@@ -300,7 +300,7 @@ impl Graph {
                 return Err(unsupported(format!("'{name}' has {kind} neurons, which NIR does not support")));
             }
         };
-        let threshold = get("vth_mant").or(get("vth")).cloned().unwrap_or(Parameter::Same(NOTHING));
+        let threshold = get("vth_mant").or(get("vth")).cloned().unwrap_or(Parameter::Same(ABSENT_THRESHOLD));
         let bias = |unit: usize| match (get("bias_mant"), get("bias")) {
             (Some(mantissa), _) => mantissa.get(unit) * get("bias_exp").map_or(0.0, |e| e.get(unit)).exp2() / 64.0,
             (None, Some(real)) => real.get(unit),
@@ -309,10 +309,10 @@ impl Graph {
         let each = |f: &dyn Fn(usize) -> f64| Numbers::f64(&axes, &(0..units).map(f).collect::<Vec<_>>());
         let tau = |fraction: &Parameter, unit: usize| {
             let fraction = fraction.get(unit);
-            if fraction > 0.0 { dt / fraction } else { dt * ENDLESS }
+            if fraction > 0.0 { dt / fraction } else { dt * NO_DECAY_TAU }
         };
         // Import gives an integrator the greatest threshold, which is never reached.
-        let integrates = get("vth_mant") == Some(&Parameter::Same(NEVER));
+        let integrates = get("vth_mant") == Some(&Parameter::Same(MAX_THRESHOLD));
         let neuron = node(if integrates { "CubaLI" } else { "CubaLIF" })
             .with("tau_syn", each(&|unit| tau(&synapse, unit)))
             .with("tau_mem", each(&|unit| tau(&membrane, unit)))
@@ -342,12 +342,12 @@ impl Graph {
         Ok(())
     }
 
-    fn projection(&mut self, wires: &Wires<'_>, projection: &ProjectionDesc, index: usize) -> Result<()> {
+    fn projection(&mut self, wires: &Connectivity<'_>, projection: &ProjectionDesc, index: usize) -> Result<()> {
         let find = |name: &str| {
             wires.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
         };
         let target = find(&projection.to)?;
-        let unit = counts(wires, projection);
+        let unit = weight_unit(wires, projection);
         let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
         if matrix && target.shape.len() > 1 {
             self.notes.push(format!(
@@ -361,14 +361,14 @@ impl Graph {
         let together: u64 = sources.iter().map(|source| source.units()).sum();
         let mut first = 0;
         for (part, source) in sources.iter().enumerate() {
-            let name = self.free(&format!("w{index}_{part}"));
+            let name = self.unused_name(&format!("w{index}_{part}"));
             let undelayed = written_delay(projection, source, target) == 0;
             let bias = if undelayed { self.bias_for(projection, target) } else { None };
             let chain = self.weights(projection, (source, target), (first, together), unit, bias)?;
             first += source.units();
             let mut last = source.name.clone();
             for (step, node) in chain.into_iter().enumerate() {
-                let name = if step == 0 { name.clone() } else { self.free(&format!("{name}_{step}")) };
+                let name = if step == 0 { name.clone() } else { self.unused_name(&format!("{name}_{step}")) };
                 self.nodes.insert(&name, node);
                 self.edges.push((last, name.clone()));
                 last = name;
@@ -503,7 +503,8 @@ impl Graph {
         let columns = axis((from_w, to_w), kw as u64, stride.1, before.1, dilation.1);
         let least = rows.kernel.max(columns.kernel);
         let sizes = least..=2 * least + rows.before + columns.before + 2;
-        let square = sizes.clone().find_map(|size| Some((rows.widened(size)?, columns.widened(size)?)));
+        let square =
+            sizes.clone().find_map(|size| Some((rows.with_kernel_size(size)?, columns.with_kernel_size(size)?)));
         let (rows, columns) = match square {
             Some(both) => both,
             None => {
@@ -512,7 +513,7 @@ impl Graph {
                      file, nsim reads it",
                     target.name
                 ));
-                let own = |axis: Axis| (axis.kernel..=*sizes.end()).find_map(|size| axis.widened(size));
+                let own = |axis: Axis| (axis.kernel..=*sizes.end()).find_map(|size| axis.with_kernel_size(size));
                 own(rows).zip(own(columns)).ok_or_else(|| {
                     unsupported(format!("NIR does not support the paddings of the convolution to '{}'", target.name))
                 })?
@@ -561,7 +562,7 @@ struct Axis {
 }
 
 /// A window with zeros around its kernel and one padding for both ends.
-struct Widened {
+struct PaddedWindow {
     size: u64,
     /// Zeros before the kernel.
     first: u64,
@@ -571,7 +572,7 @@ struct Widened {
 
 impl Axis {
     /// The window with a kernel of `size` places, if its number of outputs is unchanged.
-    fn widened(&self, size: u64) -> Option<Widened> {
+    fn with_kernel_size(&self, size: u64) -> Option<PaddedWindow> {
         let zeros = size.checked_sub(self.kernel)?;
         let reach = self.dilation * (size - 1) + 1;
         // One output needs no stride, and a large stride prevents a second output.
@@ -579,14 +580,14 @@ impl Axis {
         (0..=zeros).find_map(|first| {
             let padding = self.before + first * self.dilation;
             let outputs = (self.from + 2 * padding).checked_sub(reach)? / stride + 1;
-            (outputs == self.to).then_some(Widened { size, first, stride, padding })
+            (outputs == self.to).then_some(PaddedWindow { size, first, stride, padding })
         })
     }
 }
 
 /// A projection's weight of 1 in units of the threshold mantissa, the register divided by 64, or of
 /// a real threshold.
-fn counts(wires: &Wires<'_>, projection: &ProjectionDesc) -> f64 {
+fn weight_unit(wires: &Connectivity<'_>, projection: &ProjectionDesc) -> f64 {
     let real = wires.population(&projection.to).is_some_and(|target| target.parameter("vth").is_some());
     match (real, projection.weight_scale) {
         (true, _) => 1.0,
@@ -613,4 +614,4 @@ pub(in crate::foreign) fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Ve
 }
 
 /// The threshold that is written for neurons without one.
-const NOTHING: f64 = 1.0;
+const ABSENT_THRESHOLD: f64 = 1.0;

@@ -137,7 +137,7 @@ impl Reader<'_> {
             for name in missing {
                 let known = self.paths(name)?.into_iter().find(|path| self.shapes.contains_key(&path[0]));
                 if let Some(path) = known {
-                    let shape = self.walk(&self.shapes[&path[0]], &path[1..])?.shape;
+                    let shape = self.linear_map(&self.shapes[&path[0]], &path[1..])?.shape;
                     self.shapes.insert(name.clone(), shape);
                     changed = true;
                 }

@@ -43,7 +43,7 @@ mod state;
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::hdf5::Group;
-use super::imported::{Imported, NEVER, Options, ResetMode, wrong_option};
+use super::imported::{Imported, MAX_THRESHOLD, Options, ResetMode, wrong_option};
 use graph::unfold;
 use node_types::{Flat, WITHOUT_MEANING, fields, is_population, resets};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
@@ -57,7 +57,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut notes = Vec::new();
     let of_graph = (["node/nodes", "node/edges"], "nodes");
     let written = export::restore(root, "node/metadata", of_graph, export::export);
-    if let Some(imported) = restored("NIR", written, options, &mut notes)? {
+    if let Some(imported) = unmodified_model("NIR", written, options, &mut notes)? {
         let subtracts = imported.model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
         let reset = if subtracts { options.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero };
         return Ok(Imported { reset: Some(reset), ..imported });
@@ -89,14 +89,14 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let reset = resets.then_some(options.reset.unwrap_or(ResetMode::Zero));
     let assumed = (!assumed.is_empty()).then(|| assumed.join("; "));
     let imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed, reset };
-    let mut imported = imported.read_out(options.decision);
+    let mut imported = imported.with_decision(options.decision);
     imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
     Ok(imported)
 }
 
 /// The model that nsim wrote into a file, which no option may contradict. `None` if nsim did not
 /// write the file, or, with a note, if it was changed.
-pub(super) fn restored(
+pub(super) fn unmodified_model(
     kind: &'static str,
     written: Option<Result<NetworkFile, String>>,
     options: &Options,
@@ -164,7 +164,7 @@ impl Reader<'_> {
                 match &neuron.threshold {
                     Some(Parameter::Same(0.0)) => parameters.push(("vth_mant", Parameter::Same(0.0))),
                     Some(threshold) => parameters.push(("vth", threshold.clone())),
-                    None => parameters.push(("vth_mant", Parameter::Same(NEVER))),
+                    None => parameters.push(("vth_mant", Parameter::Same(MAX_THRESHOLD))),
                 }
                 parameters
             });

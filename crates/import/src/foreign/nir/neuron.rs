@@ -9,7 +9,7 @@ use std::cmp::Ordering;
 use super::node_types::resets;
 use super::state::{Reader, product, unsupported, wrong};
 use crate::foreign::hdf5::Group;
-use crate::foreign::imported::{DecayRule, decimal, wrong_option};
+use crate::foreign::imported::{DecayRule, shortest_decimal, wrong_option};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
 
@@ -49,7 +49,7 @@ const EXACT: f64 = 1e-3;
 pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
     let numbers = node.numbers(key).ok_or_else(|| wrong(format!("node '{name}' has no array '{key}'")))?;
     let single = numbers.dtype().ends_with("f4");
-    let reals: Vec<f64> = numbers.reals().map(|x| if single { decimal(x) } else { x }).collect();
+    let reals: Vec<f64> = numbers.reals().map(|x| if single { shortest_decimal(x) } else { x }).collect();
     match reals.iter().find(|x| !x.is_finite()) {
         Some(x) => Err(wrong(format!("node '{name}': '{key}' has a number that is {x}"))),
         None if reals.is_empty() => Err(wrong(format!("node '{name}': '{key}' is empty"))),

@@ -9,13 +9,13 @@ use super::linear::{Connection, Linear, Window, delay_at, scaled};
 use super::neuron::{Discrete, all};
 use super::node_types::resets;
 use super::state::{Reader, product, unsupported, wrong};
-use crate::foreign::imported::{LONGEST_DELAY, ResetMode, every_step, integrator};
-use crate::foreign::window::{MOST_LISTED, by_delay, listed};
+use crate::foreign::imported::{LONGEST_DELAY, ResetMode, always_spiking, integrator};
+use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// The diagnostic for too many listed synapses.
-fn beyond_listed() -> Diagnostic {
+fn too_many_listed() -> Diagnostic {
     unsupported(
         format!("more than {MOST_LISTED} synapses would be listed individually"),
         "projections are listed by synapse unless they are a matrix or a window",
@@ -37,7 +37,7 @@ impl Reader<'_> {
                 continue;
             }
             for path in self.paths(name)? {
-                waits |= self.walk(&self.shapes[&path[0]], &path[1..])?.bias.is_some();
+                waits |= self.linear_map(&self.shapes[&path[0]], &path[1..])?.bias.is_some();
             }
         }
         if waits {
@@ -59,7 +59,7 @@ impl Reader<'_> {
         let mut projections = Vec::new();
         let mut brought = BTreeSet::new();
         for path in self.paths(name)? {
-            let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
+            let arrived = self.linear_map(&self.shapes[&path[0]].clone(), &path[1..])?;
             if product(&arrived.shape) != Some(units) {
                 return Err(wrong(format!(
                     "'{name}' receives shape {:?}, but its parameters have shape {shape:?}",
@@ -89,7 +89,7 @@ impl Reader<'_> {
         }
         if current.iter().any(|&b| b != 0.0) {
             let weights: Vec<f64> = current.iter().enumerate().map(|(i, b)| b * neuron.gain.get(i)).collect();
-            let source = self.always();
+            let source = self.bias_source();
             let kind = ProjectionKind::Dense(tensor(vec![units, 1], weights));
             projections.push(ProjectionDesc::new(&source, &self.names[name], kind));
             self.notes.push(format!(
@@ -98,7 +98,7 @@ impl Reader<'_> {
         }
         let to = self.names[name].clone();
         if self.options.reset == Some(ResetMode::SubtractLater) && resets(&self.flat.nodes[name].kind) {
-            projections.extend(self.later_subtraction(&to, neuron, units)?);
+            projections.extend(self.delayed_reset(&to, neuron, units)?);
         }
         let mut parameters = Vec::new();
         if matches!(neuron.threshold, None | Some(Parameter::Same(0.0))) {
@@ -141,7 +141,7 @@ impl Reader<'_> {
 
     /// Synapses from each neuron to itself that move the subtraction of the threshold to the step
     /// after the spike.
-    fn later_subtraction(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionDesc>> {
+    fn delayed_reset(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionDesc>> {
         let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
         let weight = |unit: usize| -(neuron.dv.get(unit) / 4096.0) * threshold.get(unit);
         let kept = |unit: usize| 1.0 - neuron.du.get(unit) / 4096.0;
@@ -160,7 +160,7 @@ impl Reader<'_> {
     }
 
     /// An unused name: `wanted`, followed by underscores if it is taken.
-    fn free_name(&self, wanted: &str) -> String {
+    fn unused_name(&self, wanted: &str) -> String {
         let mut name = wanted.to_string();
         while self.names.values().any(|taken| *taken == name) {
             name.push('_');
@@ -169,10 +169,10 @@ impl Reader<'_> {
     }
 
     /// The name of the compartment that spikes in every step, which is added if absent.
-    pub(super) fn always(&mut self) -> String {
-        let name = self.free_name("always");
+    pub(super) fn bias_source(&mut self) -> String {
+        let name = self.unused_name("always");
         if self.model.population(&name).is_none() {
-            self.model.populations.push(PopulationDesc::loihi(&name, vec![1], every_step()));
+            self.model.populations.push(PopulationDesc::loihi(&name, vec![1], always_spiking()));
         }
         name
     }
@@ -220,18 +220,18 @@ impl Reader<'_> {
                     Err(weight) => ProjectionKind::SumPool2d { kernel: size, stride, padding, padding_after, weight },
                 }
             }
-            other => ProjectionKind::Sparse(self.listed(other, units, to)?),
+            other => ProjectionKind::Sparse(self.synapse_list(other, units, to)?),
         };
         let kind = if own_delays {
             let axes = |name: &str| self.shapes[name].iter().map(|&axis| axis as u64).collect::<Vec<_>>();
-            ProjectionKind::Sparse(listed(kind, &axes(from), &axes(to)).ok_or_else(beyond_listed)?)
+            ProjectionKind::Sparse(synapse_list(kind, &axes(from), &axes(to)).ok_or_else(too_many_listed)?)
         } else {
             kind
         };
         if let ProjectionKind::Sparse(synapses) = &kind {
             self.count(synapses.len())?;
         }
-        let waits = self.waits(from, to);
+        let waits = self.alignment_delay(from, to);
         let delay_of =
             |source: u64, target: u64| waits + delay_at(&before, source as usize) + delay_at(&behind, target as usize);
         let longest = waits + before.iter().max().unwrap_or(&0) + behind.iter().max().unwrap_or(&0);
@@ -253,7 +253,7 @@ impl Reader<'_> {
     /// Adds to the number of listed synapses, which is limited.
     pub(super) fn count(&mut self, synapses: usize) -> Result<()> {
         self.listed += synapses;
-        if self.listed > MOST_LISTED { Err(beyond_listed()) } else { Ok(()) }
+        if self.listed > MOST_LISTED { Err(too_many_listed()) } else { Ok(()) }
     }
 
     /// Sets the output population: the one before the output node, or, after weights, integrators.
@@ -275,7 +275,7 @@ impl Reader<'_> {
         if outputs.len() > 1 {
             self.notes.push(format!("there are {} outputs; '{output}' is used", outputs.len()));
         }
-        let arrived = self.walk(&self.shapes[&path[0]].clone(), &path[1..])?;
+        let arrived = self.linear_map(&self.shapes[&path[0]].clone(), &path[1..])?;
         self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;
         let plain = path[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
         let alone = leading.iter().filter(|(_, end)| end == output).count() == 1;
@@ -286,7 +286,7 @@ impl Reader<'_> {
         }
         // Weights without a neuron after them: v is their sum in each step.
         let output = output.clone();
-        let name = self.free_name("output");
+        let name = self.unused_name("output");
         self.names.insert(output.clone(), name.clone());
         self.shapes.insert(output.clone(), arrived.shape.clone());
         let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();

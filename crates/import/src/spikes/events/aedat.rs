@@ -107,7 +107,7 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
         ));
     }
     let mut at = magic.len() as u64;
-    let Some(header) = sized(input, &mut at, sink)? else {
+    let Some(header) = read_packet(input, &mut at, sink)? else {
         return Err(wrong("the file ends within its header"));
     };
     let header = root(&header).ok_or_else(|| wrong("the header is damaged"))?;
@@ -149,7 +149,7 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
         let [number, size] = [[head[0], head[1], head[2], head[3]], [head[4], head[5], head[6], head[7]]];
         let (number, size) = (i32::from_le_bytes(number), i32::from_le_bytes(size));
         let size = usize::try_from(size).unwrap_or(usize::MAX);
-        let Some(packed) = exactly(input, size, &mut at, sink)? else { break };
+        let Some(packed) = read_bytes(input, size, &mut at, sink)? else { break };
         let packet = unpack(packed, compression)?;
         budget.grow(at - std::mem::replace(&mut earned, at));
         if let Err(exceeded) = budget.bytes(packet.len() as u64) {
@@ -219,7 +219,7 @@ fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>> {
 }
 
 /// The next bytes, allocated as they are read; `None`, with a count, when the input ends early.
-fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
+fn read_bytes(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
     if size > MOST_PACKET {
         return Err(wrong(format!("a packet at byte {at} has a length of {size} bytes, more than {MOST_PACKET}")));
     }
@@ -234,13 +234,13 @@ fn exactly(input: &mut dyn BufRead, size: usize, at: &mut u64, sink: &mut dyn Si
 }
 
 /// A flatbuffer after its size; `None` when the input ends early.
-fn sized(input: &mut dyn BufRead, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
+fn read_packet(input: &mut dyn BufRead, at: &mut u64, sink: &mut dyn Sink) -> Result<Option<Vec<u8>>> {
     let mut size = [0; 4];
     if !fill(input, &mut size, sink)? {
         return Ok(None);
     }
     *at += size.len() as u64;
-    exactly(input, u32::from_le_bytes(size) as usize, at, sink)
+    read_bytes(input, u32::from_le_bytes(size) as usize, at, sink)
 }
 
 fn packet_events(buffer: &[u8], sink: &mut dyn Sink) -> Result<()> {

@@ -6,7 +6,7 @@
 use super::event::{Counts, Event, Sink, wrong};
 use super::text::unit_unknown;
 use crate::spikes::options::{EventOptions, Origin, Polarity};
-use crate::spikes::population::{Expected, PopulationSpikes, too_many};
+use crate::spikes::population::{InputSpec, PopulationSpikes, too_many};
 use nsim_files::budget::{MOST_EVENTS, MOST_STEPS};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
@@ -34,7 +34,7 @@ pub struct Bins {
     assumed: Option<(u32, u32)>,
     /// Whether the polarities of a place are adjacent channels instead of separate planes.
     interleaved: bool,
-    expected: Expected,
+    expected: InputSpec,
     sensor: Option<(u32, u32)>,
     grid: Option<Grid>,
     start_us: Option<i64>,
@@ -49,7 +49,7 @@ pub struct Bins {
 impl Bins {
     /// Empty bins for a population.
     pub fn new(
-        expected: &Expected,
+        expected: &InputSpec,
         options: &EventOptions,
         assumed: Option<(u32, u32)>,
         interleaved: bool,
@@ -119,7 +119,7 @@ impl Bins {
         Ok(grid)
     }
 
-    fn settle(&mut self) -> Result<()> {
+    fn merge_recent(&mut self) -> Result<()> {
         self.recent.sort_unstable();
         self.settled.reserve_exact(self.recent.len());
         self.settled.extend(self.recent.drain(..).map(|key| (key, 1)));
@@ -184,7 +184,7 @@ impl Bins {
     /// The sample, and the counts.
     pub fn finish(mut self, name: &str) -> Result<(PopulationSpikes, Counts)> {
         self.grid()?;
-        self.settle()?;
+        self.merge_recent()?;
         self.check_unit()?;
         let least = self.options.least.unwrap_or(1.0);
         let steps = match self.options.steps {
@@ -244,7 +244,7 @@ impl Sink for Bins {
         self.recent.push(u64::from(step) << 32 | u64::from(channel));
         // Batches that grow with the table keep the total work near the cost of a single sort.
         if self.recent.len() >= BATCH.max(self.settled.len()) {
-            self.settle()?;
+            self.merge_recent()?;
         }
         Ok(())
     }

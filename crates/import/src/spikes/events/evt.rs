@@ -21,7 +21,7 @@ pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) ->
         let lower = line.to_ascii_lowercase();
         let sides = |columns: &str, rows: &str| columns.trim().parse::<u32>().ok().zip(rows.trim().parse::<u32>().ok());
         if let Some(version) = lower.strip_prefix("evt ") {
-            agreed(&mut encoding, version.trim().to_string(), "encodings")?;
+            set_consistent(&mut encoding, version.trim().to_string(), "encodings")?;
         } else if let Some(format) = lower.strip_prefix("format ") {
             let name = format.split(';').next().unwrap_or_default().trim();
             let version = match name.trim_start_matches("evt") {
@@ -30,15 +30,15 @@ pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) ->
                 "21" => "2.1",
                 other => other,
             };
-            agreed(&mut encoding, version.to_string(), "encodings")?;
+            set_consistent(&mut encoding, version.to_string(), "encodings")?;
             let side = |key: &str| format.split(';').find_map(|part| part.trim().strip_prefix(key)?.strip_prefix('='));
             if let Some(sides) = side("width").zip(side("height")).and_then(|(w, h)| sides(w, h)) {
-                agreed(&mut size, sides, "sizes of the sensor")?;
+                set_consistent(&mut size, sides, "sizes of the sensor")?;
             }
         } else if let Some(sides) =
             lower.strip_prefix("geometry ").and_then(|text| text.split_once('x')).and_then(|(w, h)| sides(w, h))
         {
-            agreed(&mut size, sides, "sizes of the sensor")?;
+            set_consistent(&mut size, sides, "sizes of the sensor")?;
         }
     }
     if let Some((width, height)) = size {
@@ -60,11 +60,11 @@ pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) ->
 }
 
 /// Stores a value of the header, which must not contradict an earlier one.
-fn agreed<T: PartialEq>(known: &mut Option<T>, said: T, what: &str) -> Result<()> {
-    match known.as_ref().is_some_and(|known| *known != said) {
+fn set_consistent<T: PartialEq>(known: &mut Option<T>, value: T, what: &str) -> Result<()> {
+    match known.as_ref().is_some_and(|known| *known != value) {
         true => Err(wrong(format!("its header names two {what}"))),
         false => {
-            *known = Some(said);
+            *known = Some(value);
             Ok(())
         }
     }

@@ -10,7 +10,7 @@ use std::path::Path;
 use super::event::wrong;
 use crate::foreign::hdf5::{Attribute, Group, Item, Numbers};
 use crate::spikes::options::{ArrayOptions, EventOptions};
-use crate::spikes::population::{Expected, PopulationSpikes};
+use crate::spikes::population::{InputSpec, PopulationSpikes};
 use nsim_files::budget::MOST_STEPS;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
@@ -68,13 +68,13 @@ pub fn read(
     root: &Group,
     path: &Path,
     population: &str,
-    expected: &Expected,
+    expected: &InputSpec,
     options: &EventOptions,
 ) -> Result<Vec<PopulationSpikes>> {
     let group = observable(root, population)?;
     let &EventOptions { bin_us, steps, least, .. } = options;
-    let gridded = kind(group) == Some("TimeGriddedData");
-    let least = least.filter(|_| gridded);
+    let time_grid = kind(group) == Some("TimeGriddedData");
+    let least = least.filter(|_| time_grid);
     if *options != (EventOptions { bin_us, steps, least, ..EventOptions::default() }) {
         let message = "NIR data supports only the options bin_ms and steps, and least for data on a grid";
         return Err(Diagnostic::new("input.option", message));
@@ -183,7 +183,7 @@ pub fn events(samples: &[Vec<(u32, u32)>], units: u32, steps: u32, dt_s: f64) ->
         }
     }
     let shape = [samples.len(), most];
-    attributed(
+    with_attributes(
         Group::default().with("idx", Numbers::i64(&shape, &idx)).with("time", Numbers::f64(&shape, &time)),
         "EventData",
         &[("n_neurons", f64::from(units)), ("t_max", f64::from(steps) * dt_s)],
@@ -191,18 +191,21 @@ pub fn events(samples: &[Vec<(u32, u32)>], units: u32, steps: u32, dt_s: f64) ->
 }
 
 /// An observable with numbers `[samples][steps][units]` on a grid of time.
-pub fn gridded(numbers: &[f64], shape: [usize; 3], dt_s: f64) -> Group {
-    attributed(Group::default().with("data", Numbers::f64(&shape, numbers)), "TimeGriddedData", &[("dt", dt_s)])
+pub fn time_grid(numbers: &[f64], shape: [usize; 3], dt_s: f64) -> Group {
+    with_attributes(Group::default().with("data", Numbers::f64(&shape, numbers)), "TimeGriddedData", &[("dt", dt_s)])
 }
 
 /// The tree of a file with one observable of one node.
 pub fn file(node: &str, observable: &str, data: Group) -> Group {
-    let node_group =
-        attributed(Group::default().with("observables", Group::default().with(observable, data)), "NIRNodeData", &[]);
-    attributed(Group::default().with("nodes", Group::default().with(node, node_group)), "NIRGraphData", &[])
+    let node_group = with_attributes(
+        Group::default().with("observables", Group::default().with(observable, data)),
+        "NIRNodeData",
+        &[],
+    );
+    with_attributes(Group::default().with("nodes", Group::default().with(node, node_group)), "NIRGraphData", &[])
 }
 
-fn attributed(mut group: Group, kind: &str, numbers: &[(&str, f64)]) -> Group {
+fn with_attributes(mut group: Group, kind: &str, numbers: &[(&str, f64)]) -> Group {
     group.attributes.insert("__type__".to_string(), Attribute::Text(kind.to_string()));
     for (key, x) in numbers {
         group.attributes.insert((*key).to_string(), Attribute::Number(*x));

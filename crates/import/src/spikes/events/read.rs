@@ -8,7 +8,7 @@ use super::event::{Counts, Sink, no_streams, unreadable};
 use super::{address, aedat, evt, tact, text as rows};
 use crate::kind::EventFormat;
 use crate::spikes::options::{EventOptions, Origin};
-use crate::spikes::population::{Expected, PopulationSpikes};
+use crate::spikes::population::{InputSpec, PopulationSpikes};
 use nsim_files::disk::Input;
 use nsim_files::text;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -66,7 +66,7 @@ fn open(path: &Path) -> Result<BufReader<Input>> {
 pub fn read_file(
     path: &Path,
     format: EventFormat,
-    expected: &Expected,
+    expected: &InputSpec,
     options: &EventOptions,
 ) -> Result<(PopulationSpikes, Counts)> {
     let name = path.display().to_string();
@@ -81,7 +81,7 @@ pub fn read_input(
     input: &mut dyn BufRead,
     name: &str,
     format: EventFormat,
-    expected: &Expected,
+    expected: &InputSpec,
     options: &EventOptions,
 ) -> Result<(PopulationSpikes, Counts)> {
     let default_size = match format {

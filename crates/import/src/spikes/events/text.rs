@@ -18,7 +18,7 @@ const MOST_ROW: usize = 4096;
 /// The latest time, about 285 years.
 const MOST_US: i64 = 9_000_000_000_000_000;
 /// Names of columns that distinguish recordings; such recordings would be merged.
-const SEVERAL: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
+const RECORDING_COLUMNS: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
 
 /// The column index of each field.
 #[derive(Debug, Clone, PartialEq)]
@@ -51,7 +51,7 @@ impl Columns {
         };
         let mut times = names.iter().enumerate().filter_map(|(place, name)| Some((place, unit(name)?)));
         let (time, unit) = times.next()?;
-        let refused = match (times.next(), find(&SEVERAL)) {
+        let refused = match (times.next(), find(&RECORDING_COLUMNS)) {
             (Some((other, _)), _) => {
                 Some(format!("'{}' and '{}' are both columns of times", names[time], names[other]))
             }
@@ -120,12 +120,12 @@ pub fn is_header(line: &str) -> bool {
     Columns::from_header(line).is_some()
 }
 
-/// Reads a file; `said` is the unit of times whose column names none.
+/// Reads a file; `given_unit` is the unit of times whose column names none.
 ///
 /// # Errors
 /// `input.events` with the row; `input.unit` for times of unknown unit that are implausible as
 /// microseconds; `input.option` for a unit that contradicts the file.
-pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+pub fn events(given_unit: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     let mut columns: Option<Columns> = None;
     rows(input, MOST_ROW, sink, |text, sink| {
         if let Some(columns) = &columns {
@@ -136,11 +136,11 @@ pub fn events(said: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Si
         if let Some(why) = &named.refused {
             return Err(wrong(why).help("write a file for each recording, with the columns t_us, x, y and p"));
         }
-        if named.unit.is_some_and(|unit| said.is_some_and(|said| said != unit)) {
+        if named.unit.is_some_and(|unit| given_unit.is_some_and(|given_unit| given_unit != unit)) {
             let message = "unit= contradicts the unit in the name of the column of times";
             return Err(Diagnostic::new("input.option", message).help("leave unit= out"));
         }
-        named.unit = named.unit.or(said);
+        named.unit = named.unit.or(given_unit);
         if named.unit.is_none() {
             sink.counts().unit_assumed = true;
         }
@@ -155,9 +155,9 @@ mod tests {
     use super::*;
 
     #[derive(Default)]
-    struct Kept(Vec<Event>, Counts);
+    struct Collected(Vec<Event>, Counts);
 
-    impl Sink for Kept {
+    impl Sink for Collected {
         fn size(&mut self, _: u32, _: u32) {}
         fn event(&mut self, event: Event) -> Result<()> {
             self.0.push(event);
@@ -169,7 +169,7 @@ mod tests {
     }
 
     fn read(text: &str) -> Result<Vec<(i64, u32, u32, bool)>> {
-        let mut kept = Kept::default();
+        let mut kept = Collected::default();
         events(None, &mut text.as_bytes(), &mut kept)?;
         Ok(kept.0.iter().map(|event| (event.t_us, event.x, event.y, event.on)).collect())
     }

@@ -16,33 +16,33 @@ type Place<V> = Arc<Mutex<Option<Arc<V>>>>;
 
 /// Values by key; each is made once.
 #[derive(Debug)]
-pub struct MadeOnce<K, V>(Mutex<HashMap<K, Place<V>>>);
+pub struct SharedCache<K, V>(Mutex<HashMap<K, Place<V>>>);
 
-impl<K, V> Default for MadeOnce<K, V> {
+impl<K, V> Default for SharedCache<K, V> {
     fn default() -> Self {
-        MadeOnce(Mutex::new(HashMap::new()))
+        SharedCache(Mutex::new(HashMap::new()))
     }
 }
 
 /// Locks a mutex, also after a panic: a thread that panicked has left nothing half changed.
-pub fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl<K: Hash + Eq, V> MadeOnce<K, V> {
+impl<K: Hash + Eq, V> SharedCache<K, V> {
     /// The value of a key.
     ///
     /// # Errors
     /// The errors of `make`.
     pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<V, E>) -> Result<Arc<V>, E> {
         let place = {
-            let mut places = held(&self.0);
+            let mut places = lock(&self.0);
             if places.len() >= MOST && !places.contains_key(&key) {
                 places.clear();
             }
             places.entry(key).or_default().clone()
         };
-        let mut made = held(&place);
+        let mut made = lock(&place);
         if let Some(value) = &*made {
             return Ok(value.clone());
         }
@@ -58,11 +58,11 @@ mod tests {
 
     #[test]
     fn a_value_is_made_once_and_an_error_is_not_kept() {
-        let made = MadeOnce::default();
+        let made = SharedCache::default();
         assert_eq!(made.get(1, || Err::<u8, _>("no")), Err("no"));
         assert_eq!(made.get(1, || Ok::<_, ()>(5)).as_deref(), Ok(&5));
         assert_eq!(made.get(1, || Ok::<_, ()>(6)).as_deref(), Ok(&5));
         (2..200).for_each(|key| drop(made.get(key, || Ok::<_, ()>(7))));
-        assert!(held(&made.0).len() <= MOST);
+        assert!(lock(&made.0).len() <= MOST);
     }
 }

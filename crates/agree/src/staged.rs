@@ -27,10 +27,10 @@ use nsim_quantise::exponents::Detail;
 use nsim_quantise::quantise::{quantise_with, scales};
 use nsim_reference::synapses::Synapses;
 
-use super::causes::{Cause, Rung};
+use super::causes::{Cause, ComparisonStage};
 use super::links::{Link, integer_synapses};
 use super::pipeline::Pipeline;
-use super::state::State;
+use super::state::PopulationState;
 use super::trace::{Layer, Trace};
 
 /// Neurons of a population before conversion.
@@ -55,7 +55,7 @@ struct Population {
 
 /// A network in all its stages.
 #[derive(Debug)]
-pub struct Ladder {
+pub struct StagedNetwork {
     populations: Vec<Population>,
     /// The graph that the stages are made from.
     graph: Graph,
@@ -79,20 +79,20 @@ pub struct Ladder {
     causes: Vec<Cause>,
 }
 
-impl Ladder {
+impl StagedNetwork {
     /// The stages of a network; `fits` are in the order of its populations.
     ///
     /// # Errors
     /// As [`quantise`](nsim_quantise::quantise::quantise).
-    pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<Ladder, Diagnostic> {
-        Ladder::with_exponents(graph, fits, Detail::default())
+    pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<StagedNetwork, Diagnostic> {
+        StagedNetwork::with_exponents(graph, fits, Detail::default())
     }
 
     /// The stages of a network with exponents chosen at this level of detail.
     ///
     /// # Errors
     /// As [`quantise`](nsim_quantise::quantise::quantise).
-    pub fn with_exponents(graph: &Graph, fits: &[Option<Fit>], detail: Detail) -> Result<Ladder, Diagnostic> {
+    pub fn with_exponents(graph: &Graph, fits: &[Option<Fit>], detail: Detail) -> Result<StagedNetwork, Diagnostic> {
         let timestep_ms = graph.facts().timestep_ms;
         let plain: Vec<Option<Fit>> = graph
             .populations()
@@ -135,7 +135,7 @@ impl Ladder {
         let pipeline = Pipeline::missing(graph);
         let waits = pipeline.as_ref().map_or(0, Pipeline::longest_wait);
         let slots = (delays.max().unwrap_or(0) + latest + waits + 2) as usize;
-        let mut ladder = Ladder {
+        let mut staged = StagedNetwork {
             populations,
             graph: graph.clone(),
             fits: fits.to_vec(),
@@ -153,13 +153,13 @@ impl Ladder {
             calibrated,
             causes: Vec::new(),
         };
-        ladder.causes = ladder.present();
-        Ok(ladder)
+        staged.causes = staged.present();
+        Ok(staged)
     }
 
     /// These stages, begun at network `given`, whose resets by subtraction became resets to zero.
     #[must_use]
-    pub fn from_subtraction(mut self, given: &Graph) -> Ladder {
+    pub fn from_subtraction(mut self, given: &Graph) -> StagedNetwork {
         for (population, (_, before)) in self.populations.iter_mut().zip(given.populations()) {
             if let (Some(Origin::Loihi { parameters, subtracts }), PopulationKind::Neurons(given)) =
                 (&mut population.origin, &before.kind)
@@ -172,26 +172,26 @@ impl Ladder {
     }
 
     /// Whether a stage has delayed copies of synapses; only two decays need them.
-    fn copied(&self, rung: Rung) -> bool {
+    fn has_copies(&self, stage: ComparisonStage) -> bool {
         let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
-        single || rung.has(Cause::Kernel) && rung.has(Cause::Decays)
+        single || stage.has(Cause::Kernel) && stage.has(Cause::Decays)
     }
 
     /// The synapses of a stage.
-    fn links(&self, rung: Rung) -> &[Link] {
-        let (weights, chosen) = (rung.has(Cause::Weights), rung.has(Cause::Calibration));
-        let copied = self.copied(rung);
-        let place = usize::from(weights) * 4 + usize::from(chosen) * 2 + usize::from(copied);
+    fn links(&self, stage: ComparisonStage) -> &[Link] {
+        let (weights, chosen) = (stage.has(Cause::Weights), stage.has(Cause::Calibration));
+        let has_copies = self.has_copies(stage);
+        let place = usize::from(weights) * 4 + usize::from(chosen) * 2 + usize::from(has_copies);
         self.links[place].get_or_init(|| {
             let fits = if chosen { &self.fits } else { &self.plain };
             let single = |fit: &Option<Fit>| fit.clone().map(|fit| Fit { copies: vec![(0, 1.0)], ..fit });
-            let of = match copied {
+            let of = match has_copies {
                 true => analytic::with_fits(&self.graph, fits),
                 false => analytic::with_fits(&self.graph, &fits.iter().map(single).collect::<Vec<_>>()),
             };
             Link::merged(match weights {
                 false => self.real_links(&of),
-                true if chosen && copied => self.integer_links(&self.calibrated, &self.units),
+                true if chosen && has_copies => self.integer_links(&self.calibrated, &self.units),
                 true => match (quantise_with(&of, self.detail), scales(&of, self.detail)) {
                     (Ok(network), Ok(units)) => self.integer_links(&network, &units),
                     // Not reached: the deployed network quantises, and this one has fewer
@@ -244,8 +244,8 @@ impl Ladder {
     }
 
     /// Quantised network of a stage; it has the searched parameters if the stage has calibration.
-    fn network(&self, rung: Rung) -> &Quantised {
-        if rung.has(Cause::Calibration) {
+    fn network(&self, stage: ComparisonStage) -> &Quantised {
+        if stage.has(Cause::Calibration) {
             return &self.calibrated;
         }
         self.rounded.get_or_init(|| {
@@ -290,8 +290,11 @@ impl Ladder {
     }
 
     /// Stage of the trained network; a cause without effect here counts as switched on.
-    pub fn trained(&self) -> Rung {
-        Cause::ALL.into_iter().filter(|cause| !self.causes.contains(cause)).fold(Rung::TRAINED, Rung::with)
+    pub fn trained(&self) -> ComparisonStage {
+        Cause::ALL
+            .into_iter()
+            .filter(|cause| !self.causes.contains(cause))
+            .fold(ComparisonStage::TRAINED, ComparisonStage::with)
     }
 
     /// The causes that distinguish this network from its trained form, in order of stages.
@@ -300,8 +303,8 @@ impl Ladder {
     }
 
     /// Steps by which a stage answers later than the trained network; negative, earlier.
-    pub fn shift(&self, rung: Rung) -> i32 {
-        -i32::from(self.causes.contains(&Cause::Kernel) && rung.has(Cause::Kernel))
+    pub fn shift(&self, stage: ComparisonStage) -> i32 {
+        -i32::from(self.causes.contains(&Cause::Kernel) && stage.has(Cause::Kernel))
     }
 
     /// Steps missing in the layers for an answer to every input step; `None` if none is missing.
@@ -320,9 +323,9 @@ impl Ladder {
     }
 
     /// Parameters of a compartment in a stage.
-    fn neuron(&self, (population, origin): (usize, &Origin), index: u32, rung: Rung) -> RealForm {
+    fn neuron(&self, (population, origin): (usize, &Origin), index: u32, stage: ComparisonStage) -> RealForm {
         let of = &self.populations[population];
-        let network = self.network(rung);
+        let network = self.network(stage);
         let semantics = network.parts().semantics;
         let neurons = network.populations().as_slice()[population].neurons();
         let neuron = neurons.map_or(quantised::Neuron::PLAIN, |neurons| neurons.get(index));
@@ -331,48 +334,48 @@ impl Ladder {
             Origin::Srm(srm, fit) => {
                 // An alpha kernel has one decay; only current and voltage can have two.
                 let both = |keep: f64| (keep, keep);
-                let keeps = match (rung.has(Cause::Decays), rung.has(Cause::Kernel)) {
+                let keeps = match (stage.has(Cause::Decays), stage.has(Cause::Kernel)) {
                     (true, true) => (analytic::keep(fit.du), analytic::keep(fit.dv)),
                     (true, false) => both(analytic::keep(analytic::start(srm, self.timestep_ms).du)),
                     (false, _) => both(analytic::real_keep(srm, self.timestep_ms)),
                 };
-                let copied = rung.has(Cause::Decays) && rung.has(Cause::Kernel);
+                let has_copies = stage.has(Cause::Decays) && stage.has(Cause::Kernel);
                 let at = analytic::matched_threshold_of(srm, self.timestep_ms, fit);
-                let matched = match copied {
+                let matched = match has_copies {
                     true => at,
                     false => analytic::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1),
                 };
-                let chosen = rung.has(Cause::Calibration);
+                let chosen = stage.has(Cause::Calibration);
                 // Ratio of the searched threshold to the threshold at which the peaks match.
                 let moved = if chosen { fit.threshold / at } else { 1.0 };
                 let real = matched * moved * of.scale;
-                let weights = rung.has(Cause::Weights);
+                let weights = stage.has(Cause::Weights);
                 RealForm {
                     keep_u: keeps.0,
                     keep_v: keeps.1,
                     // The deployed mantissa where decays and calibration are the deployed ones.
-                    threshold: match (weights, chosen && copied) {
+                    threshold: match (weights, chosen && has_copies) {
                         (true, true) => integers.threshold,
                         (true, false) => (real / 64.0).round_ties_even() * 64.0,
                         (false, _) => real,
                     },
                     refractory: u32::from(fit.refractory.get()).max(1),
                     subtracts: false,
-                    clip: if rung.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) },
+                    clip: if stage.has(Cause::State) { integers.clip } else { (f64::MIN, f64::MAX) },
                     ..integers
                 }
             }
             Origin::Loihi { parameters, subtracts } => {
                 // Parameters of the reference engine; a real threshold has no registers to clip in.
                 let real = nsim_dynamics::model(parameters, index, self.timestep_ms, semantics);
-                let pick = |cause: Cause, integer: f64, real: f64| if rung.has(cause) { integer } else { real };
+                let pick = |cause: Cause, integer: f64, real: f64| if stage.has(cause) { integer } else { real };
                 RealForm {
                     keep_u: pick(Cause::Decays, integers.keep_u, real.keep_u),
                     keep_v: pick(Cause::Decays, integers.keep_v, real.keep_v),
                     threshold: pick(Cause::Weights, integers.threshold, real.threshold * of.scale),
                     bias: pick(Cause::Weights, integers.bias, real.bias * of.scale),
-                    subtracts: integers.subtracts || *subtracts && !rung.has(Cause::HardReset),
-                    clip: if rung.has(Cause::State) { integers.clip } else { real.clip },
+                    subtracts: integers.subtracts || *subtracts && !stage.has(Cause::HardReset),
+                    clip: if stage.has(Cause::State) { integers.clip } else { real.clip },
                     ..integers
                 }
             }
@@ -380,32 +383,32 @@ impl Ladder {
     }
 
     /// A population of a stage before its first step; none for inputs.
-    fn state(&self, population: usize, rung: Rung) -> Option<State> {
+    fn state(&self, population: usize, stage: ComparisonStage) -> Option<PopulationState> {
         let of = &self.populations[population];
         let origin = of.origin.as_ref()?;
-        let neurons = (0..of.count).map(|index| self.neuron((population, origin), index, rung)).collect();
+        let neurons = (0..of.count).map(|index| self.neuron((population, origin), index, stage)).collect();
         let (response, resets_from, floors) = match origin {
             Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0, false),
             Origin::Loihi { parameters, .. } => {
-                let depth = self.in_step(rung).map_or(0, |pipeline| pipeline.start_step(population));
-                let is_shifted = shift_of(&self.network(rung).populations().as_slice()[population]) > 0;
-                (None, parameters.start_step.max(depth), is_shifted && rung.has(Cause::Weights))
+                let depth = self.added_pipeline(stage).map_or(0, |pipeline| pipeline.start_step(population));
+                let is_shifted = shift_of(&self.network(stage).populations().as_slice()[population]) > 0;
+                (None, parameters.start_step.max(depth), is_shifted && stage.has(Cause::Weights))
             }
         };
         // SLAYER's loop starts at step 1; its resets are counted from the step as given.
         let first = u32::from(response.is_none() && self.graph.facts().semantics == Semantics::Slayer);
-        Some(State::new((neurons, floors), response, (resets_from.max(first), resets_from), self.test, rung))
+        Some(PopulationState::new((neurons, floors), response, (resets_from.max(first), resets_from), self.test, stage))
     }
 
     /// The steps that a stage adds to its layers; `None` in stages without them.
-    fn in_step(&self, rung: Rung) -> Option<&Pipeline> {
-        self.pipeline.as_ref().filter(|_| !rung.has(Cause::Pipeline))
+    fn added_pipeline(&self, stage: ComparisonStage) -> Option<&Pipeline> {
+        self.pipeline.as_ref().filter(|_| !stage.has(Cause::Pipeline))
     }
 
     /// The trace of a stage's network in a sample.
-    pub fn run(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
-        let Some(pipeline) = self.in_step(rung) else { return self.run_as_it_is(rung, sample, potentials) };
-        let mut trace = self.run_as_it_is(rung, &sample.clone().followed_by(pipeline.more_steps()), potentials);
+    pub fn run(&self, stage: ComparisonStage, sample: &Sample, potentials: bool) -> Trace {
+        let Some(pipeline) = self.added_pipeline(stage) else { return self.run_sample(stage, sample, potentials) };
+        let mut trace = self.run_sample(stage, &sample.clone().followed_by(pipeline.more_steps()), potentials);
         // A layer before the last runs more steps here than in the tool.
         for (index, population) in self.populations.iter().enumerate().filter(|(_, p)| p.origin.is_some()) {
             let end = pipeline.window(index, sample.steps());
@@ -415,11 +418,12 @@ impl Ladder {
         trace
     }
 
-    fn run_as_it_is(&self, rung: Rung, sample: &Sample, potentials: bool) -> Trace {
+    fn run_sample(&self, stage: ComparisonStage, sample: &Sample, potentials: bool) -> Trace {
         let steps = sample.steps();
-        let pipeline = self.in_step(rung);
+        let pipeline = self.added_pipeline(stage);
         let wait = |link: &Link| pipeline.map_or(0, |pipeline| pipeline.wait(link.source, link.target));
-        let mut states: Vec<Option<State>> = (0..self.populations.len()).map(|index| self.state(index, rung)).collect();
+        let mut states: Vec<Option<PopulationState>> =
+            (0..self.populations.len()).map(|index| self.state(index, stage)).collect();
         let mut arrivals: Vec<Vec<Vec<f64>>> = self
             .populations
             .iter()
@@ -434,7 +438,7 @@ impl Ladder {
         };
         let deciding = self.calibrated.parts().output.index();
         let mut spikes: Vec<(usize, u32)> = Vec::new();
-        let links = self.links(rung);
+        let links = self.links(stage);
         for now in 0..steps {
             for link in links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
                 let of = &self.populations[link.source];
@@ -461,7 +465,7 @@ impl Ladder {
                 }
                 sums.fill(0.0);
                 if potentials {
-                    for (neuron, potential) in state.shown.iter().enumerate() {
+                    for (neuron, potential) in state.step_potentials.iter().enumerate() {
                         let place = (first as usize + neuron) * steps as usize + now as usize;
                         trace.potentials[place] = (potential / state.neurons[neuron].threshold) as f32;
                     }
@@ -470,7 +474,7 @@ impl Ladder {
                     trace.deciding.push(state.potentials().to_vec());
                 }
             }
-            for link in links.iter().filter(|link| !link.restores || rung.has(Cause::HardReset)) {
+            for link in links.iter().filter(|link| !link.restores || stage.has(Cause::HardReset)) {
                 for &(_, neuron) in spikes.iter().filter(|(population, _)| *population == link.source) {
                     link.deliver(neuron, now + 1 + wait(link), &mut arrivals[link.target]);
                 }
