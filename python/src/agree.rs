@@ -142,7 +142,7 @@ impl Agreement {
             let run = RunInput { sources: &shown.stimulus.origin, seed: shown.stimulus.seed, scene };
             let choice = ConversionSettings { conversion, calibrate: &calibrate, run, wanted, most_copies: copies };
             let integers = ConvertedIntegers::find((&graph, &written), choice, &samples, |_| progress())?;
-            let (fits, staged) = (&integers.fits, integers.ladder(&graph)?);
+            let (fits, staged) = (&integers.fits, integers.staged(&graph)?);
             let program = &mapped(staged.deployed())?.program;
             let deployed = DeployedNetwork { graph: &graph, fits, staged: &staged, program, samples: &samples, steps };
             let agreement = compare(deployed, &against, progress)?;

@@ -59,7 +59,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 
     let wanted = args.calibration_samples as usize;
     let integers = args.conversion.integers((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
-    let staged = integers.ladder(&graph)?;
+    let staged = integers.staged(&graph)?;
     let Some(compiled) = models::deployed(&args.model, staged.deployed(), on)? else { return Ok(Answer::No) };
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
     refuse_if(

@@ -102,7 +102,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         closer: (!job.resets_are_replaced()).then_some(closer),
         words,
     };
-    let next = suggest(&typed, (&job.graph, &done.converted.ladder), &done.converted.attribution, &split.calibration);
+    let next = suggest(&typed, (&job.graph, &done.converted.staged), &done.converted.attribution, &split.calibration);
     let report = ConvertReport {
         job: &job,
         done: &done,

@@ -80,9 +80,9 @@ impl ConvertedIntegers {
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
-    pub fn ladder(&self, graph: &Graph) -> Result<StagedNetwork> {
+    pub fn staged(&self, graph: &Graph) -> Result<StagedNetwork> {
         Ok(match &self.found {
-            Some(found) => found.conversion.ladder(graph)?,
+            Some(found) => found.conversion.staged(graph)?,
             None => StagedNetwork::new(graph, &self.fits)?,
         })
     }

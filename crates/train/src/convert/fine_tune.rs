@@ -360,10 +360,10 @@ impl Task {
     }
 
     /// The score of integers on examples.
-    fn score(&self, ladder: &StagedNetwork, examples: &[Example], step: &(impl Fn() + Sync)) -> TaskScore {
-        let output = output_layer(ladder.deployed());
+    fn score(&self, staged: &StagedNetwork, examples: &[Example], step: &(impl Fn() + Sync)) -> TaskScore {
+        let output = output_layer(staged.deployed());
         let one = |example: &Example| {
-            let trace = ladder.run(ComparisonStage::MACHINE, &sample(&example.inputs), false);
+            let trace = staged.run(ComparisonStage::MACHINE, &sample(&example.inputs), false);
             let mut error = vec![0.0; (trace.steps as usize + 1) * output.count as usize];
             let spikes = TrainedTrace { spikes: raster(&trace, &output), ..TrainedTrace::default() };
             let loss = self.plan.loss.evaluate(&spikes, example.label, &mut error);
@@ -437,8 +437,8 @@ impl<F: Fn() + Sync> Forward for IntegerForward<'_, F> {
         self.task.integers(weights)
     }
 
-    fn run(&self, ladder: &StagedNetwork, _: &Deployed, inputs: &[Raster], work: &mut Workspace) {
-        let trace = ladder.run(ComparisonStage::MACHINE, &sample(inputs), true);
+    fn run(&self, staged: &StagedNetwork, _: &Deployed, inputs: &[Raster], work: &mut Workspace) {
+        let trace = staged.run(ComparisonStage::MACHINE, &sample(inputs), true);
         let each = self.task.layers.iter().zip(&self.task.plan.topology.layers).zip(&mut work.traces);
         for ((layer, trained), kept) in each {
             let theta = trained.cells.theta();

@@ -128,7 +128,7 @@ impl Job {
         let start = Instant::now();
         let converted = staged::convert(&self.graph, &samples.calibration, choices, searching)?;
         let seconds = start.elapsed().as_secs_f64();
-        let held_out = (!samples.held_out.is_empty()).then(|| converted.measure(&converted.ladder, &samples.held_out));
+        let held_out = (!samples.held_out.is_empty()).then(|| converted.measure(&converted.staged, &samples.held_out));
         Ok(ConversionRun { converted, held_out, seconds })
     }
 

@@ -145,10 +145,10 @@ fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
 fn distance_after(model: &str, changes: &[String], samples: &[&Sample]) -> Option<Distance> {
     let changes: Vec<Change> = changes.iter().map(|change| Change::parse(change)).collect::<Result<_, _>>().ok()?;
     let graph = lower(&with_changes(&changes, || load_model(model)).ok()?).ok()?;
-    let ladder = StagedNetwork::new(&graph, &analytic::starts(&graph)).ok()?;
-    let output = output_layer(ladder.deployed());
-    let trained = as_trained(&ladder, &output, samples);
-    Some(compare_stages((&ladder, trained), &[(&ladder, ComparisonStage::MACHINE)], &output, samples).first()?.distance)
+    let staged = StagedNetwork::new(&graph, &analytic::starts(&graph)).ok()?;
+    let output = output_layer(staged.deployed());
+    let trained = as_trained(&staged, &output, samples);
+    Some(compare_stages((&staged, trained), &[(&staged, ComparisonStage::MACHINE)], &output, samples).first()?.distance)
 }
 
 fn distance_text(distance: &Distance) -> String {
@@ -159,13 +159,13 @@ fn distance_text(distance: &Distance) -> String {
 /// The next command; `None` if almost nothing is lost, or nothing is left to try.
 pub fn suggest(
     typed: &CommandWords<'_>,
-    (graph, ladder): (&Graph, &StagedNetwork),
+    (graph, staged): (&Graph, &StagedNetwork),
     attribution: &Attribution,
     samples: &[&Sample],
 ) -> Option<Suggestion> {
     let worst = attribution.worst();
     let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
-    let found = worst.and_then(|cause| remedy(typed, (graph, ladder), cause, attribution, samples));
+    let found = worst.and_then(|cause| remedy(typed, (graph, staged), cause, attribution, samples));
     let found = found.or_else(|| {
         let (what, command) = search(typed).filter(|_| lossy && graph.has_srm())?;
         Some(Suggestion { cause: worst, what: what.to_string(), command })
@@ -191,7 +191,7 @@ pub fn suggest_in_python(attribution: &Attribution, target: Option<&str>) -> Opt
 
 fn remedy(
     typed: &CommandWords<'_>,
-    (graph, ladder): (&Graph, &StagedNetwork),
+    (graph, staged): (&Graph, &StagedNetwork),
     cause: Cause,
     attribution: &Attribution,
     samples: &[&Sample],
@@ -202,7 +202,7 @@ fn remedy(
     };
     let before = &attribution.machine;
     if cause == Cause::Pipeline {
-        let changes = ladder.pipeline()?.changes(graph)?;
+        let changes = staged.pipeline()?.changes(graph)?;
         let without = attribution.shares.iter().find(|share| share.cause == cause)?.without;
         let what = format!(
             "starts each layer at the step of its depth, and extends samples until the output answers: {} (now {})",
@@ -214,7 +214,7 @@ fn remedy(
     let total = |distance: &Distance| distance.class_agreement.unwrap_or(1.0) + distance.coincidence;
     let mut best: Option<(&str, Vec<String>, Distance)> = None;
     // A model that is read again has the resets of its file.
-    let replaced = !graph.has_srm() && ladder.causes().contains(&Cause::HardReset);
+    let replaced = !graph.has_srm() && staged.causes().contains(&Cause::HardReset);
     for (what, changes) in candidates(cause, graph).into_iter().filter(|_| !replaced) {
         let Some(after) = distance_after(typed.model, &changes, samples) else { continue };
         let least = best.as_ref().map_or(total(before), |(.., best)| total(best)) + LEAST_GAIN;

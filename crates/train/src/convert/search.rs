@@ -118,7 +118,7 @@ impl Conversion {
     ///
     /// # Errors
     /// As `nsim_quantise::quantise`.
-    pub fn ladder(&self, graph: &Graph) -> Result<StagedNetwork> {
+    pub fn staged(&self, graph: &Graph) -> Result<StagedNetwork> {
         StagedNetwork::with_exponents(graph, &self.fits, self.detail)
     }
 
@@ -327,19 +327,19 @@ impl Shape {
 /// `most` is the greatest number of delayed copies of a population's input.
 pub fn search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<SearchResult> {
     let starts = analytic::starts(graph);
-    let ladder = StagedNetwork::new(graph, &starts)?;
-    let largest = ladder.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
+    let staged = StagedNetwork::new(graph, &starts)?;
+    let largest = staged.layers().iter().map(|layer| u64::from(layer.count)).max().unwrap_or(1);
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).max().unwrap_or(1);
     let fitting = (MOST_WORK / (largest * steps).max(1)).max(4) as usize;
     let samples = &samples[..samples.len().min(fitting)];
     let trained: Vec<Trace> = samples
         .par_iter()
-        .map(|sample| ladder.run(ComparisonStage::TRAINED.with(Cause::Untruncated), sample, false))
+        .map(|sample| staged.run(ComparisonStage::TRAINED.with(Cause::Untruncated), sample, false))
         .collect();
-    let layers = ladder.layers();
-    let output = output_layer(ladder.deployed());
+    let layers = staged.layers();
+    let output = output_layer(staged.deployed());
     let score = |conversion: &Conversion| -> Result<ConversionScore> {
-        Ok(scored(&conversion.ladder(graph)?, &layers, &output, samples, &trained))
+        Ok(scored(&conversion.staged(graph)?, &layers, &output, samples, &trained))
     };
     let analysis = Conversion { fits: starts.clone(), detail: Detail::Groups };
     let start = score(&analysis)?;
@@ -399,14 +399,14 @@ fn earlier(trace: &Trace) -> Trace {
 }
 
 fn scored(
-    ladder: &StagedNetwork,
+    staged: &StagedNetwork,
     layers: &[Layer],
     output: &Layer,
     samples: &[&Sample],
     trained: &[Trace],
 ) -> ConversionScore {
     let compared = |(sample, trained): (&&Sample, &Trace)| {
-        ComparedSample::new(layers, output, (trained, &ladder.run(ComparisonStage::MACHINE, sample, false)), -1)
+        ComparedSample::new(layers, output, (trained, &staged.run(ComparisonStage::MACHINE, sample, false)), -1)
     };
     let each: Vec<ComparedSample> = samples.par_iter().zip(trained).map(compared).collect();
     let StageComparison { distance, layers: by_layer, classes, .. } = StageComparison::new(layers.len(), each.iter());

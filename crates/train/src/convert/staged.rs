@@ -92,7 +92,7 @@ pub struct Converted {
     /// Measures on the calibration samples.
     pub calibration: MeasuredDistance,
     /// The comparison stages between the network and its integers.
-    pub ladder: StagedNetwork,
+    pub staged: StagedNetwork,
     /// The network as its tool runs it.
     pub trained: ComparisonStage,
     /// Detail at which exponents and weights were chosen.
@@ -112,8 +112,8 @@ pub fn is_real(graph: &Graph) -> bool {
         || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some())
 }
 
-fn by_layer(ladder: &StagedNetwork, measured: attribution::StageComparison, samples: usize) -> MeasuredDistance {
-    let rows = ladder.layers().into_iter().zip(measured.layers).map(|(layer, sum)| {
+fn by_layer(staged: &StagedNetwork, measured: attribution::StageComparison, samples: usize) -> MeasuredDistance {
+    let rows = staged.layers().into_iter().zip(measured.layers).map(|(layer, sum)| {
         let silent = sum.spikes_a + sum.spikes_b == 0;
         (layer.name, (!silent).then(|| sum.coincidence()), sum.spikes_b)
     });
@@ -123,10 +123,10 @@ fn by_layer(ladder: &StagedNetwork, measured: attribution::StageComparison, samp
 impl Converted {
     /// Distance of these integers, or others of these populations, from the trained network.
     pub fn measure(&self, integers: &StagedNetwork, samples: &[&Sample]) -> MeasuredDistance {
-        let from = (&self.ladder, self.trained);
-        let output = output_layer(self.ladder.deployed());
+        let from = (&self.staged, self.trained);
+        let output = output_layer(self.staged.deployed());
         let on = attribution::compare_stages(from, &[(integers, ComparisonStage::MACHINE)], &output, samples).remove(0);
-        by_layer(&self.ladder, on, samples.len())
+        by_layer(&self.staged, on, samples.len())
     }
 }
 
@@ -152,33 +152,33 @@ pub fn convert(
     let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
     let graph = replaced.as_ref().unwrap_or(given);
     let most = choices.most_copies;
-    let UnmeasuredConversion { fits, detail, mut stages, mut ladder } = match graph.has_srm() {
+    let UnmeasuredConversion { fits, detail, mut stages, mut staged } = match graph.has_srm() {
         true => convert_by_search(graph, samples, most, progress)?,
         false => convert_by_exponents(graph)?,
     };
     if replaced.is_some() {
-        ladder = ladder.from_subtraction(given);
+        staged = staged.from_subtraction(given);
         if let Some(first) = stages.first_mut() {
             first.name = format!("reset to zero; {}", first.name);
         }
         let name = "reset by subtraction, which the target does not have".to_string();
         let as_given = StagedNetwork::with_exponents(given, &analytic::starts(given), Detail::Zero)?;
-        stages.insert(0, StageIntegers { name, kept: false, ladder: Some(as_given), decides: &[] });
+        stages.insert(0, StageIntegers { name, kept: false, staged: Some(as_given), decides: &[] });
     }
-    let output = output_layer(ladder.deployed());
-    let trained = attribution::as_trained(&ladder, &output, samples);
-    let mut rungs: Vec<(&StagedNetwork, ComparisonStage)> = vec![(&ladder, ComparisonStage::MACHINE)];
-    rungs.extend(stages.iter().filter_map(|stage| Some((stage.ladder.as_ref()?, ComparisonStage::MACHINE))));
-    let mut all = attribution::compare_stages((&ladder, trained), &rungs, &output, samples).into_iter();
+    let output = output_layer(staged.deployed());
+    let trained = attribution::as_trained(&staged, &output, samples);
+    let mut rungs: Vec<(&StagedNetwork, ComparisonStage)> = vec![(&staged, ComparisonStage::MACHINE)];
+    rungs.extend(stages.iter().filter_map(|stage| Some((stage.staged.as_ref()?, ComparisonStage::MACHINE))));
+    let mut all = attribution::compare_stages((&staged, trained), &rungs, &output, samples).into_iter();
     let none = || attribution::StageComparison::new(0, std::iter::empty());
-    let calibration = by_layer(&ladder, all.next().unwrap_or_else(none), samples.len());
+    let calibration = by_layer(&staged, all.next().unwrap_or_else(none), samples.len());
     let distances_of_stages: Vec<Distance> = stages
         .iter()
-        .map(|stage| stage.ladder.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
+        .map(|stage| stage.staged.as_ref().and_then(|_| all.next()).map_or(calibration.distance, |own| own.distance))
         .collect();
     let some: Vec<&Sample> =
         samples.iter().step_by(samples.len().div_ceil(ATTRIBUTION_SAMPLES).max(1)).copied().collect();
-    let attribution = attribution::attribute_from(&ladder, trained, &output, &some);
+    let attribution = attribution::attribute_from(&staged, trained, &output, &some);
     let left_from = attribution.machine;
     let left: Vec<Share> = attribution.shares.iter().filter(|share| share.cause != Cause::Kernel).copied().collect();
     let row = |(place, stage): (usize, StageIntegers)| {
@@ -195,9 +195,9 @@ pub fn convert(
         }
     };
     let stages: Vec<StageRow> = stages.into_iter().enumerate().map(row).collect();
-    let network = ladder.deployed().clone();
+    let network = staged.deployed().clone();
     let layers = rows(&network, &calibration, samples);
-    Ok(Converted { network, fits, stages, layers, left, attribution, calibration, ladder, trained, detail })
+    Ok(Converted { network, fits, stages, layers, left, attribution, calibration, staged, trained, detail })
 }
 
 /// A conversion before it is measured.
@@ -205,7 +205,7 @@ struct UnmeasuredConversion {
     fits: Vec<Option<Fit>>,
     detail: Detail,
     stages: Vec<StageIntegers>,
-    ladder: StagedNetwork,
+    staged: StagedNetwork,
 }
 
 /// A stage before it is measured.
@@ -214,7 +214,7 @@ struct StageIntegers {
     /// Whether the result includes it.
     kept: bool,
     /// Its integers; none where they are the result.
-    ladder: Option<StagedNetwork>,
+    staged: Option<StagedNetwork>,
     /// The kinds of integers that it chooses.
     decides: &'static [Cause],
 }
@@ -228,26 +228,26 @@ fn convert_by_search(
     let SearchResult { conversion, stages, .. } = search::search(graph, samples, most, progress)?;
     let last = stages.iter().position(|(_, of_stage)| *of_stage == conversion).unwrap_or(0);
     let row = |(place, (stage, of_stage)): (usize, &(search::Stage, Conversion))| {
-        let ladder = if place == last { None } else { Some(of_stage.ladder(graph)?) };
+        let staged = if place == last { None } else { Some(of_stage.staged(graph)?) };
         let decides: &[Cause] = match stage {
             search::Stage::Start => &[],
             search::Stage::Shape => &[Cause::HardReset, Cause::Decays, Cause::Calibration],
             search::Stage::Rounding => &[Cause::Weights],
         };
-        Ok(StageIntegers { name: stage.name().to_string(), kept: place <= last, ladder, decides })
+        Ok(StageIntegers { name: stage.name().to_string(), kept: place <= last, staged, decides })
     };
     let stages = stages.iter().enumerate().map(row).collect::<Result<_>>()?;
-    let ladder = conversion.ladder(graph)?;
-    Ok(UnmeasuredConversion { fits: conversion.fits, detail: conversion.detail, stages, ladder })
+    let staged = conversion.staged(graph)?;
+    Ok(UnmeasuredConversion { fits: conversion.fits, detail: conversion.detail, stages, staged })
 }
 
 fn convert_by_exponents(graph: &Graph) -> Result<UnmeasuredConversion> {
     let fits = analytic::starts(graph);
     let row = |(name, detail): (&str, Detail)| {
-        let ladder =
+        let staged =
             if detail == Detail::Groups { None } else { Some(StagedNetwork::with_exponents(graph, &fits, detail)?) };
         let decides: &[Cause] = if detail == Detail::Zero { &[] } else { &[Cause::Weights] };
-        Ok(StageIntegers { name: name.to_string(), kept: true, ladder, decides })
+        Ok(StageIntegers { name: name.to_string(), kept: true, staged, decides })
     };
     let stages = [
         ("analytic start", Detail::Zero),
@@ -255,8 +255,8 @@ fn convert_by_exponents(graph: &Graph) -> Result<UnmeasuredConversion> {
         ("an exponent for weights of like size", Detail::Groups),
     ];
     let stages = stages.into_iter().map(row).collect::<Result<_>>()?;
-    let ladder = StagedNetwork::new(graph, &fits)?;
-    Ok(UnmeasuredConversion { fits, detail: Detail::default(), stages, ladder })
+    let staged = StagedNetwork::new(graph, &fits)?;
+    Ok(UnmeasuredConversion { fits, detail: Detail::default(), stages, staged })
 }
 
 /// Each layer of the integers, with its problem.
