@@ -128,7 +128,7 @@ fn copies_count_together() {
         let running = RunSettings { copies, ..RunSettings::new(&keep) };
         let run = nsim::session::samples::fast(&compiled.program, &samples, running, || ()).unwrap();
         let rows = CountsByPopulation::new(&compiled.one, &run.counts);
-        compare(&compiled, &target, &samples, &rows, &format!("{} copies", copies));
+        compare(&compiled, &target, &samples, &rows, &format!("{copies} copies"));
         rows
     };
     let (one, three) = (rows(1), rows(3));
