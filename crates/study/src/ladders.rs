@@ -251,7 +251,7 @@ impl LadderCase {
     }
 }
 
-/// Marks the cliffs among rows in the order of [`cases`].
+/// Marks the cliffs among rows in the order of [`ladder_cases`].
 pub fn mark_cliffs(rows: &mut [LadderRow]) {
     for of_ladder in rows.chunk_by_mut(|a, b| a.ladder == b.ladder) {
         let times: Vec<(f64, f64)> = of_ladder.iter().map(|row| (row.ns_an_event, row.goal)).collect();

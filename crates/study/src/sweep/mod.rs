@@ -2,7 +2,7 @@
 //!
 //! Input: a [`file::SweepFile`], which lists the varied values. Output: a [`table::Table`] with a
 //! row for each variant. It does not depend on the number of threads or on interruptions.
-//! [`variants`] numbers the variants and lists their changes, [`made`] caches shared values,
+//! [`variants`] numbers the variants and lists their changes, [`cache`] caches shared values,
 //! [`row`] runs one variant, [`work`] runs all on several threads, [`table`] is the result.
 //! `report::sweep` plots two columns. A row equals the output of the single commands with the same
 //! values. Errors: `sweep.*`; a variant that cannot be run has a row with the reason.
