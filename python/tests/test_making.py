@@ -165,7 +165,7 @@ class Agreed(unittest.TestCase):
         ]
         network = nsim.Network("soft", populations, [{"from": "in", "to": "out", "weights": np.full((2, 4), 40)}], output="out")
         spikes = np.ones((2, 4, 12), np.uint8)
-        with self.assertWarnsRegex(nsim.Warning, "nahuku-32, .* of oheo-gulch"):
+        with self.assertWarnsRegex(nsim.Warning, "nahuku-32, .* for oheo-gulch"):
             self.assertEqual(network.agree(spikes).json()["target"], "oheo-gulch")
         # A network that does not fit on the target of the other is compared in the opposite order, as the help says.
         reset = small(4, 40, np.full((2, 4), 40))
