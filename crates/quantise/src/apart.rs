@@ -1,7 +1,8 @@
 //! Sums that lava narrows before it adds them to others.
 //!
 //! Input: a network in integers. Output: the network with [`SeparateSum`] set on each projection
-//! whose sum must be narrowed separately. Errors: a population with more sums than a compartment has.
+//! whose sum must be narrowed separately. Errors: a population with more sums than a compartment
+//! has.
 //!
 //! - lava's convolutions wrap their sums to 24 bits, its dense and sparse connections do not
 //!   (lava-nc b6822fb, `proc/conv/models.py`). A kernel whose weights are in several formats is

@@ -1,8 +1,8 @@
 //! A network's integers and the trained network, for the comparison by `nsim agree`.
 //!
 //! Input: a network with its analytic integers, the settings of a search for better ones, samples.
-//! Output: [`ConvertedIntegers`], whose stages lead from the trained network to the machine. Omitted
-//! on purpose: the comparison itself (`agree`).
+//! Output: [`ConvertedIntegers`], whose stages lead from the trained network to the machine.
+//! Omitted on purpose: the comparison itself (`agree`).
 
 use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::{self, SearchResult};

@@ -256,8 +256,8 @@ impl Task {
         gap
     }
 
-    /// The greatest input of a step to plan for: `INPUT_MARGIN` times the greatest of these samples,
-    /// or times the constant input that holds the current at its greatest value.
+    /// The greatest input of a step to plan for: `INPUT_MARGIN` times the greatest of these
+    /// samples, or times the constant input that holds the current at its greatest value.
     fn greatest_input(&self, c: &Candidate) -> f64 {
         let of_sample = |copied: &Vec<f64>| {
             let (mut most, mut spikes) = (0.0, Vec::new());

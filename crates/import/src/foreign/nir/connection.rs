@@ -14,8 +14,8 @@ use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Help to join layers without neurons between them.
-const JOIN_HELP: &str = "put a neuron between them, or join them into one layer. A convolution of stride s followed by a \
-                      pool without padding is read as one convolution with kernels of size k + (p - 1) s";
+const JOIN_HELP: &str = "put a neuron between them, or join them into one layer. A convolution of stride s followed by \
+                      a pool without padding is read as one convolution with kernels of size k + (p - 1) s";
 
 impl Reader<'_> {
     /// The linear map of `nodes` after a population of the shape `source`.
