@@ -21,6 +21,8 @@ pub(crate) struct DelayRing<S> {
     pub(super) marks: Vec<u8>,
     /// Slots in which every skip block may have arrivals.
     marked: Vec<bool>,
+    /// Steps since spikes were last delivered. After as many as there are slots, nothing is marked.
+    quiet: usize,
     /// Scratch memory.
     pub(super) queue: Vec<u32>,
     pub(super) rows: Vec<RowPlace>,
@@ -36,12 +38,16 @@ impl<S: Sum> Clone for DelayRing<S> {
 pub(crate) struct Arrivals<'a> {
     marks: &'a mut [u8],
     all: bool,
+    none: bool,
 }
 
 impl Arrivals<'_> {
     /// Takes a word of them, one bit each, and clears it.
     #[inline(always)]
     pub fn take(&mut self, word: usize) -> u64 {
+        if self.none {
+            return 0;
+        }
         let end = self.marks.len().min(64 * word + 64);
         let marks = &mut self.marks[64 * word..end];
         if self.all {
@@ -64,7 +70,7 @@ impl<S: Sum> DelayRing<S> {
         let all = self.lanes * self.slots();
         sums[..all].iter_mut().zip(&self.sums[..all]).for_each(|(to, &sum)| *to = sum.into());
         let (marks, marked) = (self.marks.clone(), self.marked.clone());
-        DelayRing { lanes: self.lanes, sums, marks, marked, queue: Vec::new(), rows: Vec::new() }
+        DelayRing { lanes: self.lanes, sums, marks, marked, quiet: self.quiet, queue: Vec::new(), rows: Vec::new() }
     }
 
     /// An empty ring of `lanes` lanes and `slots` slots; `compact` if a list of the shard is.
@@ -77,6 +83,7 @@ impl<S: Sum> DelayRing<S> {
             sums: Aligned::new(lanes * slots + spare),
             marks: vec![0; lanes / SKIP_BLOCK * slots],
             marked: vec![false; slots],
+            quiet: slots,
             queue: Vec::new(),
             rows: Vec::new(),
         }
@@ -102,6 +109,7 @@ impl<S: Sum> DelayRing<S> {
         self.sums[..end].fill(S::default());
         self.marks.fill(0);
         self.marked.fill(false);
+        self.quiet = self.slots();
     }
 
     /// Whether nothing is in flight.
@@ -115,16 +123,26 @@ impl<S: Sum> DelayRing<S> {
         self.marked.fill(true);
     }
 
+    /// Notes that spikes are delivered, which may mark skip blocks of any slot.
+    #[inline(always)]
+    pub(super) fn note_spikes<P>(&mut self, spikes: &[P]) {
+        if !spikes.is_empty() {
+            self.quiet = 0;
+        }
+    }
+
     /// Returns the sums of a slot, and takes its arrivals.
     #[inline(always)]
     pub fn take(&mut self, slot: usize) -> (&mut [S], Arrivals<'_>) {
+        let all = std::mem::take(&mut self.marked[slot]);
+        let none = !all && self.quiet >= self.slots();
+        self.quiet = self.quiet.saturating_add(1);
         let blocks = self.lanes / SKIP_BLOCK;
         let marks = &mut self.marks[slot * blocks..(slot + 1) * blocks];
-        let all = std::mem::take(&mut self.marked[slot]);
         if all {
             marks.fill(0);
         }
-        (&mut self.sums[slot * self.lanes..(slot + 1) * self.lanes], Arrivals { marks, all })
+        (&mut self.sums[slot * self.lanes..(slot + 1) * self.lanes], Arrivals { marks, all, none })
     }
 
     /// The first lane of the slot of a delay.

@@ -28,6 +28,7 @@ impl<S: Sum> DelayRing<S> {
     where
         S: Accumulate<P::Payload>,
     {
+        self.note_spikes(spikes);
         let mut events = 0;
         for fan_out in &fan_outs.by_delay {
             let arrives = u32::from(fan_out.delay) < left;
@@ -155,6 +156,15 @@ mod tests {
                 let reached = |block: &[i32]| u8::from(block.iter().any(|&sum| sum != 0));
                 assert!(sums.chunks(SKIP_BLOCK).map(reached).zip(&ring.marks).all(|(sum, &mark)| sum <= mark));
                 assert_eq!(ring.is_empty(), events == 0);
+                // The next steps take the marks of their slots, and later ones find none.
+                let (marks, blocks) = (ring.marks.clone(), lanes / SKIP_BLOCK);
+                for step in 0..2 * SLOTS {
+                    let slot = (cursor + step) % SLOTS;
+                    let (_, mut arrivals) = ring.take(slot);
+                    let words: Vec<u64> = (0..blocks.div_ceil(64)).map(|word| arrivals.take(word)).collect();
+                    let is_marked = |block: usize| step < SLOTS && marks[slot * blocks + block] == 1;
+                    assert!((0..blocks).all(|block| (words[block / 64] >> (block % 64) & 1 == 1) == is_marked(block)));
+                }
             }
         }
     }

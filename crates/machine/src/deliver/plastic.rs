@@ -21,6 +21,7 @@ impl<S: Sum> DelayRing<S> {
     where
         S: Accumulate<P::Payload>,
     {
+        self.note_spikes(spikes);
         let mut events = 0;
         for spike in spikes {
             let synapses = plastic.synapses(first as usize + spike.source());
