@@ -212,17 +212,18 @@ fn drawn(seed: u64, most: usize) -> Quantised {
     net.build()
 }
 
-/// A neuron of a kind with random parameters; thresholds are low enough to be reached, intervals
-/// short enough to pass.
+/// A neuron of a kind with random parameters: small ones, which sums equal by chance, larger ones
+/// with thresholds that are reached, or any within their ranges. Intervals are short enough to pass.
 fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
+    let (threshold, other) = draw.one_of(&[(4, 4), (500, 1 << 16), (500, 1 << 16), (i64::MAX, i64::MAX)]);
     let value = |parameter: &ParameterField| {
         if parameter.field == Decay::FIELD {
             return decay(draw);
         }
         let most = match parameter.name {
             "reset_interval" => 30,
-            _ if parameter.storage == Storage::Threshold => 500,
-            _ => 1 << 16,
+            _ if parameter.storage == Storage::Threshold => threshold,
+            _ => other,
         };
         draw.from(parameter.field.low.max(-most), parameter.field.high.min(most))
     };

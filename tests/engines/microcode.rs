@@ -56,7 +56,7 @@ fn stated_kinds_are_the_same_as_those_that_nsim_has() {
         })
         .collect();
     let count = |of: fn(&&(bool, bool, bool)) -> bool| seen.iter().filter(of).count() as u64;
-    let parts = [4, 8, 20].map(|part| networks / part);
+    let parts = [6, 8, 20].map(|part| networks / part);
     assert!(count(|seen| seen.0) > parts[0] && count(|seen| seen.1) > parts[1] && count(|seen| seen.2) > parts[2]);
 }
 
