@@ -664,12 +664,14 @@ fn in_words(neuron: &Neuron, State { words, stated, .. }: &mut State, (sums, wra
 
 /// The state of a compartment before its first step.
 fn first(neuron: &Neuron) -> State {
-    let theta = match neuron.kind {
+    let words = match neuron.kind {
         // Equation (32).
-        NeuronKind::AtrLif | NeuronKind::Alif | NeuronKind::Adrf | NeuronKind::AdrfIz => neuron.parameter("threshold"),
-        _ => 0,
+        NeuronKind::AtrLif | NeuronKind::Alif | NeuronKind::Adrf | NeuronKind::AdrfIz => {
+            [0, 0, neuron.parameter("threshold"), 0]
+        }
+        _ => [0; 4],
     };
-    State { words: [0, 0, theta, 0], ..State::default() }
+    State { words, ..State::default() }
 }
 
 /// Rule (13) for a kind without u and v. A step without arrivals would change nothing, send nothing

@@ -1,12 +1,12 @@
 //! Neuron kinds whose state is columns of 32-bit words. Each kind defines the update of one
 //! compartment, which `Chunked` applies to the compartments of a block.
 //!
-//! Input: the sums of a step's arrivals, in units of 64 of the accumulator (a weight times a
-//! message), and the state. Output: the next state, and the message of each compartment. Sums and
-//! words beyond 32 bits wrap, as in lava's processes, and are reported.
+//! Input: the sums of a step's arrivals (weights times messages, without Loihi 1's factor of 64),
+//! and the state. Output: the next state, and the message of each compartment. Sums and words
+//! beyond 32 bits wrap, as in lava's processes, and are reported.
 //!
-//! To add a kind: its row in [`nsim_ir::neurons`], a file here with its line in [`updater`], and a
-//! second version of its arithmetic in `nsim_golden`.
+//! To add a kind: its table in [`nsim_ir::neurons`], a file here with its arm of [`updater`], and a
+//! second version of its arithmetic in `nsim_golden`. `CONTRIBUTING.md` lists all steps.
 
 mod adaptive;
 mod block;

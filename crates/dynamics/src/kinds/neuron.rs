@@ -8,7 +8,7 @@ use nsim_ir::neurons::ParameterRow;
 /// Number of compartments whose words are adjacent in memory, as one vector.
 pub const CHUNK: usize = 16;
 
-/// Sums of arrivals of a compartment in a step, by port.
+/// Sums of arrivals of a compartment in a step, by port: a(t) of equation (19) in `docs/loihi2.md`.
 pub type Arrived = [i32; 2];
 
 /// Message of an update.
