@@ -225,7 +225,8 @@ fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
             _ if parameter.storage == Storage::Threshold => threshold,
             _ => other,
         };
-        draw.from(parameter.field.low.max(-most), parameter.field.high.min(most))
+        let low = parameter.field.low.max(-most);
+        draw.from(low, parameter.field.high.min(most).max(low))
     };
     let values: Vec<i64> = kind.parameters().iter().map(value).collect();
     nsim::dynamics::neuron(kind, &values).unwrap()
