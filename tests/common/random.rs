@@ -213,7 +213,8 @@ fn drawn(seed: u64, most: usize) -> Quantised {
 }
 
 /// A neuron of a kind with random parameters: small ones, which sums equal by chance, larger ones
-/// with thresholds that are reached, or any within their ranges. Intervals are short enough to pass.
+/// with thresholds that are reached, or any within their ranges. Intervals are short enough to
+/// pass.
 fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
     let (threshold, other) = draw.one_of(&[(4, 4), (500, 1 << 16), (500, 1 << 16), (i64::MAX, i64::MAX)]);
     let value = |parameter: &ParameterField| {
