@@ -79,7 +79,7 @@ pub fn python_message(text: &str) -> String {
 }
 
 /// Issues the warnings of a run.
-pub fn warn(py: Python<'_>, found: &[nsim::session::warnings::Warning]) -> PyResult<()> {
+pub fn warn(py: Python<'_>, found: &[nsim::ir::base::warning::Warning]) -> PyResult<()> {
     for warning in found {
         let message = match &warning.population {
             Some(population) => format!("'{population}': {}", python_message(&warning.message)),

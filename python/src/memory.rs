@@ -7,7 +7,7 @@
 
 use std::path::Path;
 
-use nsim::files::network::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
+use nsim::files::network::{Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim::import::foreign;
 use nsim::import::foreign::hdf5::{Group, Numbers};
 use nsim::import::foreign::imported::DecayRule;
@@ -271,13 +271,14 @@ fn build_import(
     name: &str,
     imported: impl FnOnce() -> Result<Imported, Diagnostic> + Send,
 ) -> PyResult<(Network, Vec<String>)> {
-    let (network, notes, assumed) = try_detached::<_, Diagnostic>(py, || {
-        let imported = imported()?;
-        Ok((imported.model.build(Path::new(&memory_name(name)))?, imported.notes, imported.assumed))
+    let network = try_detached::<_, Diagnostic>(py, || {
+        let Imported { model, notes, warnings, .. } = imported()?;
+        Ok(model.build(Path::new(&memory_name(name)))?.read_by(Conventions { notes, warnings }))
     })?;
-    if let Some(assumed) = assumed {
-        issue_warning(py, &python_message(&assumed))?;
+    for warning in &network.conventions().warnings {
+        issue_warning(py, &python_message(&warning.to_string()))?;
     }
+    let notes = network.conventions().notes.clone();
     Ok((network, notes))
 }
 

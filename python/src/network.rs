@@ -133,8 +133,8 @@ impl Network {
     /// A network of a file, with a warning of the assumptions of its reader.
     fn from_file(py: Python<'_>, model: String, network: nsim::files::network::Network) -> PyResult<Self> {
         let conventions = network.conventions().clone();
-        if let Some(assumed) = conventions.assumed {
-            issue_warning(py, &format!("{model}: {}", python_message(&assumed)))?;
+        for warning in &conventions.warnings {
+            issue_warning(py, &format!("{model}: {}", python_message(&warning.to_string())))?;
         }
         Ok(Network { model, network: Arc::new(network), notes: conventions.notes })
     }

@@ -110,8 +110,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let message = "--set is not supported by import; give it to the command that uses the model";
     refuse_if(!changes::process_changes().is_empty(), message)?;
     let imported = foreign::read(&args.file, &args.options()?)?;
-    if let Some(assumed) = &imported.assumed {
-        tracing::warn!("{}: {assumed}", args.file.display());
+    for warning in &imported.warnings {
+        tracing::warn!("{}: {warning}", args.file.display());
     }
     let shown = args.output.as_deref().unwrap_or(&args.file);
     // An error of the model is reported for the foreign file: the user did not write the model's

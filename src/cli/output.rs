@@ -11,10 +11,10 @@ use nsim_files as io;
 use nsim_files::table::{latex, markdown, replace_section};
 use nsim_files::write::checksum;
 use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::warning::Warning;
 use nsim_report::charts::picture::{ENDINGS, PictureFormat};
 use nsim_session::error::Error;
 use nsim_session::samples::Progress;
-use nsim_session::warnings::Warning;
 
 /// The words after `nsim` on the command line, without the number of threads, on which no result
 /// depends.

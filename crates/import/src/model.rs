@@ -40,10 +40,10 @@ pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
     if shipped::is_path(argument) && foreign::is_foreign(path) {
         let network = foreign::network(path, &foreign::Options { dt_ms, ..Default::default() })?;
         // Some commands read their model more than once, but one warning is enough.
-        if let Some(assumed) = &network.conventions().assumed
-            && WARNED_MODELS.lock().is_ok_and(|mut warned| warned.insert(argument.to_string()))
-        {
-            tracing::warn!("{argument}: {assumed}");
+        let first = !network.conventions().warnings.is_empty()
+            && WARNED_MODELS.lock().is_ok_and(|mut warned| warned.insert(argument.to_string()));
+        for warning in network.conventions().warnings.iter().filter(|_| first) {
+            tracing::warn!("{argument}: {warning}");
         }
         return Ok(network);
     }

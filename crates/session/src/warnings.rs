@@ -18,22 +18,12 @@ use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
+use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::{NeuronKind, Storage};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
 use nsim_ir::spikes::{Engine, Sample};
 use nsim_machine::{Image, Machine, Settings};
-
-/// A finding about a run that its user should check.
-#[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]
-pub struct Warning {
-    /// Its kind: `silent-population`, `silent-output`, `clipped`, `wrapped` or `weights-rounded`.
-    pub code: &'static str,
-    /// The population that it is about.
-    pub population: Option<String>,
-    /// The observation, and the advised change.
-    pub message: String,
-}
 
 /// The engine that ran.
 #[derive(Debug, Clone, Copy)]

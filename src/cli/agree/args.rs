@@ -13,11 +13,12 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_agree::compare::LayerRow;
 use nsim_compile::Mapping;
+use nsim_ir::base::warning::Warning;
 use nsim_ir::spikes::Sample;
 use nsim_report::agree::AgreeReport;
 use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
-use nsim_session::warnings::{Warning, run_warnings};
+use nsim_session::warnings::run_warnings;
 
 const EXAMPLES: &str = "\
 EXAMPLES:

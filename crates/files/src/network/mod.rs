@@ -20,6 +20,7 @@ use super::synapses::SynapseArrays;
 use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::warning::Warning;
 use nsim_ir::locate::locate;
 use nsim_ir::neurons::{MicrocodeKind, NeuronKind, Port};
 use nsim_ir::spanned::{parse, parse_part};
@@ -450,9 +451,8 @@ pub struct Network {
 pub struct Conventions {
     /// The conventions, and the changes that the reader made.
     pub notes: Vec<String>,
-    /// Assumptions of the reader that the network may contradict, as a state dict has no
-    /// `forward()`.
-    pub assumed: Option<String>,
+    /// Assumptions of the reader that the network may contradict, and losses.
+    pub warnings: Vec<Warning>,
 }
 
 impl Network {

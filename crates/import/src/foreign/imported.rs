@@ -8,6 +8,7 @@ use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
 use nsim_ir::base::names::named_variants;
+use nsim_ir::base::warning::Warning;
 
 /// The greatest threshold mantissa, for compartments that should not spike.
 pub(super) const MAX_THRESHOLD: f64 = ThresholdMantissa::MAX.get() as f64;
@@ -105,8 +106,8 @@ pub struct Imported {
     pub model: NetworkFile,
     /// The conventions by which it was read, and the changes.
     pub notes: Vec<String>,
-    /// The note that is always shown: an assumption that may be wrong, or a loss.
-    pub assumed: Option<String>,
+    /// Assumptions that may be wrong, and losses; they are among the notes, too.
+    pub warnings: Vec<Warning>,
     /// Reset of v by a spike, from the file or an option; `None` where the format leaves no choice.
     pub reset: Option<ResetMode>,
     /// Rounding of the weights of each layer, for files whose weights are rounded.
@@ -214,6 +215,12 @@ impl Imported {
         self
     }
 
+    /// Adds a warning, which is a note, too.
+    pub(super) fn warn(&mut self, warning: Warning) {
+        self.notes.push(warning.to_string());
+        self.warnings.push(warning);
+    }
+
     /// The import with the decision of the option. Without one, an output that never spikes decides
     /// by potential. The score is the sum of v where u and v decay fully in a step, the last v
     /// where u or v never decays, else the greatest v.
@@ -231,8 +238,7 @@ impl Imported {
                      makes both identical",
                     self.model.output
                 );
-                self.notes.push(note.clone());
-                self.assumed.get_or_insert(note);
+                self.warn(Warning::of_network("decision-by-potential", note));
             }
         }
         if option.is_some() || !never {

@@ -155,6 +155,6 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
 /// # Errors
 /// As [`read`], `set.path`, and `model.*` when it is not a valid model.
 pub fn network(path: &Path, options: &Options) -> Result<Network> {
-    let Imported { model, notes, assumed, .. } = read(path, options)?;
-    Ok(model.build_changed(path, changes::model)?.read_by(Conventions { notes, assumed }))
+    let Imported { model, notes, warnings, .. } = read(path, options)?;
+    Ok(model.build_changed(path, changes::model)?.read_by(Conventions { notes, warnings }))
 }

@@ -427,7 +427,7 @@ pub(super) fn build(
         model.output = matrix.name;
     }
     model.provenance = Some(format!("imported from {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, model, notes, layers, assumed: None, reset: None }.with_decision(options.decision))
+    Ok(Imported { kind, model, notes, layers, warnings: Vec::new(), reset: None }.with_decision(options.decision))
 }
 
 /// The shape of an input of `units` channels: `--input-shape`, or `[units]`.

@@ -20,6 +20,7 @@ use super::nir::export::{NO_DECAY_TAU, nir_graph, node};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::warning::Warning;
 
 /// The role of a tensor in its module.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -395,8 +396,9 @@ fn build_integer_network(
     }
     let names: Vec<&str> = matrices.iter().map(|matrix| matrix.name.as_str()).collect();
     let assumed = in_order(&names.join(" -> "), "");
-    notes.push(assumed.clone());
-    Ok(Imported { assumed: Some(assumed), ..slayer::build(kind, name, matrices, &neuron, notes, options)? })
+    let mut imported = slayer::build(kind, name, matrices, &neuron, notes, options)?;
+    imported.warn(Warning::of_network("layer-order", assumed));
+    Ok(imported)
 }
 
 /// Discrete parameters of a layer's neurons, one for all or one for each.
@@ -549,14 +551,16 @@ fn build_real_network(
     };
     let assumed =
         format!("{}; nsim.from_torch(module, sample) in Python reads them", in_order(&chain.join(" -> "), lacking));
-    notes.extend([assumed.clone(), format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds")]);
+    notes.push(format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds"));
     let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
     let root = Group::default().with("node", nir_graph(graph.nodes, graph.edges));
     held.retain(|_| reset == Some(ResetMode::Zero));
     let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?.with_refractory(&held);
     notes.extend(read.into_iter().filter(|note| !note.starts_with("timestep ")));
     model.provenance = Some(format!("imported from a {kind}; {}", notes.join("; ")));
-    Ok(Imported { kind, model, notes, layers: lines, assumed: Some(assumed), reset })
+    let mut imported = Imported { kind, model, notes, layers: lines, warnings: Vec::new(), reset };
+    imported.warn(Warning::of_network("layer-order", assumed));
+    Ok(imported)
 }
 
 /// The reset of the file or of an option, which must not contradict each other.

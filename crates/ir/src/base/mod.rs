@@ -1,4 +1,4 @@
-//! The lowest layer: ids, range-checked integers, units, random numbers, diagnostics.
+//! The lowest layer: ids, range-checked integers, units, random numbers, diagnostics, warnings.
 //!
 //! Every other module may use it; it uses none of them.
 
@@ -12,3 +12,4 @@ pub mod names;
 pub mod rng;
 pub mod stats;
 pub mod units;
+pub mod warning;

@@ -6,8 +6,8 @@ use serde_json::{Value, json};
 use crate::cores::CoreRow;
 use crate::populations::{CountsByPopulation, PopulationCounts};
 use crate::ranks::RankRow;
-use crate::warnings::Warning;
 use nsim_files::table::{Column, table_of, three};
+use nsim_ir::base::warning::Warning;
 
 /// Counts of a run by population, input and core, and its warnings.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]

@@ -48,7 +48,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         options,
         model: NetworkFile::new(name, dt_ms),
         notes,
-        lost: Vec::new(),
+        warnings: Vec::new(),
         layers: Vec::new(),
         last: None,
         expanded: Cell::new(0),
@@ -302,10 +302,10 @@ impl Reader<'_> {
         if self.model.populations.iter().any(|population| !population.kind.table().registers) {
             self.model.target = Some("oheo-gulch".to_string());
         }
-        let assumed = (!self.lost.is_empty()).then(|| self.lost.join("; "));
         let (model, notes, layers) = (self.model, self.notes, self.layers);
-        let mut imported = Imported { kind: "lava-dl netx", model, notes, layers, assumed, reset: None }
-            .with_decision(self.options.decision);
+        let mut imported = Imported { kind: "lava-dl netx", model, notes, layers, warnings: Vec::new(), reset: None };
+        self.warnings.into_iter().for_each(|warning| imported.warn(warning));
+        let mut imported = imported.with_decision(self.options.decision);
         imported.model.provenance = Some(format!("imported from a lava-dl netx file; {}", imported.notes.join("; ")));
         Ok(imported)
     }

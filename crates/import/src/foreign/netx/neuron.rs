@@ -9,6 +9,7 @@ use super::reader::{BIAS_EXP, DEFAULT_BITS, MOST_EXPANDED, Neurons, Reader, SDNN
 use crate::foreign::imported::{MAX_THRESHOLD, integrator};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 
 /// The fields of a neuron; tauRho and scaleRho shape the surrogate gradient of training.
@@ -36,7 +37,8 @@ impl Reader<'_> {
             let whole: Vec<f64> = given.iter().map(|x| x.trunc()).collect();
             let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
             if cut > 0 {
-                self.note_loss(format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number));
+                let message = format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number);
+                self.warnings.push(Warning::of_network("fraction-lost", message));
             }
             let biases = self.expand(layer, "bias", whole, shape)?;
             match neurons.kind {

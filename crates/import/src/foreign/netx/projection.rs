@@ -11,6 +11,7 @@ use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 
 impl Reader<'_> {
@@ -34,10 +35,9 @@ impl Reader<'_> {
         let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();
         let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
         if cut > 0 {
-            self.note_loss(format!(
-                "layer {}: {cut} numbers of '{key}' are not whole and lose their fraction",
-                layer.number
-            ));
+            let message =
+                format!("layer {}: {cut} numbers of '{key}' are not whole and lose their fraction", layer.number);
+            self.warnings.push(Warning::of_network("fraction-lost", message));
         }
         let exponent =
             ["neuron/wgtExp", "neuron/weight_exp"].iter().find_map(|key| layer.group.number(key)).unwrap_or(0.0);
@@ -46,13 +46,14 @@ impl Reader<'_> {
         }
         let encoded = encode::encode(whole, exponent as i64);
         if encoded.changed > 0 {
-            self.note_loss(format!(
+            let message = format!(
                 "layer {}: {} of {} numbers of '{key}' do not fit into one synapse format with the others; they are \
                  rounded to even steps and clipped",
                 layer.number,
                 encoded.changed,
                 given.len()
-            ));
+            );
+            self.warnings.push(Warning::of_network("weights-rounded", message));
         }
         let made = encoded.in_units(exponent as i64);
         let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &given, &made);

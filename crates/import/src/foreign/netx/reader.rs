@@ -5,6 +5,7 @@ use std::cell::Cell;
 use crate::foreign::imported::{LayerWeights, Options};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 
 /// The most numbers to which parameters per channel are expanded, over all layers.
@@ -60,8 +61,8 @@ pub(super) struct Reader<'a> {
     pub(super) options: &'a Options,
     pub(super) model: NetworkFile,
     pub(super) notes: Vec<String>,
-    /// The notes about changed numbers.
-    pub(super) lost: Vec<String>,
+    /// Changes of the file's numbers, and assumptions.
+    pub(super) warnings: Vec<Warning>,
     pub(super) layers: Vec<LayerWeights>,
     pub(super) last: Option<LastPopulation>,
     pub(super) expanded: Cell<u64>,
@@ -71,12 +72,6 @@ pub(super) struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Adds a note about changed numbers of the file.
-    pub(super) fn note_loss(&mut self, note: String) {
-        self.lost.push(note.clone());
-        self.notes.push(note);
-    }
-
     /// Adds a population and makes it the last.
     pub(super) fn push(&mut self, name: &str, shape: Vec<u64>, neurons: Option<Neurons>) {
         let start_step = match &neurons {

@@ -48,6 +48,7 @@ use graph::unfold;
 use node_types::{Flat, WITHOUT_MEANING, fields, is_population, resets};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 use state::{Reader, unsupported, wrong};
 
@@ -74,7 +75,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         options,
         model,
         notes,
-        assumed: Vec::new(),
+        warnings: Vec::new(),
         names: BTreeMap::new(),
         shapes: BTreeMap::new(),
         depths: BTreeMap::new(),
@@ -83,12 +84,11 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         listed: 0,
     };
     reader.network()?;
-    let Reader { model, mut notes, assumed, .. } = reader;
-    notes.extend(assumed.iter().cloned());
+    let Reader { model, notes, warnings, .. } = reader;
     let resets = model.populations.iter().any(|population| population.loihi.is_some());
     let reset = resets.then_some(options.reset.unwrap_or(ResetMode::Zero));
-    let assumed = (!assumed.is_empty()).then(|| assumed.join("; "));
-    let imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), assumed, reset };
+    let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), warnings: Vec::new(), reset };
+    warnings.into_iter().for_each(|warning| imported.warn(warning));
     let mut imported = imported.with_decision(options.decision);
     imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
     Ok(imported)
@@ -126,7 +126,7 @@ pub(super) fn unmodified_model(
     }
     model.decision = options.decision.unwrap_or(model.decision);
     let notes = vec!["written by nsim and not modified since: restored unchanged".to_string()];
-    Ok(Some(Imported { kind, model, notes, layers: Vec::new(), assumed: None, reset: None }))
+    Ok(Some(Imported { kind, model, notes, layers: Vec::new(), warnings: Vec::new(), reset: None }))
 }
 
 impl Reader<'_> {
@@ -196,12 +196,12 @@ impl Reader<'_> {
         }
         self.output(&order)?;
         match self.options.reset {
-            None if unsaid => self.assumed.push(
+            None if unsaid => self.warnings.push(Warning::of_network(
+                "reset-assumed",
                 "the file has no field for the reset, so v returns to zero, as on the chip. For a network that \
                  subtracts, give --reset subtract-later of nsim import (snnTorch) or --reset subtract (sinabs with \
-                 SingleSpike; MultiSpike is not supported). --reset zero confirms zero"
-                    .to_string(),
-            ),
+                 SingleSpike; MultiSpike is not supported). --reset zero confirms zero",
+            )),
             Some(reset @ (ResetMode::Subtract | ResetMode::SubtractLater)) if unsaid => {
                 let when = match reset {
                     ResetMode::Subtract => "when they spike",

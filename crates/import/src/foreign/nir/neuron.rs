@@ -12,6 +12,7 @@ use crate::foreign::hdf5::Group;
 use crate::foreign::imported::{DecayRule, shortest_decimal, wrong_option};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::warning::Warning;
 
 /// A discretised neuron.
 pub(super) struct Discrete {
@@ -269,8 +270,9 @@ impl Reader<'_> {
             shown(&neuron.gain)
         ));
         // One warning represents all nodes.
-        if self.assumed.is_empty() {
-            self.assumed.extend(long.into_inner().into_iter().next());
+        if self.warnings.is_empty() {
+            self.warnings
+                .extend(long.into_inner().into_iter().next().map(|long| Warning::of_network("long-timestep", long)));
         }
         Ok(Some(neuron))
     }

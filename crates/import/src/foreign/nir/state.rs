@@ -7,6 +7,7 @@ use super::node_types::Flat;
 use crate::foreign::imported::Options;
 use nsim_files::network::NetworkFile;
 use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::warning::Warning;
 
 /// The deepest nesting of graphs.
 pub(super) const DEEPEST: usize = 8;
@@ -45,6 +46,5 @@ pub(super) struct Reader<'a> {
     /// Seconds of a timestep.
     pub(super) dt: f64,
     pub(super) listed: usize,
-    /// Notes that are warnings.
-    pub(super) assumed: Vec<String>,
+    pub(super) warnings: Vec<Warning>,
 }
