@@ -205,7 +205,8 @@ fn a_kernel_whose_sources_have_delays_of_their_own_is_listed() {
 fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for() {
     let with_reset = |root: &Group, reset: Option<ResetMode>| read(root, &Options { reset, ..step() });
     let says = |root: &Group, reset: Option<ResetMode>| {
-        with_reset(root, reset).map(|read| read.assumed.is_some_and(|said| said.contains("has no field for the reset")))
+        with_reset(root, reset)
+            .map(|read| read.warnings.iter().any(|said| said.message.contains("has no field for the reset")))
     };
     let with = |neuron: Group| file(&[("i", source(&[2])), ("w", linear(3, 2, 5)), ("n", neuron), ("o", output())]);
     let said = with(lif(&[3]).with("v_reset", reals(&[0.0; 3])));
@@ -217,7 +218,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
     }
     for reset in ResetMode::ALL {
         let taken = with_reset(&unsaid, Some(reset)).unwrap();
-        assert_eq!((taken.reset, taken.assumed), (Some(reset), None));
+        assert_eq!((taken.reset, taken.warnings.len()), (Some(reset), 0));
     }
     assert!(says(&unsaid, None).unwrap() && !says(&unsaid, Some(ResetMode::SubtractLater)).unwrap());
     // The command prints the assumed reset on stderr, and uses it.
@@ -252,7 +253,11 @@ fn a_timestep_beyond_a_time_constant_that_decays_exponentially_is_told() {
     let assumed = |dt_ms: f64| {
         let decay = Some(DecayRule::Exponential);
         let reset = Some(ResetMode::Zero);
-        read(&root, &Options { dt_ms: Some(dt_ms), decay, reset, ..Options::default() }).unwrap().assumed
+        read(&root, &Options { dt_ms: Some(dt_ms), decay, reset, ..Options::default() })
+            .unwrap()
+            .warnings
+            .first()
+            .map(ToString::to_string)
     };
     assert_eq!(assumed(1.0), None);
     let warned = assumed(6.0).unwrap();

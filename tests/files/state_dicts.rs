@@ -380,7 +380,7 @@ fn a_note_says_in_what_order_layers_were_taken() {
     entries.extend(leaky(named, 0.75, 1.0, 1.0));
     entries.push(("b.alpha", vec![], vec![0.5]));
     let imported = import(&entries, &Options::default()).unwrap();
-    let assumed = imported.assumed.unwrap();
+    let assumed = imported.warnings[0].to_string();
     assert!(assumed.contains(": fc1 -> lif1 (Leaky) -> fc2 -> b (Synaptic);"), "{assumed}");
     assert!(["forward()", "inhibition", "reset_delay", "nsim.from_torch"].iter().all(|word| assumed.contains(word)));
     assert!(imported.notes.contains(&assumed));
@@ -389,7 +389,7 @@ fn a_note_says_in_what_order_layers_were_taken() {
     let path = folder.path().join("net.pt");
     std::fs::write(&path, checkpoint(&entries)).unwrap();
     let network = nsim::load_model(path.to_str().unwrap()).unwrap();
-    assert_eq!(network.conventions().assumed.as_ref(), Some(&assumed));
+    assert_eq!(network.conventions().warnings[0].to_string(), assumed);
     assert_eq!(network.conventions().notes, imported.notes);
     // A command prints it once.
     let map = std::process::Command::new(env!("CARGO_BIN_EXE_nsim")).arg("map").arg(&path).output().unwrap();
@@ -399,12 +399,12 @@ fn a_note_says_in_what_order_layers_were_taken() {
     for text in ["type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024", "type: Leaky, beta: 0.75"] {
         let dense = |name| (name, vec![2, 2], vec![20.0; 4]);
         let imported = import(&[dense("a.weight"), dense("b.weight")], &neuron(&folder, text)).unwrap();
-        let assumed = imported.assumed.unwrap();
+        let assumed = imported.warnings[0].to_string();
         assert!(assumed.contains(": a -> b;") && imported.notes.contains(&assumed), "{assumed}");
     }
     let lif = "type: LIF, tau_syn_inv: 200, tau_mem_inv: 100, v_leak: 0, v_th: 1, v_reset: 0";
     let cells = import(&[("a.weight", vec![2, 2], vec![2.0; 4])], &neuron(&folder, lif)).unwrap();
-    assert!(cells.assumed.unwrap().contains("all are read as LIFCell"));
+    assert!(cells.warnings[0].message.contains("all are read as LIFCell"));
 }
 
 #[test]
