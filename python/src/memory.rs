@@ -10,8 +10,7 @@ use std::path::Path;
 use nsim::files::network::{Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim::import::foreign;
 use nsim::import::foreign::hdf5::{Group, Numbers};
-use nsim::import::foreign::imported::DecayRule;
-use nsim::import::foreign::{Imported, Options, ResetMode};
+use nsim::import::foreign::{DecayRule, Imported, Options, Reading, ResetMode, Tool};
 use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;
@@ -253,8 +252,11 @@ pub fn options(keywords: &Keywords<'_>) -> PyResult<Options> {
     };
     let options = Options {
         decision: keywords.one_of("decision", &ReadOut::ALL, decisions)?,
-        dt_ms: keywords.take("dt_ms")?,
-        reset: keywords.one_of("reset", &ResetMode::ALL, ResetMode::name)?,
+        reading: Reading {
+            dt_ms: keywords.take("dt_ms")?,
+            tool: keywords.one_of("tool", &Tool::ALL, Tool::name)?,
+            reset: keywords.one_of("reset", &ResetMode::ALL, ResetMode::name)?,
+        },
         decay: keywords.one_of("decay", &DecayRule::ALL, DecayRule::name)?,
         threshold: keywords.one_of("threshold", &ThresholdTest::ALL, ThresholdTest::name)?,
         input_shape: keywords.take("input_shape")?,

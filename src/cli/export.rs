@@ -7,7 +7,7 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_files::write;
@@ -25,7 +25,7 @@ pub struct Args {
     /// A model file or the name of a shipped model
     pub model: String,
     #[command(flatten)]
-    timestep: TimestepArgs,
+    reading: ReadingArgs,
     /// The NIR file to write, or the netx file (.net)
     #[arg(short, long, value_name = "FILE.nir")]
     output: PathBuf,
@@ -39,7 +39,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         _ => return Err(Error::Usage(format!("-o {}: models are exported as .nir or .net", args.output.display()))),
     };
     write::check_free(&args.output, context.force)?;
-    let network = args.timestep.load(&args.model)?;
+    let network = args.reading.load(&args.model)?;
     nsim_session::front::check(&network)?;
     let model = network.resolved()?;
     let (tree, notes) = if has("nir") { nir_export::export(&model)? } else { netx_export::export(&model)? };

@@ -8,15 +8,15 @@ use std::path::PathBuf;
 
 use serde_json::json;
 
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
+use crate::cli::args::recording::{RecordingPair, recording_pair, with_rows};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::inspect::network::kind_and_parameters;
 use crate::cli::output;
 use nsim_files::changes;
 use nsim_files::network::ProjectionKind;
-use nsim_import::foreign::imported::DecayRule;
-use nsim_import::foreign::{self, Imported, Options, ResetMode};
+use nsim_import::foreign::{self, DecayRule, Imported, Options};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::inspect::{Findings, FindingsTable};
@@ -28,27 +28,25 @@ use nsim_session::error::Error;
   nsim import network.net -o model.ron              a network of lava-dl's netx
   nsim import network.net --image digit.npy         its input layer driven by an image
   nsim import weights.pt --neuron slip_loihi.yml    a state dict of PyTorch, or one of SLAYER's sets of .npy
+  nsim import graph.nir --from snntorch -o model.ron   NIR, by the conventions of the tool that wrote it
   nsim import graph.nir --dt 0.1 -o model.ron       NIR, with the timestep that its file does not have
+  nsim import graph.nir --check in.npy=out.npy      with the tool's own spikes: which conventions give them
   nsim import network.net                           only describe the file")]
 pub struct Args {
     /// The foreign file
     pub file: PathBuf,
     #[command(flatten)]
-    timestep: TimestepArgs,
+    reading: ReadingArgs,
     /// Type and parameters of the neurons, where the file has none: a YAML file
     #[arg(long, value_name = "FILE")]
     neuron: Option<PathBuf>,
-    /// Reset at a spike where a NIR file has no v_reset: to zero, as on the chip; or by subtracting
-    /// the threshold at the spike, or a step later as in snnTorch, which only some targets can do
-    #[arg(long, value_name = "HOW", value_parser = one_of(&ResetMode::ALL, ResetMode::name))]
-    reset: Option<ResetMode>,
     /// Share of a state kept per step, where the file has time constants (NIR): 1 - dt / tau, as
     /// snnTorch and Norse (euler), or exp(-dt / tau), as sinabs and Rockpool (exponential)
-    /// [default: euler]
+    /// [default: that of --from, else euler]
     #[arg(long, value_name = "HOW", value_parser = one_of(&DecayRule::ALL, DecayRule::name))]
     decay: Option<DecayRule>,
     /// Whether a compartment spikes above its threshold (strict, as on the chip) or also at it
-    /// (inclusive, as in SLAYER 2)
+    /// (inclusive, as in sinabs, spikingjelly and SLAYER 2) [default: that of --from, else strict]
     #[arg(long, value_name = "HOW", value_parser = one_of(&ThresholdTest::ALL, ThresholdTest::name))]
     threshold: Option<ThresholdTest>,
     /// Score of an output: its spikes, or its potential, the greatest, the sum or the last
@@ -77,6 +75,10 @@ pub struct Args {
     /// Bits of the fraction of their state below that [default: 6]
     #[arg(long, value_name = "BITS", value_parser = clap::value_parser!(u8).range(..=7))]
     state_exp: Option<u8>,
+    /// Compare the reference engine's spikes with those that the tool recorded: spikes of the input
+    /// and of the output, as arrays; where they differ, with the conventions of each tool, too
+    #[arg(long, value_name = "IN.npy=OUT.npy", value_parser = recording_pair)]
+    check: Option<RecordingPair>,
     /// The model file to write; its arrays go next to it as .safetensors
     #[arg(short, long, value_name = "MODEL.ron")]
     output: Option<PathBuf>,
@@ -88,9 +90,9 @@ impl Args {
             return Err(Error::Usage(format!("--input-shape {shape:?}: write CHANNELS,HEIGHT,WIDTH")));
         }
         Ok(Options {
-            dt_ms: self.timestep.dt_ms,
+            reading: self.reading.reading(),
+            known: false,
             neuron: self.neuron.clone(),
-            reset: self.reset,
             decay: self.decay,
             threshold: self.threshold,
             decision: self.decision,
@@ -109,7 +111,11 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(&args.output, None, context)?;
     let message = "--set is not supported by import; give it to the command that uses the model";
     refuse_if(!changes::process_changes().is_empty(), message)?;
-    let imported = foreign::read(&args.file, &args.options()?)?;
+    let options = args.options()?;
+    let imported = foreign::read(&args.file, &options).map_err(|problem| match &args.check {
+        Some(check) => with_rows(problem, &check.by_tool(&args.file, &options)),
+        None => problem,
+    })?;
     for warning in &imported.warnings {
         tracing::warn!("{}: {warning}", args.file.display());
     }
@@ -120,21 +126,23 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         problem.place = None;
         problem.in_file(&args.file)
     };
-    nsim_session::front::check(&imported.model.build(shown)?).map_err(in_the_file)?;
+    let network = imported.model.build(shown)?;
+    nsim_session::front::check(&network).map_err(in_the_file)?;
+    let checked = args.check.as_ref().map(|check| check.lines(&network, &args.file, &options)).transpose()?;
     let files = match &args.output {
         Some(path) => imported.model.write(path, context.force)?,
         None => Vec::new(),
     };
-    let found = findings(&imported, &files);
+    let found = findings(&imported, &files, checked.as_ref().map(|(_, lines)| lines.as_slice()));
     let file = args.file.display().to_string();
     if !taken {
         output::print(context.format, || found.text(&file), || found.json("nsim.import/1", &file), || found.csv())?;
     }
-    Ok(Answer::Yes)
+    Ok(if checked.is_none_or(|(equal, _)| equal) { Answer::Yes } else { Answer::No })
 }
 
 /// Report of an imported model.
-fn findings(imported: &Imported, files: &[String]) -> Findings {
+fn findings(imported: &Imported, files: &[String], checked: Option<&[String]>) -> Findings {
     let model = &imported.model;
     let every =
         model.reset.map(|reset| format!("every {} steps from step {} of a layer", reset.interval, reset.offset));
@@ -170,6 +178,7 @@ fn findings(imported: &Imported, files: &[String]) -> Findings {
             ("drain", json!(model.drain)),
             ("reset", json!(reset)),
             ("notes", json!(imported.notes)),
+            ("check", json!(checked)),
             ("written", if files.is_empty() { json!(null) } else { json!(files) }),
         ],
         tables: vec![

@@ -105,7 +105,7 @@ pub struct MapArgs {
 pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
-    let network = args.job.timestep.load(&args.job.model)?;
+    let network = args.job.reading.load(&args.job.model)?;
     let most_copies = args.job.anew.copies.most();
     let integers = |network: &Network| integers(network, most_copies);
     let request = Request { copies: args.copies, options: options(args), ..args.job.request(&network, &integers) };
@@ -157,7 +157,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
             let changes: Vec<Change> =
                 changes.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>().ok()?;
             with_changes(&changes, || {
-                let network = args.job.timestep.load(&args.job.model).ok()?;
+                let network = args.job.reading.load(&args.job.model).ok()?;
                 let (front, settings) = obtain::prepare_mapping(&Request { network: &network, ..request }).ok()?;
                 Some((front, settings.target))
             })

@@ -10,7 +10,7 @@ use std::time::{Instant, UNIX_EPOCH};
 use serde_json::json;
 
 use crate::cli::args::jobs::MappingArgs;
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cli::process::signals;
@@ -63,7 +63,7 @@ pub struct Args {
     #[arg(value_name = "SWEEP.ron")]
     sweep: PathBuf,
     #[command(flatten)]
-    timestep: TimestepArgs,
+    reading: ReadingArgs,
     #[command(flatten)]
     anew: MappingArgs,
     /// Where to write the table, as CSV; without it the table goes to stdout
@@ -96,7 +96,7 @@ struct VariantCounts {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let MappingArgs { relays, prune, copies } = &args.anew;
     let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;
-    let sweep = sweep.with(args.timestep.dt_ms, *relays, prune, copies.most());
+    let sweep = sweep.with(args.reading.reading(), *relays, prune, copies.most());
     let mut table = Table::new(&sweep);
     let axes = args.axes.as_ref().map(|[x, y]| [x.as_str(), y.as_str()]);
     for axis in axes.into_iter().flatten() {
@@ -193,7 +193,7 @@ fn run_variants(
 
 /// Arguments that change variants.
 fn variant_arguments(args: &Args) -> impl std::fmt::Debug {
-    (args.timestep.dt_ms, &args.anew)
+    (args.reading.reading(), &args.anew)
 }
 
 /// First line of a journal, by which it is identified: the program's version, and a digest of the

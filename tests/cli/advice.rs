@@ -58,21 +58,26 @@ fn every_command_that_reads_models_takes_the_timestep_that_a_file_lacks() {
         &["export", &net, "-o", &again],
     ] {
         let (code, _, stderr) = said(line);
-        assert!(code == 3 && stderr.contains("help: give the timestep with --dt MS"), "{line:?}: {code} {stderr}");
+        assert!(
+            code == 3 && stderr.contains("help: give --from TOOL") && stderr.contains("--dt MS"),
+            "{line:?}: {code} {stderr}"
+        );
         succeeds(&[line, &["--dt", "0.1"]].concat());
     }
     // Inspecting such a file names the option that its import needs.
     let import = |more: &[&str]| object(&[&["inspect", &net], more].concat(), 0)["import"].to_string();
     assert!(import(&[]).contains("--dt MS") && import(&["--dt", "0.1"]).contains("timestep 0.1 ms"));
-    // If the nodes imply a timestep, the note names their parameters.
-    let notes = object(&["import", &nir_with(folder.path(), 20.0)], 0)["notes"].to_string();
-    assert!(notes.contains("timestep 1.000000 ms: tau / r\""), "{notes}");
+    // If the nodes imply a timestep by a tool's conventions, the note names their parameters.
+    let notes = object(&["import", &nir_with(folder.path(), 20.0), "--from", "snntorch"], 0)["notes"].to_string();
+    assert!(notes.contains("timestep 1 ms: tau / r, on which"), "{notes}");
     // A file with a timestep keeps it.
     let model = write(folder.path(), "m.ron", MODEL);
     for line in [&["run", &model, "--input", noise, "--dt", "2"][..], &["inspect", &model, "--dt", "2"]] {
         let error = object(line, 3);
         assert_eq!((&error["code"], &error["line"]), (&"model.timestep".into(), &1.into()));
         assert!(error["help"].as_str().unwrap().contains("--set timestep_ms=2"), "{error}");
+        let tool = [&line[..line.len() - 2], &["--from", "sinabs"]].concat();
+        assert_eq!(object(&tool, 3)["code"], "import.option");
         object(&[line, &["--set", "timestep_ms=2"]].concat(), 0);
     }
     assert_eq!(said(&["run", &net, "--dt", "0"]).0, 2);

@@ -10,9 +10,9 @@ use crate::tree;
 use nsim::files::lower::lower;
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
-use nsim::import::foreign::Options;
 use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::import::foreign::{Options, Reading};
 use serde_json::Value;
 
 /// A row: the owner of the field, its name, the other value.
@@ -377,7 +377,7 @@ fn a_field_that_means_something_else_changes_the_model_or_is_refused() {
     assert!(rows.len() > 80, "{}", rows.len());
     let unique: BTreeSet<(&str, &str)> = rows.iter().map(|row| (row.owner.as_str(), row.field.as_str())).collect();
     assert_eq!(unique.len(), rows.len());
-    let options = Options { dt_ms: Some(1.0), ..Options::default() };
+    let options = Options { reading: Reading { dt_ms: Some(1.0), ..Reading::default() }, ..Options::default() };
     let folder = tempfile::tempdir().unwrap();
     let image = folder.path().join("image.npy");
     let pixels = (0..9u8).map(|i| f64::from(i) / 9.0);

@@ -5,6 +5,7 @@
 
 #[path = "../common/mod.rs"]
 mod common;
+mod conventions;
 mod fields;
 mod foreign;
 mod formats;

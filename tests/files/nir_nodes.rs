@@ -10,15 +10,14 @@ use nsim::files::network::{NetworkFile, Parameter, ProjectionDesc, ProjectionKin
 use nsim::import::foreign;
 use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
-use nsim::import::foreign::imported::DecayRule;
-use nsim::import::foreign::{Imported, Options, ResetMode, netx_export, nir_export};
+use nsim::import::foreign::{DecayRule, Imported, Options, Reading, ResetMode, Tool, netx_export, nir_export};
 use nsim::ir::arithmetic::ThresholdTest;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::rng;
 use nsim::ir::neurons::NeuronKind;
 
 /// Numbers from -0.5 to 1.5 in steps of 1/64.
-fn noise(count: usize, seed: u64) -> Vec<f64> {
+pub fn noise(count: usize, seed: u64) -> Vec<f64> {
     (0..count as u64).map(|i| (rng::below(129, seed, i, 0) as f64 - 32.0) / 64.0).collect()
 }
 
@@ -27,17 +26,17 @@ fn weights(shape: &[usize], seed: u64) -> Numbers {
 }
 
 /// A file whose nodes form a chain.
-fn file(nodes: &[(&str, Group)]) -> Group {
+pub fn file(nodes: &[(&str, Group)]) -> Group {
     file_with(nodes, &[], &[])
 }
 
 /// A file whose nodes form a chain, with more nodes and edges.
-fn file_with(nodes: &[(&str, Group)], others: &[(&str, Group)], more: &[(&str, &str)]) -> Group {
+pub fn file_with(nodes: &[(&str, Group)], others: &[(&str, Group)], more: &[(&str, &str)]) -> Group {
     let row = nodes.windows(2).map(|pair| (pair[0].0, pair[1].0));
     nir(nodes.iter().chain(others).cloned(), row.chain(more.iter().copied()))
 }
 
-fn read(root: &Group, options: &Options) -> Result<Imported, Diagnostic> {
+pub fn read(root: &Group, options: &Options) -> Result<Imported, Diagnostic> {
     let imported = foreign::from_bytes(Path::new("net.nir"), hdf5::write(root).unwrap(), options)?;
     lower(&imported.model.build(Path::new("net.nir"))?)?;
     Ok(imported)
@@ -45,7 +44,14 @@ fn read(root: &Group, options: &Options) -> Result<Imported, Diagnostic> {
 
 /// Options with a timestep of 1 ms.
 fn step() -> Options {
-    Options { dt_ms: Some(1.0), ..Options::default() }
+    given("", 1.0, None)
+}
+
+/// Options of a tool's name (none if empty), a timestep in ms (none if 0) and a reset.
+pub fn given(tool: &str, dt_ms: f64, reset: Option<ResetMode>) -> Options {
+    let tool = Tool::ALL.into_iter().find(|one| one.name() == tool);
+    let reading = Reading { dt_ms: (dt_ms > 0.0).then_some(dt_ms), tool, reset };
+    Options { reading, ..Options::default() }
 }
 
 fn import(root: &Group) -> NetworkFile {
@@ -53,22 +59,22 @@ fn import(root: &Group) -> NetworkFile {
 }
 
 /// Leaky neurons that lose an eighth in a step, with unscaled weights.
-fn lif(axes: &[usize]) -> Group {
+pub fn lif(axes: &[usize]) -> Group {
     node("LIF", axes, &[("tau", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)])
 }
 
 /// Leaky neurons with a current that loses a quarter in a step.
-fn cuba(axes: &[usize]) -> Group {
+pub fn cuba(axes: &[usize]) -> Group {
     let fields =
         [("tau_syn", 0.004), ("w_in", 4.0), ("tau_mem", 0.008), ("r", 8.0), ("v_leak", 0.0), ("v_threshold", 1.0)];
     node("CubaLIF", axes, &fields)
 }
 
-fn source(axes: &[i64]) -> Group {
+pub fn source(axes: &[i64]) -> Group {
     typed("Input").with("shape", ints(axes))
 }
 
-fn output() -> Group {
+pub fn output() -> Group {
     typed("Output")
 }
 
@@ -202,23 +208,21 @@ fn a_kernel_whose_sources_have_delays_of_their_own_is_listed() {
 }
 
 #[test]
-fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for() {
-    let with_reset = |root: &Group, reset: Option<ResetMode>| read(root, &Options { reset, ..step() });
+fn a_reset_is_assumed_with_a_warning_unless_an_option_states_it() {
+    let with_reset = |root: &Group, reset: Option<ResetMode>| read(root, &given("", 1.0, reset));
     let says = |root: &Group, reset: Option<ResetMode>| {
-        with_reset(root, reset)
-            .map(|read| read.warnings.iter().any(|said| said.message.contains("has no field for the reset")))
+        with_reset(root, reset).map(|read| read.warnings.iter().any(|said| said.code == "reset-assumed"))
     };
     let with = |neuron: Group| file(&[("i", source(&[2])), ("w", linear(3, 2, 5)), ("n", neuron), ("o", output())]);
-    let said = with(lif(&[3]).with("v_reset", reals(&[0.0; 3])));
-    assert!(!says(&said, None).unwrap() && !says(&said, Some(ResetMode::Zero)).unwrap());
-    let unsaid = with(lif(&[3]));
-    for reset in [ResetMode::Subtract, ResetMode::SubtractLater] {
-        let error = says(&said, Some(reset)).unwrap_err();
-        assert!(error.code == "import.option" && error.help.unwrap().contains("leave --reset out"));
-    }
-    for reset in ResetMode::ALL {
-        let taken = with_reset(&unsaid, Some(reset)).unwrap();
-        assert_eq!((taken.reset, taken.warnings.len()), (Some(reset), 0));
+    // The library nir writes v_reset 0 for exporters that do not state it.
+    let (unsaid, zero) = (with(lif(&[3])), with(lif(&[3]).with("v_reset", reals(&[0.0; 3]))));
+    for root in [&unsaid, &zero] {
+        assert!(says(root, None).unwrap());
+        for reset in ResetMode::ALL {
+            let taken = with_reset(root, Some(reset)).unwrap();
+            assert_eq!(taken.reset, Some(reset));
+            assert!(taken.warnings.iter().all(|warning| warning.code != "reset-assumed"));
+        }
     }
     assert!(says(&unsaid, None).unwrap() && !says(&unsaid, Some(ResetMode::SubtractLater)).unwrap());
     // The command prints the assumed reset on stderr, and uses it.
@@ -231,10 +235,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
             command.arg("import").arg(&path).args(["--dt", "1", "--format", "json"]).args(words).output().unwrap();
         let json: serde_json::Value = serde_json::from_slice(&import.stdout).unwrap();
         let stderr = String::from_utf8_lossy(&import.stderr);
-        assert!(
-            import.status.success() && stderr.contains("--reset subtract-later of nsim import (snnTorch)") == warns,
-            "{stderr}"
-        );
+        assert!(import.status.success() && stderr.contains("the file does not state the reset") == warns, "{stderr}");
         assert_eq!(json["reset"], taken);
     }
     let other = with(lif(&[3]).with("v_reset", reals(&[0.5; 3])));
@@ -243,7 +244,7 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
     // not.
     let (tree, _) = nir_export::export(&import(&unsaid)).unwrap();
     assert_eq!(says(&tree, Some(ResetMode::Subtract)).unwrap_err().code, "import.option");
-    assert_eq!(read(&tree, &Options { dt_ms: Some(2.0), ..Options::default() }).unwrap_err().code, "import.option");
+    assert_eq!(read(&tree, &given("", 2.0, None)).unwrap_err().code, "import.option");
     assert!(!says(&tree, Some(ResetMode::Zero)).unwrap());
 }
 
@@ -251,13 +252,9 @@ fn a_reset_that_the_file_says_is_believed_and_one_that_it_does_not_is_asked_for(
 fn a_timestep_beyond_a_time_constant_that_decays_exponentially_is_told() {
     let root = file(&[("i", source(&[2])), ("w", linear(4, 2, 5)), ("n", cuba(&[4])), ("o", output())]);
     let assumed = |dt_ms: f64| {
-        let decay = Some(DecayRule::Exponential);
-        let reset = Some(ResetMode::Zero);
-        read(&root, &Options { dt_ms: Some(dt_ms), decay, reset, ..Options::default() })
-            .unwrap()
-            .warnings
-            .first()
-            .map(ToString::to_string)
+        let options = Options { decay: Some(DecayRule::Exponential), ..given("", dt_ms, None) };
+        let warnings = read(&root, &options).unwrap().warnings;
+        warnings.iter().find(|warning| warning.code == "long-timestep").map(ToString::to_string)
     };
     assert_eq!(assumed(1.0), None);
     let warned = assumed(6.0).unwrap();
@@ -271,7 +268,7 @@ fn subtraction_a_step_later_is_snntorchs_rule_with_and_without_a_current() {
     for (neuron, alpha) in [(lif(&[4]), 0.0), (cuba(&[4]), 0.75)] {
         let weights = typed("Linear").with("weight", Numbers::f64(&[4, 3], &w));
         let root = file(&[("i", source(&[3])), ("w", weights), ("n", neuron), ("o", output())]);
-        let options = Options { reset: Some(ResetMode::SubtractLater), ..step() };
+        let options = given("", 1.0, Some(ResetMode::SubtractLater));
         let model = read(&root, &options).unwrap().model;
         let (mut syn, mut mem) = ([0.0; 4], [0.0; 4]);
         let right: Vec<Vec<bool>> = (0..STEPS)
@@ -288,7 +285,7 @@ fn subtraction_a_step_later_is_snntorchs_rule_with_and_without_a_current() {
             .collect();
         assert!(total(&right) > 20);
         assert_eq!(spikes(&model, "n", 3), right, "alpha {alpha}");
-        let at_once = read(&root, &Options { reset: Some(ResetMode::Subtract), ..step() }).unwrap().model;
+        let at_once = read(&root, &given("", 1.0, Some(ResetMode::Subtract))).unwrap().model;
         assert_ne!(spikes(&at_once, "n", 3), right);
     }
 }
@@ -659,7 +656,7 @@ fn options_are_used_or_refused() {
     let inclusive = read(&root, &Options { threshold: Some(ThresholdTest::Inclusive), ..step() }).unwrap().model;
     assert_eq!(inclusive.threshold, ThresholdTest::Inclusive);
     // A time constant below a step is valid where states decay exponentially.
-    let exponential = Options { decay: Some(DecayRule::Exponential), dt_ms: Some(16.0), ..Options::default() };
+    let exponential = Options { decay: Some(DecayRule::Exponential), ..given("", 16.0, None) };
     assert!(read(&root, &Options { decay: Some(DecayRule::Euler), ..exponential.clone() }).is_err());
     let model = read(&root, &exponential).unwrap().model;
     let Some(Parameter::Same(tau)) = model.population("n").unwrap().parameter("tau_v_ms").cloned() else { panic!() };

@@ -315,7 +315,7 @@ fn imported_layers_answer_to_every_step_of_the_input_as_in_the_tool_that_trained
     for more in [&[][..], &[(2, 2)], &[(0, 3), (1, 3)], &[(0, 2), (3, 3), (1, 1), (1, 3)]] {
         let ways = [&chain[..], more].concat();
         write_layered(folder, &ways);
-        succeeds(folder, "import net.nir -o m.ron --force");
+        succeeds(folder, "import net.nir --dt 1 -o m.ron --force");
         let run = object(folder, "run m.ron --input in.npy --engine reference", 0);
         let counts: Vec<Vec<u64>> = serde_json::from_value(run["output_counts"].clone()).unwrap();
         assert_eq!(counts, counted(&input, &ways), "{ways:?}");
@@ -363,7 +363,7 @@ fn layers_that_answer_late_are_told_from_rounded_weights() {
     for more in [&[][..], &[(2, 2)], &[(0, 3), (1, 3)]] {
         let ways = [&chain[..], more].concat();
         write_layered(folder, &ways);
-        object(folder, "import net.nir -o m.ron --force", 0);
+        object(folder, "import net.nir --dt 1 -o m.ron --force", 0);
         // The model as for the chip: every layer from the first step on, no step at the end.
         let text = std::fs::read_to_string(folder.join("m.ron")).unwrap();
         let plain = text.lines().filter(|line| !line.trim_start().starts_with("provenance"));
@@ -410,10 +410,10 @@ fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
     assert!(stderr.contains("nsim train, with the loss Potential"), "{stderr}");
     // An imported network is refused before its conversion, and no message suggests fine-tuning it.
     write_layered(folder, &[(0, 1), (1, 2), (2, 3)]);
-    let (code, _, stderr) = nsim(folder, "convert net.nir --input in.npy --fine-tune 1");
+    let (code, _, stderr) = nsim(folder, "convert net.nir --dt 1 --input in.npy --fine-tune 1");
     assert!(code == 3 && stderr.contains("not spike response neurons"), "{code}: {stderr}");
     for command in ["convert", "agree"] {
-        let (_, text, stderr) = nsim(folder, &format!("{command} net.nir --input in.npy"));
+        let (_, text, stderr) = nsim(folder, &format!("{command} net.nir --dt 1 --input in.npy"));
         assert!(!text.contains("fine-tun") && !stderr.contains("fine-tun"), "{text}{stderr}");
     }
 }
@@ -422,7 +422,7 @@ fn what_reads_spikes_alone_refuses_an_output_read_out_by_its_potential() {
 fn a_drain_is_bounded() {
     let folder = tempfile::tempdir().unwrap();
     write_layered(folder.path(), &[(0, 1), (1, 2), (2, 3)]);
-    object(folder.path(), "import net.nir -o m.ron", 0);
+    object(folder.path(), "import net.nir --dt 1 -o m.ron", 0);
     let (code, _, stderr) = nsim(folder.path(), "run m.ron --set drain=65536");
     assert!(code == 3 && stderr.contains("drain 65536 is outside 0..=65535"), "{code}: {stderr}");
 }

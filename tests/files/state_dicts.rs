@@ -12,7 +12,7 @@ use crate::torch::{Entry, checkpoint};
 use nsim::files::lower::lower;
 use nsim::files::network::{Parameter, ProjectionKind};
 use nsim::import::foreign;
-use nsim::import::foreign::{Imported, Options, ResetMode};
+use nsim::import::foreign::{Imported, Options, Reading, ResetMode};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::rng;
 
@@ -120,7 +120,11 @@ fn snntorch_gives_what_its_rules_give_with_both_resets_and_biases() {
         assert_eq!(spikes(&imported.model, "lif2", 5), out, "subtracts: {subtracts}");
         // The file states its reset, so a contradicting option is refused.
         let other = if subtracts { ResetMode::Zero } else { ResetMode::SubtractLater };
-        let error = import(&entries, &Options { reset: Some(other), ..Options::default() }).unwrap_err();
+        let error = import(
+            &entries,
+            &Options { reading: Reading { reset: Some(other), ..Reading::default() }, ..Options::default() },
+        )
+        .unwrap_err();
         assert_eq!(error.code, "import.option", "{error}");
     }
 }

@@ -14,6 +14,7 @@ pub mod compare;
 mod links;
 pub mod metrics;
 pub mod pipeline;
+pub mod recording;
 pub mod staged;
 mod state;
 pub mod stress;

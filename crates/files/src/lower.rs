@@ -13,7 +13,7 @@ use petgraph::graph::{DiGraph, NodeIndex};
 use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
 use crate::synapses::{SynapseArrays, SynapseList};
 use nsim_ir::base::diagnostic::{Diagnostic, Span, collect_all};
-use nsim_ir::base::fixed::{Delay, MessageBits, Payload};
+use nsim_ir::base::fixed::{Delay, MessageBits, Payload, ThresholdMantissa};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{
@@ -359,6 +359,9 @@ impl Lowering<'_> {
             self.find(nodes, name, "'from'", || self.at(span, &format!("from.[{index}]")))
         };
         let sources: Vec<NodeIndex> = desc.from.iter().enumerate().map(source).collect::<Result<_, _>>()?;
+        for (index, &node) in sources.iter().enumerate() {
+            self.check_sends(&graph[node], &desc.to, self.at(span, &format!("from.[{index}]")))?;
+        }
         let declared = ProjectionLowering {
             lowering: self,
             span,
@@ -379,6 +382,24 @@ impl Lowering<'_> {
             self.part((desc, span), delay, whole, (&sources, target), graph);
         }
         Ok(())
+    }
+
+    /// Refuses a source that only integrates: its thresholds are the greatest, so it never spikes,
+    /// and a core sends nothing but spikes.
+    fn check_sends(&self, source: &Population, target: &str, place: Span) -> Result<(), Diagnostic> {
+        let PopulationKind::Neurons(parameters) = &source.kind else { return Ok(()) };
+        let greatest = f64::from(ThresholdMantissa::MAX.get());
+        let never = |values: &Values| values.each.values().iter().all(|&threshold| threshold == greatest);
+        if !parameters.kind.table().registers || !parameters.get("vth_mant").is_some_and(never) {
+            return Ok(());
+        }
+        let message = format!(
+            "'{}' never spikes, as its vth_mant is {greatest}, and its potential cannot be sent to '{target}'",
+            source.name
+        );
+        Err(self
+            .error("model.cannot-send", message, place)
+            .help("remove the projection, or give the target a current of its own (du) in place of the integrator"))
     }
 
     /// Adds a part of a projection, from each of its source populations.

@@ -5,8 +5,7 @@
 
 use std::path::Path;
 
-use crate::foreign::imported::DecayRule;
-use crate::foreign::{Options, from_bytes, hdf5 as hdf5_file, slayer, torch};
+use crate::foreign::{DecayRule, Options, Reading, from_bytes, hdf5 as hdf5_file, slayer, torch};
 use crate::spikes::events::{nir_data, read};
 use crate::spikes::{EventFormat, EventOptions, InputSpec};
 use nsim_ir::arithmetic::ThresholdTest;
@@ -17,9 +16,13 @@ fn import(path: &str, data: &[u8]) {
     let options = [
         Options::default(),
         // Options of NIR, then of netx.
-        Options { dt_ms: Some(1.0), decay: Some(DecayRule::Exponential), ..Options::default() },
         Options {
-            dt_ms: Some(1.0),
+            reading: Reading { dt_ms: Some(1.0), ..Reading::default() },
+            decay: Some(DecayRule::Exponential),
+            ..Options::default()
+        },
+        Options {
+            reading: Reading { dt_ms: Some(1.0), ..Reading::default() },
             threshold: Some(ThresholdTest::Inclusive),
             reset_interval: Some(16),
             input_shape: Some(vec![1, 8, 8]),

@@ -9,6 +9,7 @@ use std::path::Path;
 use std::sync::Mutex;
 
 use super::foreign;
+use super::foreign::Reading;
 use nsim_files::network::{ArrayRef, Network, NetworkFile, place};
 use nsim_files::shipped;
 use nsim_files::shipped::Origin;
@@ -27,18 +28,18 @@ static WARNED_MODELS: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
 /// `model.unknown`, `model.syntax`, `io.*`; for arrays, their own codes at the place that names
 /// them.
 pub fn load_model(argument: &str) -> Result<Network> {
-    load_model_with(argument, None)
+    load_model_with(argument, &Reading::default())
 }
 
-/// As [`load_model`], with the length of a timestep in ms for files without one. Warns of
-/// assumptions about another tool's file.
+/// As [`load_model`], with facts that the file of another tool does not state. Warns of
+/// assumptions about such a file.
 ///
 /// # Errors
-/// As [`load_model`]; `model.timestep` for a model file with another timestep.
-pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
+/// As [`load_model`]; `model.timestep` and `import.option` for a model file that contradicts them.
+pub fn load_model_with(argument: &str, reading: &Reading) -> Result<Network> {
     let path = Path::new(argument);
     if shipped::is_path(argument) && foreign::is_foreign(path) {
-        let network = foreign::network(path, &foreign::Options { dt_ms, ..Default::default() })?;
+        let network = foreign::network(path, &foreign::Options { reading: *reading, ..Default::default() })?;
         // Some commands read their model more than once, but one warning is enough.
         let first = !network.conventions().warnings.is_empty()
             && WARNED_MODELS.lock().is_ok_and(|mut warned| warned.insert(argument.to_string()));
@@ -48,16 +49,23 @@ pub fn load_model_with(argument: &str, dt_ms: Option<f64>) -> Result<Network> {
         return Ok(network);
     }
     let (source, origin) = shipped::path_or_shipped_text(argument, shipped::MODELS, "model", "model.unknown")?;
-    check_timestep(network(source, origin)?, dt_ms)
+    check_reading(network(source, origin)?, reading)
 }
 
-/// Returns the model if its timestep is `dt_ms` or none is given.
+/// Returns the model of a file of nsim's own if no given fact contradicts it.
 ///
 /// # Errors
-/// `model.timestep`.
-pub fn check_timestep(network: Network, dt_ms: Option<f64>) -> Result<Network> {
+/// `model.timestep`; `import.option` for a tool or a reset.
+pub fn check_reading(network: Network, reading: &Reading) -> Result<Network> {
     let own = network.file().timestep_ms;
-    let Some(dt) = dt_ms.filter(|dt| (dt / own - 1.0).abs() > 1e-9) else { return Ok(network) };
+    let of_others = [("--from", reading.tool.is_some()), ("--reset", reading.reset.is_some())];
+    if let Some((option, _)) = of_others.iter().find(|(_, given)| *given) {
+        let message = format!("the model is a file of nsim's own, to which {option} does not apply");
+        return Err(Diagnostic::new("import.option", message)
+            .at(network.source(), place(network.source(), "name"))
+            .help(format!("leave {option} out: the model states its neurons")));
+    }
+    let Some(dt) = reading.dt_ms.filter(|dt| (dt / own - 1.0).abs() > 1e-9) else { return Ok(network) };
     let message = format!("the model has a timestep of {own} ms, which --dt {dt} contradicts");
     Err(Diagnostic::new("model.timestep", message)
         .at(network.source(), place(network.source(), "timestep_ms"))

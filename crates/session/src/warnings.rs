@@ -214,7 +214,7 @@ fn firing_advice(
                 "as in a layer that decides by its potential: write `decision: GreatestV` (or SumOfV, LastV) into the \
                  model, or try it with --set decision=GreatestV"
             }
-            false => "so it cannot spike: lower them (vth_mant), or remove the population",
+            false => "so it cannot spike: remove the population, or read its potential (--probe)",
         };
         return format!("its thresholds have the maximum value, {advice}");
     }

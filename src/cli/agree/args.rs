@@ -7,7 +7,8 @@ use std::path::PathBuf;
 
 use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::InputArgs;
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
+use crate::cli::args::recording::{RecordingPair, recording_pair};
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -26,6 +27,7 @@ EXAMPLES:
   nsim agree container-tactile --input dataset.ron       a network of Loihi neurons against itself in real numbers
   nsim agree model.ron --input s.npy --against golden --require-exact
   nsim agree model.ron --input in.npy --against hidden=h.npy --against out=o.npy --require-exact
+  nsim agree net.nir --from sinabs --check in.npy=out.npy    a file against the spikes of its tool
   nsim agree srm.ron --against converted.ron             the trained network against a model file, on the same input
   nsim agree srm.ron --against converted.ron --against tuned.ron    several model files side by side
   nsim agree srm.ron --against converted.ron --plot first.svg    both potentials around the first spike that differs
@@ -40,7 +42,7 @@ pub struct Args {
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip-srm")]
     pub(super) model: String,
     #[command(flatten)]
-    pub(super) timestep: TimestepArgs,
+    pub(super) reading: ReadingArgs,
     #[command(flatten)]
     pub(super) input: InputArgs,
     /// Counterpart of the deployed network: srm (as trained), cuba (current-based neurons in real
@@ -82,6 +84,10 @@ pub struct Args {
     /// Exit with status 1 unless every spike is the same
     #[arg(long)]
     pub(super) require_exact: bool,
+    /// Compare nothing but the reference engine's spikes with those that the model's tool recorded:
+    /// spikes of the input and of the output, as arrays
+    #[arg(long, value_name = "IN.npy=OUT.npy", value_parser = recording_pair, conflicts_with_all = ["against", "input"])]
+    pub(super) check: Option<RecordingPair>,
 }
 
 /// Prints a comparison, unless a file is on stdout, and checks the required bounds. It is not exact

@@ -10,6 +10,8 @@ pub use crate::cli::agree::args::Args;
 
 use std::path::Path;
 
+use serde_json::json;
+
 use crate::cli::agree::args::{answer, deployed_warnings, draw};
 use crate::cli::args::input::select;
 use crate::cli::args::values::Switch;
@@ -20,6 +22,7 @@ use nsim_agree::compare::{Counterpart, DeployedNetwork, compare, output_layer};
 use nsim_agree::staged::layers;
 use nsim_compile::refuse_large;
 use nsim_files::target::target_with_neurons;
+use nsim_import::foreign::Options;
 use nsim_import::spikes::read_source;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
@@ -35,7 +38,14 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, args.plot_causes.iter().chain(&args.plot), context)?;
     let is_no_share = args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share));
     refuse_if(is_no_share, "--require-class-agreement is a share between 0 and 1")?;
-    let network = args.timestep.load(&args.model)?;
+    let network = args.reading.load(&args.model)?;
+    if let Some(check) = &args.check {
+        let options = Options { reading: args.reading.reading(), ..Options::default() };
+        let (equal, lines) = check.lines(&network, Path::new(&args.model), &options)?;
+        let json = || json!({ "schema": "nsim.agree/1", "model": network.file().name, "equal": equal, "check": lines });
+        output::print(context.format, || lines.join("\n") + "\n", json, || lines.join("\n") + "\n")?;
+        return Ok(if equal { Answer::Yes } else { Answer::No });
+    }
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
     refuse_large("nsim agree", &analytic, 1)?;
@@ -44,7 +54,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let models = models::model_files(&args.against)?;
     // A network in real numbers is not mapped; its counterpart is.
     let deployed = match models.as_slice() {
-        [other, ..] if is_real(&graph) => &args.timestep.load(other)?,
+        [other, ..] if is_real(&graph) => &args.reading.load_other(other)?,
         _ => &network,
     };
     let (target, instead) = target_with_neurons(deployed.file(), args.target.as_deref())?;

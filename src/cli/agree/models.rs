@@ -79,7 +79,7 @@ fn compare_each(
     }
     let mut all = Vec::new();
     for file in files {
-        let (trained, second) = real_and_integers(&args.timestep.load(file)?)?;
+        let (trained, second) = real_and_integers(&args.reading.load_other(file)?)?;
         refuse_large("nsim agree", &second, 1)?;
         let Some(compiled) = deployed(file, &second, (target, context))? else { return Ok(None) };
         let first = (graph, integers, mapped.as_ref().map(|mapped| &mapped.program));

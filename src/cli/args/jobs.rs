@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use crate::cli::args::conversion::CopiesArgs;
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
@@ -50,7 +50,7 @@ pub struct JobArgs {
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
     pub model: String,
     #[command(flatten)]
-    pub timestep: TimestepArgs,
+    pub reading: ReadingArgs,
     /// A target file or the name of a shipped target [default: the model's own, or nahuku-32]
     #[arg(long)]
     pub target: Option<String>,
@@ -72,7 +72,7 @@ impl JobArgs {
     pub fn for_model(model: &str) -> Self {
         JobArgs {
             model: model.to_string(),
-            timestep: TimestepArgs::default(),
+            reading: ReadingArgs::default(),
             target: None,
             mapping: None,
             anew: MappingArgs::default(),
@@ -139,7 +139,7 @@ pub fn prepare(
     copies: Option<u32>,
     probed: &[&str],
 ) -> Result<Result<Job, Refusal>> {
-    let network = args.timestep.load(&args.model)?;
+    let network = args.reading.load(&args.model)?;
     if args.needs_scene {
         let help = "give spikes with --input FILE, or --input scene:noise to try";
         inputs::require_scene(&args.model, network.file().scene.as_deref(), help)?;

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use crate::cli::args::conversion::ConversionArgs;
 use crate::cli::args::input::{InputArgs, select};
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
@@ -33,7 +33,7 @@ pub struct ParetoArgs {
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
     model: String,
     #[command(flatten)]
-    timestep: TimestepArgs,
+    reading: ReadingArgs,
     #[command(flatten)]
     input: InputArgs,
     #[command(flatten)]
@@ -59,7 +59,7 @@ const CALIBRATION_SAMPLES: usize = 100;
 pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let taken = output::check_files(None, &args.plot, context)?;
     let environment = output::environment();
-    let network = args.timestep.load(&args.model)?;
+    let network = args.reading.load(&args.model)?;
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
     refuse_large("nsim bench pareto", &analytic, 1)?;

@@ -2,7 +2,7 @@
 
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::jobs::{self, JobArgs, MappingArgs};
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
@@ -32,7 +32,7 @@ pub struct Args {
     #[arg(value_name = "MODEL", default_value = "vtsnn-slip")]
     model: String,
     #[command(flatten)]
-    timestep: TimestepArgs,
+    reading: ReadingArgs,
     #[command(flatten)]
     anew: MappingArgs,
     /// Targets to compare: target files or names of shipped targets, separated by commas
@@ -56,7 +56,7 @@ pub struct Args {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let targets = args.targets.iter().map(|name| Ok(io::target::load_target(name)?));
     let targets = targets.collect::<Result<Vec<Target>, Error>>()?;
-    let network = args.timestep.load(&args.model)?;
+    let network = args.reading.load(&args.model)?;
     let name = network.file().name.clone();
     let mut found = Comparison { model: name, input: Vec::new(), seed: None, set: Vec::new(), targets: Vec::new() };
     for (name, target) in args.targets.iter().zip(&targets) {
@@ -88,7 +88,7 @@ fn priced(
     context: Context,
 ) -> Result<Result<TargetCost, Vec<RefusalReason>>, Error> {
     let job = JobArgs {
-        timestep: args.timestep,
+        reading: args.reading,
         target: Some(name.to_string()),
         anew: args.anew.clone(),
         needs_scene: args.input.input.is_empty(),

@@ -10,7 +10,7 @@ use std::path::PathBuf;
 
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::input::{InputArgs, select};
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::convert::fine_tuning::FineTuneArgs;
 use crate::cli::output;
@@ -40,7 +40,7 @@ pub struct Args {
     /// A model file or the name of a shipped model
     model: String,
     #[command(flatten)]
-    timestep: TimestepArgs,
+    reading: ReadingArgs,
     #[command(flatten)]
     input: InputArgs,
     /// Samples to convert on, as --input takes them [default: the scene with another seed, or the
@@ -68,7 +68,7 @@ pub struct Args {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     args.output.iter().try_for_each(|path| NetworkFile::check_name(path))?;
     io::write::check_all_free(&args.output, context.force)?;
-    let network = args.timestep.load(&args.model)?;
+    let network = args.reading.load(&args.model)?;
     let scene = network.file().scene.clone();
     let job = Job::new(&network, &io::target::load_target(&args.target)?)?;
     args.tuning.check(&job)?;

@@ -9,7 +9,7 @@ use std::path::Path;
 use serde_json::{Value, json};
 
 use nsim_import::foreign::hdf5::{Group, Item};
-use nsim_import::foreign::{self, Imported, Options, hdf5, torch};
+use nsim_import::foreign::{self, Imported, Options, Reading, hdf5, torch};
 use nsim_import::kind::{EventFormat, FileKind, RECORDINGS};
 use nsim_import::spikes::EventOptions;
 use nsim_import::spikes::events::event::{Counts, Event, Sink};
@@ -30,11 +30,11 @@ const MOST_NUMBERS: usize = 1 << 28;
 ///
 /// # Errors
 /// `inspect.kind` for any other file; `hdf5.*`, `import.*` and `io.*` for an unreadable one.
-pub(super) fn model(path: &Path, kind: FileKind, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
+pub(super) fn model(path: &Path, kind: FileKind, reading: &Reading) -> Result<Findings, Diagnostic> {
     let bytes = hdf5::read_foreign_file(path)?;
     let in_file = |problem: Diagnostic| problem.or_in_file(path);
     let importable =
-        import_summary(&foreign::from_bytes(path, bytes.clone(), &Options { dt_ms, ..Options::default() }));
+        import_summary(&foreign::from_bytes(path, bytes.clone(), &Options { reading: *reading, ..Options::default() }));
     let mut rows = Vec::new();
     let kind = match kind {
         FileKind::Hdf5 => {

@@ -14,7 +14,7 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use crate::cli::args::timestep::TimestepArgs;
+use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::inspect::hardware::{
     baseline_findings, chip_findings, constants_findings, scenario_findings, target_findings,
@@ -26,6 +26,7 @@ use nsim_energy::published::scenario;
 use nsim_files::mapping::mapping;
 use nsim_files::shipped::{self, Origin};
 use nsim_files::{npy, safetensors, target, text};
+use nsim_import::foreign::Reading;
 use nsim_import::kind::FileKind;
 use nsim_import::model;
 use nsim_import::spikes::{self, EventOptions, manifest};
@@ -51,17 +52,17 @@ pub struct Args {
     /// a recording, its options as --input of nsim run takes them
     pub file: String,
     #[command(flatten)]
-    pub timestep: TimestepArgs,
+    pub reading: ReadingArgs,
 }
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let findings = inspect(&args.file, args.timestep.dt_ms)?;
+    let findings = inspect(&args.file, &args.reading.reading())?;
     let json = || findings.json("nsim.inspect/1", &args.file);
     output::print(context.format, || findings.text(&args.file), json, || findings.csv())?;
     Ok(Answer::Yes)
 }
 
-fn inspect(argument: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
+fn inspect(argument: &str, reading: &Reading) -> Result<Findings, Diagnostic> {
     let (path, options) = match InputArg::parse(argument)? {
         InputArg { population: None, source: InputSource::Events(path, pairs) } if !Path::new(argument).exists() => {
             (path, EventOptions::parse(&pairs)?)
@@ -70,14 +71,14 @@ fn inspect(argument: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
     };
     let path = path.as_path();
     if !shipped::is_path(argument) && !path.exists() {
-        return inspect_shipped(argument, dt_ms);
+        return inspect_shipped(argument, reading);
     }
     let kind = FileKind::detect(path)?;
     let is_recording = matches!(kind, FileKind::Folder | FileKind::Events(_));
     let is_data = is_recording || matches!(kind, FileKind::Npy | FileKind::SpikeList | FileKind::Safetensors);
     let misplaced = match () {
         () if options != EventOptions::default() && !is_recording => "options after '?' apply to recordings of events",
-        () if dt_ms.is_some() && is_data => "--dt applies to models",
+        () if *reading != Reading::default() && is_data => "--dt, --from and --reset apply to models",
         () => "",
     };
     if !misplaced.is_empty() {
@@ -88,19 +89,19 @@ fn inspect(argument: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
         FileKind::Npy => inspect_npy(path),
         FileKind::SpikeList => inspect_csv(path),
         // Models, targets and other descriptions: the text says which.
-        FileKind::Ron | FileKind::Stream => inspect_ron(text::read_text(path)?, Origin::File, dt_ms),
+        FileKind::Ron | FileKind::Stream => inspect_ron(text::read_text(path)?, Origin::File, reading),
         FileKind::Events(format) => foreign::recording(path, format, &options),
         FileKind::Safetensors => inspect_safetensors(path),
-        kind => foreign::model(path, kind, dt_ms),
+        kind => foreign::model(path, kind, reading),
     }
 }
 
-fn inspect_shipped(name: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
+fn inspect_shipped(name: &str, reading: &Reading) -> Result<Findings, Diagnostic> {
     let tables =
         [shipped::MODELS, shipped::TARGETS, shipped::CHIPS, shipped::CONSTANTS, shipped::SCENARIOS, shipped::BASELINES];
     for table in tables {
         if let Some(found) = shipped::Shipped::find(table, name) {
-            return inspect_ron(found.source(), Origin::Shipped, dt_ms);
+            return inspect_ron(found.source(), Origin::Shipped, reading);
         }
     }
     let names: BTreeSet<&str> = tables.into_iter().flatten().map(|shipped| shipped.name).collect();
@@ -109,9 +110,9 @@ fn inspect_shipped(name: &str, dt_ms: Option<f64>) -> Result<Findings, Diagnosti
         .help(format!("shipped are: {}", names.join(", "))))
 }
 
-fn inspect_ron(source: SourceText, origin: Origin, dt_ms: Option<f64>) -> Result<Findings, Diagnostic> {
+fn inspect_ron(source: SourceText, origin: Origin, reading: &Reading) -> Result<Findings, Diagnostic> {
     match root_name(source.text()) {
-        "Network" => Ok(network_findings(&model::check_timestep(model::network(source, origin)?, dt_ms)?)),
+        "Network" => Ok(network_findings(&model::check_reading(model::network(source, origin)?, reading)?)),
         "Target" => Ok(target_findings(&target::target(&source, origin)?)),
         "Chip" => Ok(chip_findings(&target::parse_chip(&source)?)),
         "Constants" => Ok(constants_findings(&target::parse_constants(&source)?)),

@@ -84,7 +84,7 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluation, context: C
     // A model from a pipe cannot be read again: it is neither compared with its real form nor
     // hashed.
     let piped = io::text::is_standard_stream(Path::new(&args.cost.job.model));
-    let file = (!piped).then(|| args.cost.job.timestep.load(&args.cost.job.model)).transpose()?;
+    let file = (!piped).then(|| args.cost.job.reading.load(&args.cost.job.model)).transpose()?;
     let mut sections = sections(workload, evaluated, args.cost.transport)?;
     if let Some(trained) = file.as_ref().map(|file| trained(workload, file)).transpose()?.flatten() {
         let compared = compared(workload);

@@ -3,11 +3,11 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use super::conventions::{DecayRule, GainRule, Reading, ResetMode};
 use nsim_files::network::{NetworkFile, Parameter};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
-use nsim_ir::base::names::named_variants;
 use nsim_ir::base::warning::Warning;
 
 /// The greatest threshold mantissa, for compartments that should not spike.
@@ -18,15 +18,15 @@ pub(super) const LONGEST_DELAY: f64 = Delay::MAX.get() as f64;
 /// Options for facts that a file does not contain.
 #[derive(Debug, Clone, Default)]
 pub struct Options {
-    /// Length of a timestep in ms.
-    pub dt_ms: Option<f64>,
+    /// Timestep, tool and reset.
+    pub reading: Reading,
+    /// Whether every convention is known, so that none is a question: nodes in memory.
+    pub known: bool,
     /// A file with the neuron's parameters (SLAYER's YAML).
     pub neuron: Option<PathBuf>,
-    /// Reset of the voltage by a spike (NIR).
-    pub reset: Option<ResetMode>,
-    /// Decay rule of states with a time constant (NIR), Euler's by default.
+    /// Decay rule of states with a time constant (NIR), the tool's or Euler's by default.
     pub decay: Option<DecayRule>,
-    /// Threshold test of compartments, strict by default.
+    /// Threshold test of compartments, the tool's or strict by default.
     pub threshold: Option<ThresholdTest>,
     /// The score by which the output decides; by default the one that suits its neurons.
     pub decision: Option<ReadOut>,
@@ -52,11 +52,32 @@ pub(super) fn wrong_option(message: impl Into<String>) -> Diagnostic {
 }
 
 impl Options {
+    /// The threshold test: of the option, or of the tool.
+    pub(super) fn threshold(&self) -> ThresholdTest {
+        self.threshold.or(self.reading.row().map(|row| row.threshold)).unwrap_or_default()
+    }
+
+    /// The decay rule: of the option, or of the tool.
+    pub(super) fn decay(&self) -> DecayRule {
+        self.decay.or(self.reading.row().map(|row| row.decay)).unwrap_or(DecayRule::Euler)
+    }
+
+    /// The reset of a node of this type: of the option, or of the tool.
+    pub(super) fn reset_of(&self, kind: &str) -> ResetMode {
+        self.reading.reset.or(self.reading.row().map(|row| row.reset_of(kind))).unwrap_or(ResetMode::Zero)
+    }
+
+    /// What a weight counts.
+    pub(super) fn gain(&self) -> GainRule {
+        self.reading.row().map_or(GainRule::Equations, |row| row.gain)
+    }
+
     /// Refuses given options other than `used`, which a kind of file does not use.
     pub(super) fn refuse_unused(&self, file: &str, used: &[&str]) -> Result<()> {
         let given = [
             ("--neuron", self.neuron.is_some()),
-            ("--reset", self.reset.is_some()),
+            ("--from", self.reading.tool.is_some()),
+            ("--reset", self.reading.reset.is_some()),
             ("--decay", self.decay.is_some()),
             ("--image", self.image.is_some()),
             ("--first-step", self.first_step.is_some()),
@@ -71,31 +92,6 @@ impl Options {
         }
     }
 }
-
-/// Fraction of a state with time constant tau kept by a step of dt.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum DecayRule {
-    /// 1 - dt / tau (snnTorch, Norse).
-    Euler,
-    /// exp(-dt / tau) (sinabs, Rockpool).
-    Exponential,
-}
-
-nsim_ir::named_variants!(DecayRule { Euler = "euler", Exponential = "exponential" });
-
-/// Reset of a neuron's voltage by a spike.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum ResetMode {
-    /// The voltage returns to zero, as on the chip.
-    Zero,
-    /// The threshold is subtracted.
-    Subtract,
-    /// The threshold is subtracted in the step after the spike, once the voltage has decayed
-    /// (snnTorch).
-    SubtractLater,
-}
-
-named_variants!(ResetMode { Zero = "zero", Subtract = "subtract", SubtractLater = "subtract-later" });
 
 /// A model that was read from a foreign file.
 #[derive(Debug, Clone)]

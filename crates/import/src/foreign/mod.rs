@@ -6,6 +6,7 @@
 //! netlist, a pickled module, an HDF5 file without a network). Nothing in a file is executed.
 //! `docs/import.md` has the conventions and limits of each format.
 
+pub mod conventions;
 mod encode;
 pub mod hdf5;
 mod hdf5_links;
@@ -20,8 +21,9 @@ mod window;
 
 use std::path::Path;
 
+pub use self::conventions::{DecayRule, Reading, ResetMode, Tool};
 use self::imported::name_list;
-pub use self::imported::{Imported, LayerWeights, Options, ResetMode};
+pub use self::imported::{Imported, LayerWeights, Options};
 pub use self::netx::export as netx_export;
 pub use self::nir::export as nir_export;
 use super::kind::FileKind;
@@ -70,9 +72,10 @@ pub fn from_nodes(
     held: &[String],
     options: &Options,
 ) -> Result<Imported> {
-    options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
+    options.refuse_unused("a NIR graph", &["--from", "--reset", "--decay"])?;
     let root = hdf5::Group::default().with("node", nir_export::nir_graph(nodes, edges));
-    Ok(nir::read(&root, name, options)?.with_refractory(held))
+    let options = Options { known: true, ..options.clone() };
+    Ok(nir::read(&root, name, &options)?.with_refractory(held))
 }
 
 fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
@@ -84,11 +87,12 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
             .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
     }
     if root.group("layer").is_some() {
-        let used = ["--image", "--first-step", "--reset-interval", "--input-shape", "--spike-exp", "--state-exp"];
+        let used =
+            ["--from", "--image", "--first-step", "--reset-interval", "--input-shape", "--spike-exp", "--state-exp"];
         options.refuse_unused("a network of lava-dl's netx", &used)?;
         netx::read(&root, &name, options)
     } else if root.group("node").is_some() {
-        options.refuse_unused("a NIR graph", &["--reset", "--decay"])?;
+        options.refuse_unused("a NIR graph", &["--from", "--reset", "--decay"])?;
         nir::read(&root, &name, options)
     } else {
         let members: Vec<&str> = root.items.keys().take(8).map(String::as_str).collect();

@@ -323,8 +323,8 @@ pub(super) fn build(
     if matrices.is_empty() {
         return Err(slayer("no tensor is the '.weight' of a dense layer"));
     }
-    let mut model = NetworkFile::new(name, options.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
-    model.threshold = options.threshold.unwrap_or_default();
+    let mut model = NetworkFile::new(name, options.reading.dt_ms.or(neuron.dt_ms).unwrap_or(1.0));
+    model.threshold = options.threshold();
     notes.push(match neuron.kind {
         NeuronKind::SrmAlpha { .. } => {
             "spike response neurons in real numbers, which cores do not support: they run with --engine reference"

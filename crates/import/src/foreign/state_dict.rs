@@ -14,8 +14,9 @@
 
 use std::collections::BTreeMap;
 
+use super::conventions::{Reading, ResetMode};
 use super::hdf5::{Group, Numbers};
-use super::imported::{Imported, LayerWeights, Options, ResetMode, population_name, shortest_decimal, wrong_option};
+use super::imported::{Imported, LayerWeights, Options, population_name, shortest_decimal, wrong_option};
 use super::nir::export::{NO_DECAY_TAU, nir_graph, node};
 use super::slayer::{self, LAVA_SCALE, Matrix, NeuronKind};
 use super::{nir, torch};
@@ -431,7 +432,7 @@ fn build_real_network(
     }
     let modules = &modules[..];
     let layers = matrices(modules, options)?;
-    let dt_ms = options.dt_ms.or(neuron.and_then(|neuron| neuron.dt_ms)).unwrap_or(1.0);
+    let dt_ms = options.reading.dt_ms.or(neuron.and_then(|neuron| neuron.dt_ms)).unwrap_or(1.0);
     let dt = dt_ms / 1e3;
     // Modules of neurons, in the order of the file.
     let neurons: Vec<&Module> = modules.iter().filter(|module| module.has(Role::Beta)).collect();
@@ -552,7 +553,8 @@ fn build_real_network(
     let assumed =
         format!("{}; nsim.from_torch(module, sample) in Python reads them", in_order(&chain.join(" -> "), lacking));
     notes.push(format!("timestep {dt_ms} ms; weights stay real numbers, which mapping rounds"));
-    let options = Options { dt_ms: Some(dt_ms), reset, ..options.clone() };
+    let options =
+        Options { reading: Reading { dt_ms: Some(dt_ms), reset, tool: None }, known: true, ..options.clone() };
     let root = Group::default().with("node", nir_graph(graph.nodes, graph.edges));
     held.retain(|_| reset == Some(ResetMode::Zero));
     let Imported { mut model, notes: read, .. } = nir::read(&root, name, &options)?.with_refractory(&held);
@@ -565,7 +567,7 @@ fn build_real_network(
 
 /// The reset of the file or of an option, which must not contradict each other.
 fn chosen_reset(of_file: Option<(bool, String)>, options: &Options) -> Result<Option<ResetMode>> {
-    match (of_file, options.reset) {
+    match (of_file, options.reading.reset) {
         (None, given) => Ok(given),
         (Some((true, _)), None) => Ok(Some(ResetMode::SubtractLater)),
         (Some((false, _)), None) => Ok(Some(ResetMode::Zero)),

@@ -21,7 +21,7 @@ use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
 use nsim_files::table::or_empty;
 use nsim_files::target::load_target;
-use nsim_import::model::{BaseModel, check_timestep, load_model_with};
+use nsim_import::model::{BaseModel, check_reading, load_model_with};
 use nsim_ir::activity::Totals;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::stats::wilson;
@@ -71,7 +71,7 @@ impl Trained {
 
 /// Key of a mapping; variants with the same key share it.
 fn mapping_key(job: &Job) -> String {
-    let of_model = (&job.model, &job.training, &job.model_changes, job.dt_ms);
+    let of_model = (&job.model, &job.training, &job.model_changes, job.reading);
     let of_mapping = (&job.options, job.relays, &job.prune, job.delayed_copies);
     format!("{:?}", (of_model, &job.target, &job.target_changes, of_mapping))
 }
@@ -163,12 +163,12 @@ impl Runner {
 
     fn network(&self, job: &Job) -> Result<Network, Error> {
         if let Some(training) = &job.training {
-            return Ok(check_timestep(self.trained(training)?.network.clone(), job.dt_ms)?);
+            return Ok(check_reading(self.trained(training)?.network.clone(), &job.reading)?);
         }
         let model = self.model(&job.model)?;
         Ok(with_changes(&job.model_changes, || match &*model {
-            Some(model) => check_timestep(model.with_changes()?, job.dt_ms),
-            None => load_model_with(&job.model, job.dt_ms),
+            Some(model) => check_reading(model.with_changes()?, &job.reading),
+            None => load_model_with(&job.model, &job.reading),
         })?)
     }
 
@@ -189,7 +189,7 @@ impl Runner {
                 return integers(network, job.delayed_copies);
             }
             let network_of =
-                format!("{:?}", (&job.model, &job.training, job.dt_ms, &job.model_changes, job.delayed_copies));
+                format!("{:?}", (&job.model, &job.training, job.reading, &job.model_changes, job.delayed_copies));
             Ok(Front::clone(&*self.converted.get(network_of, || integers(network, job.delayed_copies))?))
         };
         let request = Request {

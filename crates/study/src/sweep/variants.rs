@@ -14,6 +14,7 @@ use nsim_cost::Host;
 use nsim_cost::estimate::Convention;
 use nsim_cost::job::{Accounting, Mode};
 use nsim_files::changes::Change;
+use nsim_import::foreign::Reading;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::spanned::parse;
@@ -86,8 +87,8 @@ pub struct Job {
     pub model: String,
     /// Training in place of a model.
     pub training: Option<Training>,
-    /// Milliseconds of a timestep, for a model file without it.
-    pub dt_ms: Option<f64>,
+    /// Facts that the file of another tool does not state.
+    pub reading: Reading,
     /// A target file or the name of a shipped target.
     pub target: String,
     /// Sources of spikes; the model's scene when empty.
@@ -332,10 +333,10 @@ impl Sweep {
         Ok(sweep)
     }
 
-    /// The sweep with defaults: the milliseconds of a timestep, for model files without it; relays,
-    /// pruning and delayed copies as `nsim map` takes them, for variants without their own.
-    pub fn with(mut self, dt_ms: Option<f64>, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
-        self.base.dt_ms = dt_ms;
+    /// The sweep with defaults: facts that the files of other tools do not state; relays, pruning
+    /// and delayed copies as `nsim map` takes them, for variants without their own.
+    pub fn with(mut self, reading: Reading, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
+        self.base.reading = reading;
         self.base.relays |= relays;
         if !prune.is_empty() {
             self.base.prune = prune.to_vec();

@@ -43,7 +43,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         return Ok(imported);
     }
     let layers = layers(root)?;
-    let dt_ms = options.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
+    let dt_ms = options.reading.dt_ms.or_else(|| root.number("simulation/Ts")).unwrap_or(1.0);
     let mut reader = Reader {
         options,
         model: NetworkFile::new(name, dt_ms),
@@ -261,7 +261,7 @@ impl Reader<'_> {
         if !last.delays.is_empty() && last.delays.iter().any(|&delay| delay != 0) {
             self.notes.push("nothing receives the last layer's spikes, so their delay is dropped".to_string());
         }
-        self.model.threshold = self.options.threshold.unwrap_or_default();
+        self.model.threshold = self.options.threshold();
         if self.model.threshold == ThresholdTest::Inclusive {
             self.notes.push("a neuron spikes at v >= threshold, as in SLAYER 2; the chip compares with >".to_string());
         }

@@ -5,13 +5,16 @@
 use std::collections::BTreeMap;
 
 use super::export::by_channel;
+use super::filter::cannot_send;
 use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delays};
 use super::neuron::reals;
+use super::node_types::FILTER;
 use super::state::{MOST_UNITS, Reader, product, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::warning::Warning;
 
 /// Help to join layers without neurons between them.
 const JOIN_HELP: &str = "put a neuron between them, or join them into one layer. A convolution of stride s followed by \
@@ -21,8 +24,14 @@ impl Reader<'_> {
     /// The linear map of `nodes` after a population of the shape `source`.
     pub(super) fn linear_map(&self, source: &[usize], nodes: &[String]) -> Result<Connection> {
         let (linear, bias) = (Linear::Diagonal(vec![1.0]), None);
-        let mut connection =
-            Connection { shape: source.to_vec(), linear, bias, source_delay: Vec::new(), delay: Vec::new() };
+        let mut connection = Connection {
+            shape: source.to_vec(),
+            linear,
+            bias,
+            filter: None,
+            source_delay: Vec::new(),
+            delay: Vec::new(),
+        };
         for name in nodes {
             connection = self.apply_node(connection, name)?;
         }
@@ -44,6 +53,7 @@ impl Reader<'_> {
                     connection.shape = volume;
                 }
             }
+            FILTER => self.apply_filter(&mut connection, name, units)?,
             // Populations are flattened in C order; files have no batch axis.
             "Flatten" => {
                 let dim = |key: &str, default: f64| group.number(key).unwrap_or(default);
@@ -78,6 +88,7 @@ impl Reader<'_> {
                         numbers.shape()
                     )));
                 }
+                self.check_filter(&connection, name)?;
                 self.delays_to_sources(&mut connection, name)?;
                 connection.linear = self.compose_dense(connection.linear, weights, targets, sources, name)?;
                 connection.shape = vec![targets];
@@ -94,6 +105,7 @@ impl Reader<'_> {
                 if shared.is_some() {
                     connection.bias = None;
                 }
+                self.check_filter(&connection, name)?;
                 self.delays_to_sources(&mut connection, name)?;
                 let target = window.sliding.target.to_vec();
                 connection.linear = self.compose_window(connection.linear, window, &connection.shape, name)?;
@@ -126,20 +138,46 @@ impl Reader<'_> {
         Ok(connection)
     }
 
-    /// Adds notes about delays that are not a whole number of steps.
+    /// Passes arrivals through an integrator that sends its potential.
+    fn apply_filter(&self, connection: &mut Connection, name: &str, units: usize) -> Result<()> {
+        let kind = &self.flat.nodes[name].integrator;
+        if let Some(first) = &connection.filter {
+            return Err(cannot_send(&first.name, kind, &format!("through '{name}', which filters it again")));
+        }
+        if connection.bias.as_ref().is_some_and(|bias| bias.iter().any(|&b| b != 0.0)) {
+            return Err(cannot_send(name, kind, "to which a bias is added"));
+        }
+        connection.filter = Some(self.filter(name, units)?);
+        Ok(())
+    }
+
+    /// Refuses weights after a filter that differs between the units that they sum.
+    fn check_filter(&self, connection: &Connection, name: &str) -> Result<()> {
+        match &connection.filter {
+            Some(filter) if !filter.is_uniform() => {
+                let kind = &self.flat.nodes[&filter.name].integrator;
+                let why = format!("and '{name}' sums units with other time constants or factors");
+                Err(cannot_send(&filter.name, kind, &why))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Adds warnings about delays that are not a whole number of steps.
     pub(super) fn note_rounded_delays(&mut self) -> Result<()> {
         for (name, node) in self.flat.nodes.iter().filter(|(_, node)| node.kind == "Delay") {
             let steps: Vec<f64> = reals(node.group, name, "delay")?.iter().map(|delay| delay / self.dt).collect();
             let off = |steps: f64| (steps - steps.round_ties_even()).abs();
             let Some(most) = steps.iter().copied().max_by(|a, b| off(*a).total_cmp(&off(*b))) else { continue };
             if off(most) > 1e-3 {
-                self.notes.push(format!(
+                let message = format!(
                     "node '{name}': {} of its {} delays are not whole numbers of steps and are rounded; the largest \
                      change is from {most:.3} to {} (--dt sets the timestep)",
                     steps.iter().filter(|steps| off(**steps) > 1e-3).count(),
                     steps.len(),
                     most.round_ties_even()
-                ));
+                );
+                self.warnings.push(Warning::of_network("delays-rounded", message));
             }
         }
         Ok(())

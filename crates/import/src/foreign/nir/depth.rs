@@ -14,6 +14,7 @@ use std::collections::BTreeMap;
 use super::state::Reader;
 use nsim_ir::base::depths::depths;
 use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::warning::Warning;
 
 impl Reader<'_> {
     /// Finds the depth of each population, in the order in which spikes reach them.
@@ -42,10 +43,11 @@ impl Reader<'_> {
         let looping = self.loops.contains(&(from.to_string(), to.to_string()));
         let arrives = depth(from) + u32::from(!looping);
         if arrives > depth(to) {
-            self.notes.push(format!(
+            let message = format!(
                 "the loop from '{from}' to '{to}' takes additional steps ({}), as each layer takes a step on the chip",
                 arrives - depth(to)
-            ));
+            );
+            self.warnings.push(Warning::of_network("loop-slower", message));
         }
         depth(to).saturating_sub(arrives)
     }

@@ -40,7 +40,7 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
             unfold(node, &format!("{full}/"), depth + 1, flat)?;
         } else {
             let kind = if depth > 0 && matches!(kind, "Input" | "Output") { "Pass" } else { kind };
-            flat.nodes.insert(full, Node { kind: kind.to_string(), group: node });
+            flat.nodes.insert(full, Node { kind: kind.to_string(), integrator: String::new(), group: node });
         }
     }
     let edges: &[String] = match graph.get("edges") {
@@ -55,11 +55,24 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
                 return Err(wrong(format!("an edge names '{end}', which is not a node")));
             }
         }
+        for (end, kind, does) in [(&pair[1], "Input", "enters"), (&pair[0], "Output", "leaves")] {
+            if nodes.group(end).and_then(|node| node.text("type")) == Some(kind) {
+                let edge = format!("the edge from '{prefix}{}' to '{prefix}{}'", pair[0], pair[1]);
+                return Err(wrong(format!("{edge} {does} a node of type {kind}"))
+                    .help("remove the edge, or connect the nodes that it should join"));
+            }
+        }
         let single = |end: &String| vec![format!("{prefix}{end}")];
         let from = graphs.get(pair[0].as_str()).map_or_else(|| single(&pair[0]), |ends| ends.1.clone());
         let to = graphs.get(pair[1].as_str()).map_or_else(|| single(&pair[1]), |ends| ends.0.clone());
+        if from.is_empty() || to.is_empty() {
+            let (graph, end) = if to.is_empty() { (&pair[1], "Input") } else { (&pair[0], "Output") };
+            return Err(wrong(format!("an edge ends at graph '{prefix}{graph}', which has no node of type {end}")));
+        }
         for (a, b) in from.iter().flat_map(|a| to.iter().map(move |b| (a, b))) {
-            flat.edges.insert((a.clone(), b.clone()));
+            if !flat.edges.insert((a.clone(), b.clone())) {
+                flat.doubled.insert((a.clone(), b.clone()));
+            }
             if flat.edges.len() > MOST_NODES {
                 return Err(wrong(format!("more than {MOST_NODES} edges")));
             }

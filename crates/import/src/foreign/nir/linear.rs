@@ -4,6 +4,7 @@
 //! Input: the arrays of nodes. Output: products and scaled maps; `None` where a product has too
 //! many synapses.
 
+use super::filter::Filter;
 use super::state::product;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses, each3};
 
@@ -15,6 +16,8 @@ pub(super) struct Connection {
     pub(super) linear: Linear,
     /// Number that is added to each unit's arrivals in each step.
     pub(super) bias: Option<Vec<f64>>,
+    /// The integrator on the way, whose potential is sent.
+    pub(super) filter: Option<Filter>,
     /// Delay in steps of each unit of the source, before the linear part; empty without delays.
     pub(super) source_delay: Vec<u32>,
     /// Delay in steps of each unit that arrives, after the linear part; empty without delays.

@@ -6,7 +6,8 @@
 //! form cycles.
 //!
 //! - `graph`: inlining of nested graphs, and the paths between populations; `depth`: layers.
-//! - `neuron`: a node with a state; `connection` and `linear`: the nodes of a path.
+//! - `timestep`: the timestep; `neuron`: a node with a state; `filter`: potentials that are sent;
+//!   `connection` and `linear`: the nodes of a path; `assumptions`: what the file does not state.
 //! - `projections`: the projections of a path.
 //! - `node`: types of nodes and their fields; `reader`: the model so far, limits and errors.
 //! - `export`: a model as a NIR file.
@@ -16,39 +17,43 @@
 //! tau_syn) I + (dt / tau_syn) w_in x`, `v <- (1 - dt / tau_mem) v + (dt / tau_mem) (R I +
 //! v_leak)`. So the effective decays are `4096 dt / tau`: exact in the model, as a time constant of
 //! `-dt / ln(1 - dt / tau)`, and rounded on the chip. A weight of 1 is `(dt / tau_syn) w_in (dt /
-//! tau_mem) R` in units of the threshold. Files have no timestep: it is `tau_mem / R` if `tau_syn /
-//! w_in` agrees in every node, else an option. A bias is added to v where the current has no
-//! memory; otherwise a compartment that spikes in every step delivers it, from step 1 on. A model
-//! that nsim exported is recognised and restored ([`export`]).
+//! tau_mem) R` in units of the threshold. A tool's conventions replace these rules
+//! (`foreign::conventions`). A bias is added to v where the current has no memory; otherwise a
+//! compartment that spikes in every step delivers it, from step 1 on. A model that nsim exported is
+//! recognised and restored ([`export`]).
 //!
-//! A reset by subtraction needs an option, since the format lacks it (`--reset subtract`). snnTorch
-//! subtracts in the step after the spike: `v <- b v + I - theta`, where b is the share that a step
-//! keeps. SoftReset subtracts at the spike: `v <- b (v - theta) + I`. A synapse of `-(1 - b) theta`
-//! from each neuron to itself makes the two equal (`--reset subtract-later`). If a step keeps the
-//! share a of the current, a second synapse of `a (1 - b) theta`, a step later, cancels the
-//! remainder of the first.
+//! snnTorch subtracts in the step after the spike: `v <- b v + I - theta`, where b is the share that
+//! a step keeps. SoftReset subtracts at the spike: `v <- b (v - theta) + I`. A synapse of `-(1 - b)
+//! theta` from each neuron to itself makes the two equal, one of `b theta` cancels the reset. If a
+//! step keeps the share a of the current, a second synapse of -a times its weight, a step later,
+//! cancels the remainder of the first.
 //!
-//! Not imported: resets to values other than zero, for which a core has no circuit.
+//! Not imported: resets to values other than zero and the rest potential, for which a core has no
+//! circuit.
 
+mod assumptions;
 mod connection;
 mod depth;
 pub mod export;
+mod filter;
 mod graph;
 mod linear;
 mod neuron;
 mod node_types;
 mod projections;
 mod state;
+mod timestep;
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::conventions::ResetMode;
 use super::hdf5::Group;
-use super::imported::{Imported, MAX_THRESHOLD, Options, ResetMode, wrong_option};
+use super::imported::{Imported, MAX_THRESHOLD, Options, wrong_option};
 use graph::unfold;
-use node_types::{Flat, WITHOUT_MEANING, fields, is_population, resets};
+use neuron::{Discrete, Reset};
+use node_types::{Flat, Node, WITHOUT_MEANING, fields, is_population};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::Result;
-use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 use state::{Reader, unsupported, wrong};
 
@@ -60,7 +65,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let written = export::restore(root, "node/metadata", of_graph, export::export);
     if let Some(imported) = unmodified_model("NIR", written, options, &mut notes)? {
         let subtracts = imported.model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
-        let reset = if subtracts { options.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero };
+        let reset = if subtracts { options.reading.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero };
         return Ok(Imported { reset: Some(reset), ..imported });
     }
     if graph.text("type") != Some("NIRGraph") {
@@ -69,7 +74,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut flat = Flat::default();
     unfold(graph, "", 0, &mut flat)?;
     let mut model = NetworkFile::new(name, 1.0);
-    model.threshold = options.threshold.unwrap_or_default();
+    model.threshold = options.threshold();
     let mut reader = Reader {
         flat,
         options,
@@ -81,12 +86,13 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         depths: BTreeMap::new(),
         loops: BTreeSet::new(),
         dt: 0.0,
+        file_dt: 0.0,
         listed: 0,
     };
     reader.network()?;
     let Reader { model, notes, warnings, .. } = reader;
     let resets = model.populations.iter().any(|population| population.loihi.is_some());
-    let reset = resets.then_some(options.reset.unwrap_or(ResetMode::Zero));
+    let reset = resets.then_some(options.reset_of("LIF"));
     let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), warnings: Vec::new(), reset };
     warnings.into_iter().for_each(|warning| imported.warn(warning));
     let mut imported = imported.with_decision(options.decision);
@@ -111,15 +117,16 @@ pub(super) fn unmodified_model(
         None => return Ok(None),
     };
     let ours = |kind| model.populations.iter().any(|population| population.loihi.is_some() && population.kind == kind);
-    let contradicted = match options.reset {
+    let contradicted = match options.reading.reset {
         None => None,
         Some(ResetMode::Zero) => ours(NeuronKind::SoftReset).then_some("--reset zero"),
         Some(_) => (!ours(NeuronKind::SoftReset)).then_some("--reset by subtraction"),
     };
     let other_test = options.threshold.is_some_and(|threshold| threshold != model.threshold).then_some("--threshold");
-    let other_step = options.dt_ms.is_some_and(|dt| (dt / model.timestep_ms - 1.0).abs() > 1e-9);
+    let other_step = options.reading.dt_ms.is_some_and(|dt| (dt / model.timestep_ms - 1.0).abs() > 1e-9);
     let decay = options.decay.map(|_| "--decay");
-    if let Some(option) = contradicted.or(other_test).or(decay).or(other_step.then_some("--dt")) {
+    let tool = options.reading.tool.map(|_| "--from");
+    if let Some(option) = contradicted.or(other_test).or(decay).or(tool).or(other_step.then_some("--dt")) {
         let dt = model.timestep_ms;
         let message = format!("the file holds a model of nsim with a timestep of {dt} ms, which {option} contradicts");
         return Err(wrong_option(message).help("remove the option: the model is restored unchanged"));
@@ -132,14 +139,11 @@ pub(super) fn unmodified_model(
 impl Reader<'_> {
     fn network(&mut self) -> Result<()> {
         self.check_kinds()?;
-        self.dt = self.timestep()?;
-        let populations: Vec<String> = self
-            .flat
-            .nodes
-            .iter()
-            .filter(|(_, node)| is_population(&node.kind))
-            .map(|(name, _)| name.clone())
-            .collect();
+        self.find_timestep()?;
+        self.find_filters()?;
+        let is_population = |(_, node): &(&String, &Node<'_>)| is_population(&node.kind);
+        let populations: Vec<String> =
+            self.flat.nodes.iter().filter(is_population).map(|(name, _)| name.clone()).collect();
         self.name_populations(&populations)?;
         self.find_shapes(&populations)?;
         let order = self.order(&populations);
@@ -151,72 +155,43 @@ impl Reader<'_> {
         }
         self.note_rounded_delays()?;
         self.wait_for_biases(&order, &discrete)?;
-        // Whether a neuron resets and its node has no `v_reset`.
-        let mut unsaid = false;
         for name in &order {
-            let shape: Vec<u64> = self.shapes[name].iter().map(|&axis| axis as u64).collect();
-            let loihi = discrete[name].as_ref().map(|neuron| {
-                let [tau_u, tau_v] = neuron.taus.clone();
-                let mut parameters = vec![
-                    tau_u.map_or(("du", neuron.du.clone()), |tau| ("tau_u_ms", tau)),
-                    tau_v.map_or(("dv", neuron.dv.clone()), |tau| ("tau_v_ms", tau)),
-                ];
-                match &neuron.threshold {
-                    Some(Parameter::Same(0.0)) => parameters.push(("vth_mant", Parameter::Same(0.0))),
-                    Some(threshold) => parameters.push(("vth", threshold.clone())),
-                    None => parameters.push(("vth_mant", Parameter::Same(MAX_THRESHOLD))),
-                }
-                parameters
-            });
-            let node = &self.flat.nodes[name];
-            let (resets, said) = (resets(&node.kind), node.group.get("v_reset").is_some());
-            unsaid |= resets && !said;
-            let kind = match self.options.reset.filter(|&reset| resets && reset != ResetMode::Zero) {
-                Some(reset) if said => {
-                    let reset = reset.name();
-                    let message = format!("node '{name}' has v_reset 0, which --reset {reset} contradicts");
-                    return Err(wrong_option(message).help(
-                        "leave --reset out: a neuron with v_reset returns to that value. snnTorch and sinabs write \
-                         v_reset 0 for networks that subtract too: read such a network of snnTorch from its state \
-                         dict (torch.save), or delete the field from each node with h5py: \
-                         del file['node/nodes/NAME/v_reset']",
-                    ));
-                }
-                Some(_) => NeuronKind::SoftReset,
-                None => NeuronKind::Loihi,
-            };
-            let (start_step, name) = (self.depths[name], self.names[name].clone());
-            let input = PopulationDesc::input(&name, shape);
-            self.model.populations.push(PopulationDesc { loihi, kind, start_step, ..input });
+            let population = self.population(name, discrete[name].as_ref());
+            self.model.populations.push(population);
         }
         for name in &order {
-            if let Some(neuron) = discrete.remove(name).flatten() {
-                self.incoming(name, &neuron)?;
+            if let Some(neuron) = &discrete[name] {
+                self.incoming(name, neuron)?;
             }
         }
         self.output(&order)?;
-        match self.options.reset {
-            None if unsaid => self.warnings.push(Warning::of_network(
-                "reset-assumed",
-                "the file has no field for the reset, so v returns to zero, as on the chip. For a network that \
-                 subtracts, give --reset subtract-later of nsim import (snnTorch) or --reset subtract (sinabs with \
-                 SingleSpike; MultiSpike is not supported). --reset zero confirms zero",
-            )),
-            Some(reset @ (ResetMode::Subtract | ResetMode::SubtractLater)) if unsaid => {
-                let when = match reset {
-                    ResetMode::Subtract => "when they spike",
-                    _ => "in the step after their spike, with a self-synapse for the part that decays too early",
-                };
-                self.notes.push(format!(
-                    "neurons subtract their threshold {when} (SoftReset), because of --reset {}. Loihi 1 has no such \
-                     compartment; nsim convert changes it to a reset to zero and measures the loss",
-                    reset.name()
-                ));
-            }
-            _ => {}
-        }
+        self.warn_of_assumptions(&discrete);
+        self.warn_of_unused_edges();
         self.model.timestep_ms = self.dt * 1e3;
         Ok(())
+    }
+
+    /// A node as a population, without its projections and bias.
+    fn population(&self, name: &str, neuron: Option<&Discrete>) -> PopulationDesc {
+        let shape: Vec<u64> = self.shapes[name].iter().map(|&axis| axis as u64).collect();
+        let (start_step, input) = (self.depths[name], PopulationDesc::input(&self.names[name], shape));
+        let Some(neuron) = neuron else { return PopulationDesc { start_step, ..input } };
+        let [tau_u, tau_v] = neuron.taus.clone();
+        let threshold = match &neuron.threshold {
+            Some(Parameter::Same(0.0)) => ("vth_mant", Parameter::Same(0.0)),
+            Some(threshold) => ("vth", threshold.clone()),
+            None => ("vth_mant", Parameter::Same(MAX_THRESHOLD)),
+        };
+        let parameters = vec![
+            tau_u.map_or(("du", neuron.du.clone()), |tau| ("tau_u_ms", tau)),
+            tau_v.map_or(("dv", neuron.dv.clone()), |tau| ("tau_v_ms", tau)),
+            threshold,
+        ];
+        let kind = match neuron.reset {
+            Reset::Mode(ResetMode::Zero) => NeuronKind::Loihi,
+            _ => NeuronKind::SoftReset,
+        };
+        PopulationDesc { loihi: Some(parameters), kind, start_step, ..input }
     }
 
     fn check_kinds(&self) -> Result<()> {

@@ -3,16 +3,24 @@
 //! Input: time constants, resistances, thresholds of a node. Output: the timestep of the file, and
 //! decays, gain, threshold and bias in that step.
 
-use std::cell::RefCell;
-use std::cmp::Ordering;
-
-use super::node_types::resets;
+use super::filter::Filter;
+use super::node_types::{Node, resets};
 use super::state::{Reader, product, unsupported, wrong};
+use crate::foreign::conventions::{DecayRule, ResetMode};
 use crate::foreign::hdf5::Group;
-use crate::foreign::imported::{DecayRule, shortest_decimal, wrong_option};
+use crate::foreign::imported::{Options, shortest_decimal, wrong_option};
 use nsim_files::network::Parameter;
-use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::warning::Warning;
+
+/// Change of v by a spike.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Reset {
+    /// By a rule.
+    Mode(ResetMode),
+    /// None: v is compared with the threshold and continues.
+    Never,
+}
 
 /// A discretised neuron.
 pub(super) struct Discrete {
@@ -23,10 +31,14 @@ pub(super) struct Discrete {
     pub(super) taus: [Option<Parameter>; 2],
     /// A weight of 1 in units of the threshold.
     pub(super) gain: Parameter,
+    /// A number that is added to the input of v, without a current, in units of the threshold.
+    pub(super) voltage_gain: Parameter,
     /// None for neurons that never spike.
     pub(super) threshold: Option<Parameter>,
     /// Number that is added to v in each step.
     pub(super) bias: Parameter,
+    /// Change of v by a spike.
+    pub(super) reset: Reset,
 }
 
 impl Discrete {
@@ -37,8 +49,10 @@ impl Discrete {
             dv: Parameter::Same(4096.0),
             taus: [None, None],
             gain: Parameter::Same(1.0),
+            voltage_gain: Parameter::Same(1.0),
             threshold,
             bias: Parameter::Same(0.0),
+            reset: Reset::Mode(ResetMode::Zero),
         }
     }
 }
@@ -46,12 +60,16 @@ impl Discrete {
 /// Distance in 4096ths below which a decay is rounded, since time constants have single precision.
 const EXACT: f64 = 1e-3;
 
-/// The numbers of a field, which have to be finite.
+/// Fields that may be infinite: exporters write a state that never decays so.
+const MAY_BE_INFINITE: [&str; 5] = ["tau", "tau_mem", "tau_syn", "r", "w_in"];
+
+/// The numbers of a field, which have to be finite but for time constants and their factors.
 pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
     let numbers = node.numbers(key).ok_or_else(|| wrong(format!("node '{name}' has no array '{key}'")))?;
     let single = numbers.dtype().ends_with("f4");
     let reals: Vec<f64> = numbers.reals().map(|x| if single { shortest_decimal(x) } else { x }).collect();
-    match reals.iter().find(|x| !x.is_finite()) {
+    let infinite = MAY_BE_INFINITE.contains(&key);
+    match reals.iter().find(|&&x| !x.is_finite() && !(infinite && x == f64::INFINITY)) {
         Some(x) => Err(wrong(format!("node '{name}': '{key}' has a number that is {x}"))),
         None if reals.is_empty() => Err(wrong(format!("node '{name}': '{key}' is empty"))),
         None => Ok(reals),
@@ -84,196 +102,336 @@ pub(super) fn all(value: &Parameter, f: impl Fn(f64) -> bool) -> bool {
 }
 
 impl Reader<'_> {
-    /// The timestep in seconds: given by option, or implied by all nodes.
-    pub(super) fn timestep(&mut self) -> Result<f64> {
-        if let Some(dt) = self.options.dt_ms {
-            self.notes.push(format!("timestep {dt} ms, from --dt"));
-            return Ok(dt / 1e3);
-        }
-        let (mut found, mut timed): (Vec<(String, f64)>, bool) = (Vec::new(), false);
-        let mut implied_by = "tau / r";
-        for (name, node) in &self.flat.nodes {
-            let ratio = |tau: &str, by: &str| -> Result<Vec<f64>> {
-                let (tau, by) = (parameter(node.group, name, tau)?, optional(node.group, name, by, 1.0)?);
-                Ok(zip(&tau, &by, |a, b| a / b).values().to_vec())
-            };
-            match node.kind.as_str() {
-                "CubaLIF" | "CubaLI" => {
-                    timed = true;
-                    implied_by = "tau_mem / r, and tau_syn / w_in agrees";
-                    for (tau, by) in [("tau_mem", "r"), ("tau_syn", "w_in")] {
-                        found.extend(ratio(tau, by)?.into_iter().map(|x| (name.clone(), x)));
-                    }
-                }
-                "LIF" | "LI" => {
-                    timed = true;
-                    // A resistance of 1 implies nothing.
-                    if !all(&optional(node.group, name, "r", 1.0)?, |r| r == 1.0) {
-                        found.extend(ratio("tau", "r")?.into_iter().map(|x| (name.clone(), x)));
-                    }
-                }
-                "Delay" => timed = true,
-                _ => {}
-            }
-        }
-        if !timed {
-            self.notes.push("timestep 1 ms: nothing in the file depends on it".to_string());
-            return Ok(1e-3);
-        }
-        let ask = |message: String| {
-            wrong_option(message).help(
-                "give the timestep with --dt MS, for example --dt 0.1. No timestep suits the time constants that Norse \
-                 writes: read its modules with nsim.from_torch",
-            )
-        };
-        let Some((_, first)) = found.first().cloned() else {
-            return Err(ask("the file has no timestep, and its nodes do not imply one".to_string()));
-        };
-        if let Some((name, other)) =
-            found.iter().find(|(_, dt)| (dt / first - 1.0).abs().partial_cmp(&1e-3) != Some(Ordering::Less))
-        {
-            return Err(ask(format!(
-                "the nodes do not imply one timestep: {:.6} ms by '{}', {:.6} ms by '{name}'",
-                first * 1e3,
-                found[0].0,
-                other * 1e3
-            )));
-        }
-        if !(first > 0.0 && first <= 1e3) {
-            return Err(ask(format!("the nodes imply a timestep of {first} s")));
-        }
-        // Many exporters compute in single precision, so a timestep of few digits is rounded to
-        // them.
-        let digits: f64 = format!("{first:.4e}").parse().unwrap_or(first);
-        let dt = if (digits / first - 1.0).abs() < 1e-5 { digits } else { first };
-        self.notes.push(format!("timestep {:.6} ms: {implied_by}", dt * 1e3));
-        Ok(dt)
-    }
-
     /// The discretised neuron of a node; `None` for an input.
     pub(super) fn discretise(&mut self, name: &str) -> Result<Option<Discrete>> {
         let node = &self.flat.nodes[name];
-        let (group, dt) = (node.group, self.dt);
+        if node.kind == "Input" {
+            return Ok(None);
+        }
+        let filter = self.filter_before(name)?;
         let units = product(&self.shapes[name]).unwrap_or(0);
-        let get = |key: &str, default: Option<f64>| -> Result<Parameter> {
-            let value = match default {
-                Some(default) => optional(group, name, key, default)?,
-                None => parameter(group, name, key)?,
-            };
-            match &value {
-                Parameter::Each(values) if values.len() != units => {
-                    Err(wrong(format!("node '{name}': '{key}' has {} numbers for {units} units", values.len())))
-                }
-                _ => Ok(value),
-            }
+        let mut reader = NodeReader {
+            name,
+            node,
+            units,
+            dt: self.dt,
+            file_dt: self.file_dt,
+            options: self.options,
+            long: None,
+            rest: None,
         };
-        let long = RefCell::new(Vec::new());
-        let fraction = |key: &str| -> Result<Parameter> {
-            let tau = get(key, None)?;
-            if !all(&tau, |tau| tau > 0.0) {
-                return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
-            }
-            if self.options.decay == Some(DecayRule::Exponential) {
-                if let Some(&tau) = tau.values().iter().find(|&&tau| dt > tau) {
-                    long.borrow_mut().push(format!(
-                        "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so one step keeps \
-                         {:.2} % of the state; nsim.from_torch reads networks of Norse and snnTorch",
-                        dt * 1e3,
-                        format!("{:.4e}", tau * 1e3).parse().unwrap_or(tau * 1e3),
-                        100.0 * (-dt / tau).exp()
-                    ));
-                }
-                return Ok(tau.map(|tau| -(-dt / tau).exp_m1()));
-            }
-            if !all(&tau, |tau| dt <= tau * (1.0 + 1e-6)) {
-                let message = format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3);
-                return Err(wrong_option(message).help(
-                    "give a shorter timestep with --dt MS; time constants in the file are in seconds. For tools whose \
-                     states decay by exp(-dt / tau), give --decay exponential",
-                ));
-            }
-            Ok(tau.map(|tau| (dt / tau).min(1.0)))
-        };
-        // Solves 1 - fraction = exp(-dt / tau) for tau.
-        let tau = |fraction: &Parameter| {
-            let exact = |fraction: f64| (4096.0 * fraction - (4096.0 * fraction).round()).abs() < EXACT;
-            let none = all(fraction, exact) || !all(fraction, |fraction| fraction < 1.0);
-            (!none).then(|| fraction.map(|fraction| -dt * 1e3 / (-fraction).ln_1p()))
-        };
-        // In 4096ths; whole numbers where `taus` is not needed.
-        let decay = |fraction: &Parameter| match tau(fraction) {
-            None => fraction.map(|fraction| (4096.0 * fraction).round_ties_even()),
-            Some(_) => fraction.map(|fraction| 4096.0 * fraction),
-        };
-        // Exporters write `dt / tau * (tau / dt)` for no scaling, which is 1 up to rounding.
-        let snapped = |gain: Parameter| gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain });
-        let spiking = resets(&node.kind);
-        if spiking && !all(&get("v_reset", Some(0.0))?, |v| v == 0.0) {
-            return Err(unsupported(
-                format!("node '{name}' resets to a value other than 0"),
-                "a compartment of Loihi returns to zero",
-            ));
-        }
-        let threshold = match node.kind.as_str() {
-            "Threshold" => Some(get("threshold", None)?),
-            _ if spiking => Some(get("v_threshold", None)?),
-            _ => None,
-        };
-        // Thresholds of 0 are mantissas of 0; next to others, weights would have no scale.
-        if threshold.as_ref().is_some_and(|threshold| !all(threshold, |x| x > 0.0) && !all(threshold, |x| x == 0.0)) {
-            return Err(unsupported(
-                format!("node '{name}' has a threshold below 0, or both a threshold of 0 and others"),
-                "a threshold mantissa cannot be negative, and weights are scaled by the threshold",
-            ));
-        }
-        let times = |fraction: &Parameter, key: &str, default: f64| -> Result<Parameter> {
-            Ok(zip(fraction, &get(key, Some(default))?, |a, b| a * b))
-        };
-        let neuron = match node.kind.as_str() {
-            kind @ ("CubaLIF" | "CubaLI" | "LIF" | "LI") => {
-                let has_current = kind.starts_with("Cuba");
-                let synapse = if has_current { Some(fraction("tau_syn")?) } else { None };
-                let membrane = fraction(if has_current { "tau_mem" } else { "tau" })?;
-                let current = match &synapse {
-                    Some(synapse) => snapped(times(synapse, "w_in", 1.0)?),
-                    None => Parameter::Same(1.0),
-                };
-                let voltage = snapped(times(&membrane, "r", 1.0)?);
-                Discrete {
-                    du: synapse.as_ref().map_or(Parameter::Same(4096.0), decay),
-                    dv: decay(&membrane),
-                    taus: [synapse.as_ref().and_then(tau), tau(&membrane)],
-                    gain: zip(&current, &voltage, |a, b| a * b),
-                    bias: times(&membrane, "v_leak", 0.0)?,
-                    threshold,
-                }
-            }
-            "IF" | "I" => {
-                // Without a timestep, exporters mean sums: a spike adds its weight.
-                let said = self.options.dt_ms.is_some();
-                let r = get("r", Some(1.0))?;
-                let gain = if said && !all(&r, |r| r == 1.0) { r.map(|r| r * dt) } else { r };
-                Discrete { dv: Parameter::Same(0.0), gain: snapped(gain), ..Discrete::memoryless(threshold) }
-            }
-            "Threshold" => Discrete::memoryless(threshold),
-            _ => return Ok(None),
-        };
+        let neuron = reader.neuron(filter.as_ref())?;
+        let (long, rest) = (reader.long.take(), reader.rest);
         let shown = |value: &Parameter| match value {
             Parameter::Same(x) => format!("{}", (x * 1e6).round() / 1e6),
             _ => "each its own".to_string(),
         };
         self.notes.push(format!(
             "'{name}' ({}): du {}, dv {}, a weight counts {}",
-            self.flat.nodes[name].kind,
+            node.kind,
             shown(&neuron.du),
             shown(&neuron.dv),
             shown(&neuron.gain)
         ));
+        if let Some(rest) = rest {
+            let message = format!("v is counted from its rest potential {rest}, where it begins");
+            self.warnings.push(Warning::of_population("rest-potential", &self.names[name], message));
+        }
         // One warning represents all nodes.
-        if self.warnings.is_empty() {
-            self.warnings
-                .extend(long.into_inner().into_iter().next().map(|long| Warning::of_network("long-timestep", long)));
+        if let Some(long) = long.filter(|_| !self.warnings.iter().any(|warning| warning.code == "long-timestep")) {
+            self.warnings.push(Warning::of_network("long-timestep", long));
         }
         Ok(Some(neuron))
+    }
+}
+
+/// The share of a state that a step takes away.
+struct Share {
+    share: Parameter,
+    /// dt / tau.
+    steps: Parameter,
+}
+
+impl Share {
+    /// The time constant in ms with `1 - share = exp(-dt / tau)`; none where 4096ths represent it.
+    fn tau(&self, dt: f64) -> Option<Parameter> {
+        let in_4096ths = |share: f64| (4096.0 * share - (4096.0 * share).round()).abs() < EXACT;
+        let none = all(&self.share, in_4096ths) || !all(&self.share, |share| share < 1.0);
+        (!none).then(|| self.share.map(|share| -dt * 1e3 / (-share).ln_1p()))
+    }
+
+    /// In 4096ths; whole numbers where [`Share::tau`] is none.
+    fn decay(&self, dt: f64) -> Parameter {
+        match self.tau(dt) {
+            None => self.share.map(|share| (4096.0 * share).round_ties_even()),
+            Some(_) => self.share.map(|share| 4096.0 * share),
+        }
+    }
+}
+
+/// Exporters write `dt / tau * (tau / dt)` for no scaling, which is 1 up to rounding.
+fn snapped(gain: &Parameter) -> Parameter {
+    gain.map(|gain| if (gain - 1.0).abs() < 1e-5 { 1.0 } else { gain })
+}
+
+/// Combines three parameters unit by unit.
+fn zip3(a: &Parameter, b: &Parameter, c: &Parameter, f: impl Fn(f64, f64, f64) -> f64) -> Parameter {
+    let length = [a, b, c].map(|parameter| parameter.values().len()).into_iter().max().unwrap_or(1);
+    match length {
+        1 => Parameter::Same(f(a.get(0), b.get(0), c.get(0))),
+        _ => Parameter::from_values((0..length).map(|i| f(a.get(i), b.get(i), c.get(i))).collect()),
+    }
+}
+
+/// Reads the numbers of one node.
+struct NodeReader<'r> {
+    name: &'r str,
+    node: &'r Node<'r>,
+    units: usize,
+    /// Seconds of a timestep.
+    dt: f64,
+    /// A timestep in the unit of the file's time constants.
+    file_dt: f64,
+    options: &'r Options,
+    /// The warning that a step is longer than a time constant.
+    long: Option<String>,
+    /// The rest potential from which v is counted, of the first unit.
+    rest: Option<f64>,
+}
+
+impl NodeReader<'_> {
+    fn parameter(&self, key: &str, default: Option<f64>) -> Result<Parameter> {
+        let value = match default {
+            Some(default) => optional(self.node.group, self.name, key, default)?,
+            None => parameter(self.node.group, self.name, key)?,
+        };
+        match &value {
+            Parameter::Each(values) if values.len() != self.units => {
+                let (name, count, units) = (self.name, values.len(), self.units);
+                Err(wrong(format!("node '{name}': '{key}' has {count} numbers for {units} units")))
+            }
+            _ => Ok(value),
+        }
+    }
+
+    /// The share that a step takes from the state with this time constant.
+    fn share(&mut self, key: &str) -> Result<Share> {
+        let tau = self.parameter(key, None)?;
+        self.share_of(key, &tau)
+    }
+
+    fn share_of(&mut self, key: &str, tau: &Parameter) -> Result<Share> {
+        let (name, dt) = (self.name, self.dt);
+        if !all(tau, |tau| tau > 0.0) {
+            return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
+        }
+        let steps = tau.map(|tau| self.file_dt / tau);
+        if self.options.decay() == DecayRule::Exponential {
+            if let Some(&tau) = tau.values().iter().find(|&&tau| self.file_dt > tau) {
+                self.long.get_or_insert(format!(
+                    "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so one step keeps {:.2} % of \
+                     the state; nsim.from_torch reads networks of Norse and snnTorch",
+                    dt * 1e3,
+                    format!("{:.4e}", tau * 1e3).parse().unwrap_or(tau * 1e3),
+                    100.0 * (-self.file_dt / tau).exp()
+                ));
+            }
+            return Ok(Share { share: steps.map(|steps| -(-steps).exp_m1()), steps });
+        }
+        if !all(&steps, |steps| steps <= 1.0 + 1e-6) {
+            let message = format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3);
+            return Err(wrong_option(message).help(
+                "give a shorter timestep with --dt MS; time constants in the file are in seconds. For tools whose states \
+                 decay by exp(-dt / tau), give --decay exponential",
+            ));
+        }
+        Ok(Share { share: steps.map(|steps| steps.min(1.0)), steps })
+    }
+
+    /// What a weight counts in the voltage.
+    fn in_voltage(&self, share: &Share, key: &str) -> Result<Parameter> {
+        let (rule, of_neuron, r) = (self.options.gain(), resets(&self.node.kind), self.parameter(key, Some(1.0))?);
+        self.checked(snapped(&zip3(&share.share, &share.steps, &r, |a, s, r| rule.in_voltage(a, s, r, of_neuron))), key)
+    }
+
+    /// What a weight counts in the current, from the factor of its input.
+    fn in_current(&self, share: &Share, w_in: &Parameter, key: &str) -> Result<Parameter> {
+        let rule = self.options.gain();
+        self.checked(snapped(&zip3(&share.share, &share.steps, w_in, |b, s, w| rule.in_current(b, s, w))), key)
+    }
+
+    /// A gain, which is finite and not that of a state that no input can change.
+    fn checked(&self, gain: Parameter, key: &str) -> Result<Parameter> {
+        if all(&gain, f64::is_finite) && (self.units == 0 || !all(&gain, |gain| gain == 0.0)) {
+            return Ok(gain);
+        }
+        let name = self.name;
+        Err(unsupported(
+            format!("node '{name}': a weight counts {} with its time constant and '{key}'", gain.get(0)),
+            "a state that never decays (infinite tau) needs an infinite factor, as exporters write tau / dt, or is an IF",
+        ))
+    }
+
+    /// The neuron, after the filter before it.
+    fn neuron(&mut self, filter: Option<&Filter>) -> Result<Discrete> {
+        match self.node.kind.as_str() {
+            "CubaLIF" | "CubaLI" if filter.is_some() => Err(self.second_filter()),
+            "CubaLIF" | "CubaLI" => {
+                let (synapse, membrane) = (self.share("tau_syn")?, self.share("tau_mem")?);
+                let w_in = self.parameter("w_in", Some(1.0))?;
+                let current = self.in_current(&synapse, &w_in, "w_in")?;
+                self.leaky(Some((synapse, current)), membrane)
+            }
+            "LIF" | "LI" => {
+                let current = filter.map(|filter| self.current_of(filter)).transpose()?;
+                let membrane = self.share("tau")?;
+                self.leaky(current, membrane)
+            }
+            "IF" | "I" => {
+                let current = filter.map(|filter| self.current_of(filter)).transpose()?;
+                self.integrator(current)
+            }
+            "Threshold" => self.threshold_of(filter),
+            kind => Err(wrong(format!("node '{}' of type '{kind}' is not a neuron", self.name))),
+        }
+    }
+
+    fn second_filter(&self) -> Diagnostic {
+        let name = self.name;
+        unsupported(
+            format!("'{name}' ({}) has a current, and receives a potential", self.node.kind),
+            "a potential (LI) is sent to LIF, IF or Threshold, whose current it becomes: send spikes instead",
+        )
+    }
+
+    /// The current that a filter before the neuron is: decay, and what a weight counts.
+    fn current_of(&mut self, filter: &Filter) -> Result<(Share, Parameter)> {
+        if filter.current.is_some() {
+            return Err(self.second_filter());
+        }
+        let share = match &filter.tau {
+            Some(tau) => self.share_of("tau", tau)?,
+            None => Share { share: Parameter::Same(0.0), steps: Parameter::Same(0.0) },
+        };
+        let gain = match filter.tau {
+            Some(_) => {
+                zip3(&share.share, &share.steps, &filter.r, |a, s, r| self.options.gain().in_voltage(a, s, r, false))
+            }
+            None => self.per_step(filter.r.clone()),
+        };
+        Ok((share, self.checked(snapped(&gain), "r")?))
+    }
+
+    /// What a weight counts in a state without decay: NIR's r is per second, and a file without a
+    /// timestep means sums.
+    fn per_step(&self, r: Parameter) -> Parameter {
+        if all(&r, |r| r == 1.0) { r } else { r.map(|r| r * self.file_dt) }
+    }
+
+    /// Decay of the current, its time constant, and what a weight counts in v.
+    fn before_voltage(
+        &self,
+        current: Option<(Share, Parameter)>,
+        voltage: &Parameter,
+    ) -> (Parameter, Option<Parameter>, Parameter) {
+        match current {
+            None => (Parameter::Same(4096.0), None, voltage.clone()),
+            Some((share, gain)) => (share.decay(self.dt), share.tau(self.dt), zip(&gain, voltage, |a, b| a * b)),
+        }
+    }
+
+    fn leaky(&mut self, current: Option<(Share, Parameter)>, membrane: Share) -> Result<Discrete> {
+        let voltage = self.in_voltage(&membrane, "r")?;
+        let (rest, threshold, reset) = self.rest_and_threshold()?;
+        let leak = zip(&self.parameter("v_leak", Some(0.0))?, &rest, |leak, rest| leak - rest);
+        let (du, tau_u, gain) = self.before_voltage(current, &voltage);
+        Ok(Discrete {
+            du,
+            dv: membrane.decay(self.dt),
+            taus: [tau_u, membrane.tau(self.dt)],
+            gain,
+            voltage_gain: voltage,
+            bias: zip(&membrane.share, &leak, |a, b| a * b),
+            threshold,
+            reset,
+        })
+    }
+
+    fn integrator(&mut self, current: Option<(Share, Parameter)>) -> Result<Discrete> {
+        let (_, threshold, reset) = self.rest_and_threshold()?;
+        let voltage = self.checked(snapped(&self.per_step(self.parameter("r", Some(1.0))?)), "r")?;
+        let (du, tau_u, gain) = self.before_voltage(current, &voltage);
+        let (dv, taus) = (Parameter::Same(0.0), [tau_u, None]);
+        Ok(Discrete { du, dv, taus, gain, voltage_gain: voltage, reset, ..Discrete::memoryless(threshold) })
+    }
+
+    /// A threshold on arrivals, or on the potential of a filter, which a spike does not reset.
+    fn threshold_of(&mut self, filter: Option<&Filter>) -> Result<Discrete> {
+        let threshold = self.checked_threshold(self.parameter("threshold", None)?)?;
+        let Some(filter) = filter else { return Ok(Discrete::memoryless(Some(threshold))) };
+        let current = match &filter.current {
+            None => None,
+            Some((tau_syn, w_in)) => {
+                let share = self.share_of("tau_syn", tau_syn)?;
+                let gain = self.in_current(&share, w_in, "w_in")?;
+                Some((share, gain))
+            }
+        };
+        let without_current = Filter { current: None, ..filter.clone() };
+        let (membrane, voltage) = self.current_of(&without_current)?;
+        let (du, tau_u, gain) = self.before_voltage(current, &voltage);
+        Ok(Discrete {
+            du,
+            dv: membrane.decay(self.dt),
+            taus: [tau_u, membrane.tau(self.dt)],
+            gain,
+            voltage_gain: voltage,
+            reset: Reset::Never,
+            ..Discrete::memoryless(Some(threshold))
+        })
+    }
+
+    /// The potential from which v is counted, the threshold above it, and the reset. A neuron that
+    /// rests and resets at one potential rests and resets at 0 when it is counted from there.
+    fn rest_and_threshold(&mut self) -> Result<(Parameter, Option<Parameter>, Reset)> {
+        let name = self.name;
+        let zero = Parameter::Same(0.0);
+        if !resets(&self.node.kind) {
+            return Ok((zero, None, Reset::Mode(ResetMode::Zero)));
+        }
+        let mode = self.options.reset_of(&self.node.kind);
+        let (v_reset, threshold) = (self.parameter("v_reset", Some(0.0))?, self.parameter("v_threshold", None)?);
+        if all(&v_reset, |v| v == 0.0) {
+            return Ok((zero, Some(self.checked_threshold(threshold)?), Reset::Mode(mode)));
+        }
+        let leaks = self.node.kind != "IF";
+        let rest = if leaks { self.parameter("v_leak", Some(0.0))? } else { v_reset.clone() };
+        if !all(&zip(&rest, &v_reset, |a, b| a - b), |difference| difference == 0.0) {
+            return Err(unsupported(
+                format!("node '{name}' resets to a value other than 0 and its v_leak"),
+                "a compartment of Loihi returns to zero: train with v_reset = v_leak, or with 0 for both",
+            ));
+        }
+        if mode != ResetMode::Zero {
+            return Err(unsupported(
+                format!("node '{name}' has v_reset {}, which {} contradicts", v_reset.get(0), mode.name()),
+                "--reset zero: a neuron returns to its v_reset",
+            ));
+        }
+        let threshold = zip(&threshold, &v_reset, |threshold, rest| threshold - rest);
+        self.rest = Some(v_reset.get(0));
+        Ok((v_reset, Some(self.checked_threshold(threshold)?), Reset::Mode(mode)))
+    }
+
+    /// Thresholds of 0 are mantissas of 0; next to others, weights would have no scale.
+    fn checked_threshold(&self, threshold: Parameter) -> Result<Parameter> {
+        if !all(&threshold, |x| x > 0.0) && !all(&threshold, |x| x == 0.0) {
+            let name = self.name;
+            return Err(unsupported(
+                format!("node '{name}' has a threshold below 0, or both a threshold of 0 and others"),
+                "a threshold mantissa cannot be negative, and weights are scaled by the threshold",
+            ));
+        }
+        Ok(threshold)
     }
 }

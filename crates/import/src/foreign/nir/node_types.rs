@@ -7,6 +7,8 @@ use crate::foreign::hdf5::Group;
 /// A node of the flat graph.
 pub(super) struct Node<'a> {
     pub(super) kind: String,
+    /// The type of an integrator that became a [`FILTER`].
+    pub(super) integrator: String,
     pub(super) group: &'a Group,
 }
 
@@ -15,7 +17,12 @@ pub(super) struct Node<'a> {
 pub(super) struct Flat<'a> {
     pub(super) nodes: BTreeMap<String, Node<'a>>,
     pub(super) edges: BTreeSet<(String, String)>,
+    /// Edges that the file has more than once.
+    pub(super) doubled: BTreeSet<(String, String)>,
 }
+
+/// An integrator whose potential is a current of the neurons after it.
+pub(super) const FILTER: &str = "Filter";
 
 /// Fields of every node without effect on the network.
 pub(super) const WITHOUT_MEANING: [&str; 4] = ["type", "metadata", "input_type", "output_type"];

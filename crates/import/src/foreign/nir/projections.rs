@@ -6,13 +6,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::linear::{Connection, Linear, Window, delay_at, scaled};
-use super::neuron::{Discrete, all};
-use super::node_types::resets;
+use super::neuron::{Discrete, Reset, all};
 use super::state::{Reader, product, unsupported, wrong};
-use crate::foreign::imported::{LONGEST_DELAY, ResetMode, always_spiking, integrator};
+use crate::foreign::conventions::ResetMode;
+use crate::foreign::imported::{LONGEST_DELAY, always_spiking, integrator};
 use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::warning::Warning;
 
 /// The diagnostic for too many listed synapses.
 fn too_many_listed() -> Diagnostic {
@@ -37,7 +38,8 @@ impl Reader<'_> {
                 continue;
             }
             for path in self.paths(name)? {
-                waits |= self.linear_map(&self.shapes[&path[0]], &path[1..])?.bias.is_some();
+                let arriving = self.linear_map(&self.shapes[&path[0]], &path[1..])?;
+                waits |= arriving.bias.is_some() && arriving.filter.is_none();
             }
         }
         if waits {
@@ -78,7 +80,14 @@ impl Reader<'_> {
                 ));
             }
             if let Some(added) = arrived.bias.as_ref().filter(|_| new) {
-                if memory {
+                if arrived.filter.is_some() {
+                    // Added to a potential, not to the current that it becomes.
+                    self.check_bias_after_filter(name, neuron)?;
+                    bias.iter_mut()
+                        .zip(added)
+                        .enumerate()
+                        .for_each(|(i, (sum, b))| *sum += b * neuron.voltage_gain.get(i));
+                } else if memory {
                     current.resize(units, 0.0);
                     current.iter_mut().zip(added).for_each(|(sum, b)| *sum += b);
                 } else {
@@ -97,9 +106,7 @@ impl Reader<'_> {
             ));
         }
         let to = self.names[name].clone();
-        if self.options.reset == Some(ResetMode::SubtractLater) && resets(&self.flat.nodes[name].kind) {
-            projections.extend(self.delayed_reset(&to, neuron, units)?);
-        }
+        projections.extend(self.own_reset(&to, neuron, units)?);
         let mut parameters = Vec::new();
         if matches!(neuron.threshold, None | Some(Parameter::Same(0.0))) {
             // Without a threshold above 0 the scale is free: the largest weight becomes 254, unless
@@ -139,11 +146,28 @@ impl Reader<'_> {
         Ok(())
     }
 
+    /// Refuses a bias between the potential of a filter and a threshold, which is no part of v.
+    fn check_bias_after_filter(&self, name: &str, neuron: &Discrete) -> Result<()> {
+        if neuron.reset != Reset::Never {
+            return Ok(());
+        }
+        Err(unsupported(
+            format!("a bias is added to the potential that '{name}' compares with its threshold"),
+            "subtract it from the threshold",
+        ))
+    }
+
     /// Synapses from each neuron to itself that move the subtraction of the threshold to the step
-    /// after the spike.
-    fn delayed_reset(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionDesc>> {
+    /// after the spike, or cancel it. SoftReset keeps the share b of v and subtracts the threshold
+    /// theta at the spike: `-(1 - b) theta` a step later adds up to theta, `b theta` to 0.
+    fn own_reset(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionDesc>> {
         let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
-        let weight = |unit: usize| -(neuron.dv.get(unit) / 4096.0) * threshold.get(unit);
+        let share = |unit: usize| match neuron.reset {
+            Reset::Mode(ResetMode::Zero | ResetMode::Subtract) => 0.0,
+            Reset::Mode(ResetMode::SubtractLater) => -neuron.dv.get(unit) / 4096.0,
+            Reset::Never => 1.0 - neuron.dv.get(unit) / 4096.0,
+        };
+        let weight = |unit: usize| share(unit) * threshold.get(unit);
         let kept = |unit: usize| 1.0 - neuron.du.get(unit) / 4096.0;
         let first: Vec<f64> = (0..units).map(weight).collect();
         let second: Vec<f64> = (0..units).map(|unit| -kept(unit) * weight(unit)).collect();
@@ -269,11 +293,13 @@ impl Reader<'_> {
             let last = order.iter().rev().find(|name| neurons(name)).ok_or_else(|| wrong("it has no neurons"))?;
             self.model.output = self.names[last].clone();
             self.drain(&last.clone());
-            self.notes.push(format!("no path leads to an output node; '{}' is used as the output", self.model.output));
+            let message = format!("no path leads to an output node; '{}' is used as the output", self.model.output);
+            self.warnings.push(Warning::of_network("output-assumed", message));
             return Ok(());
         };
         if outputs.len() > 1 {
-            self.notes.push(format!("there are {} outputs; '{output}' is used", outputs.len()));
+            let message = format!("there are {} outputs; '{output}' is used", outputs.len());
+            self.warnings.push(Warning::of_network("output-assumed", message));
         }
         let arrived = self.linear_map(&self.shapes[&path[0]].clone(), &path[1..])?;
         self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;
@@ -316,7 +342,7 @@ impl Reader<'_> {
 }
 
 /// The weights of a projection.
-fn weights(kind: &ProjectionKind) -> Vec<f64> {
+pub(super) fn weights(kind: &ProjectionKind) -> Vec<f64> {
     match kind {
         ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => weights.tensor().reals().collect(),
         ProjectionKind::Sparse(synapses) => synapses.iter().map(|synapse| synapse.2).collect(),

@@ -45,6 +45,8 @@ pub(super) struct Reader<'a> {
     pub(super) loops: BTreeSet<(String, String)>,
     /// Seconds of a timestep.
     pub(super) dt: f64,
+    /// A timestep in the unit of the file's time constants.
+    pub(super) file_dt: f64,
     pub(super) listed: usize,
     pub(super) warnings: Vec<Warning>,
 }

@@ -1,0 +1,140 @@
+//! Recorded spikes of the tool that wrote a network, compared with the reference engine's.
+//!
+//! Input: a network, samples, the tool's spikes of the output. Output: a [`RecordingResult`]: the
+//! number of values that differ, and the first of them with its potential. In training tools a spike
+//! passes all layers in one step, here it takes a step a layer, so the output's `start_step` is
+//! removed. A tool whose layers take steps of their own answers later by a constant, which is found.
+//!
+//! Errors: as [`real_trace`]; `check.samples` and `check.steps` for recordings of another size.
+
+use std::collections::BTreeSet;
+
+use super::compare::{output_layer, real_trace};
+use super::trace::Trace;
+use nsim_import::spikes::PopulationSpikes;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::id::Id;
+use nsim_ir::graph::{Graph, PopulationKind};
+use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::Sample;
+
+/// The greatest number of steps by which a tool may answer later.
+const MOST_LATER: u32 = 16;
+
+/// The first value that differs.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct FirstDifference {
+    /// Its sample.
+    pub sample: usize,
+    /// Its step in the recording.
+    pub step: u32,
+    /// Its output neuron.
+    pub neuron: u32,
+    /// Whether the recording has a spike there.
+    pub recorded: bool,
+    /// The reference engine's potential after that step, in thresholds; 0 after a reset to zero.
+    pub potential: f64,
+}
+
+/// The outcome of a comparison.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordingResult {
+    /// Number of values compared: samples, neurons, steps.
+    pub compared: u64,
+    /// Number of values that differ.
+    pub differing: u64,
+    /// Steps by which the tool answers later.
+    pub later: u32,
+    /// The first value that differs.
+    pub first: Option<FirstDifference>,
+}
+
+impl RecordingResult {
+    /// Its sentence.
+    pub fn text(&self) -> String {
+        let later = match self.later {
+            0 => String::new(),
+            1 => ", where the recording answers a step later".to_string(),
+            later => format!(", where the recording answers {later} steps later"),
+        };
+        format!("{} of {} recorded values differ{later}", self.differing, self.compared)
+    }
+}
+
+/// Compares recorded spikes of the output with those of the reference engine.
+///
+/// # Errors
+/// See the module.
+pub fn compare_recording(
+    (graph, integers): (&Graph, &Quantised),
+    samples: &[&Sample],
+    recorded: &[PopulationSpikes],
+) -> Result<RecordingResult> {
+    if samples.len() != recorded.len() || samples.is_empty() {
+        let message = format!("there are {} input samples and {} recorded ones", samples.len(), recorded.len());
+        return Err(Diagnostic::new("check.samples", message).help("record the output of each input sample"));
+    }
+    let output = output_layer(integers);
+    let start = match &graph.populations().nth(integers.parts().output.index()).map(|(_, one)| &one.kind) {
+        Some(PopulationKind::Neurons(parameters)) => parameters.start_step,
+        _ => 0,
+    };
+    let drain = integers.parts().drain;
+    if let Some((sample, (own, tool))) = samples
+        .iter()
+        .map(|sample| sample.steps().saturating_sub(drain))
+        .zip(recorded.iter().map(|tool| tool.steps))
+        .enumerate()
+        .find(|(_, (own, tool))| own != tool)
+    {
+        let message = format!("sample {sample} has {own} steps of input and {tool} recorded steps");
+        return Err(Diagnostic::new("check.steps", message).help("record as many steps as the input has"));
+    }
+    let trace = real_trace(graph, integers)?;
+    let traces: Vec<Trace> = samples.iter().map(|sample| trace(sample)).collect();
+    let compared = recorded.iter().map(|sample| u64::from(sample.steps) * u64::from(output.count)).sum();
+    let longest = recorded.iter().map(|sample| sample.steps).max().unwrap_or(0);
+    let at = |later: u32| {
+        let (differing, first) = differences(&traces, recorded, (output.first, output.count), (start, later));
+        RecordingResult { compared, differing, later, first }
+    };
+    let in_step = at(0);
+    if in_step.differing == 0 {
+        return Ok(in_step);
+    }
+    // A later answer is believed only where it explains every value.
+    let explained = (1..=MOST_LATER.min(longest.saturating_sub(1))).map(at).find(|result| result.differing == 0);
+    Ok(explained.unwrap_or(in_step))
+}
+
+/// Number of values that differ, and the first.
+fn differences(
+    traces: &[Trace],
+    recorded: &[PopulationSpikes],
+    (first_neuron, count): (u32, u32),
+    (start, later): (u32, u32),
+) -> (u64, Option<FirstDifference>) {
+    let (mut differing, mut first) = (0, None);
+    for (sample, (trace, tool)) in traces.iter().zip(recorded).enumerate() {
+        let mut ours = BTreeSet::new();
+        for neuron in 0..count {
+            let in_recording = trace.trains[(first_neuron + neuron) as usize]
+                .iter()
+                .filter_map(|step| step.checked_sub(start).map(|step| step + later).filter(|step| *step < tool.steps));
+            ours.extend(in_recording.map(|step| (step, neuron)));
+        }
+        let theirs: BTreeSet<(u32, u32)> = tool.events.iter().copied().collect();
+        for &(step, neuron) in ours.symmetric_difference(&theirs) {
+            differing += 1;
+            first.get_or_insert(((sample, step, neuron), theirs.contains(&(step, neuron))));
+        }
+    }
+    let first = first.map(|((sample, step, neuron), is_recorded)| {
+        let trace: &Trace = &traces[sample];
+        let own_step = (step + start).saturating_sub(later);
+        let at = (first_neuron + neuron) as usize * trace.steps as usize + own_step as usize;
+        let potential = trace.potentials.get(at).copied().unwrap_or(0.0);
+        FirstDifference { sample, step, neuron, recorded: is_recorded, potential: f64::from(potential) }
+    });
+    (differing, first)
+}
