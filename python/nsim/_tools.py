@@ -55,8 +55,7 @@ def from_torch(module, sample, *, export=None, **options):
     return from_nir(graph, **options)
 
 
-WITHOUT_EXPORTER = "save the weights, torch.save(net.state_dict(), 'net.pt'), for nsim.load('net.pt', neuron=FILE), or build a " \
-    "nir.NIRGraph for nsim.from_nir; docs/tutorials/from-pytorch.md lists the versions that work together"
+WITHOUT_EXPORTER = "build a nir.NIRGraph for nsim.from_nir; docs/tutorials/from-pytorch.md lists the versions that work together"
 
 
 def _versions():

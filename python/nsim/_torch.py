@@ -233,7 +233,7 @@ def read(module, sample):
     """The module to read, without its wrappers; refuses other objects, and a sample that is no tensor."""
     if not hasattr(module, "named_modules"):
         message = f"module is a {type(module).__name__}, expected a torch.nn.Module"
-        help = "give the network itself; to load only weights, use a file: torch.save(net.state_dict(), 'net.pt'), nsim.load('net.pt')"
+        help = "give the network itself; a state dict has no forward(): net.load_state_dict(state), nsim.from_torch(net, sample)"
         raise refusal(message, help)
     if not hasattr(sample, "detach"):
         message = f"sample is a {type(sample).__name__}, expected a tensor with one timestep of input"
@@ -532,7 +532,7 @@ def recurrent(module, shape, name):
 
 
 def resets(neurons, names):
-    """The reset of all neurons, and the names of nodes that stay at 0 for a step, as in `nsim import` of a state dict."""
+    """The reset of all neurons, and the names of nodes that stay at 0 for a step."""
     neurons = {module: node for module, node in neurons.items() if not is_head(module)}
     # A cell of Norse resets when it spikes.
     later = {module: kind_of(module) in OF_SNNTORCH and getattr(module, "reset_delay", True) for module in neurons}

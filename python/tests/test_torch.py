@@ -70,7 +70,7 @@ class Tables(unittest.TestCase):
         module = stub("Net", named_modules=lambda: [])
         tensor = stub("Tensor", detach=None)
         for given, words in [
-            (({"0.weight": 1}, tensor), ("dict", "torch.save(net.state_dict(), 'net.pt')")),
+            (({"0.weight": 1}, tensor), ("dict", "net.load_state_dict(state), nsim.from_torch(net, sample)")),
             ((module, np.zeros((1, 3))), ("ndarray", "torch.zeros")),
             ((module, (tensor, tensor)), ("tuple", "several inputs", "nsim.from_nir")),
             ((module, None), ("NoneType", "torch.zeros")),
@@ -243,7 +243,7 @@ class Modules(unittest.TestCase):
             self.assertIn(word, str(raised.exception))
         self.assertTrue(raised.exception.help)
 
-    def test_every_kind_of_neurons_as_from_its_state_dict(self):
+    def test_every_kind_of_neurons_with_both_resets(self):
         for kind, options in [(snn.Leaky, {}), (snn.Synaptic, {"alpha": 0.8}), (snn.RLeaky, {"linear_features": 8}),
                               (snn.RSynaptic, {"alpha": 0.7, "linear_features": 8})]:
             for how in ("zero", "subtract"):
@@ -251,15 +251,7 @@ class Modules(unittest.TestCase):
                 module = nn.Sequential(nn.Linear(32, 16, bias=False), self.lif(reset_mechanism=how), nn.Linear(16, 8, bias=False), last)
                 for part in (module[0], module[2]):
                     part.weight.data *= 3
-                network = self.read(module, 32)
-                with tempfile.TemporaryDirectory() as folder:
-                    path = os.path.join(folder, "net.pt")
-                    torch.save(module.state_dict(), path)
-                    dicts = nsim.load(path)
-                target = "nahuku-32" if how == "zero" else "oheo-gulch"
-                spikes = np.random.default_rng(4).random((4, 32, 30)) < 0.3
-                digests = [one.map(target).run(spikes).digest for one in (network, dicts)]
-                self.assertEqual(*digests)
+                self.read(module, 32).map("nahuku-32" if how == "zero" else "oheo-gulch")
 
     def test_a_last_layer_without_reset_is_read_by_its_potential(self):
         for kind, options in ((snn.Leaky, {}), (snn.Synaptic, {"alpha": 0.8})):
@@ -448,47 +440,28 @@ class Modules(unittest.TestCase):
                 for tensor in module[0].parameters():
                     tensor.data *= 3 * float(lif.C / lif.time_step)
                 self.read(module, 20)
-                with tempfile.TemporaryDirectory() as folder:
-                    path, state = os.path.join(folder, "net.pt"), module.state_dict()
-                    for name in ("1.R", "1.C", "1.time_step"):
-                        torch.save(state, path)
-                        with self.assertRaisesRegex(nsim.Error, "Lapicque"):
-                            nsim.load(path)
-                        del state[name]
         self.refused(nn.Sequential(nn.Linear(20, 10), self.lif(snn.Lapicque, beta=0.2)), (1, 20), "'1'", "Lapicque", "time_step")
 
-    def test_a_state_dict_is_read_with_a_warning_of_its_order(self):
-        class Net(nn.Module):
-            def __init__(net):
-                super().__init__()
-                net.out, net.lo, net.hid, net.lh = nn.Linear(20, 20), self.lif(), nn.Linear(20, 20), self.lif()
-
-            def forward(net, x):
-                return net.lo(net.out(net.lh(net.hid(x))))
-
-        with tempfile.TemporaryDirectory() as folder:
-            path = os.path.join(folder, "net.pt")
-            torch.save(Net().state_dict(), path)
-            with warnings.catch_warnings(record=True) as found:
-                warnings.simplefilter("always")
-                network = nsim.load(path)
-            said, = [str(one.message) for one in found if one.category is nsim.Warning]
-            for word in ("out -> lo (Leaky) -> hid -> lh (Leaky)", "forward()", "inhibition", "reset_delay", "nsim.from_torch(module, sample)"):
-                self.assertIn(word, said)
-            self.assertTrue(any(note in said for note in network.notes), network.notes)
-            # The printed remedies.
-            torch.save({"0.weight": torch.ones(4, 20)}, path)
-            with self.assertRaises(nsim.Error) as raised:
-                nsim.load(path)
-            self.assertIn("neuron= CONFIG.yml", raised.exception.help)
-            neuron = os.path.join(folder, "CONFIG.yml")
-            Path(neuron).write_text("neuron: {type: LIF, tau_syn_inv: 200, tau_mem_inv: 100, v_leak: 0, v_th: 1, v_reset: 0}")
-            self.assertEqual([name for name, *_ in nsim.load(path, neuron=neuron, dt_ms=1.0, decision="LastV").populations], ["input", "0"])
-            # The classes have equal state dicts.
-            alpha = nn.Sequential(nn.Linear(20, 20), snn.Alpha(alpha=0.9, beta=0.8))
-            torch.save(alpha.state_dict(), path)
-            with self.assertRaisesRegex(nsim.Error, "Synaptic or an Alpha"):
-                nsim.load(path)
+    def test_the_lines_that_a_state_dict_is_refused_with_read_its_network(self):
+        build = lambda: nn.Sequential(nn.Linear(20, 10), self.lif(), nn.Linear(10, 4), self.lif(threshold=0.2, output=True))
+        trained, spikes = build(), np.random.default_rng(6).random((3, 20, 30)) < 0.4
+        digest = lambda network: network.map("oheo-gulch").run(spikes).digest
+        want, state, before = digest(nsim.from_torch(trained, torch.zeros(1, 20))), trained.state_dict(), os.getcwd()
+        # The second is laid out as Lightning does.
+        lightning = {"epoch": 4, "state_dict": state, "callbacks": {"ModelCheckpoint": {"best_model_score": torch.tensor(0.5)}}}
+        for saved in (state, lightning):
+            with tempfile.TemporaryDirectory() as folder:
+                os.chdir(folder)
+                try:
+                    torch.save(saved, "net.ckpt")
+                    with self.assertRaisesRegex(nsim.Error, "'1.threshold'") as raised:
+                        nsim.load("net.ckpt")
+                    lines = [line.strip() for line in raised.exception.help.splitlines()[1:]]
+                    self.assertEqual(len(lines), 3)
+                    exec("\n".join(lines), {"net": build(), "sample": torch.zeros(1, 20)})
+                    self.assertEqual(digest(nsim.load("net.ron")), want)
+                finally:
+                    os.chdir(before)
 
     def test_a_convolution_and_a_pool_behind_it_are_one(self):
         plain = lambda *first: nn.Sequential(*first, self.lif(threshold=0.1), nn.Flatten(), nn.LazyLinear(4), self.lif(threshold=0.1, output=True))

@@ -27,7 +27,7 @@ use nsim_session::error::Error;
 #[command(after_help = "EXAMPLES:
   nsim import network.net -o model.ron              a network of lava-dl's netx
   nsim import network.net --image digit.npy         its input layer driven by an image
-  nsim import weights.pt --neuron slip_loihi.yml    a state dict of PyTorch, or one of SLAYER's sets of .npy
+  nsim import weights.pt --neuron slip_loihi.yml    a state dict of SLAYER or lava-dl, or VT_SNN's sets of .npy
   nsim import graph.nir --from snntorch -o model.ron   NIR, by the conventions of the tool that wrote it
   nsim import graph.nir --dt 0.1 -o model.ron       NIR, with the timestep that its file does not have
   nsim import graph.nir --check in.npy=out.npy      with the tool's own spikes: which conventions give them

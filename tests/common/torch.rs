@@ -54,6 +54,23 @@ pub fn archive(pickle: &[u8], storages: impl Iterator<Item = Vec<u8>>) -> Vec<u8
     archive.finish().unwrap().into_inner()
 }
 
+/// A checkpoint with dictionaries of tensors within it, by key.
+pub fn nested(parts: &[(&str, &[Entry])]) -> Vec<u8> {
+    let (mut pickled, mut storages) = (b"\x80\x02}".to_vec(), Vec::new());
+    for (key, entries) in parts {
+        let tensor = |(at, (name, shape, _)): (usize, &Entry)| {
+            ((*name).to_string(), (storages.len() + at).to_string(), shape.clone())
+        };
+        // A dictionary without its pickle's first two bytes and its end.
+        let whole = pickle(entries.iter().enumerate().map(tensor));
+        pickled.extend([&b"X"[..], &(key.len() as u32).to_le_bytes(), key.as_bytes()].concat());
+        pickled.extend([&whole[2..whole.len() - 1], b"s"].concat());
+        storages.extend(entries.iter().map(|(.., numbers)| numbers.iter().flat_map(|x| x.to_le_bytes()).collect()));
+    }
+    pickled.push(b'.');
+    archive(&pickled, storages.into_iter())
+}
+
 /// A checkpoint of these tensors, each in a storage of its own.
 pub fn checkpoint(entries: &[Entry]) -> Vec<u8> {
     let tensor = |(key, (name, shape, numbers)): (usize, &Entry)| {

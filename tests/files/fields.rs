@@ -258,17 +258,13 @@ fn netx(owner: &str, change: Option<&(&str, Item)>) -> Group {
     Group::default().with("layer", layers).with("simulation", simulation)
 }
 
-/// A set of weights in VT_SNN's form, or a state dict for neurons of real numbers, with a neuron of
-/// this text.
+/// A state dict with a neuron of this text.
 fn described(kind: &str, change: Option<(&str, &str)>) -> Option<NetworkFile> {
     let mut fields: Vec<(&str, &str)> = match kind {
         "simulation" => vec![("Ts", "1"), ("tSample", "9")],
         "LOIHI" => vec![("vThMant", "80"), ("vDecay", "128"), ("iDecay", "1024"), ("refDelay", "1"), ("wgtExp", "0")],
         "SRMALPHA" => vec![("theta", "10"), ("tauSr", "10"), ("tauRef", "1"), ("scaleRef", "2")],
         "CUBA" => vec![("threshold", "1.25"), ("current_decay", "0.25"), ("voltage_decay", "0.03")],
-        "Synaptic" => vec![("alpha", "0.5"), ("beta", "0.5"), ("threshold", "1")],
-        "Leaky" => vec![("beta", "0.5"), ("threshold", "1")],
-        "LIF" => vec![("tau_syn_inv", "200"), ("tau_mem_inv", "50")],
         other => panic!("no neuron {other}"),
     };
     if let Some((field, value)) = change {
@@ -279,7 +275,10 @@ fn described(kind: &str, change: Option<(&str, &str)>) -> Option<NetworkFile> {
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("neuron.yml");
     let text = match kind {
-        "simulation" => format!("simulation: {{{}}}\nneuron: {{type: Leaky, beta: 0.5}}\n", &fields[2..]),
+        "simulation" => format!(
+            "simulation: {{{}}}\nneuron: {{type: SRMALPHA, theta: 10, tauSr: 10, tauRef: 1, scaleRef: 2}}\n",
+            &fields[2..]
+        ),
         _ => format!("neuron: {{type: {kind}{fields}}}\n"),
     };
     std::fs::write(&config, text).unwrap();
@@ -291,34 +290,13 @@ fn described(kind: &str, change: Option<(&str, &str)>) -> Option<NetworkFile> {
     Some(model)
 }
 
-/// A state dict of a tool's recurrent layer, with one tensor changed.
+/// A state dict with one tensor changed.
 fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFile> {
     let number = |name, x: f32| -> Entry { (name, vec![], vec![x]) };
     let weights: Entry = ("weight", vec![2, 3], vec![0.5, 1.0, 1.5, -0.5, 0.75, 1.25]);
     let named = |name, entry: &Entry| (name, entry.1.clone(), entry.2.clone());
     let own = |name| -> Entry { (name, vec![2, 2], vec![0.5, 0.25, -0.5, 1.0]) };
     let (mut entries, yaml): (Vec<Entry>, &str) = match tool {
-        "snnTorch" | "snnTorch one to one" => (
-            vec![
-                named("f.weight", &weights),
-                ("f.bias", vec![2], vec![0.0, 0.5]),
-                number("l.beta", 0.5),
-                number("l.alpha", 0.25),
-                number("l.threshold", 1.0),
-                number("l.reset_mechanism_val", 0.0),
-                number("l.graded_spikes_factor", 1.0),
-                match tool {
-                    "snnTorch" => own("l.recurrent.weight"),
-                    _ => ("l.recurrent.V", vec![2], vec![0.5, 0.25]),
-                },
-                ("l.mem", vec![2], vec![0.0; 2]),
-            ],
-            "",
-        ),
-        "Norse" => (
-            vec![named("l.input_weights", &weights), own("l.recurrent_weights")],
-            "neuron: {type: LIF, tau_syn_inv: 200, tau_mem_inv: 50}",
-        ),
         "lava-dl" => (
             vec![
                 named("blocks.0.synapse.weight", &weights),
@@ -336,6 +314,14 @@ fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFi
             ],
             "neuron: {type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024}",
         ),
+        "pruned" => (
+            vec![
+                ("f.weight_mask", vec![2, 3], vec![1.0, 1.0, 0.0, 1.0, 1.0, 0.0]),
+                ("f.weight_orig", vec![2, 3], vec![20.0, 40.0, 60.0, -20.0, 30.0, 50.0]),
+                number("l.refKernel", 1.0),
+            ],
+            "neuron: {type: LOIHI, vThMant: 80, vDecay: 128, iDecay: 1024}",
+        ),
         other => panic!("no state dict of {other}"),
     };
     if let Some((field, value)) = change {
@@ -349,8 +335,7 @@ fn tensors(tool: &str, change: Option<(&'static str, &str)>) -> Option<NetworkFi
     let folder = tempfile::tempdir().unwrap();
     let config = folder.path().join("neuron.yml");
     std::fs::write(&config, yaml).unwrap();
-    let neuron = (!yaml.is_empty()).then_some(config);
-    let options = Options { neuron, ..Options::default() };
+    let options = Options { neuron: Some(config), ..Options::default() };
     let mut model = foreign::from_bytes(Path::new("net.pt"), checkpoint(&entries), &options).ok()?.model;
     lower(&model.build(Path::new("net.pt")).ok()?).ok()?;
     model.provenance = None;

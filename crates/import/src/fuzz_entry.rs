@@ -5,7 +5,7 @@
 
 use std::path::Path;
 
-use crate::foreign::{DecayRule, Options, Reading, from_bytes, hdf5 as hdf5_file, slayer, torch};
+use crate::foreign::{DecayRule, Options, Reading, from_bytes, hdf5 as hdf5_file, neuron_config, torch};
 use crate::spikes::events::{nir_data, read};
 use crate::spikes::{EventFormat, EventOptions, InputSpec};
 use nsim_ir::arithmetic::ThresholdTest;
@@ -59,7 +59,7 @@ pub fn checkpoint(data: &[u8]) {
 /// Network configs of SLAYER.
 pub fn yaml(data: &[u8]) {
     if let Ok(text) = std::str::from_utf8(data) {
-        let _ = slayer::config(&SourceText::new("fuzz.yml", text));
+        let _ = neuron_config::config(&SourceText::new("fuzz.yml", text));
     }
 }
 

@@ -3,7 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
-use super::conventions::{DecayRule, GainRule, Reading, ResetMode};
+use super::conventions::{DecayRule, GainRule, Reading, ResetMode, Tool};
 use nsim_files::network::{NetworkFile, Parameter};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -70,6 +70,17 @@ impl Options {
     /// What a weight counts.
     pub(super) fn gain(&self) -> GainRule {
         self.reading.row().map_or(GainRule::Equations, |row| row.gain)
+    }
+
+    /// Refuses a tool that does not write a kind of file.
+    pub(super) fn refuse_tools(&self, file: &str, writers: &[Tool]) -> Result<()> {
+        match self.reading.row().filter(|row| !writers.contains(&row.tool)) {
+            None => Ok(()),
+            Some(row) => {
+                let message = format!("--from {} does not apply to {file}, which {} does not write", row.tool.name(), row.title);
+                Err(wrong_option(message).help("leave it out"))
+            }
+        }
     }
 
     /// Refuses given options other than `used`, which a kind of file does not use.

@@ -12,10 +12,12 @@ pub mod hdf5;
 mod hdf5_links;
 pub mod imported;
 mod netx;
+pub(crate) mod neuron_config;
 mod nir;
 mod pickle;
-pub(crate) mod slayer;
+mod slayer;
 mod state_dict;
+mod stored;
 pub mod torch;
 mod window;
 
@@ -53,7 +55,7 @@ pub fn read(path: &Path, options: &Options) -> Result<Imported> {
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let imported = match FileKind::from_bytes(&bytes, path) {
         FileKind::Hdf5 => read_hdf5(path, bytes, options),
-        FileKind::Torch => state_dict::read(bytes, &network_name(path), options),
+        FileKind::Torch => state_dict::read(bytes, path, &network_name(path), options),
         FileKind::Npy => slayer::read_set(path, options),
         kind => Err(unknown(path, &bytes, kind)),
     };
@@ -90,6 +92,7 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
         let used =
             ["--from", "--image", "--first-step", "--reset-interval", "--input-shape", "--spike-exp", "--state-exp"];
         options.refuse_unused("a network of lava-dl's netx", &used)?;
+        options.refuse_tools("a network of lava-dl's netx", &[Tool::LavaDl])?;
         netx::read(&root, &name, options)
     } else if root.group("node").is_some() {
         options.refuse_unused("a NIR graph", &["--from", "--reset", "--decay"])?;
@@ -148,8 +151,8 @@ fn unknown(path: &Path, bytes: &[u8], kind: FileKind) -> Diagnostic {
     let help = if is_yaml {
         "pass it with --neuron, together with the weights: nsim import weights.pt --neuron config.yml"
     } else {
-        "supported formats: lava-dl netx (.net), NIR (.nir), PyTorch state dicts (.pt) and SLAYER's weights as .npy; a \
-         model of nsim begins with Network("
+        "supported formats: lava-dl netx (.net), NIR (.nir), state dicts of SLAYER and lava-dl (.pt), weights of VT_SNN \
+         (.npy); a model of nsim begins with Network("
     };
     Diagnostic::new("import.kind", described).help(help)
 }

@@ -1,11 +1,12 @@
 //! Tensors of a PyTorch checkpoint, in both of its containers.
 //!
 //! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or, from older versions,
-//! five pickles, then raw numbers. Output: the names of its tensors, and single tensors.
+//! five pickles, then raw numbers. Output: the names of its tensors, and single tensors. A tensor of
+//! a dictionary within the checkpoint has that dictionary's key before its own, and a dot.
 //! `super::pickle` reads the pickles and executes nothing: a checkpoint that pickles a whole module
 //! is refused with the name of its class.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Cursor, Read};
 
 use zip::ZipArchive;
@@ -23,6 +24,10 @@ const DEEPEST: usize = 4;
 const MOST_TENSORS: usize = 1 << 14;
 /// The most files of an archive.
 const MOST_FILES: usize = 1 << 16;
+
+/// Help: how a network is read that its file does not hold as tensors.
+const WAYS: &str = "save the weights of SLAYER or lava-dl, torch.save(net.state_dict(), \"weights.pt\"); a network of \
+                    another tool is read in Python, nsim.from_torch(net, sample)";
 
 /// The element type of a storage class.
 fn element(class: &str) -> Option<Element> {
@@ -61,6 +66,7 @@ enum Container {
 pub struct Checkpoint {
     container: Container,
     views: Vec<(String, View)>,
+    dictionaries: Vec<String>,
 }
 
 fn wrong(message: impl Into<String>) -> Diagnostic {
@@ -73,7 +79,7 @@ fn pickle_diagnostic(error: &PickleError) -> Diagnostic {
             "import.pickle",
             format!("this checkpoint pickles the class {class}, a whole module, and not only its weights"),
         )
-        .help("save the weights: torch.save(net.state_dict(), \"weights.pt\"); nothing of the file was executed"),
+        .help(format!("{WAYS}; nothing of the file was executed")),
         other => wrong(format!("the checkpoint cannot be read: {other}")),
     }
 }
@@ -114,7 +120,8 @@ fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint> {
     let pickled = read_entry(&mut archive, most, &format!("{root}data.pkl"))?;
     let (arena, top, _) = pickle::load(&pickled).map_err(|error| pickle_diagnostic(&error))?;
     let views = views(&arena, top)?;
-    Ok(Checkpoint { container: Container::Zip(Box::new(archive), root, most), views })
+    let dictionaries = dictionaries(&arena, top, &views);
+    Ok(Checkpoint { container: Container::Zip(Box::new(archive), root, most), views, dictionaries })
 }
 
 /// A file of an archive. PyTorch stores without compression, so no file is larger than the archive.
@@ -149,6 +156,7 @@ fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
     }
     let (arena, top) = next("the tensors")?;
     let views = views(&arena, top)?;
+    let dictionaries = dictionaries(&arena, top, &views);
     let (arena, keys) = next("the list of storages")?;
     let Value::List(keys) = arena.get(keys) else { return Err(wrong("the list of storages is not a list")) };
     let elements: BTreeMap<&str, Element> =
@@ -170,7 +178,7 @@ fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
             None => return Err(wrong(format!("the file ends within storage '{key}'"))),
         }
     }
-    Ok(Checkpoint { container: Container::Legacy(bytes, ranges), views })
+    Ok(Checkpoint { container: Container::Legacy(bytes, ranges), views, dictionaries })
 }
 
 /// An entry of a dictionary.
@@ -185,9 +193,31 @@ fn views(arena: &Arena, top: ValueId) -> Result<Vec<(String, View)>> {
     let mut views = Vec::new();
     collect(arena, top, "", 0, &mut views)?;
     if views.is_empty() {
-        return Err(wrong("the checkpoint holds no named tensors").help("save a state dict: net.state_dict()"));
+        return Err(wrong("the checkpoint holds no named tensors").help(WAYS));
     }
     Ok(views)
+}
+
+/// Keys of the dictionaries within a checkpoint that hold its tensors; none where the checkpoint
+/// itself holds one.
+fn dictionaries(arena: &Arena, top: ValueId, views: &[(String, View)]) -> Vec<String> {
+    let Value::Dict(pairs) = arena.get(top) else { return Vec::new() };
+    let within: BTreeSet<&str> = pairs
+        .iter()
+        .filter_map(|&(key, value)| match (arena.get(key), arena.get(value)) {
+            (Value::Text(key), Value::Dict(_)) => Some(key.as_str()),
+            _ => None,
+        })
+        .collect();
+    let mut holders = BTreeSet::new();
+    for (name, _) in views {
+        // Keys may have dots themselves.
+        match name.match_indices('.').map(|(end, _)| &name[..end]).find(|&key| within.contains(key)) {
+            Some(key) => holders.insert(key),
+            None => return Vec::new(),
+        };
+    }
+    holders.into_iter().map(str::to_string).collect()
 }
 
 fn collect(arena: &Arena, id: ValueId, name: &str, depth: usize, views: &mut Vec<(String, View)>) -> Result<()> {
@@ -261,6 +291,12 @@ impl Checkpoint {
     /// Names and shapes of the tensors, in the order of the file.
     pub fn entries(&self) -> impl Iterator<Item = (&str, &[usize])> {
         self.views.iter().map(|(name, view)| (name.as_str(), view.shape.as_slice()))
+    }
+
+    /// Keys of the dictionaries within the checkpoint that hold its tensors, sorted; none where the
+    /// checkpoint itself holds one.
+    pub fn dictionaries(&self) -> &[String] {
+        &self.dictionaries
     }
 
     /// The type of a tensor's numbers as NumPy writes it, or `bf16`.

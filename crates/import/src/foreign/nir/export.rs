@@ -27,7 +27,7 @@ const MODEL_TEXT_KEY: &str = "nsim_model";
 const ARRAYS_FILE: &str = "arrays";
 /// Time constant, in steps, that represents a decay of zero: `4096 dt / tau` rounds to 0, but `dt /
 /// tau` is not 0.
-pub(in crate::foreign) const NO_DECAY_TAU: f64 = 4_503_599_627_370_496.0;
+const NO_DECAY_TAU: f64 = 4_503_599_627_370_496.0;
 /// The most elements of a matrix that is written for a list of synapses.
 pub(in crate::foreign) const MOST_MATRIX: u64 = 1 << 24;
 
@@ -140,7 +140,7 @@ fn parse_metadata(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
 }
 
 /// A node of the type `kind`.
-pub(in crate::foreign) fn node(kind: &str) -> Group {
+fn node(kind: &str) -> Group {
     Group::default().with("type", kind)
 }
 
