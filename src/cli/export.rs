@@ -11,7 +11,7 @@ use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_files::write;
-use nsim_import::foreign::{hdf5, netx_export, nir_export};
+use nsim_import::foreign::{self, netx_export, nir_export};
 use nsim_report::inspect::Findings;
 use nsim_session::error::Error;
 
@@ -43,7 +43,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     nsim_session::front::check(&network)?;
     let model = network.resolved()?;
     let (tree, notes) = if has("nir") { nir_export::export(&model)? } else { netx_export::export(&model)? };
-    let bytes = hdf5::write(&tree)?;
+    let bytes = foreign::exported(&args.output, &tree, &model)?;
     write::file(&args.output, context.force, |out| out.write_all(&bytes))?;
     for note in &notes {
         tracing::warn!("{note}");

@@ -12,7 +12,7 @@ use nsim::import::foreign::hdf5;
 use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 use nsim::import::foreign::{DecayRule, Imported, Options, Reading, ResetMode, Tool, netx_export, nir_export};
 use nsim::ir::arithmetic::ThresholdTest;
-use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::base::diagnostic::{Diagnostic, SourceText};
 use nsim::ir::base::rng;
 use nsim::ir::neurons::NeuronKind;
 
@@ -532,6 +532,106 @@ fn models_go_to_netx_and_back_or_are_refused_by_name() {
     refused(&|model| model.projections[0].delay = 1, "after a delay");
     refused(&|model| model.projections.push(ProjectionDesc::new("layer0", "input", noisy())), "does not connect");
     refused(&|model| model.projections[0].kind = noisy(), "Random");
+}
+
+#[test]
+fn what_netx_ignores_or_clips_is_read_with_a_warning() {
+    let loihi = |fields: &[(&str, i64)]| {
+        of_netx("LOIHI", &[&[("iDecay", 1024), ("vDecay", 128), ("vThMant", 80)][..], fields].concat())
+    };
+    let file = |change: &dyn Fn(Group) -> Group| {
+        let matrix = || Numbers::i64(&[2, 2], &[2, 4, -6, 8]);
+        let dense = || typed("dense").with("shape", ints(&[2])).with("weight", matrix()).with("neuron", loihi(&[]));
+        let layers = Group::default().with("0", change(dense())).with("1", dense());
+        Group::default().with("layer", layers)
+    };
+    // A change of the first layer, another that makes an equal model, and its warning.
+    type Change = Box<dyn Fn(Group) -> Group>;
+    let with = |key: &'static str, item: Item| -> Change { Box::new(move |layer| layer.with(key, item.clone())) };
+    let neuron = |fields: &'static [(&str, i64)]| with("neuron", loihi(fields).into());
+    let recurrent = |kind: &'static str, key: &'static str| -> Change {
+        Box::new(move |layer| layer.with("type", kind).with(key, Numbers::i64(&[2, 2], &[2, 0, 4, 6])))
+    };
+    let delays = |list: &[f64]| with("delay", reals(list).into());
+    let plain = || neuron(&[]);
+    for (change, equal, code) in [
+        (recurrent("recurrent", "recWeight"), recurrent("dense_rec", "weight_rec"), ""),
+        (recurrent("recurrent", "weight_rec"), recurrent("dense_rec", "recWeight"), ""),
+        (neuron(&[("theta", 5120)]), plain(), ""),
+        (neuron(&[("theta", 1600)]), plain(), "theta-ignored"),
+        (neuron(&[("vThMant", 262_143)]), neuron(&[("vThMant", 131_071)]), "threshold-clipped"),
+        (with("inFeatures", int(9).into()), plain(), "size-ignored"),
+        (delays(&[62.0, 3.0]), delays(&[62.0, 3.0]), ""),
+        (delays(&[63.0, 3.0]), delays(&[62.0, 3.0]), "delay-clipped"),
+        (delays(&[1e9, 700.0]), delays(&[62.0]), "delay-clipped"),
+        (delays(&[2.5, 3.0]), delays(&[2.0, 3.0]), "fraction-lost"),
+        (delays(&[70.0, 1.0, 2.0, 3.0]), delays(&[62.0, 1.0, 2.0, 3.0]), "delay-clipped"),
+    ] {
+        let [read, equal] = [change, equal].map(|change| read(&file(&change), &Options::default()).unwrap());
+        let unsaid = |mut model: NetworkFile| {
+            model.provenance = None;
+            model
+        };
+        assert_eq!(unsaid(read.model), unsaid(equal.model), "{code}");
+        let codes: Vec<&str> = read.warnings.iter().map(|warning| warning.code).collect();
+        assert_eq!(codes.join(" "), code, "{:?}", read.warnings);
+        assert!(equal.warnings.is_empty());
+    }
+    let twice = |layer: Group| recurrent("recurrent", "recWeight")(recurrent("recurrent", "weight_rec")(layer));
+    for (change, says) in [
+        (&twice as &dyn Fn(Group) -> Group, "both recurrent weights"),
+        (&recurrent("dense", "recWeight"), "field 'recWeight'"),
+        (&|layer| layer.with("type", "recurrent"), "no array 'weight_rec'"),
+        (&|layer| layer.with("type", "recurrent").with("recWeight", ints(&[2, 4])), "connect the 2 units"),
+        (&with("delay", reals(&[-1.0]).into()), "a delay of -1 steps"),
+    ] {
+        let error = read(&file(change), &Options::default()).unwrap_err();
+        assert!(error.code.starts_with("import.") && error.message.contains(says), "{error}");
+    }
+}
+
+/// A model of an input and `count` layers in a chain, or with projections between all of them.
+fn layered(count: usize, all: bool) -> NetworkFile {
+    let layers = (0..count).map(|i| format!("Loihi(name: \"n{i}\", shape: [1], du: 7, dv: 9, vth_mant: 80)"));
+    let names: Vec<String> = (0..count).map(|i| format!("\"n{i}\"")).collect();
+    let dense = |from: &[String], to: &str| {
+        format!("Dense(from: [{}], to: {to}, weights: [[{}]])", from.join(", "), vec!["2"; from.len()].join(", "))
+    };
+    let mut projections = vec![dense(&["\"in\"".to_string()], &names[0])];
+    match all {
+        true => projections.extend(names.iter().map(|to| dense(&names, to))),
+        false => projections.extend(names.windows(2).map(|pair| dense(&pair[..1], &pair[1]))),
+    }
+    let text = format!(
+        "Network(name: \"deep\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [1]), {}], projections: \
+         [{}], output: \"n{}\")",
+        layers.collect::<Vec<_>>().join(", "),
+        projections.join(", "),
+        count - 1
+    );
+    NetworkFile::parse(&SourceText::new("deep.ron", text)).unwrap()
+}
+
+#[test]
+fn an_export_that_nsim_would_not_read_back_is_refused() {
+    let exported = |name: &str, model: &NetworkFile| {
+        let (tree, _) = if name == "m.nir" { nir_export::export(model)? } else { netx_export::export(model)? };
+        foreign::exported(Path::new(name), &tree, model)
+    };
+    for name in ["m.nir", "m.net"] {
+        // Of 8 groups and arrays a layer, as many as a file may have, and more.
+        assert!(exported(name, &layered(1000, false)).is_ok(), "{name}");
+        let error = exported(name, &layered(9000, false)).unwrap_err();
+        assert!(error.code == "export.unsupported" && error.message.contains("65536 items"), "{name}: {error}");
+    }
+    // Names of edges are texts of one array.
+    let error = exported("m.nir", &layered(130, true)).unwrap_err();
+    assert!(error.code == "export.unsupported" && error.message.contains("65536 texts"), "{error}");
+    let mut model = layered(2, false);
+    let (tree, _) = nir_export::export(&model).unwrap();
+    model.name = "other".to_string();
+    let error = foreign::exported(Path::new("m.nir"), &tree, &model).unwrap_err();
+    assert!(error.message.contains("another model"), "{error}");
 }
 
 fn noisy() -> ProjectionKind {

@@ -286,6 +286,17 @@ fn formats() -> Vec<Format> {
         ("other columns, lines of #", rows("t_us,x,y,p,more", "3000,3,4,0,1")),
     ];
     add("events as text", "csv", &rows("t_us,x,y,p,more", "3000,3,4,0,0"), "size=16,16", fields);
+    let rows = |size: &str, row: &str| format!("# a\n{size}\n0.001 1 2 1\n{row}\n").into_bytes();
+    let fields = vec![
+        ("width and height", rows("32 16", "0.003\t3 4 0")),
+        ("t", rows("16 16", "0.006\t3 4 0")),
+        ("x", rows("16 16", "0.003\t5 4 0")),
+        ("y", rows("16 16", "0.003\t3 5 0")),
+        ("p", rows("16 16", "0.003\t3 4 1")),
+        ("a fifth number", rows("16 16", "0.003\t3 4 0 1")),
+        ("a header in a line of #", b"# the columns are t x y p\n# t y x p\n0.001 1 2 1\n0.003\t3 4 0\n".to_vec()),
+    ];
+    add("rows t x y p", "txt", &rows("16 16", "0.003\t3 4 0"), "unit=s", fields);
     let list = |text: &str| text.as_bytes().to_vec();
     let fields = vec![
         ("timestep", list("# steps: 9\n# label: 1\nsample,timestep,channel\n0,1,2\n0,4,4\n")),
@@ -463,6 +474,55 @@ fn the_unit_of_times_is_named_or_asked_for() {
     let error = read_text("time,x,y\n1,1,1\n2,1,1\n9,1,1\n", "").unwrap_err();
     assert!(error.code == "input.unit" && error.message.contains("3 events in 0.008 ms"), "{error}");
     assert_eq!(read_bytes("a.bin", &[0; 5], "unit=s").unwrap_err().code, "input.option");
+}
+
+#[test]
+fn rows_without_a_header_are_t_x_y_p_or_refused_with_the_header_to_write() {
+    let rows = ["0.003811 1 2 1", "0.004811 3 2 0", "0.0092 1 2 1", "0.021 5 7 1"];
+    let right = read_text(&format!("t_s,x,y,p\n{}", rows.join("\n").replace(' ', ",")), "").unwrap();
+    let spaced = rows.join("\n");
+    for text in [
+        spaced.clone(),
+        format!("16 16\n{spaced}"),
+        spaced.replace(' ', "\t"),
+        spaced.replace(" 0", " -1"),
+        spaced.replace(" 1 2 1", " 1.000e+00 2.000e+00 1.000e+00"),
+        format!("t x y p\n{spaced}"),
+        format!("# columns: t x y p\n{spaced}").replace('x', "X"),
+        format!("# made by hand\n# t x y p\n{spaced}"),
+        format!("# t,x,y,p\n{}", spaced.replace(' ', ",")),
+    ] {
+        for name in ["events.txt", "a", "a.csv", "a.dat"] {
+            let (events, counts) = read_bytes(name, text.as_bytes(), "unit=s").unwrap();
+            assert_eq!((events, counts.columns_assumed), (right.clone(), !text.contains('x')), "{text}");
+        }
+        // Seconds are no plausible microseconds.
+        assert_eq!(read_text(&text, "").unwrap_err().code, "input.unit", "{text}");
+    }
+    let tact = FileKind::from_bytes(b"1 2 12 0\n", Path::new("a.tact"));
+    assert_eq!(tact, FileKind::Events(EventFormat::Tact), "a row of .tact with nanoseconds");
+    let commas = spaced.replace(' ', ",");
+    for (text, says) in [
+        (commas.clone(), "row 1: it is not a header"),
+        (format!("{spaced}\n0.020 1 1 1\n"), "row 5: its first number is 1000 us less"),
+        (format!("{spaced}\n0.022 1 1\n"), "row 5: it has 3 fields"),
+        (format!("{spaced}\n0.022 1 1 7\n"), "polarity 7"),
+        (format!("16 16\n16 16\n{spaced}"), "row 2: it is not"),
+    ] {
+        let error = decode_text(&text);
+        assert!(error.code == "input.events" && error.message.contains(says), "{text}: {error}");
+    }
+    // The remedies of the message.
+    assert_eq!(read_text(&format!("t_s,x,y,p\n{commas}"), "").unwrap(), right);
+    assert_eq!(read_text(&format!("t_s x y p\n{spaced}"), "").unwrap(), right);
+    assert_eq!(read_text("x,y,p,t_us\n1,2,1,3811\n3,2,0,4811\n1,2,1,9200\n5,7,1,21000\n", "").unwrap(), right);
+}
+
+/// The problem of reading a text as events in seconds, whatever its kind.
+fn decode_text(text: &str) -> nsim::ir::base::diagnostic::Diagnostic {
+    let expected = InputSpec { units: 512, volume: Some((2, 16, 16)), dt_ms: 1.0, values: false };
+    let options = EventOptions::parse(&nsim::ir::stimulus::pairs("unit=s").unwrap()).unwrap();
+    read_input(&mut text.as_bytes(), "a", EventFormat::Text, &expected, &options).unwrap_err()
 }
 
 #[test]

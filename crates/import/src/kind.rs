@@ -14,7 +14,7 @@ use super::foreign::hdf5;
 use super::foreign::torch::ZIP;
 use super::spikes::csv;
 use super::spikes::events::aedat::AEDAT;
-use super::spikes::events::text::is_header;
+use super::spikes::events::text::begins_recording;
 use nsim_files::text::{NPY_MAGIC, is_standard_stream, open, refuse_pointer, unreadable};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::names::named_variants;
@@ -24,8 +24,8 @@ use nsim_ir::locate::root_name;
 const HEAD: usize = 1 << 16;
 
 /// The kinds of recordings, for messages.
-pub const RECORDINGS: &str =
-    "recordings of events (.bin, .bs1, .bs2, .dat, .raw, .aedat4, .tact, .csv with the header t_us,x,y,p, NIR data)";
+pub const RECORDINGS: &str = "recordings of events (.bin, .bs1, .bs2, .dat, .raw, .aedat4, .tact, text with the header t_us,x,y,p or with \
+                             rows t x y p, NIR data)";
 
 named_variants! {
     /// The formats of event recordings.
@@ -43,7 +43,7 @@ named_variants! {
         Aedat4 = "AEDAT",
         /// VT_SNN's `.tact`.
         Tact = "VT_SNN .tact",
-        /// Text whose header names x and a time.
+        /// Text whose header names x and a time, or rows `t x y p`.
         Text = "events as text",
         /// N-MNIST `.bin`: like `.bs2`, with entries that mark overflows of the clock.
         Bin = "N-MNIST .bin",
@@ -132,7 +132,9 @@ impl FileKind {
             _ if head.starts_with(AEDAT) => Some(FileKind::Events(EventFormat::Aedat4)),
             _ if head.starts_with(ZIP) => Some(archive(head, extension == "npz")),
             _ if head.starts_with(b"% ") => prophesee(head),
-            _ if !head.contains(&0) => text(&String::from_utf8_lossy(head)),
+            // Rows of a .tact may have four numbers, too.
+            _ if !head.contains(&0) => text(&String::from_utf8_lossy(head))
+                .filter(|kind| extension != "tact" || *kind != FileKind::Events(EventFormat::Text)),
             _ => None,
         };
         content.unwrap_or_else(|| match extension.as_str() {
@@ -188,19 +190,18 @@ fn prophesee(head: &[u8]) -> Option<FileKind> {
     named.map(FileKind::Events)
 }
 
-/// The kind of a text, from its first row that is not a comment.
+/// The kind of a text, from its first lines.
 fn text(text: &str) -> Option<FileKind> {
     let text = text.trim_start_matches('\u{feff}');
     let root = root_name(text);
     if root.starts_with(|first: char| first.is_ascii_uppercase()) && text.contains(&format!("{root}(")) {
         return Some(FileKind::Ron);
     }
-    let row = text.lines().map(str::trim).find(|row| !row.is_empty() && !row.starts_with('#'))?;
-    match () {
-        () if is_header(row) => Some(FileKind::Events(EventFormat::Text)),
-        () if csv::is_header(row) => Some(FileKind::SpikeList),
-        () => None,
+    if begins_recording(text) {
+        return Some(FileKind::Events(EventFormat::Text));
     }
+    let row = text.lines().map(str::trim).find(|row| !row.is_empty() && !row.starts_with('#'))?;
+    csv::is_header(row).then_some(FileKind::SpikeList)
 }
 
 #[cfg(test)]

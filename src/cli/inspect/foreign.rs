@@ -206,6 +206,7 @@ pub(super) fn recording(path: &Path, format: EventFormat, options: &EventOptions
             ("first_us", json!(times.map(|times| times.0))),
             ("last_us", json!(times.map(|times| times.1))),
             ("duration_ms", json!(times.map(|(first, last)| (last - first) as f64 / 1e3))),
+            ("columns", json!(counts.columns_assumed.then_some("not named, t x y p assumed"))),
             ("time_unit", json!(counts.unit_assumed.then_some("not named, microseconds assumed"))),
         ],
         tables: Vec::new(),

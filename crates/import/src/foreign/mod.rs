@@ -29,8 +29,9 @@ pub use self::imported::{Imported, LayerWeights, Options};
 pub use self::netx::export as netx_export;
 pub use self::nir::export as nir_export;
 use super::kind::FileKind;
+use nsim_files::budget::MOST_ARRAY;
 use nsim_files::changes;
-use nsim_files::network::{Conventions, Network};
+use nsim_files::network::{Conventions, Network, NetworkFile};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// Whether a model argument is a file of another tool; false for a file that cannot be opened,
@@ -60,6 +61,27 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
         kind => Err(unknown(path, &bytes, kind)),
     };
     imported.map_err(|problem| problem.or_in_file(path))
+}
+
+/// The bytes of an exported file, which are read back first: limits of the readers are theirs alone,
+/// and a file that they refuse is never written.
+///
+/// # Errors
+/// `export.unsupported` for a file that would be refused or read as another model; `hdf5.write`.
+pub fn exported(path: &Path, tree: &hdf5::Group, model: &NetworkFile) -> Result<Vec<u8>> {
+    let bytes = hdf5::write(tree)?;
+    let refused = |why: String| {
+        Diagnostic::new("export.unsupported", format!("nsim would not read the exported file back: {why}"))
+            .help("a model file of nsim (.ron) has no such limit")
+    };
+    if bytes.len() as u64 > MOST_ARRAY {
+        return Err(refused(format!("it would have {} bytes, more than {MOST_ARRAY}", bytes.len())));
+    }
+    let read = from_bytes(path, bytes.clone(), &Options::default()).map_err(|problem| refused(problem.message))?;
+    match read.model.ron("arrays")? == model.ron("arrays")? {
+        true => Ok(bytes),
+        false => Err(refused("it would be read as another model".to_string())),
+    }
 }
 
 /// Reads a graph of NIR nodes in memory. The neurons of the nodes `held` get a refractory period of

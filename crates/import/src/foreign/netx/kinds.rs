@@ -25,10 +25,8 @@ impl Reader<'_> {
         let shape = vec![units(&layer.shape()?).ok_or_else(|| layer.wrong("a shape too large for memory"))?];
         let key = if layer.is_complex() { "weight/real" } else { "weight" };
         let axes = layer.axes(key, 2)?;
-        let given = layer.group.number("inFeatures").filter(|x| x.fract() == 0.0 && (1.0..1e9).contains(x));
         let count = layer.numbers(key)?.len() as u64;
-        let inputs = given.map_or(count / shape[0].max(1), |x| x as u64);
-        let source = self.source(|| Ok(vec![inputs]))?;
+        let source = self.source(|| Ok(vec![count / shape[0].max(1)]))?;
         let fills = shape[0].checked_mul(source.units()) == Some(count);
         if !fills || !(axes.len() <= 1 || axes == [shape[0], source.units()]) {
             let (given, from, name) = (layer.numbers(key)?.shape(), source.units(), &source.name);
@@ -48,17 +46,20 @@ impl Reader<'_> {
                 projection.port = port;
             }
         }
-        if layer.kind == "dense_rec" {
+        if layer.kind != "dense" {
             let recurrent = self.last.clone().ok_or_else(|| layer.wrong("no layer"))?;
-            let square = vec![shape[0] as usize; 2];
-            if layer.numbers("weight_rec")?.len() as u64 != shape[0].saturating_mul(shape[0]) {
-                return Err(layer.wrong("'weight_rec' is not square"));
+            let (key, units) = (layer.recurrent_key()?, shape[0]);
+            let axes = layer.axes(key, 2)?;
+            let fills = Some(layer.numbers(key)?.len() as u64) == units.checked_mul(units);
+            if !fills || !(axes.len() <= 1 || axes == [units, units]) {
+                return Err(layer.wrong(format!("'{key}' {axes:?} does not connect the {units} units to each other")));
             }
+            let square = vec![units as usize; 2];
             // SLAYER feeds back the spikes of the previous step, so the delay field is 0. The
             // layer's own delay applies to the next layer only.
             let undelayed = LastPopulation { delays: Vec::new(), ..recurrent };
             let dense = |weights| ProjectionKind::Dense(tensor(square, weights));
-            self.project(layer, &undelayed, &name, "weight_rec", dense)?;
+            self.project(layer, &undelayed, &name, key, dense)?;
         }
         self.delays(layer)
     }

@@ -75,6 +75,17 @@ impl Layer<'_> {
         }
     }
 
+    /// The name of its recurrent weights: lava-dl and spytorch2loihi write two.
+    pub(super) fn recurrent_key(&self) -> Result<&'static str> {
+        match ["weight_rec", "recWeight"].map(|key| self.group.get(key).is_some()) {
+            [true, true] => Err(self
+                .wrong("'weight_rec' and 'recWeight' are both recurrent weights")
+                .help("remove the one that the network does not use")),
+            [false, true] => Ok("recWeight"),
+            _ => Ok("weight_rec"),
+        }
+    }
+
     /// The axes of an array, without trailing axes of length 1 beyond the first `axes`.
     pub(super) fn axes(&self, key: &str, axes: usize) -> Result<Vec<u64>> {
         let mut shape: Vec<u64> = self.numbers(key)?.shape().iter().map(|&axis| axis as u64).collect();

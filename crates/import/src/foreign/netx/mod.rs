@@ -18,7 +18,7 @@ mod reader;
 
 use std::cell::Cell;
 
-use super::hdf5::Group;
+use super::hdf5::{Group, Numbers};
 use super::imported::{Imported, Options, name_list, wrong_option};
 use super::nir::unmodified_model;
 use crate::foreign::nir::export::restore;
@@ -90,7 +90,8 @@ fn fields(kind: &str) -> Vec<&'static str> {
     let own = match kind {
         "flatten" | "average" => "",
         "input" => "neuron weight bias messageBits",
-        "dense" | "dense_rec" => "neuron weight weight_rec bias delay inFeatures outFeatures messageBits",
+        "dense" => "neuron weight bias delay inFeatures outFeatures messageBits",
+        "dense_rec" | "recurrent" => "neuron weight weight_rec recWeight bias delay inFeatures outFeatures messageBits",
         "pool" | "unpool" => "neuron weight bias delay kernelSize stride padding dilation",
         "conv" | "convT" => {
             "neuron weight bias delay kernelSize stride padding dilation groups inChannels outChannels messageBits"
@@ -129,14 +130,14 @@ impl Reader<'_> {
         match kind {
             "input" => self.input(&layer),
             "flatten" => self.flatten(&layer),
-            "dense" | "dense_rec" => self.dense(&layer),
+            "dense" | "dense_rec" | "recurrent" => self.dense(&layer),
             "conv" => self.conv(&layer),
             "pool" => self.pool(&layer),
             "convT" | "unpool" => self.transposed(&layer),
             "average" => self.average(&layer),
             other => Err(layer.unsupported(
                 format!("layers of type '{other}' are not supported"),
-                "supported types: input, flatten, dense, dense_rec, conv, pool, convT, unpool and average",
+                "supported types: input, flatten, dense, dense_rec, recurrent, conv, pool, convT, unpool and average",
             )),
         }
     }
@@ -212,45 +213,48 @@ impl Reader<'_> {
         self.model.projections.push(own);
     }
 
-    /// Checks the sizes that a file repeats against its arrays.
-    fn check_sizes(&self, layer: &Layer<'_>) -> Result<()> {
-        let shape = layer.reals("shape").unwrap_or_default();
-        let all: f64 = shape.iter().product();
+    /// Warns where a size that the file repeats differs from its arrays, the only sizes that netx
+    /// reads. (Of a pool, the weights do not have the size of the window, so it is used.)
+    fn check_sizes(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let all: f64 = layer.reals("shape").unwrap_or_default().iter().product();
+        let last = self.last.as_ref();
+        let weights = |key: &str| layer.group.numbers(key).map(Numbers::len);
         let kernel: Vec<f64> = match layer.kind.as_str() {
-            "conv" | "convT" => layer.axes("weight", 4)?.iter().skip(2).map(|&side| side as f64).collect(),
+            "conv" | "convT" => layer.axes("weight", 4)?.iter().map(|&side| side as f64).collect(),
             _ => Vec::new(),
         };
-        let last = self.last.as_ref();
+        let matrix = weights("weight").or(weights("weight/real")).map(|count| count as f64 / all);
         for (key, right) in [
-            ("outFeatures", Some(all)),
-            ("inFeatures", last.map(|last| last.units() as f64)),
-            ("outChannels", shape.first().copied()),
-            ("inChannels", last.map(|last| last.shape[0] as f64)),
+            ("outFeatures", vec![all]),
+            ("inFeatures", last.map(|last| last.units() as f64).or(matrix).into_iter().collect()),
+            ("outChannels", layer.reals("shape").unwrap_or_default().into_iter().take(1).collect()),
+            ("inChannels", last.map(|last| last.shape[0] as f64).into_iter().collect()),
+            ("kernelSize", kernel.into_iter().skip(2).collect()),
         ] {
-            if let (Some(given), Some(right)) = (layer.group.number(key), right)
-                && given != right
-            {
-                return Err(layer.wrong(format!("{key} is {given}, the arrays have {right}")));
-            }
+            self.check_size(layer, key, &right);
         }
-        match layer.group.numbers("kernelSize") {
-            Some(given) if !kernel.is_empty() && !given.reals().zip(&kernel).all(|(a, b)| a == *b) => {
-                let given: Vec<f64> = given.reals().collect();
-                Err(layer.wrong(format!("kernelSize is {given:?}, the kernel is {kernel:?}")))
-            }
-            _ => Ok(()),
+        Ok(())
+    }
+
+    fn check_size(&mut self, layer: &Layer<'_>, key: &str, right: &[f64]) {
+        let given: Vec<f64> = layer.group.numbers(key).into_iter().flat_map(Numbers::reals).collect();
+        // One number is the height and the width of a kernel.
+        if right.is_empty() || given.iter().zip(right).all(|(a, b)| a == b) {
+            return;
         }
+        let message = format!("{key} is {given:?}, the arrays have {right:?}: only the arrays count, as in netx");
+        self.warn(layer, "size-ignored", message);
     }
 
     fn flatten(&mut self, layer: &Layer<'_>) -> Result<()> {
         // Populations are flattened in the order C, H, W by the dense layer that follows.
         let Some(last) = &self.last else { return Err(layer.wrong("there is nothing before it")) };
-        match layer.group.get("shape") {
-            Some(_) if units(&layer.shape()?) != Some(last.units()) => {
-                Err(layer.wrong(format!("its shape is {:?}, but its input has {} units", layer.shape()?, last.units())))
-            }
-            _ => Ok(()),
+        if layer.group.get("shape").is_some() && units(&layer.shape()?) != Some(last.units()) {
+            let (shape, units) = (layer.shape()?, last.units());
+            let message = format!("its shape is {shape:?}, but its input has {units} units, which count, as in netx");
+            self.warn(layer, "size-ignored", message);
         }
+        Ok(())
     }
 
     fn finish(mut self) -> Result<Imported> {

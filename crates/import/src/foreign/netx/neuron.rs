@@ -6,10 +6,10 @@
 use super::export::{NetxNeuron, netx_neuron};
 use super::layer::Layer;
 use super::reader::{BIAS_EXP, DEFAULT_BITS, MOST_EXPANDED, Neurons, Reader, SDNN_EXP, units};
+use crate::foreign::hdf5::Numbers;
 use crate::foreign::imported::{MAX_THRESHOLD, integrator};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
-use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 
 /// The fields of a neuron; tauRho and scaleRho shape the surrogate gradient of training.
@@ -37,8 +37,7 @@ impl Reader<'_> {
             let whole: Vec<f64> = given.iter().map(|x| x.trunc()).collect();
             let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
             if cut > 0 {
-                let message = format!("layer {}: {cut} biases are not whole and lose their fraction", layer.number);
-                self.warnings.push(Warning::of_network("fraction-lost", message));
+                self.warn(layer, "fraction-lost", format!("{cut} biases are not whole and lose their fraction"));
             }
             let biases = self.expand(layer, "bias", whole, shape)?;
             match neurons.kind {
@@ -101,12 +100,7 @@ impl Reader<'_> {
             }
         }
         check_fields(layer, kind, FIELDS)?;
-        if let (Some(theta), Some(mantissa)) =
-            (layer.group.number("neuron/theta"), layer.group.number("neuron/vThMant"))
-            && theta != 64.0 * mantissa
-        {
-            return Err(layer.wrong(format!("theta is {theta}, and vThMant {mantissa} makes {}", 64.0 * mantissa)));
-        }
+        self.check_theta(layer)?;
         let mut parameters = Vec::new();
         for (ours, theirs, range) in [
             ("du", "iDecay", 0.0..=4096.0),
@@ -118,7 +112,10 @@ impl Reader<'_> {
             if ours == "refractory" && layer.group.get(&key).is_none() {
                 continue;
             }
-            let numbers = layer.reals(&key)?;
+            let mut numbers = layer.reals(&key)?;
+            if ours == "vth_mant" {
+                self.clip_thresholds(layer, &mut numbers);
+            }
             if let Some(x) = numbers.iter().find(|x| x.fract() != 0.0 || !range.contains(*x)) {
                 return Err(layer.wrong(format!("{theirs} is {x}, outside {} to {}", range.start(), range.end())));
             }
@@ -134,6 +131,35 @@ impl Reader<'_> {
             return Ok(Neurons { kind: NeuronKind::GradedLif, parameters, message_bits: None });
         }
         Ok(parameters.into())
+    }
+
+    /// Warns where theta, SLAYER's threshold, is not 64 vThMant. SLAYER and lava-dl's netx compute
+    /// the threshold from vThMant alone. lava-dl silences outputs by a vThMant of 131071, and leaves
+    /// theta as in the other layers.
+    fn check_theta(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let thetas: Vec<f64> = layer.group.numbers("neuron/theta").into_iter().flat_map(Numbers::reals).collect();
+        let mantissas = layer.reals("neuron/vThMant")?;
+        // One number may stand for all units.
+        let pairs = thetas.iter().cycle().zip(mantissas.iter().cycle()).take(thetas.len().max(mantissas.len()));
+        if let Some((theta, mantissa)) = pairs.into_iter().find(|(theta, mantissa)| **theta != 64.0 * **mantissa) {
+            let right = 64.0 * mantissa;
+            let message =
+                format!("theta is {theta}, and vThMant {mantissa} makes {right}: only vThMant counts, as in netx");
+            self.warn(layer, "theta-ignored", message);
+        }
+        Ok(())
+    }
+
+    /// Lowers thresholds to the greatest mantissa. A threshold above it is above every voltage of
+    /// lava, 2^23 - 1.
+    fn clip_thresholds(&mut self, layer: &Layer<'_>, mantissas: &mut [f64]) {
+        let beyond = mantissas.iter().filter(|mantissa| **mantissa > MAX_THRESHOLD).count();
+        if beyond > 0 {
+            mantissas.iter_mut().for_each(|mantissa| *mantissa = mantissa.min(MAX_THRESHOLD));
+            let message =
+                format!("{beyond} numbers of vThMant are above {MAX_THRESHOLD}, the greatest, and are lowered to it");
+            self.warn(layer, "threshold-clipped", message);
+        }
     }
 
     /// Resonate-and-fire neurons, with the rotation of the file, and neurons with an adaptive

@@ -11,7 +11,6 @@ use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 
 impl Reader<'_> {
@@ -35,9 +34,8 @@ impl Reader<'_> {
         let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();
         let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
         if cut > 0 {
-            let message =
-                format!("layer {}: {cut} numbers of '{key}' are not whole and lose their fraction", layer.number);
-            self.warnings.push(Warning::of_network("fraction-lost", message));
+            let message = format!("{cut} numbers of '{key}' are not whole and lose their fraction");
+            self.warn(layer, "fraction-lost", message);
         }
         let exponent =
             ["neuron/wgtExp", "neuron/weight_exp"].iter().find_map(|key| layer.group.number(key)).unwrap_or(0.0);
@@ -47,13 +45,12 @@ impl Reader<'_> {
         let encoded = encode::encode(whole, exponent as i64);
         if encoded.changed > 0 {
             let message = format!(
-                "layer {}: {} of {} numbers of '{key}' do not fit into one synapse format with the others; they are \
-                 rounded to even steps and clipped",
-                layer.number,
+                "{} of {} numbers of '{key}' do not fit into one synapse format with the others; they are rounded to \
+                 even steps and clipped",
                 encoded.changed,
                 given.len()
             );
-            self.warnings.push(Warning::of_network("weights-rounded", message));
+            self.warn(layer, "weights-rounded", message);
         }
         let made = encoded.in_units(exponent as i64);
         let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &given, &made);
@@ -102,25 +99,45 @@ impl Reader<'_> {
         };
         let longest = synapses.iter().map(|synapse| delay_of(synapse.0, synapse.1)).max().unwrap_or(0);
         if f64::from(longest) > LONGEST_DELAY {
-            return Err(layer.unsupported(format!("a delay of {longest} steps"), "the delay field holds 0 to 62"));
+            let message = format!("delays of its synapses and of '{}' add up to {longest} steps", source.name);
+            return Err(layer.unsupported(message, "the delay field holds 0 to 62"));
         }
         self.model.projections.extend(by_delay(&projection, synapses, delay_of));
         Ok(())
     }
 
-    /// The file's delays, rounded down; each is 0 to 62.
+    /// The file's delays, rounded down and clipped to 62.
     pub(super) fn delay_numbers(&self, layer: &Layer<'_>) -> Result<Option<Vec<u32>>> {
         if layer.group.get("delay").is_none() {
             return Ok(None);
         }
         let floors: Vec<f64> = layer.reals("delay")?.iter().map(|x| x.floor()).collect();
-        match floors.iter().find(|delay| !(0.0..=LONGEST_DELAY).contains(*delay)) {
-            Some(delay) => Err(layer.unsupported(
-                format!("a delay of {delay} steps"),
-                "the delay field holds 0 to 62; train with max_delay=62",
-            )),
-            None => Ok(Some(floors.iter().map(|&delay| delay as u32).collect())),
+        match floors.iter().find(|delay| **delay < 0.0) {
+            Some(delay) => {
+                Err(layer.unsupported(format!("a delay of {delay} steps"), "spikes cannot arrive before they are sent"))
+            }
+            None => Ok(Some(floors.iter().map(|&delay| delay.min(LONGEST_DELAY) as u32).collect())),
         }
+    }
+
+    /// Warns of delays that [`Self::delay_numbers`] changes.
+    fn note_delays(&mut self, layer: &Layer<'_>) -> Result<()> {
+        let given = layer.reals("delay")?;
+        let longest = given.iter().copied().fold(0.0, f64::max);
+        let clipped = given.iter().filter(|delay| delay.floor() > LONGEST_DELAY).count();
+        if clipped > 0 {
+            let message = format!(
+                "{clipped} of {} delays are beyond {LONGEST_DELAY} steps, the greatest (up to {longest}), and are \
+                 clipped to it, as in netx",
+                given.len()
+            );
+            self.warn(layer, "delay-clipped", message);
+        }
+        let cut = given.iter().filter(|delay| delay.fract() != 0.0).count();
+        if cut > 0 {
+            self.warn(layer, "fraction-lost", format!("{cut} delays are not whole and lose their fraction"));
+        }
+        Ok(())
     }
 
     /// Delays of the layer's own synapses, `[target][source]`; delays of its inputs are expanded.
@@ -148,6 +165,7 @@ impl Reader<'_> {
     /// Stores the delays of the layer's spikes for the next layer.
     pub(super) fn delays(&mut self, layer: &Layer<'_>) -> Result<()> {
         let (Some(delays), Some(mut last)) = (self.delay_numbers(layer)?, self.last.clone()) else { return Ok(()) };
+        self.note_delays(layer)?;
         let count = delays.len() as u64;
         if count == 1 || self.is_axonal(count) {
             let delays = delays.iter().map(|&delay| f64::from(delay)).collect();

@@ -41,6 +41,8 @@ pub struct Counts {
     pub cut_bytes: Option<u64>,
     /// Whether microseconds are assumed, because the unit of the times is unknown.
     pub unit_assumed: bool,
+    /// Whether the columns of text are taken as `t x y p`, because there is no header.
+    pub columns_assumed: bool,
 }
 
 impl Counts {
@@ -86,7 +88,7 @@ pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
     Diagnostic::new("io.read", format!("cannot be read: {error}"))
 }
 
-/// Passes each trimmed row that is neither empty nor a comment to `row`. A malformed last row
+/// Passes each trimmed row that is not empty to `row`, lines of `#` included. A malformed last row
 /// without a line end counts as truncated.
 ///
 /// # Errors
@@ -105,12 +107,16 @@ pub(super) fn rows(
             return Ok(());
         }
         number += 1;
+        let mut comment = false;
         let outcome = match std::str::from_utf8(&line) {
             _ if line.len() > longest => Err(wrong(format!("it is longer than {longest} bytes"))),
             Err(_) => Err(wrong("it is not text")),
             Ok(text) => match text.trim_start_matches('\u{feff}').trim() {
-                text if text.is_empty() || text.starts_with('#') => continue,
-                text => row(text, sink),
+                "" => continue,
+                text => {
+                    comment = text.starts_with('#');
+                    row(text, sink)
+                }
             },
         };
         match outcome {
@@ -124,7 +130,7 @@ pub(super) fn rows(
                 }
                 return Err(problem);
             }
-            Ok(()) => any = true,
+            Ok(()) => any |= !comment,
         }
     }
 }

@@ -105,10 +105,12 @@ fn default_origin(format: EventFormat) -> Origin {
     }
 }
 
-/// Logs the span and the counts of a recording, as a warning where events were dropped or moved.
+/// Logs the span and the counts of a recording, as a warning where events were dropped or moved, or
+/// where columns or units are assumed.
 pub fn report(path: &Path, counts: &Counts) {
     let Counts { events, span_us, dropped, disordered, merged, faint, clock_turns, not_events, cut_bytes, .. } =
         *counts;
+    let Counts { unit_assumed, columns_assumed, .. } = *counts;
     let (first, last) = span_us.unwrap_or((0, 0));
     let mut line = format!(
         "{}: {:.3} ms, {} events used, {dropped} dropped, {clock_turns} wraps of the clock corrected",
@@ -126,10 +128,17 @@ pub fn report(path: &Path, counts: &Counts) {
             line += &format!(", {count} {what}");
         }
     }
+    if columns_assumed {
+        line += ", columns assumed to be t x y p as there is no header";
+    }
+    if unit_assumed {
+        line += ", times assumed to be in us";
+    }
     if let Some(bytes) = cut_bytes {
         line += &format!("; the file is cut off, and its last {bytes} bytes are not a whole record");
     }
-    if dropped + disordered + faint + clock_turns > 0 || cut_bytes.is_some() {
+    let assumed = columns_assumed || unit_assumed;
+    if assumed || dropped + disordered + faint + clock_turns > 0 || cut_bytes.is_some() {
         tracing::warn!(target: RECORDING, "{line}");
     } else {
         tracing::info!(target: RECORDING, "{line}");

@@ -18,6 +18,9 @@ const MOST_ROW: usize = 256;
 /// Reads a file.
 pub fn tact(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
     rows(input, MOST_ROW, sink, |text, sink| {
+        if text.starts_with('#') {
+            return Ok(());
+        }
         let bad = |what: String| wrong(what).help("a row is: polarity (0 or 1), cell (1 to 80), seconds");
         let fields: Vec<f64> = text.split_whitespace().map_while(|field| field.parse().ok()).collect();
         let seconds = match (fields.len() == text.split_whitespace().count(), fields.as_slice()) {

@@ -2,9 +2,16 @@
 //!
 //! Columns are `x`, `y` (absent: 0), `p` or `polarity` (absent: rising; 0 or -1 falls, 1 rises) and
 //! a time: `t`, `ts`, `time` or `timestamp`, with a unit as suffix (`t_s`, `t_ms`, `t_us`, `t_ns`).
-//! Their order is free, separated by commas; other columns and lines that begin with `#` are
-//! ignored. A time without a unit is in microseconds, which the sink records; a fraction of one, or
-//! a time beyond 285 years, is refused.
+//! Their order is free, separated by commas or, where the header has none, by spaces and tabs.
+//! NumPy's `savetxt` writes the header as a comment, so a line of `#` that names these columns is
+//! one. Other columns and other lines of `#` are ignored. A time without a unit is in microseconds,
+//! which the sink records; a fraction of one, or a time beyond 285 years, is refused.
+//!
+//! Without a header, four numbers separated by spaces are `t x y p`, the form of the data sets of
+//! the Robotics and Perception Group (Mueggler et al. 2017, `events.txt`); a first line of two
+//! numbers is the width and height of the sensor. The sink records that the columns are assumed.
+//! Times that descend contradict it. Rows with commas have several orders (Metavision writes
+//! `x,y,p,t`), so they need a header.
 
 use std::io::BufRead;
 
@@ -17,6 +24,10 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 const MOST_ROW: usize = 4096;
 /// The latest time, about 285 years.
 const MOST_US: i64 = 9_000_000_000_000_000;
+/// The remedy for rows whose columns are unknown.
+const NAME_THEM: &str = "put a first line before the rows that names their columns, in any order: t_s,x,y,p for \
+                         seconds (x,y,p,t_us for Metavision's metavision_file_to_csv), with spaces in place of commas \
+                         if the rows have spaces";
 /// Names of columns that distinguish recordings; such recordings would be merged.
 const RECORDING_COLUMNS: [&str; 7] = ["sample", "label", "camera", "cam", "stream", "sensor", "trigger"];
 
@@ -27,6 +38,10 @@ struct Columns {
     y: Option<usize>,
     polarity: Option<usize>,
     time: usize,
+    /// Whether commas separate the fields, not spaces.
+    commas: bool,
+    /// Whether the columns have no names.
+    assumed: bool,
     /// The unit of the times, from the name of their column.
     unit: Option<TimeUnit>,
     /// The reason for which the columns are refused, if any.
@@ -42,8 +57,9 @@ pub(super) fn unit_unknown(message: String) -> Diagnostic {
 
 impl Columns {
     fn from_header(line: &str) -> Option<Columns> {
+        let commas = line.contains(',');
         let names: Vec<String> =
-            line.split(',').map(|name| name.trim().trim_matches('"').to_ascii_lowercase()).collect();
+            fields(line, commas).iter().map(|name| name.trim_matches('"').to_ascii_lowercase()).collect();
         let find = |wanted: &[&str]| names.iter().position(|name| wanted.contains(&name.as_str()));
         let unit = |name: &str| match name.rsplit_once('_') {
             Some((stem, unit)) if TIMES.contains(&stem) => TimeUnit::from_name(unit).map(Some),
@@ -64,12 +80,35 @@ impl Columns {
             Some(format!("'{first}' and '{second}' are the same field"))
         });
         let (polarity, refused) = (find(&POLARITY), refused.or(twice));
-        Some(Columns { x: find(&["x"])?, y: find(&["y"]), polarity, time, unit, refused })
+        Some(Columns { x: find(&["x"])?, y: find(&["y"]), polarity, time, commas, assumed: false, unit, refused })
+    }
+
+    /// The columns that a comment names, if it names as many as a row has.
+    fn from_comment(comment: &str, row: &str) -> Option<Columns> {
+        let count = |line: &str| fields(line, line.contains(',')).len();
+        Columns::from_header(comment).filter(|_| count(comment) == count(row))
+    }
+
+    /// The columns of a file without a header.
+    fn assumed() -> Columns {
+        Columns {
+            time: 0,
+            x: 1,
+            y: Some(2),
+            polarity: Some(3),
+            commas: false,
+            assumed: true,
+            unit: None,
+            refused: None,
+        }
     }
 
     /// Parses the event of a row; errors do not have the row's number.
     fn event(&self, text: &str) -> Result<Event> {
-        let fields: Vec<&str> = text.split(',').map(str::trim).collect();
+        let fields = fields(text, self.commas);
+        if self.assumed && fields.len() != 4 {
+            return Err(wrong(format!("it has {} fields, not t x y p", fields.len())).help(NAME_THEM));
+        }
         let number = |column: usize, name: &str| -> Result<f64> {
             let field = fields.get(column).copied().unwrap_or("");
             let shown: String = field.chars().take(40).collect();
@@ -120,33 +159,130 @@ pub fn is_header(line: &str) -> bool {
     Columns::from_header(line).is_some()
 }
 
+/// The fields of a line.
+fn fields(line: &str, commas: bool) -> Vec<&str> {
+    if commas { line.split(',').map(str::trim).collect() } else { line.split_whitespace().collect() }
+}
+
+/// The numbers of a line; empty if a field is none.
+fn numbers(line: &str) -> Vec<f64> {
+    let parsed: Option<Vec<f64>> = fields(line, line.contains(','))
+        .iter()
+        .map(|field| field.parse().ok().filter(|x: &f64| x.is_finite()))
+        .collect();
+    parsed.unwrap_or_default()
+}
+
+/// Whether a number is a column or a row.
+fn is_place(x: f64) -> bool {
+    x.fract() == 0.0 && (0.0..=65_535.0).contains(&x)
+}
+
+/// The columns and rows of a sensor, from a line before events without a header.
+fn sensor_size(line: &str) -> Option<(u32, u32)> {
+    match numbers(line).as_slice() {
+        &[columns, rows] if !line.contains(',') && is_place(columns) && is_place(rows) => {
+            Some((columns as u32, rows as u32))
+        }
+        _ => None,
+    }
+}
+
+/// Whether a line without commas is an event, as `t x y p`.
+fn is_event(line: &str) -> bool {
+    matches!(numbers(line).as_slice(), &[_, x, y, p] if is_place(x) && is_place(y) && [-1.0, 0.0, 1.0].contains(&p))
+        && !line.contains(',')
+}
+
+/// Whether a text begins like such a file: with a header, with events without one, or with rows of
+/// numbers and commas, which lack one.
+pub fn begins_recording(text: &str) -> bool {
+    let lines = || text.lines().map(str::trim).filter(|line| !line.is_empty());
+    let mut rows = lines().filter(|line| !line.starts_with('#'));
+    let Some(first) = rows.next() else { return false };
+    let row = if sensor_size(first).is_some() { rows.next().unwrap_or_default() } else { first };
+    let comment = lines().map_while(|line| line.strip_prefix('#')).filter(|comment| is_header(comment)).last();
+    is_header(row)
+        || is_event(row)
+        || row.contains(',') && numbers(row).len() >= 4
+        || comment.is_some_and(|comment| Columns::from_comment(comment, row).is_some())
+}
+
 /// Reads a file; `given_unit` is the unit of times whose column names none.
 ///
 /// # Errors
 /// `input.events` with the row; `input.unit` for times of unknown unit that are implausible as
 /// microseconds; `input.option` for a unit that contradicts the file.
 pub fn events(given_unit: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
-    let mut columns: Option<Columns> = None;
-    rows(input, MOST_ROW, sink, |text, sink| {
-        if let Some(columns) = &columns {
-            return sink.event(columns.event(text)?);
+    let mut reader = Reader { given_unit, comment: None, columns: None, sized: false, latest_us: i64::MIN };
+    rows(input, MOST_ROW, sink, |text, sink| reader.line(text, sink))
+}
+
+/// State of reading a file.
+struct Reader {
+    given_unit: Option<TimeUnit>,
+    /// The last comment before the first row that could be a header.
+    comment: Option<String>,
+    columns: Option<Columns>,
+    /// Whether a line had the size of the sensor.
+    sized: bool,
+    /// The time of the last event.
+    latest_us: i64,
+}
+
+impl Reader {
+    fn line(&mut self, text: &str, sink: &mut dyn Sink) -> Result<()> {
+        if let Some(comment) = text.strip_prefix('#') {
+            if self.columns.is_none() && is_header(comment) {
+                self.comment = Some(comment.to_string());
+            }
+            return Ok(());
         }
-        let help = "a header names t_us, x, y and p in any order; y and p may be absent";
-        let mut named = Columns::from_header(text).ok_or_else(|| wrong("it is not a header of events").help(help))?;
+        if self.columns.is_none() {
+            if let Some(header) = Columns::from_header(text) {
+                return self.begin(header, sink);
+            }
+            let named = self.comment.as_deref().and_then(|comment| Columns::from_comment(comment, text));
+            if let Some(header) = named {
+                self.begin(header, sink)?;
+            } else if let Some((columns, rows)) = sensor_size(text).filter(|_| !self.sized) {
+                self.sized = true;
+                sink.size(columns, rows);
+                return Ok(());
+            } else if is_event(text) {
+                self.begin(Columns::assumed(), sink)?;
+            } else {
+                return Err(wrong("it is not a header of events, nor an event t x y p").help(NAME_THEM));
+            }
+        }
+        let Some(columns) = &self.columns else { return Ok(()) };
+        let event = columns.event(text)?;
+        if columns.assumed && event.t_us < self.latest_us {
+            let message = format!(
+                "its first number is {} us less than one before it, so it is no time",
+                self.latest_us - event.t_us
+            );
+            return Err(wrong(message).help(NAME_THEM));
+        }
+        self.latest_us = event.t_us;
+        sink.event(event)
+    }
+
+    /// Reads rows with these columns from here on.
+    fn begin(&mut self, mut named: Columns, sink: &mut dyn Sink) -> Result<()> {
         if let Some(why) = &named.refused {
             return Err(wrong(why).help("write a file for each recording, with the columns t_us, x, y and p"));
         }
-        if named.unit.is_some_and(|unit| given_unit.is_some_and(|given_unit| given_unit != unit)) {
+        if named.unit.is_some_and(|unit| self.given_unit.is_some_and(|given| given != unit)) {
             let message = "unit= contradicts the unit in the name of the column of times";
             return Err(Diagnostic::new("input.option", message).help("leave unit= out"));
         }
-        named.unit = named.unit.or(given_unit);
-        if named.unit.is_none() {
-            sink.counts().unit_assumed = true;
-        }
-        columns = Some(named);
+        named.unit = named.unit.or(self.given_unit);
+        sink.counts().unit_assumed = named.unit.is_none();
+        sink.counts().columns_assumed = named.assumed;
+        self.columns = Some(named);
         Ok(())
-    })
+    }
 }
 
 #[cfg(test)]
