@@ -266,7 +266,10 @@ fn parts<T: Element>(
     options.set_item("order", "C")?;
     options.set_item("casting", "same_kind")?;
     options.set_item("buffersize", PART)?;
-    for part in py.import("numpy")?.getattr("nditer")?.call((array,), Some(&options))?.try_iter()? {
+    let numpy = py.import("numpy")?;
+    // Below NumPy 2.3, `nditer` converts an array without axes into memory that it does not keep.
+    let array = numpy.call_method1("atleast_1d", (array,))?;
+    for part in numpy.getattr("nditer")?.call((array,), Some(&options))?.try_iter()? {
         let part = part?.cast_into::<PyArrayDyn<T>>()?;
         read(part.readonly().as_slice()?).map_err(|problem| exception(py, problem))?;
     }

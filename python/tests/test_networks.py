@@ -76,6 +76,18 @@ class InMemory(unittest.TestCase):
         self.assertEqual(figures(network), theirs)
         self.assertEqual(figures(small(np.asfortranarray(WEIGHTS.astype(np.float32)))), theirs)
 
+    def test_a_parameter_without_axes_is_its_number(self):
+        for kind in (int, float, np.int16, np.float32, np.array, lambda number: np.array(number, ">i4")):
+            populations = [
+                {"name": "in", "shape": 3, "kind": "Input"},
+                {"name": "out", "shape": [2], "du": kind(4096), "dv": kind(128), "vth_mant": kind(3)},
+            ]
+            network = nsim.Network("small", populations, [{"from": "in", "to": "out", "weights": WEIGHTS}], output="out")
+            with tempfile.TemporaryDirectory() as folder:
+                path, *_ = network.save(os.path.join(folder, "small.ron"))
+                with open(path) as file:
+                    self.assertIn("du: 4096, dv: 128, vth_mant: 3)", file.read())
+
     @unittest.skipIf(sparse is None, "scipy is absent")
     def test_sparse_arrays(self):
         listed = TEXT.replace("Dense(", "Sparse(")

@@ -77,7 +77,8 @@ impl Options {
         match self.reading.row().filter(|row| !writers.contains(&row.tool)) {
             None => Ok(()),
             Some(row) => {
-                let message = format!("--from {} does not apply to {file}, which {} does not write", row.tool.name(), row.title);
+                let message =
+                    format!("--from {} does not apply to {file}, which {} does not write", row.tool.name(), row.title);
                 Err(wrong_option(message).help("leave it out"))
             }
         }
