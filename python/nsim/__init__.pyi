@@ -53,7 +53,7 @@ def from_nir(
 
 def from_torch(module: Any, sample: Any, *, export: Any = None, **options: Any) -> Network:
     """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`. A network
-    of snnTorch or Norse that would spike differently is refused; modules of other tools need `export`, their exporter to NIR."""
+    of snnTorch, Norse, spikingjelly, sinabs or Rockpool that would spike differently is refused; modules of other tools need `export`, their exporter to NIR."""
 
 def sweep(
     sweep: Path, *, threads: Optional[int] = None, client: Any = None, parts: Optional[int] = None

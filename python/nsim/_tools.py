@@ -6,7 +6,7 @@ networks.
 
 import io
 
-from . import _nsim, _torch
+from . import _neurons, _nsim, _torch
 
 
 def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, threshold=None, decision=None):
@@ -30,20 +30,19 @@ def from_nir(graph, *, name="network", dt_ms=None, reset=None, decay=None, thres
 def from_torch(module, sample, *, export=None, **options):
     """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`.
 
-    A network of snnTorch or Norse is read from its modules and compared with them on random samples: a network that differs is
-    refused. `check` are spikes `[samples, channels.., T]` for one more comparison, `output` names the layer that decides, by default
-    the first that forward() returns. Options replace the timestep (of Norse's cells; for snnTorch 0.1 ms, as in its own exporter) and the
-    reset of the modules. `export` is a function from (module, sample) to a graph of NIR, for another tool, without a comparison.
+    A network of snnTorch, Norse, spikingjelly, sinabs or Rockpool is read from its modules and compared with them on random samples: a
+    network that differs is refused. The sample has no axis of time, also where modules take all timesteps in one call. `check` are spikes `[samples, channels.., T]` for one more comparison, `output` names the layer that decides, by default
+    the first that forward() returns. Options replace the timestep (of the neurons of Norse and Rockpool; 0.1 ms for snnTorch and
+    spikingjelly, as in their own exporters; 1 ms for sinabs) and the reset and threshold test of the modules. `export` is a function from (module, sample) to a graph of NIR, for another tool, without a comparison.
     `options` are as in `from_nir`.
     """
     module = _torch.read(module, sample)
-    kinds = {type(part).__module__.split(".")[0] for part in module.modules()}
-    if export is None and kinds & {"snntorch", "norse"}:
+    kinds = {_neurons.package_of(part) for part in _neurons.parts_of(module)}
+    if export is None and kinds & set(_neurons.TOOLS):
         return _torch.network_of(module, sample, **options)
     if export is None:
-        message = f"the module ({_torch.kind_of(module)}) has no neurons of snnTorch or Norse"
-        help = "put neurons after its layers, such as snntorch.Leaky; a network of sinabs is written by its own exporter " \
-            "(docs/tutorials/from-pytorch.md); for another tool, give its exporter: export="
+        message = f"the module ({_torch.kind_of(module)}) has no neurons of {', '.join(_neurons.TOOLS.values())}"
+        help = "put neurons after its layers, such as snntorch.Leaky; for another tool, give its exporter: export="
         raise _torch.refusal(message, help)
     try:
         graph = export(module, sample)

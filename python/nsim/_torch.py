@@ -1,7 +1,7 @@
-"""Networks of snnTorch and Norse: the meaning of each module on a chip, and the check that the network spikes as the module.
+"""Networks of PyTorch's spiking tools: the meaning of each module on a chip, and the check that the network spikes as the module.
 
 Input: a module and one timestep of input. It is called once; every module that runs becomes nodes of a NIR graph with the equations of
-snnTorch 1.0.0 and Norse 1.1.0. Output: a network whose spikes in real numbers are those of the module, layer by layer, on random samples.
+its tool (`_neurons`). Output: a network whose spikes in real numbers are those of the module, layer by layer, on random samples.
 
 A module, a value of a parameter or a computation that is not in the tables below is refused by its name. A network whose spikes differ
 is refused too.
@@ -9,17 +9,29 @@ is refused too.
 
 import contextlib
 import copy
+import functools
 import re
 
 import numpy as np
 
 from . import _nsim
-
-TIMESTEP_MS = 0.1
-"""The timestep of snnTorch's own exporter."""
-
-ENDLESS = 2.0**52
-"""Steps of a time constant without decay."""
+from ._neurons import (
+    NEURONS,
+    OF_NORSE,
+    OF_SNNTORCH,
+    TIMESTEP_MS,
+    arranged,
+    by_sample,
+    cleared,
+    is_head,
+    kind_of,
+    layout_of,
+    package_of,
+    parts_of,
+    reals,
+    refusal,
+    rule,
+)
 
 SAMPLES, STEPS, SEED = 4, 30, 1
 """Random input with which both networks are compared; the rate grows from sample to sample."""
@@ -30,7 +42,7 @@ ROUNDED = 0.01
 PASSED = {"Identity", "Dropout", "Dropout1d", "Dropout2d", "Dropout3d", "AlphaDropout", "Flatten", "Unflatten"}
 """Modules that change no number of a trained network, or only its shape."""
 
-AXES = {"Linear": 2, "Conv1d": 3, "Conv2d": 4, "AvgPool2d": 4, "BatchNorm1d": None, "BatchNorm2d": 4}
+AXES = {"Linear": 2, "LinearTorch": 2, "Conv1d": 3, "Conv2d": 4, "AvgPool2d": 4, "sinabs.SumPool2d": 4, "BatchNorm1d": None, "BatchNorm2d": 4}
 """Layers between neurons, with the axes of their input, the batch included."""
 
 ONE_STEP = "write forward() for one timestep: neurons with init_hidden=True, no init_leaky(), no loop over time, a sample [batch, channels..] " \
@@ -50,20 +62,11 @@ VIEWS = {"flatten", "unflatten", "view", "reshape", "squeeze", "unsqueeze", "det
 WRAPPERS = {"OptimizedModule": "_orig_mod", "DataParallel": "module", "DistributedDataParallel": "module"}
 """Classes that wrap another module, with the name of its attribute."""
 
-OF_SNNTORCH = {"Lapicque", "Leaky", "Synaptic", "RLeaky", "RSynaptic"}
-
 SPIKING = " ".join(sorted(OF_SNNTORCH))
-
-OF_NORSE = {"LIFCell", "LIFRecurrentCell", "LIFBoxCell", "IAFCell"}
-
-OF_POTENTIAL = {"LICell", "LIBoxCell"}
-"""Neurons of Norse that never spike: they return their potential."""
-
-NEURONS = OF_SNNTORCH | OF_NORSE | OF_POTENTIAL
 
 CARRIED = [
     ("Conv1d Conv2d", "padding_mode", ("zeros",), "pad with zeros: beyond the edge there are no neurons"),
-    ("AvgPool2d", "ceil_mode", (False,), "choose a size that divides the plane, or padding="),
+    ("AvgPool2d sinabs.SumPool2d", "ceil_mode", (False,), "choose a size that divides the plane, or padding="),
     ("AvgPool2d", "divisor_override", (None,), "scale the weights of the next layer instead"),
     ("BatchNorm1d BatchNorm2d", "track_running_stats", (True,), "train with track_running_stats=True: otherwise its result depends on the batch"),
     (SPIKING, "inhibition", (False,), "train without inhibition: a core does not support winner-take-all"),
@@ -74,35 +77,34 @@ CARRIED = [
 ]
 """Classes, one of their parameters, its supported values, and the remedy for others."""
 
+BY_MODE = "take the modules of spikingjelly.activation_based.layer without it, and functional.set_step_mode(net, 'm')"
+
+BY_ROWS = "take neurons with Squeeze, such as IAFSqueeze(batch_size=1), for all layers: time and samples are then one axis"
+
 INSTEAD = {
     "MaxPool": "a core does not support a maximum of sums: put the neurons before it, which changes the network, or train with torch.nn.AvgPool2d",
     "ReLU": "put a spiking neuron in its place, such as snntorch.Leaky: a core sends spikes",
     "LayerNorm": "use torch.nn.BatchNorm1d or BatchNorm2d, whose numbers are constants once trained",
     "Alpha": "train with snntorch.Synaptic, whose current decays too",
+    "SeqToANNContainer": BY_MODE,
+    "MultiStepContainer": BY_MODE,
+    "LinearRecurrentContainer": "train without it, or build a nir.NIRGraph of the loop for nsim.from_nir",
+    "ElementWiseRecurrentContainer": "train without it, or build a nir.NIRGraph of the loop for nsim.from_nir",
+    "sinabs.Repeat": BY_ROWS,
+    "sinabs.FlattenTime": BY_ROWS,
+    "sinabs.UnflattenTime": BY_ROWS,
+    "sinabs.LIFRecurrent": "train with LIF, or build a nir.NIRGraph of the loop for nsim.from_nir",
+    "sinabs.IAFRecurrent": "train with IAF, or build a nir.NIRGraph of the loop for nsim.from_nir",
     "BatchNormTT": "use torch.nn.BatchNorm1d or BatchNorm2d: weights are the same in every timestep",
 }
 """Replacements of classes, by the beginning of their names."""
 
+WHOLE = ("spikingjelly.activation_based.neuron", "sinabs.layers")
+"""Packages whose modules are read or refused as a whole."""
+
 OF_SPIKES = "for spikes, AvgPool2d(k) followed by snntorch.Leaky(beta=0, threshold=0.5 / k**2, reset_mechanism='zero', init_hidden=True) " \
     "is equivalent without training"
 """Replacement of a maximum of spikes."""
-
-
-def refusal(message, help, code="import.torch"):
-    """The exception for an unsupported module or value, with its remedy."""
-    error = _nsim.Error(f"{message}\n  help: {help}")
-    error.code, error.place, error.help = code, None, help
-    error.reasons = [{"code": code, "message": message, "place": None, "help": help}]
-    return error
-
-
-def kind_of(module):
-    """The name of a module's class, with its package's name if it is not of torch, snnTorch or Norse."""
-    kind = type(module)
-    if hasattr(module, "parametrizations"):
-        kind = kind.__mro__[1]
-    ours = kind.__module__.split(".")[0] in ("torch", "snntorch", "norse")
-    return kind.__name__ if ours else f"{kind.__module__}.{kind.__name__}"
 
 
 def check(module, name, by_potential=False):
@@ -123,8 +125,10 @@ def check(module, name, by_potential=False):
 
 def leaves(module, name=""):
     """The modules that compute, each once, with their names."""
-    known = kind_of(module) in PASSED | set(AXES) | NEURONS
-    children = [] if known else [(f"{name}.{child}" if name else child, part) for child, part in module.named_children()]
+    known = kind_of(module) in PASSED | set(AXES) | NEURONS | set(INSTEAD)
+    # Neurons of these packages have parts, such as a surrogate function.
+    whole = known or any(kind.__module__.startswith(WHOLE) for kind in type(module).__mro__)
+    children = [] if whole else [(f"{name}.{child}" if name else child, part) for child, part in module.named_children()]
     if not children:
         return {module: name or "module"}
     found = {}
@@ -133,17 +137,13 @@ def leaves(module, name=""):
     return found
 
 
-def reals(tensor, shape=None):
-    """Numbers of a tensor; single precision becomes its shortest decimals, as in files."""
-    array = tensor.detach().cpu().numpy()
-    array = array.astype(str).astype(np.float64) if array.dtype == np.float32 else array.astype(np.float64)
-    return array if shape is None else np.broadcast_to(array, shape).copy()
-
-
 def weights(module):
     """The node of a linear or convolutional layer."""
     kind, bias = kind_of(module), module.bias
     node = {"type": kind, "weight": module.weight.detach().cpu().numpy()}
+    if kind == "LinearTorch":
+        # Rockpool has a row for each source.
+        kind, node = "Linear", {"type": "Linear", "weight": node["weight"].T.copy()}
     if kind != "Linear":
         padding = module.padding
         node.update({key: np.array(getattr(module, key)) for key in ("stride", "dilation", "groups")})
@@ -153,87 +153,11 @@ def weights(module):
     return node if bias is None else {**node, "bias": bias.detach().cpu().numpy()}
 
 
-def lapicque(module, shape, name):
-    """Share of the voltage that a step removes, and factor of an input: `U <- (1 - T / (R C)) U + T / C I`, T the `time_step`."""
-    step, resistance, capacity = (reals(getattr(module, key), shape) for key in ("time_step", "R", "C"))
-    taken = step / (resistance * capacity)
-    if np.any((taken < 0) | (taken > 1)):
-        message = f"'{name}' (Lapicque): a step removes time_step / (R C) = {taken.max():.4g} of the voltage, which is outside 0 to 1"
-        raise refusal(message, "give R C of at least time_step, or, with beta only, a beta of at least 0.3679")
-    return taken, step / capacity
-
-
-def norse(module, shape, name):
-    """Shares of the current and of the voltage that a step removes: `v <- v + dt tau_mem_inv (i - v)` and `i <- i - dt tau_syn_inv i`."""
-    kind, parameters = kind_of(module), module.p
-    for key in ("v_leak", "v_reset"):
-        value = reals(torch_of(getattr(parameters, key, 0.0)))
-        if np.any(value != 0):
-            raise refusal(f"'{name}' ({kind}): {key} is {value.max():g}, but only 0 is supported", f"train with {key} 0")
-    taken = {}
-    for state, key in (("alpha", "tau_syn_inv"), ("beta", "tau_mem_inv")):
-        if hasattr(parameters, key):
-            taken[state] = module.dt * reals(torch_of(getattr(parameters, key)), shape)
-            if np.any((taken[state] < 0) | (taken[state] > 1)):
-                message = f"'{name}' ({kind}): a step removes dt {key} = {taken[state].max():.4g} of its state, which is outside 0 to 1"
-                raise refusal(message, f"train with {key} of at most 1 / dt = {1 / module.dt:g}")
-    return taken
-
-
-def is_head(module):
-    """Whether only the potential of neurons is read: without a reset, snnTorch's neurons never return from a spike."""
-    return kind_of(module) in OF_POTENTIAL or getattr(module, "reset_mechanism", None) == "none"
-
-
-def torch_of(value):
-    """A number or tensor as a tensor."""
-    import torch
-
-    return torch.as_tensor(value)
-
-
-def neuron(module, shape, dt, name):
-    """The node of a layer of neurons, whose equations in NIR are those of its library in steps of `dt` seconds."""
-    kind = kind_of(module)
-    if kind not in OF_SNNTORCH:
-        taken = norse(module, shape, name)
-        # A current is multiplied by the share of the voltage that a step removes; without decay by 1.
-        counts = taken.setdefault("beta", np.zeros(shape))
-        return node_of(taken, np.where(counts > 0, counts, 1.0), None if is_head(module) else reals(torch_of(module.p.v_th), shape), dt)
-    taken = {key: 1 - np.clip(reals(getattr(module, key), shape), 0, 1) for key in ("alpha", "beta") if hasattr(module, key)}
-    counts = 1.0
-    if kind == "Lapicque":
-        taken["beta"], counts = lapicque(module, shape, name)
-    return node_of(taken, counts, None if is_head(module) else reals(module.threshold, shape), dt)
-
-
-def node_of(taken, counts, threshold, dt):
-    """The node of neurons with shares of decay `taken` and factor of inputs `counts`; without a threshold they never spike."""
-    steps = {key: np.where(share > 0, 1 / np.maximum(share, 1 / ENDLESS), ENDLESS) for key, share in taken.items()}
-    node = {"r": steps["beta"] * counts, "v_leak": np.zeros_like(taken["beta"])}
-    kind = "LI" if threshold is None else "LIF"
-    if threshold is not None:
-        node["v_threshold"] = threshold
-    if "alpha" not in steps:
-        return {"type": kind, "tau": steps["beta"] * dt, **node}
-    return {"type": f"Cuba{kind}", "tau_syn": steps["alpha"] * dt, "w_in": steps["alpha"], "tau_mem": steps["beta"] * dt, **node}
-
-
-def cleared(module):
-    """Clears the states of all neurons."""
-    import torch
-
-    for part in module.modules():
-        for state in ("mem", "syn", "spk"):
-            if isinstance(getattr(part, state, None), torch.Tensor):
-                setattr(part, state, torch.zeros(0))
-
-
 def read(module, sample):
     """The module to read, without its wrappers; refuses other objects, and a sample that is no tensor."""
     if not hasattr(module, "named_modules"):
         message = f"module is a {type(module).__name__}, expected a torch.nn.Module"
-        help = "give the network itself; a state dict has no forward(): net.load_state_dict(state), nsim.from_torch(net, sample)"
+        help = "give the network itself; a state dict has no forward(), so it is loaded into its network: net.load_state_dict(state)"
         raise refusal(message, help)
     if not hasattr(sample, "detach"):
         message = f"sample is a {type(sample).__name__}, expected a tensor with one timestep of input"
@@ -248,7 +172,7 @@ def casting(module, dtype):
     import torch
 
     cast = lambda one: one.to(dtype) if isinstance(one, torch.Tensor) and one.is_floating_point() else one
-    return [part.register_forward_pre_hook(lambda _, args: tuple(map(cast, args))) for part in module.modules()]
+    return [part.register_forward_pre_hook(lambda _, args: tuple(map(cast, args))) for part in parts_of(module)]
 
 
 def called(module, given):
@@ -267,8 +191,9 @@ def copied(module):
     import torch
 
     memo = {}
-    for part in module.modules():
-        for value in (*vars(part).values(), *part._buffers.values()):
+    for part in parts_of(module):
+        held = [one for value in vars(part).values() for one in (value.values() if isinstance(value, dict) else [value])]
+        for value in held:
             if isinstance(value, torch.Tensor) and value.grad_fn is not None:
                 memo[id(value)] = value.detach().clone()
     module = copy.deepcopy(module, memo).cpu().eval()
@@ -279,7 +204,7 @@ def copied(module):
 @contextlib.contextmanager
 def listed(module):
     """Limits snnTorch's lists of neurons to a module's neurons: `reset_hidden()` and `utils.reset` iterate over them."""
-    parts = list(module.modules())
+    parts = parts_of(module)
     owners = {owner for part in parts for owner in type(part).__mro__ if isinstance(vars(owner).get("instances"), list)}
     kept = [(owner, owner.instances) for owner in owners]
     try:
@@ -303,17 +228,20 @@ def remedy(what):
 class Trace:
     """The graph of one call: each module that runs is a node, edges are the tensors that pass from one to the next."""
 
-    def __init__(self, module, sample, dt, output=None, by_potential=False):
+    def __init__(self, module, sample, dt, layout, output=None, by_potential=False):
         import torch
 
         self.names = leaves(module)
         self.nodes = {"input": {"type": "Input", "shape": np.array(sample.shape[1:])}}
         self.shapes = {"input": sample.shape[1:]}
-        self.edges, self.neurons, self.dt, self.inside, self.by_potential = [], {}, dt, 0, by_potential
+        self.edges, self.neurons, self.rules, self.dt, self.inside, self.by_potential = [], {}, {}, dt, 0, by_potential
+        # The axes before those of the units: samples, and time where a call has all timesteps.
+        self.lead = 2 if layout in ("first", "second") else 1
+        sample, self.time = arranged(sample[..., None], layout), {"first": 0, "second": 1}.get(layout)
         # The module of each node, and the modules before each layer of neurons.
         self.modules, self.before = {}, {}
         # For each tensor the nodes whose sum it is, or a description; tensors are stored, as Python reuses the ids of freed ones.
-        self.known, self.kept = {}, []
+        self.known, self.kept, self.counts = {}, [], set()
         self.learn(sample, {"input"})
         hooks = [part.register_forward_pre_hook(self.enter, with_kwargs=True) for part in self.names]
         hooks += [part.register_forward_hook(self.leave, with_kwargs=True) for part in self.names]
@@ -342,7 +270,8 @@ class Trace:
                     return result
                 name = getattr(func, "__name__", str(func))
                 whole = len(sources) == len(args) and not kwargs and not any(isinstance(one, str) for one in sources)
-                same = isinstance(result, torch.Tensor) and result.shape[:1] == given[0].shape[:1] and result.numel() == given[0].numel()
+                lead = given[0].shape[: trace.lead]
+                same = isinstance(result, torch.Tensor) and result.shape[: trace.lead] == lead and result.numel() == given[0].numel()
                 for one in result if isinstance(result, (tuple, list)) else [result]:
                     if not isinstance(one, torch.Tensor) or not one.is_floating_point():
                         continue
@@ -352,6 +281,9 @@ class Trace:
                         trace.learn(one, "a sum that counts a layer twice" if doubled else set().union(*sources))
                     elif name in VIEWS and same:
                         trace.learn(one, sources[0])
+                    elif name in ("mean", "sum") and trace.time is not None and (*args[1:], *(kwargs or {}).values())[:1] == (trace.time,):
+                        trace.learn(one, sources[0])
+                        trace.counts.add(id(one))
                     elif id(one) not in trace.known:
                         trace.learn(one, f"a result of '{name.strip('_')}' outside of a module")
                 return result
@@ -368,6 +300,8 @@ class Trace:
         if isinstance(sources, str):
             message = f"{what} is {sources}, which is not supported on a chip"
             raise refusal(message, remedy(sources))
+        if id(tensor) in self.counts and to != "output":
+            raise refusal(f"{what} is a sum or mean over time, which is not supported on a chip", "count spikes only of the last layer")
         for head in [self.modules[source] for source in sources if to != "output" and is_head(self.modules.get(source))]:
             message = f"{what} is the potential of '{self.names[head]}' ({kind_of(head)}), but a core sends spikes"
             raise refusal(message, "put a spiking neuron in its place: only the last layer may have no reset")
@@ -415,15 +349,17 @@ class Trace:
         if not hasattr(given, "dim"):
             message = f"'{name}' ({kind}) receives a {type(given).__name__}, expected a tensor of spikes"
             raise refusal(message, "use neurons with init_hidden=True and without output=True, which return only their spikes")
-        axes = AXES.get(kind) or (given.dim() if given.dim() > 1 else 2)
-        if given.dim() != axes:
+        # Without the axis of time.
+        shape = list(given.shape[self.lead - 1 :])
+        axes = AXES.get(kind) or max(len(shape), 2)
+        if len(shape) != axes:
             wanted = ", ".join(["batch", "channels", "height", "width"][: 4 if axes == 4 else 2] + ["length"] * (axes == 3))
-            message = f"'{name}' ({kind}) receives shape {list(given.shape)}, expected [{wanted}]"
+            message = f"'{name}' ({kind}) receives shape {shape}, expected [{wanted}]"
             if isinstance(self.known.get(id(given)), str):
                 help = remedy(self.known[id(given)])
             elif self.known.get(id(given)) != {"input"}:
                 help = "change the shape in forward() so that the batch stays its first axis, such as torch.nn.Flatten()"
-            elif given.dim() < axes:
+            elif len(shape) < axes:
                 help = "give one timestep with its batch axis, such as sample.unsqueeze(0)"
             else:
                 help = "give one timestep, such as sample[..., 0] where time comes last; forward() has no loop over time"
@@ -443,10 +379,11 @@ class Trace:
         if kind.startswith("BatchNorm"):
             self.fold(module, name, given, spikes)
             return
-        if kind in ("Conv1d", "Conv2d", "AvgPool2d"):
+        if kind in ("Conv1d", "Conv2d", "AvgPool2d", "sinabs.SumPool2d"):
             given = self.reshaped(given, f"{name}.input")
         node = self.add(name)
-        self.shapes[node], self.modules[node] = spikes.shape[1:], module
+        units = tuple(spikes.shape[self.lead :])
+        self.shapes[node], self.modules[node] = units, module
         if kind in NEURONS:
             sources = self.known.get(id(given), "")
             before = {self.modules.get(source) for source in sources} if not isinstance(sources, str) else sources
@@ -455,10 +392,11 @@ class Trace:
                 shared = before != self.before[module] and not isinstance(before, str)
                 raise refusal(message, "give each layer its own neurons" if shared else ONE_STEP)
             self.neurons[module], self.before[module] = node, before
-            self.nodes[node] = neuron(module, tuple(spikes.shape[1:]), self.dt, name)
-            if kind.startswith("R") or kind == "LIFRecurrentCell":
+            self.rules[module] = rule(module, units, name)
+            self.nodes[node] = self.rules[module].node(units, self.dt)
+            if kind.startswith("R") or kind == "LIFRecurrentCell" or getattr(module, "_has_rec", False):
                 back = self.add(f"{name}.recurrent")
-                self.nodes[back] = recurrent(module, tuple(spikes.shape[1:]), f"{name}.recurrent")
+                self.nodes[back] = recurrent(module, units, f"{name}.recurrent")
                 self.edges += [(node, back), (back, node)]
             if kind == "LIFRecurrentCell":
                 into, sources = self.add(f"{name}.input"), self.known.get(id(given), "")
@@ -475,6 +413,10 @@ class Trace:
             stride = module.kernel_size if module.stride is None else module.stride
             sizes = {"kernel_size": module.kernel_size, "stride": stride, "padding": module.padding}
             self.nodes[node] = {"type": kind, **{key: np.array(size) for key, size in sizes.items()}}
+        elif kind == "sinabs.SumPool2d":
+            pair = lambda size: np.broadcast_to(np.array(size), 2).copy()
+            stride = module.kernel_size if module.stride is None else module.stride
+            self.nodes[node] = {"type": "SumPool2d", "kernel_size": pair(module.kernel_size), "stride": pair(stride), "padding": pair(0)}
         else:
             self.nodes[node] = weights(module)
         self.connect(given, node, f"the input of '{name}' ({kind})")
@@ -483,11 +425,12 @@ class Trace:
     def reshaped(self, given, name):
         """A tensor with the axes of its nodes, else its view after a new node that reshapes them."""
         sources = self.known.get(id(given), "")
-        if isinstance(sources, str) or all(self.shapes[source] == given.shape[1:] for source in sources):
+        units = given.shape[self.lead :]
+        if isinstance(sources, str) or all(self.shapes[source] == units for source in sources):
             return given
         node = self.add(name)
-        self.nodes[node] = {"type": "Pass", "shape": np.array(given.shape[1:])}
-        self.shapes[node] = given.shape[1:]
+        self.nodes[node] = {"type": "Pass", "shape": np.array(units)}
+        self.shapes[node] = units
         self.connect(given, node, f"'{name}'")
         view = given[:]
         self.learn(view, {node})
@@ -524,6 +467,8 @@ def recurrent(module, shape, name):
     """The node of the connection of a layer of neurons to itself."""
     if hasattr(module, "recurrent_weights"):
         return {"type": "Linear", "weight": module.recurrent_weights.detach().cpu().numpy()}
+    if kind_of(module) == "LIFTorch":
+        return {"type": "Linear", "weight": module.w_rec.detach().cpu().numpy().T.copy()}
     module = module.recurrent
     if hasattr(module, "V"):
         return {"type": "Scale", "scale": reals(module.V, shape)}
@@ -531,53 +476,50 @@ def recurrent(module, shape, name):
     return weights(module)
 
 
-def resets(neurons, names):
-    """The reset of all neurons, and the names of nodes that stay at 0 for a step."""
-    neurons = {module: node for module, node in neurons.items() if not is_head(module)}
-    # A cell of Norse resets when it spikes.
-    later = {module: kind_of(module) in OF_SNNTORCH and getattr(module, "reset_delay", True) for module in neurons}
-    mechanism = {module: getattr(module, "reset_mechanism", None) or norse_reset(module, names[module]) for module in neurons}
-    how = set(mechanism.values())
-    if len(how) > 1 or ("subtract" in how and len(set(later.values())) > 1):
-        each = ", ".join(f"'{names[one]}' {mechanism[one]!r}{'' if later[one] else ' without reset_delay'}" for one in neurons)
-        raise refusal(f"the layers have different resets: {each}", "train all layers with reset_mechanism='zero'")
-    at_once = [f"'{names[one]}'" for one in neurons if kind_of(one) in OF_SNNTORCH and not later[one]]
+def resets(trace):
+    """The reset and the test of the threshold of all neurons, and the names of nodes that stay at 0 for the step after a spike."""
+    rules = {module: rule for module, rule in trace.rules.items() if not is_head(module)}
+    name = lambda module: f"'{trace.names[module]}'"
+    tests = {rule.inclusive for rule in rules.values()}
+    if len(tests) > 1:
+        each = ", ".join(f"{name(module)} {'>=' if rule.inclusive else '>'}" for module, rule in rules.items())
+        raise refusal(f"the layers compare with their thresholds differently: {each}", "take the neurons of one tool for all layers")
+    threshold = {"threshold": "inclusive"} if tests == {True} else {}
+    how = {rule.reset for rule in rules.values()}
+    later = {rule.later for rule in rules.values()}
+    if len(how) > 1 or ("subtract" in how and len(later) > 1):
+        each = ", ".join(f"{name(one)} {rule.reset!r}{'' if rule.later or kind_of(one) not in OF_SNNTORCH else ' without reset_delay'}" for one, rule in rules.items())
+        raise refusal(f"the layers have different resets: {each}", "train all layers with a reset to zero")
+    at_once = [name(one) for one, rule in rules.items() if kind_of(one) in OF_SNNTORCH and not rule.later]
     if how == {"subtract"} and at_once:
         message = f"{', '.join(at_once)}: reset_delay=False lets snnTorch subtract before it compares where a neuron stays above its threshold"
         raise refusal(message, "train with reset_delay=True, or with reset_mechanism='zero'")
     if how == {"subtract"}:
-        return ("subtract-later" if later[next(iter(later))] else "subtract"), []
-    held = [node for module, node in neurons.items() if later[module] and kind_of(module) != "Leaky"]
-    return ("zero" if how else None), held
-
-
-def norse_reset(module, name):
-    """The reset of a cell of Norse, as snnTorch names it."""
-    how = getattr(getattr(module.p, "reset_method", None), "__name__", "reset_value")
-    if how not in ("reset_value", "reset_subtract"):
-        raise refusal(f"'{name}' ({kind_of(module)}): reset_method is {how}", "train with reset_value, or with reset_subtract")
-    return "zero" if how == "reset_value" else "subtract"
+        return {"reset": "subtract-later" if later == {True} else "subtract", **threshold}, []
+    held = [trace.neurons[module] for module, rule in rules.items() if rule.later and kind_of(module) != "Leaky"]
+    return {**({"reset": "zero"} if how else {}), **threshold}, held
 
 
 def remembering(neurons):
     """Makes each cell of Norse continue from its last state, which its module would pass on; returns the hooks."""
     states = {}
-    cells = [one for one in neurons if kind_of(one) not in OF_SNNTORCH]
+    cells = [one for one in neurons if kind_of(one) in OF_NORSE]
     given = lambda one, args, kwargs: (((*args, *kwargs.values())[0], states.get(one)), {})
     hooks = [cell.register_forward_pre_hook(given, with_kwargs=True) for cell in cells]
     return hooks + [cell.register_forward_hook(lambda one, _, out: states.update({one: out[1]})) for cell in cells]
 
 
 def timestep_ms(module):
-    """The timestep of Norse's cells, or of snnTorch's exporter."""
-    steps = {part.dt for part in module.modules() if kind_of(part) in OF_NORSE | OF_POTENTIAL}
+    """The timestep of the neurons, or the usual one of a tool whose neurons have none."""
+    steps = {part.dt for part in parts_of(module) if kind_of(part) in NEURONS and hasattr(part, "dt")}
     if len(steps) > 1:
         raise refusal(f"the cells have different timesteps: dt is {', '.join(map(str, sorted(steps)))}", "train all with the same dt")
-    return 1e3 * steps.pop() if steps else TIMESTEP_MS
+    usual = [TIMESTEP_MS[package_of(part)] for part in parts_of(module) if package_of(part) in TIMESTEP_MS]
+    return 1e3 * steps.pop() if steps else (usual or [TIMESTEP_MS["snntorch"]])[0]
 
 
 def network_of(module, sample, name="network", dt_ms=None, reset=None, output=None, check=None, **options):
-    """A module of snnTorch or Norse as a network, which spikes as the module does.
+    """A module with neurons of one of the tools as a network, which spikes as the module does.
 
     `output` names the layer that decides, by default the first that forward() returns. `check` are spikes `[samples, channels.., T]` on
     which the network is compared with the module, beyond the random ones.
@@ -585,24 +527,27 @@ def network_of(module, sample, name="network", dt_ms=None, reset=None, output=No
     import torch
 
     dt_ms = timestep_ms(module) if dt_ms is None else dt_ms
+    layout = layout_of(leaves(module))
     traced = copied(module)
-    dtype = torch.float64 if any(one.dtype == torch.float64 for one in traced.parameters()) else torch.float32
+    dtype = torch.float64 if any(one.dtype == torch.float64 for _, one in traced.named_parameters()) else torch.float32
     traced, shape = traced.to(dtype), tuple(sample.shape[1:])
     shown = [drawn(shape)] if check is None else [drawn(shape), checked(check, shape)]
     hooks = casting(traced, dtype)
     with listed(traced):
         by_potential = options.get("decision") not in (None, "Spikes")
-        trace = Trace(traced, sample.detach().cpu().to(dtype), dt_ms / 1e3, output, by_potential)
+        cleared(traced, len(sample))
+        trace = Trace(traced, sample.detach().cpu().to(dtype), dt_ms / 1e3, layout, output, by_potential)
     for hook in hooks:
         hook.remove()
-    own, held = resets(trace.neurons, trace.names)
+    own, held = resets(trace)
+    given = {"reset": reset} if reset else {}
     said = "; ".join(f"{what} of {given.shape[-1]} steps" for what, given in zip((f"{SAMPLES} random samples", f"{len(shown[-1])} of check="), shown))
     note = f"spikes in real numbers as the module does on {said}" + ("" if check is not None else "; check=array compares on others")
     notes = [note, *training(module)]
-    network = _nsim.from_nodes(name, trace.nodes, trace.edges, held, notes, dt_ms=dt_ms, reset=reset or own, **options)
+    network = _nsim.from_nodes(name, trace.nodes, trace.edges, held, notes, dt_ms=dt_ms, **{**own, **given, **options})
     with listed(traced):
         for given in shown:
-            compare(network, traced, trace, given)
+            compare(network, traced, trace, given, layout)
     return network
 
 
@@ -630,32 +575,51 @@ def checked(check, shape):
     return array.astype(np.uint8)
 
 
-def compare(network, module, trace, given):
+def spikes_of(module, neurons, given, layout):
+    """Spikes `[samples, units, steps]` of the neurons of a module on spikes `[samples, channels.., steps]`."""
+    import torch
+
+    samples, spikes = len(given), {node: [] for node in neurons.values()}
+
+    def keep(one, _, out):
+        spikes[neurons[one]].append(by_sample(out[0] if isinstance(out, tuple) else out, layout, samples) != 0)
+
+    hooks = casting(module, torch.float64) + remembering(neurons) + [part.register_forward_hook(keep) for part in neurons]
+    calls = [given[..., step : step + 1] for step in range(given.shape[-1])] if layout == "steps" else [given]
+    cleared(module, samples)
+    with torch.no_grad():
+        for call in calls:
+            called(module, arranged(torch.from_numpy(call).double(), layout))
+    for hook in hooks:
+        hook.remove()
+    return {node: torch.cat(parts, dim=2).numpy() for node, parts in spikes.items()}
+
+
+def in_double(function, *args):
+    return function(*args).double()
+
+
+def compare(network, module, trace, given, layout):
     """Refuses a network whose spikes in real numbers differ from the module's on spikes `[samples, channels.., T]`."""
     import torch
 
     samples, steps = len(given), given.shape[-1]
     module = module.double()
+    for part in [part for part in trace.neurons if kind_of(part) == "LIFTorch"]:
+        # Rockpool's spikes have single precision always, also where they meet recurrent weights.
+        part.spike_generation_fn = functools.partial(in_double, part.spike_generation_fn)
     with torch.no_grad():
-        for tensor in (*module.parameters(), *module.buffers()):
+        for _, tensor in (*module.named_parameters(), *module.named_buffers()):
             if tensor.is_floating_point():
                 tensor.copy_(torch.from_numpy(np.asarray(reals(tensor.float()))))
-    cleared(module)
-    spikes = {node: [] for node in trace.neurons.values()}
-    keep = lambda one, _, out: spikes[trace.neurons[one]].append((out[0] if isinstance(out, tuple) else out).reshape(samples, -1) != 0)
-    hooks = casting(module, torch.float64)
+    # All neurons run, as those of Norse continue from their states.
+    found = spikes_of(module, trace.neurons, given, layout)
     spiking = {one: node for one, node in trace.neurons.items() if not is_head(one)}
-    hooks += remembering(trace.neurons) + [part.register_forward_hook(keep) for part in spiking]
-    with torch.no_grad():
-        for step in range(steps):
-            called(module, torch.from_numpy(given[..., step]).double())
-    for hook in hooks:
-        hook.remove()
     # Spikes need one step per layer, so steps of silence follow.
     silence = np.zeros((*given.shape[:-1], len(trace.neurons)), np.uint8)
     ours = dict(_nsim.real_spikes(network, np.concatenate([given, silence], axis=-1)))
     for module, node in spiking.items():
-        theirs = np.stack([one.numpy() for one in spikes[node]], axis=2)
+        theirs = found[node]
         mine = np.zeros_like(theirs)
         rows = ours[node][ours[node][:, 1] < steps]
         mine[rows[:, 0], rows[:, 2], rows[:, 1]] = True

@@ -1,5 +1,6 @@
 """Modules of PyTorch: a network spikes as in PyTorch, or its module is refused by name. Without torch, only the tables are tested."""
 
+import dataclasses
 import os
 import re
 import sys
@@ -23,10 +24,28 @@ except ImportError:
     print("absent: torch with snntorch, its modules were not tested", file=sys.stderr)
 
 try:
+    from spikingjelly.activation_based import functional, layer
+    from spikingjelly.activation_based import neuron as jelly
+except ImportError:
+    jelly = None
+    print("absent: spikingjelly, its modules were not tested", file=sys.stderr)
+
+try:
+    import sinabs.activation
+    import sinabs.layers
+except ImportError:
+    sinabs = None
+    print("absent: sinabs, its modules were not tested", file=sys.stderr)
+
+try:
     import norse.torch as norse
 except ImportError:
     norse = None
     print("absent: norse, its modules were not tested", file=sys.stderr)
+
+if jelly or sinabs:
+    import torch as anyhow
+    from torch import nn
 
 README = Path(__file__).parents[2] / "README.md"
 PAGE = README.parent / "docs/tutorials/from-pytorch.md"
@@ -70,7 +89,7 @@ class Tables(unittest.TestCase):
         module = stub("Net", named_modules=lambda: [])
         tensor = stub("Tensor", detach=None)
         for given, words in [
-            (({"0.weight": 1}, tensor), ("dict", "net.load_state_dict(state), nsim.from_torch(net, sample)")),
+            (({"0.weight": 1}, tensor), ("dict", "net.load_state_dict(state)")),
             ((module, np.zeros((1, 3))), ("ndarray", "torch.zeros")),
             ((module, (tensor, tensor)), ("tuple", "several inputs", "nsim.from_nir")),
             ((module, None), ("NoneType", "torch.zeros")),
@@ -88,6 +107,40 @@ class Tables(unittest.TestCase):
             with self.assertRaises(nsim.Error) as raised:
                 _torch.checked(array, (2, 3))
             self.assertEqual(raised.exception.code, code)
+
+    def test_neurons_of_tools_have_their_equations(self):
+        number = lambda value: stub("Tensor", detach=lambda self: self, cpu=lambda self: self, numpy=lambda self: np.array(value))
+        one = lambda kind, place, **values: _torch.rule(stub(kind, place, **values), (2,), "layer 3")
+        jelly = dict(surrogate_function=None, v_threshold=1.0, v_reset=-0.5, tau=4.0, decay_input=False)
+        place = "spikingjelly.activation_based.neuron.lif"
+        found = one("LIFNode", place, **jelly)
+        self.assertEqual((found.beta, found.gain, found.threshold, found.reset, found.inclusive), (0.25, 1.0, 1.5, "zero", True))
+        found = one("LIFNode", place, **{**jelly, "v_reset": None, "decay_input": True})
+        self.assertEqual((found.gain, found.threshold, found.reset), (0.25, 1.0, "subtract"))
+        node = one("CUBALIFNode", place, **{**jelly, "v_reset": 0.0}, c_decay=0.5, v_decay=0.75).node((2,), 1e-3)
+        self.assertEqual([node[key][0] for key in ("tau_syn", "w_in", "tau_mem", "r")], [2e-3, 2.0, 4e-3, 4.0])
+        sinabs = dict(min_v_mem=None, train_alphas=False, tau_mem=number(10.0), tau_syn=number(5.0), norm_input=True, spike_threshold=number(1.0),
+                      spike_fn=stub("SingleSpike"), reset_fn=stub("MembraneSubtract", subtract_value=None))
+        found = one("LIF", "sinabs.layers.lif", **sinabs)
+        self.assertEqual((found.reset, found.inclusive), ("subtract", True))
+        np.testing.assert_allclose([1 - found.beta, found.gain, found.w], np.exp([[-0.1] * 2, [-0.1] * 2, [-0.2] * 2]) * [[1], [np.expm1(0.1)], [1]])
+        rockpool = dict(noise_std=0.0, size_in=2, size_out=2, max_spikes_per_dt=1, leak_mode="bitshifts", dash_mem=number(2.0), dash_syn=number(1.0),
+                        threshold=number(1.0), bias=number(0.5))
+        node = one("LIFTorch", "rockpool.nn.modules.torch.lif_torch", **rockpool).node((2,), 1e-3)
+        self.assertEqual([node[key][0] for key in ("tau_syn", "w_in", "tau_mem", "r", "v_leak")], [2e-3, 1.0, 4e-3, 4.0, 2.0])
+        for kind, place, values, words in [
+            ("LIF", "sinabs.layers.lif", {**sinabs, "spike_fn": stub("MultiSpike")}, ("MultiSpike", "SingleSpike")),
+            ("LIF", "sinabs.layers.lif", {**sinabs, "min_v_mem": number(-1.0)}, ("min_v_mem is -1", "None")),
+            ("LIF", "sinabs.layers.lif", {**sinabs, "reset_fn": stub("MembraneReset", reset_value=0.1)}, ("reset_fn", "MembraneReset()")),
+            ("LIF", "sinabs.layers.lif", {**sinabs, "tau_mem": number(-1.0)}, ("outside 0 to 1",)),
+            ("LIFTorch", "rockpool.nn.modules", {**rockpool, "max_spikes_per_dt": 4}, ("max_spikes_per_dt is 4",)),
+            ("LIFTorch", "rockpool.nn.modules", {**rockpool, "noise_std": 0.1}, ("noise_std is 0.1",)),
+            ("LIFNode", "spikingjelly.activation_based.neuron.lif", {**jelly, "v_threshold": -1.0}, ("v_threshold is -1",)),
+        ]:
+            with self.assertRaises(nsim.Error) as raised:
+                one(kind, place, **values)
+            for word in ("layer 3", kind, *words):
+                self.assertIn(word, str(raised.exception))
 
     def test_nodes_become_a_network(self):
         full = lambda value: np.full(2, value)
@@ -129,6 +182,54 @@ class Tables(unittest.TestCase):
         pooled, whole = spikes(True), spikes(False)
         self.assertEqual([set(channel) for channel in pooled.tolist()], [set(channel) for channel in whole.tolist()])
         self.assertGreater(pooled.min(), 0)
+
+
+class Layouts(unittest.TestCase):
+    """Neurons whose modules take all timesteps in one call."""
+
+    def setUp(self):
+        warnings.simplefilter("ignore")
+
+    def refused(self, module, shape, *words):
+        with self.assertRaises(nsim.Error) as raised:
+            nsim.from_torch(module, anyhow.zeros(*shape))
+        for word in words:
+            self.assertIn(word, str(raised.exception))
+
+    @unittest.skipIf(jelly is None, "spikingjelly is absent")
+    def test_time_is_the_first_axis(self):
+        anyhow.manual_seed(1)
+
+        class Rate(nn.Sequential):
+            def forward(self, x):
+                return super().forward(x).mean(0)
+
+        layers = layer.Conv2d(2, 4, 3, bias=False), layer.BatchNorm2d(4), jelly.LIFNode(), layer.AvgPool2d(2), layer.Flatten(), layer.Linear(64, 3), jelly.IFNode()
+        module = Rate(*layers)
+        functional.set_step_mode(module, "m")
+        module[0].weight.data *= 5
+        module[5].weight.data *= 5
+        spikes = np.random.default_rng(1).random((5, 2, 10, 10, 12)) < 0.4
+        with anyhow.no_grad():
+            theirs = module.eval()(anyhow.tensor(np.moveaxis(spikes, -1, 0)).float()).numpy() * 12
+        counts = nsim.from_torch(module, anyhow.zeros(1, 2, 10, 10)).map("oheo-gulch").run(spikes).counts
+        self.assertGreater(theirs.sum(), 30)
+        self.assertLessEqual(np.abs(counts - theirs).sum(), 0.2 * theirs.sum())
+        module[2].step_mode = "s"
+        self.refused(module, (1, 2, 10, 10), "'2' (LIFNode, step_mode='s')", "'6' (IFNode, step_mode='m')", "set_step_mode")
+        self.refused(nn.Sequential(layer.SeqToANNContainer(nn.Linear(4, 2)), jelly.IFNode(step_mode="m")), (1, 4), "SeqToANNContainer", "set_step_mode")
+        self.refused(nn.Sequential(nn.Linear(4, 2), jelly.IzhikevichNode()), (1, 4), "IzhikevichNode) is not supported", "LIFNode")
+
+    @unittest.skipIf(sinabs is None, "sinabs is absent")
+    def test_time_is_in_the_rows(self):
+        anyhow.manual_seed(1)
+        own = dict(spike_fn=sinabs.activation.SingleSpike, batch_size=3)
+        module = nn.Sequential(nn.Conv2d(2, 4, 3), sinabs.layers.IAFSqueeze(**own), sinabs.layers.SumPool2d(2), nn.Flatten(), nn.Linear(64, 3), sinabs.layers.LIFSqueeze(tau_mem=8.0, **own))
+        module[4].weight.data *= 3
+        nsim.from_torch(module, anyhow.zeros(1, 2, 10, 10))
+        module[5] = sinabs.layers.LIF(tau_mem=8.0, spike_fn=sinabs.activation.SingleSpike)
+        self.refused(module, (1, 2, 10, 10), "'1' (sinabs.IAFSqueeze) takes time in its rows", "'5' (sinabs.LIF)", "Squeeze")
+        self.refused(nn.Sequential(sinabs.layers.Repeat(nn.Linear(4, 2))), (1, 4), "sinabs.Repeat", "IAFSqueeze")
 
 
 @unittest.skipIf(torch is None or norse is None, "torch, snntorch or norse is absent")
@@ -289,7 +390,7 @@ class Modules(unittest.TestCase):
         # A maximum after neurons differs from one before them.
         self.assertNotIn("train with", raised.exception.help)
         self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), nn.MaxPool2d(2), self.lif()), (1, 3, 9, 9), "maximum of sums", "before it")
-        self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), self.lif(), nn.MaxPool2d(2)), (1, 3, 9, 9), "of spikes")
+        self.refused(nn.Sequential(nn.Conv2d(3, 4, 3), self.lif(), nn.MaxPool2d(2)), (1, 3, 9, 9), "for spikes")
         made = re.search(r"snntorch\.(Leaky\([^)]*\))", raised.exception.help)[1]
         pool = nn.Sequential(nn.AvgPool2d(k), eval(f"snn.{made}", {"snn": snn, "k": k}))
         with torch.no_grad():
@@ -535,7 +636,7 @@ class Modules(unittest.TestCase):
             ([nn.Conv2d(2, 4, 3), nn.MaxPool2d(2), lif], plane, ("'1'", "MaxPool2d", "AvgPool2d")),
             ([nn.Conv2d(2, 4, 3, padding=1, padding_mode="circular"), lif], plane, ("'0'", "circular")),
             ([nn.Conv2d(2, 4, 3), self.lif(inhibition=True)], plane, ("'1'", "inhibition")),
-            ([linear, self.lif(), nn.BatchNorm1d(8), nn.Linear(8, 4), self.lif()], flat, ("'2'", "BatchNorm1d", "behind")),
+            ([linear, self.lif(), nn.BatchNorm1d(8), nn.Linear(8, 4), self.lif()], flat, ("'2'", "BatchNorm1d", "directly follow")),
             ([linear, self.lif(), nn.Linear(8, 4), self.lif(reset_mechanism="subtract")], flat, ("'1' 'zero'", "'3' 'subtract'")),
             ([linear, lif, nn.Linear(8, 4), self.lif()], flat, ("'2'", "tuple", "output=True")),
             ([linear, lif], (32,), ("'0'", "[batch, channels]", "unsqueeze")),
@@ -612,13 +713,12 @@ class Modules(unittest.TestCase):
         self.refused(Cleared(lambda _: False), (1, 32), "'lif'", "in PyTorch", "reset neurons in each call")
 
     def test_a_network_that_was_misread_is_refused(self):
-        right, module = _torch.neuron, nn.Sequential(nn.Linear(32, 8), self.lif(), nn.Linear(8, 4), self.lif(threshold=0.2, output=True))
-        wrong = lambda *args: {**right(*args), "v_threshold": right(*args)["v_threshold"] * 1.2}
-        _torch.neuron = wrong
+        right, module = _torch.rule, nn.Sequential(nn.Linear(32, 8), self.lif(), nn.Linear(8, 4), self.lif(threshold=0.2, output=True))
+        _torch.rule = lambda *args: dataclasses.replace(right(*args), threshold=right(*args).threshold * 1.2)
         try:
             self.refused(module, (1, 32), "'1'", "read wrongly")
         finally:
-            _torch.neuron = right
+            _torch.rule = right
 
     def test_exporters_that_stop_are_named(self):
         with self.assertRaises(nsim.Error) as raised:
