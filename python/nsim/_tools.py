@@ -54,7 +54,7 @@ def from_torch(module, sample, *, export=None, **options):
     return from_nir(graph, **options)
 
 
-WITHOUT_EXPORTER = "build a nir.NIRGraph for nsim.from_nir; docs/tutorials/from-pytorch.md lists the versions that work together"
+WITHOUT_EXPORTER = "build a nir.NIRGraph for nsim.from_nir (docs/tutorials/from-pytorch.md#without-a-trained-network)"
 
 
 def _versions():
