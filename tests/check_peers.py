@@ -1,316 +1,494 @@
-"""Networks of snnTorch, Norse and sinabs: spikes and classes in these tools, and in nsim after an import.
+"""Spikes of other tools' own modules, compared with nsim's after each way into nsim.
 
-usage: check_peers.py NSIM FOLDER [SAMPLES]
+usage: check_peers.py NSIM FOLDER TOOL [SAMPLES]
 
-needs: pip install torch snntorch norse sinabs nirtorch, then pip install --no-deps nir==1.0.8
-(sinabs asks for an older nir, which the exporter of snnTorch no longer takes).
+Each tool has an environment of its own, with nsim for Python: sinabs and snnTorch want different versions of nir. `.ci/nightly` makes
+them. A network has three layers of a module, at its defaults and
+two other settings, and random weights. Its file is what the tool's own exporter writes, and the forms are `nsim.from_torch`, `nsim
+import` of the file, and the same with `--from`.
 
-Each network has random weights and two to five layers, recurrent ones too. It runs in its tool over random recordings
-that look like those of a tactile sensor, in single and in double precision. Its file, NIR or a state dict, is what the
-tool writes in single precision. nsim imports it and runs it with the reference engine.
-
-Prints a line a network. A sample differs where nsim's spikes of the last layer are neither those of single nor those of
-double precision: rounding explains what lies between the two. The status is 1 when a sample differs or has another
-class, when a network is refused, or when one is too silent or too loud to say anything.
+Prints a line a form. The result is "equal in 60 of 60 samples", "a question" (a refusal, or a warning of what a file does not state),
+or DIFFERS. A sample is equal if nsim's spikes of the last layer are those of single or of double precision: rounding explains what lies
+between the two. The status is 1 if a sample differs without a question, or a network is too silent or too loud to say anything.
 """
 
+import importlib.metadata
 import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import warnings
 
+# Layers of a few units take longer on several threads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy
-import torch
-from torch import nn
 
-CHANNELS, CLASSES, STEPS = 20, 5, 50
-SIZES = {2: [16], 3: [16, 12], 4: [16, 14, 12], 5: [16, 14, 12, 10]}
-
-
-class Linear(nn.Linear):
-    """A layer that takes spikes of any precision: some tools send them in single precision always."""
-
-    def forward(self, x):
-        return super().forward(x.to(self.weight.dtype))
+CHANNELS, STEPS, SIZES = 20, 50, (16, 12, 5)
+WARNED = ("reset", "threshold", "lower bound", "decay", "gain", "timestep", "equal")
+"""What a warning names that is a question."""
 
 
 def recordings(samples):
-    """Presses of a sensor: a class excites some channels, from an onset on and for a while."""
+    """Presses of a sensor: each excites some channels, from an onset on and for a while."""
     draw = numpy.random.default_rng(1)
-    rates = draw.uniform(0.02, 0.5, (CLASSES, CHANNELS))
+    rates = draw.uniform(0.02, 0.5, (5, CHANNELS))
     spikes = numpy.zeros((samples, CHANNELS, STEPS), dtype=numpy.uint8)
     for sample in range(samples):
         first, length = draw.integers(0, 10), draw.integers(25, 40)
         pressed = (numpy.arange(STEPS) >= first) & (numpy.arange(STEPS) < first + length)
-        chance = 0.01 + rates[sample % CLASSES][:, None] * pressed
-        spikes[sample] = draw.random((CHANNELS, STEPS)) < chance
+        spikes[sample] = draw.random((CHANNELS, STEPS)) < 0.01 + rates[sample % 5][:, None] * pressed
     return spikes
 
 
-def weights(shape, draw, gain, low=-0.6):
+def weights(targets, sources, draw, gain, low=-0.6):
     """Weights of both signs, more of them positive, so that deep layers still spike."""
-    values = draw.uniform(low, 1.0, shape) * gain * 4 / shape[1]
-    return nn.Parameter(torch.tensor(values, dtype=torch.float32))
+    return (draw.uniform(low, 1.0, (targets, sources)) * gain / sources).astype(numpy.float32)
 
 
-def linear(sources, targets, draw, gain, bias=False):
-    layer = Linear(sources, targets, bias=bias)
-    layer.weight = weights((targets, sources), draw, gain)
+def linear(targets, sources, draw, gain, bias=True):
+    from torch import nn, tensor
+
+    layer = nn.Linear(sources, targets, bias=bias)
+    layer.weight.data = tensor(weights(targets, sources, draw, gain))
     if bias:
-        layer.bias = nn.Parameter(torch.tensor(draw.uniform(-0.02, 0.05, targets), dtype=torch.float32))
+        layer.bias.data = tensor(draw.uniform(-0.01, 0.02, targets).astype(numpy.float32) * gain / 8)
     return layer
 
 
-def stepped(modules, spikes, fresh):
-    """Spikes of the last of some modules, [sample, step, unit], for modules that take a step at a time."""
-    fresh()
-    outputs = []
-    with torch.no_grad():
-        for step in range(spikes.shape[2]):
-            x = spikes[:, :, step]
-            for module in modules:
-                x = module(x)
-            outputs.append(x)
-    return torch.stack(outputs, 1)
+class Tool:
+    """Networks of a tool whose modules are those of torch."""
+
+    PRECISIONS = ("float32", "float64")
+    # Numbers at their defaults, where each neuron has its own of all of them.
+    USUAL = {}
+
+    def __init__(self, module, setting, each):
+        self.module, self.setting, self.each = module, setting, each
+
+    def given(self, targets, setting):
+        """Numbers of a setting as tensors, one a neuron where exporters lose the shape of a layer otherwise."""
+        import torch
+
+        each = self.each and self.module not in ("Lapicque", "LIFRecurrentCell")
+        spread = numpy.random.default_rng(targets).uniform(0.95, 1.0, targets) if each else 1.0
+        full = lambda value: value * torch.tensor(spread, dtype=torch.float32)
+        usual = self.USUAL.get(self.module, {}) if each else {}
+        return {key: full(value) if isinstance(value, float) else value for key, value in {**usual, **setting}.items()}
+
+    def dense(self, targets, sources, draw, gain):
+        return linear(targets, sources, draw, gain)
+
+    def chain(self, layers):
+        from torch import nn
+
+        return nn.Sequential(*layers)
+
+    def build(self, gain):
+        draw, layers, sources = numpy.random.default_rng(7), [], CHANNELS
+        for targets in SIZES:
+            layers += [self.dense(targets, sources, draw, gain), self.neurons(targets, **self.setting)]
+            sources = targets
+        self.net = self.chain(layers)
+
+    def both(self, spikes):
+        """Spikes `[sample, step, unit]` in single and in double precision."""
+        import torch
+
+        found = []
+        for dtype in self.PRECISIONS:
+            dtype = getattr(torch, dtype)
+            self.net.to(dtype)
+            cast = lambda one: one.to(dtype) if isinstance(one, torch.Tensor) and one.is_floating_point() else one
+            # Some tools send spikes in single precision always.
+            hooks = [part.register_forward_pre_hook(lambda _, args: tuple(map(cast, args))) for _, part in self.net.named_modules()]
+            with torch.no_grad():
+                found.append(self.run(torch.tensor(spikes).to(dtype)).numpy() > 0)
+            for hook in hooks:
+                hook.remove()
+        self.net.float()
+        return found[0], found[-1]
+
+    def by_steps(self, spikes):
+        import torch
+
+        return torch.stack([self.net(spikes[:, :, step]) for step in range(STEPS)], 1)
 
 
-class SnnTorch:
-    """Leaky, Synaptic, RLeaky and RSynaptic."""
+class SnnTorch(Tool):
+    PACKAGE = "snntorch"
+    USUAL = {kind: {"threshold": 1.0} for kind in ("Leaky", "Synaptic", "RLeaky", "RSynaptic")}
+    CASES = {
+        "Leaky": [dict(beta=0.9), dict(beta=0.9, reset_mechanism="zero"), dict(beta=0.8, threshold=0.6)],
+        "Synaptic": [dict(alpha=0.7, beta=0.9), dict(alpha=0.7, beta=0.9, reset_mechanism="zero"), dict(alpha=0.5, beta=0.8, threshold=0.6)],
+        "RLeaky": [dict(beta=0.9), dict(beta=0.9, reset_mechanism="zero"), dict(beta=0.8, all_to_all=False, V=-0.2)],
+        "RSynaptic": [dict(alpha=0.7, beta=0.9), dict(alpha=0.7, beta=0.9, reset_mechanism="zero"), dict(alpha=0.5, beta=0.8, threshold=0.6)],
+        "Lapicque": [dict(beta=0.9), dict(beta=0.9, reset_mechanism="zero"), dict(R=5.1, C=2.0, time_step=1.0)],
+        "Alpha": [dict(alpha=0.9, beta=0.8)],
+    }
 
-    def __init__(self, form, neuron, reset, layers, recurrent):
+    def neurons(self, targets, **setting):
         import snntorch
 
-        self.form, self.reset = form, reset
-        self.name = f"snnTorch {'R' if recurrent else ''}{neuron} ({reset}), {form}"
-        draw = numpy.random.default_rng([layers, recurrent, neuron == "Leaky"])
-        own = dict(init_hidden=True, reset_mechanism=reset)
-        gain = 0.28 if neuron == "Synaptic" else 0.8
-        modules, sources = [], CHANNELS
-        for place, targets in enumerate(SIZES[layers] + [CLASSES]):
-            modules.append(linear(sources, targets, draw, gain * (1 if place == 0 else 2.5), bias=place < 2))
-            # One number a neuron: the exporter loses the shape of a layer where one counts for all.
-            each = lambda low, high: torch.tensor(draw.uniform(low, high, targets), dtype=torch.float32)
-            own.update(beta=each(0.85, 0.95), threshold=each(0.9, 1.1))
-            if neuron == "Synaptic":
-                own["alpha"] = each(0.6, 0.8)
-            if recurrent and place < layers - 1:
-                unit = getattr(snntorch, "R" + neuron)(linear_features=targets, **own)
-                unit.recurrent = linear(targets, targets, draw, gain, bias=place == 0)
-                unit.recurrent.weight.data -= gain * 2 / targets
-                modules.append(unit)
-            else:
-                modules.append(getattr(snntorch, neuron)(**own))
-            sources = targets
-        self.net = nn.Sequential(*modules)
+        if self.module.startswith("R") and setting.get("all_to_all", True):
+            setting["linear_features"] = targets
+        return getattr(snntorch, self.module)(init_hidden=True, **self.given(targets, setting))
 
     def run(self, spikes):
-        def fresh():
-            for module in self.net:
-                for name in ("mem", "syn", "spk"):
-                    if hasattr(module, name):
-                        setattr(module, name, torch.zeros(0, dtype=spikes.dtype))
+        import torch
 
-        return stepped(list(self.net), spikes, fresh)
+        for module in self.net:
+            for name in ("mem", "syn", "spk", "syn_exc", "syn_inh"):
+                if hasattr(module, name):
+                    setattr(module, name, torch.zeros(0, dtype=spikes.dtype))
+        return self.by_steps(spikes)
 
-    def write(self, folder):
-        if self.form == "state dict":
-            path = os.path.join(folder, "net.pt")
-            torch.save(self.net.state_dict(), path)
-            return path, []
+    def export(self, path):
         import nir
+        import torch
         from snntorch.export_nir import export_to_nir
 
-        path = os.path.join(folder, "net.nir")
         nir.write(path, export_to_nir(self.net, torch.zeros(1, CHANNELS), ignore_dims=[0]))
-        if self.reset == "zero":
-            return path, []
-        return without_reset(path), ["--reset", "subtract-later"]
 
 
-class Norse:
-    """LIFBoxCell as NIR; LIFCell and LIFRecurrentCell, which have a current, as state dicts."""
+class Norse(Tool):
+    PACKAGE = "norse"
+    BOX = dict(tau_mem_inv=100.0, v_leak=0.0, v_th=1.0)
+    USUAL = {"LIFBoxCell": BOX, "LIFCell": {**BOX, "tau_syn_inv": 200.0}, "IAFCell": dict(v_th=1.0)}
+    CASES = {
+        "LIFBoxCell": [dict(), dict(tau_mem_inv=200.0, v_th=0.5), dict(subtract=True)],
+        "LIFCell": [dict(), dict(tau_mem_inv=120.0, tau_syn_inv=300.0, v_th=0.5), dict(v_leak=-0.2, v_reset=-0.2)],
+        "LIFRecurrentCell": [dict(), dict(tau_mem_inv=120.0, tau_syn_inv=300.0, v_th=0.5), dict(v_leak=-0.2, v_reset=-0.2)],
+        "IAFCell": [dict(), dict(v_th=0.5), dict(v_reset=-0.2)],
+    }
 
-    CONFIG = "neuron: {type: LIF, tau_syn_inv: 300, tau_mem_inv: 120, v_th: 0.5}\nsimulation: {Ts: 1.0}\n"
-
-    def __init__(self, form, layers, recurrent):
+    def neurons(self, targets, subtract=False, **setting):
         import norse.torch as norse
 
-        self.form = form
-        cell = "LIFBoxCell" if form == "NIR" else "LIFRecurrentCell" if recurrent else "LIFCell"
-        self.name = f"Norse {cell}, {form}"
-        draw = numpy.random.default_rng([layers, recurrent, 7])
-        full = norse.LIFParameters(tau_syn_inv=torch.as_tensor(300.0), tau_mem_inv=torch.as_tensor(120.0), v_th=torch.as_tensor(0.5))
-        gain = 6.0 if form == "NIR" else 1.6
-        modules, sources = [], CHANNELS
-        for place, targets in enumerate(SIZES[layers] + [CLASSES]):
-            scale = gain * (1 if place == 0 else 1.8)
-            if recurrent:
-                unit = norse.LIFRecurrentCell(sources, targets, p=full)
-                unit.input_weights = weights((targets, sources), draw, scale)
-                own = weights((targets, targets), draw, gain, low=-1.2)
-                own.data.fill_diagonal_(0.0)
-                unit.recurrent_weights = own
-                modules.append(unit)
-            else:
-                modules.append(linear(sources, targets, draw, scale, bias=place < 2))
-                # One number a neuron: the exporter loses the shape of a layer where one counts for all.
-                each = lambda x: torch.full((targets,), x)
-                box = norse.LIFBoxParameters(tau_mem_inv=each(120.0), v_leak=each(0.0), v_th=each(0.5))
-                modules.append(norse.LIFBoxCell(p=box) if form == "NIR" else norse.LIFCell(p=full))
-            sources = targets
-        self.net = norse.SequentialState(*modules)
+        given = self.given(targets, setting)
+        if subtract:
+            given["reset_method"] = norse.functional.reset.reset_subtract
+        kind = self.module.removesuffix("Cell").replace("Recurrent", "")
+        own = getattr(norse, kind + "Parameters")(**given)
+        return getattr(norse, self.module)(*[targets, targets] * self.module.startswith("LIFRec"), p=own)
+
+    def dense(self, targets, sources, draw, gain):
+        # A recurrent cell multiplies a bias with its input weights.
+        return linear(targets, sources, draw, gain, bias=self.module != "LIFRecurrentCell")
+
+    def chain(self, layers):
+        import norse.torch as norse
+
+        return norse.SequentialState(*layers)
 
     def run(self, spikes):
+        import torch
+
         state, outputs = None, []
-        with torch.no_grad():
-            for step in range(spikes.shape[2]):
-                x, state = self.net(spikes[:, :, step], state)
-                outputs.append(x)
+        for step in range(STEPS):
+            out, state = self.net(spikes[:, :, step], state)
+            outputs.append(out)
         return torch.stack(outputs, 1)
 
-    def write(self, folder):
-        if self.form == "state dict":
-            path, config = os.path.join(folder, "net.pt"), os.path.join(folder, "neuron.yml")
-            torch.save(self.net.state_dict(), path)
-            with open(config, "w") as file:
-                file.write(self.CONFIG)
-            return path, ["--neuron", config]
+    def export(self, path):
         import nir
+        import torch
         from norse.torch.utils.export_nir import to_nir
 
-        path = os.path.join(folder, "net.nir")
         nir.write(path, to_nir(self.net, torch.zeros(CHANNELS)))
-        # Norse writes dt / tau_mem_inv for a time constant of 1 / tau_mem_inv: a step of 1 ms is dt dt.
-        return path, ["--dt", "0.001"]
 
 
-class Sinabs:
-    """IAF and LIF with one spike a step at most."""
+class Sinabs(Tool):
+    PACKAGE = "sinabs"
+    USUAL = {kind: {"spike_threshold": 1.0} for kind in ("IAF", "IAFSqueeze", "LIF", "LIFSqueeze")}
+    IAF = [dict(), dict(spike_fn="SingleSpike"), dict(spike_fn="SingleSpike", reset_fn="MembraneReset", spike_threshold=0.6)]
+    CASES = {
+        "IAF": IAF,
+        "IAFSqueeze": [dict(one, batch_size=1) for one in IAF] + [dict(batch_size=1, spike_fn="SingleSpike", min_v_mem=-1)],
+        "LIF": [dict(one, tau_mem=10.0) for one in IAF] + [dict(tau_mem=10.0, tau_syn=5.0, norm_input=False, spike_fn="SingleSpike")],
+        "LIFSqueeze": [dict(one, tau_mem=10.0, batch_size=1, norm_input=False) for one in IAF],
+    }
 
-    def __init__(self, neuron, layers):
+    def neurons(self, targets, **setting):
+        import sinabs.activation
         import sinabs.layers
 
-        self.name, self.neuron = f"sinabs {neuron}, NIR", neuron
-        draw = numpy.random.default_rng([layers, neuron == "IAF", 9])
-        own = dict(spike_fn=sinabs.activation.SingleSpike, batch_size=1)
-        gain = 0.7
-        if neuron == "LIF":
-            gain = 8.0
-        modules, sources = [], CHANNELS
-        for place, targets in enumerate(SIZES[layers] + [CLASSES]):
-            modules.append(linear(sources, targets, draw, gain * (1 if place == 0 else 2.5), bias=place == 1))
-            own["spike_threshold"] = torch.ones(targets)
-            if neuron == "LIF":
-                own["tau_mem"] = torch.tensor(draw.uniform(6, 12, targets), dtype=torch.float32)
-            modules.append(getattr(sinabs.layers, neuron + "Squeeze")(**own))
-            sources = targets
-        self.net = nn.Sequential(*modules)
+        given = {key: getattr(sinabs.activation, value) if isinstance(value, str) else value for key, value in self.given(targets, setting).items()}
+        for key in {"reset_fn"} & set(given):
+            given[key] = given[key]()
+        return getattr(sinabs.layers, self.module)(**given)
 
     def run(self, spikes):
+        import torch
+
         outputs = []
-        with torch.no_grad():
-            for sample in spikes:
-                for module in self.net:
-                    if hasattr(module, "reset_states"):
-                        module.v_mem = torch.zeros_like(module.v_mem, dtype=spikes.dtype)
-                outputs.append(self.net(sample.T))
+        for sample in spikes:
+            for module in self.net[1::2]:
+                for name, buffer in module.named_buffers():
+                    setattr(module, name, torch.zeros(0, dtype=spikes.dtype))
+            outputs.append(self.net(sample.T) if self.module.endswith("Squeeze") else self.net(sample.T[None])[0])
         return torch.stack(outputs)
 
-    def write(self, folder):
+    def export(self, path):
         import nir
         import sinabs.nir
+        import torch
 
-        path = os.path.join(folder, "net.nir")
-        nir.write(path, sinabs.nir.to_nir(self.net, torch.zeros(1, CHANNELS)))
-        options = ["--reset", "subtract"]
-        if self.neuron == "LIF":
-            # Its time constants are in steps, which stand as seconds in the file.
-            options += ["--dt", "1000", "--decay", "exponential"]
-        return without_reset(path), options
+        nir.write(path, sinabs.nir.to_nir(self.net, torch.zeros(1, CHANNELS) if self.module.endswith("Squeeze") else torch.zeros(1, 1, CHANNELS)))
 
 
-def without_reset(path):
-    """The file without v_reset, which exporters write as 0 whatever the network does at a spike (as nsim advises)."""
-    import h5py
+class Spikingjelly(Tool):
+    PACKAGE = "spikingjelly"
+    CASES = {
+        "IFNode": [dict(), dict(step_mode="m", v_reset=-0.2), dict(v_reset=None, v_threshold=0.6)],
+        "LIFNode": [dict(), dict(step_mode="m", decay_input=False, v_reset=-0.2), dict(v_reset=None, tau=4.0)],
+        "ParametricLIFNode": [dict(), dict(step_mode="m", decay_input=False, init_tau=3.0), dict(v_reset=None, v_threshold=0.6)],
+        "CUBALIFNode": [dict(), dict(c_decay=0.7, v_threshold=1.0), dict(v_reset=None)],
+    }
 
-    with h5py.File(path, "r+") as file:
-        found = []
-        file.visit(lambda name: found.append(name) if name.endswith("/v_reset") else None)
-        for name in found:
-            del file[name]
-    return path
+    def neurons(self, targets, **setting):
+        from spikingjelly.activation_based import neuron
+
+        return getattr(neuron, self.module)(**setting)
+
+    def dense(self, targets, sources, draw, gain):
+        from spikingjelly.activation_based import layer
+
+        plain = linear(targets, sources, draw, gain)
+        own = layer.Linear(sources, targets, step_mode=self.setting.get("step_mode", "s"))
+        own.load_state_dict(plain.state_dict())
+        return own
+
+    def run(self, spikes):
+        import torch
+        from spikingjelly.activation_based import functional
+
+        functional.reset_net(self.net)
+        whole = self.setting.get("step_mode") == "m"
+        return torch.movedim(self.net(torch.movedim(spikes, 2, 0)), 0, 1) if whole else self.by_steps(spikes)
+
+    def export(self, path):
+        import torch
+        from spikingjelly.activation_based import functional
+        from spikingjelly.activation_based.nir_exchange import export_to_nir
+
+        functional.reset_net(self.net)
+        export_to_nir(self.net, torch.zeros(*[1] * (1 + (self.setting.get("step_mode") == "m")), CHANNELS), path)
+
+
+class Rockpool(Tool):
+    PACKAGE = "rockpool"
+    # Its spikes are in single precision, and do not meet recurrent weights of another.
+    PRECISIONS = ("float32",)
+    CASES = {
+        "LIFTorch": [dict(), dict(max_spikes_per_dt=1), dict(max_spikes_per_dt=1, tau_mem=0.01, tau_syn=0.005, threshold=0.6, bias=0.01),
+                     dict(max_spikes_per_dt=1, leak_mode="bitshifts", dash_mem=4.0, dash_syn=3.0), dict(max_spikes_per_dt=1, has_rec=True)],
+    }
+
+    def neurons(self, targets, **setting):
+        import torch
+        from rockpool.nn.modules import LIFTorch
+
+        given = self.given(targets, setting)
+        if setting.get("has_rec"):
+            given["w_rec"] = torch.tensor(weights(targets, targets, numpy.random.default_rng(3), 1, low=-1.2))
+        return LIFTorch(targets, **given)
+
+    def dense(self, targets, sources, draw, gain):
+        import torch
+        from rockpool.nn.modules import LinearTorch
+
+        return LinearTorch((sources, targets), weight=torch.tensor(weights(targets, sources, draw, gain)).T)
+
+    def chain(self, layers):
+        from rockpool.nn.combinators import Sequential
+
+        return Sequential(*layers)
+
+    def run(self, spikes):
+        self.net.reset_state()
+        return self.net(spikes.movedim(2, 1))[0]
+
+    def export(self, path):
+        import nir
+        from rockpool.nn.modules.torch.nir import to_nir
+
+        nir.write(path, to_nir(self.net))
+
+
+class Spyx(Tool):
+    """Modules of JAX, which only their exporter to NIR reaches."""
+
+    PACKAGE = "spyx"
+    CASES = {
+        "IF": [dict(), dict(threshold=0.6), dict(threshold=1.5)],
+        "LIF": [dict(beta=0.9), dict(beta=0.8, threshold=0.6), dict()],
+        "CuBaLIF": [dict(alpha=0.5, beta=0.9), dict(alpha=0.7, beta=0.8, threshold=0.6), dict()],
+    }
+
+    def neurons(self, targets, **setting):
+        import spyx.nn
+        from flax import nnx
+
+        return getattr(spyx.nn, self.module)((targets,), rngs=nnx.Rngs(targets), **setting)
+
+    def dense(self, targets, sources, draw, gain):
+        from flax import nnx
+
+        layer = nnx.Linear(sources, targets, use_bias=False, rngs=nnx.Rngs(0))
+        layer.kernel[...] = weights(targets, sources, draw, gain).T
+        return layer
+
+    def chain(self, layers):
+        import spyx.nn
+
+        return spyx.nn.Sequential(*layers)
+
+    def both(self, spikes):
+        import spyx.nn
+
+        outputs, _ = spyx.nn.run(self.net, spikes.transpose(2, 0, 1).astype(numpy.float32))
+        single = numpy.asarray(outputs).transpose(1, 0, 2) > 0
+        return single, single
+
+    def export(self, path):
+        import nir
+        import spyx.nir
+
+        sizes = ({"input": numpy.array([CHANNELS])}, {"output": numpy.array([SIZES[-1]])})
+        nir.write(path, spyx.nir.to_nir(self.net, *sizes))
+
+
+class LavaDl(Tool):
+    """Blocks of lava-dl; its file is netx, as its tutorials write it. A block adds a step of delay, which the chip has between layers."""
+
+    PACKAGE = "lava-dl"
+    CASES = {
+        "cuba": [dict(threshold=1.0, current_decay=0.25, voltage_decay=0.1), dict(threshold=0.6, current_decay=0.9, voltage_decay=0.03),
+                 dict(threshold=1.0, current_decay=0.25, voltage_decay=0.1, delay=True)],
+    }
+
+    def build(self, gain):
+        import lava.lib.dl.slayer as slayer
+        import torch
+
+        draw, blocks, sources = numpy.random.default_rng(7), [], CHANNELS
+        own = dict(self.setting)
+        delay = own.pop("delay", False)
+        for targets in SIZES:
+            block = getattr(slayer.block, self.module).Dense(own, sources, targets, delay=delay)
+            block.synapse.weight.data = torch.tensor(weights(targets, sources, draw, gain)).reshape(targets, sources, 1, 1, 1)
+            if delay:
+                block.delay.delay.data = torch.tensor(draw.integers(0, 8, targets).astype(numpy.float32)).reshape(-1, 1)
+            blocks.append(block)
+            sources = targets
+        self.net = torch.nn.Sequential(*blocks)
+
+    def both(self, spikes):
+        import torch
+
+        with torch.no_grad():
+            found = self.net(torch.tensor(spikes).float()).numpy().transpose(0, 2, 1) > 0
+        return found, found
+
+    def export(self, path):
+        import h5py
+
+        with h5py.File(path, "w") as file:
+            for place, block in enumerate(self.net):
+                block.export_hdf5(file.create_group(f"layer/{place}"))
+
+
+TOOLS = [SnnTorch, Norse, Sinabs, Spikingjelly, Rockpool, Spyx, LavaDl]
+
+
+class Question(Exception):
+    """A refusal, of a tool or of nsim."""
 
 
 def command(*args):
+    """The answer of nsim, and what it wrote on stderr."""
     done = subprocess.run(args, capture_output=True, text=True)
+    answer = json.loads(done.stdout)
     if done.returncode:
-        raise RuntimeError(done.stderr.strip())
-    return json.loads(done.stdout)
+        raise Question(f"{answer['message']} (exit {done.returncode})")
+    return answer, done.stderr
 
 
-def nsim(program, folder, path, options):
-    """Spikes of the output, [sample, step, unit], their counts, the classes, and the step at which the output starts."""
+def imported(program, folder, path, options, spikes):
+    """Spikes `[sample, step, unit]` of a file's output and the step at which they begin, and the warnings of its import."""
     model, out = os.path.join(folder, "model.ron"), os.path.join(folder, "out")
-    found = command(program, "import", path, *options, "-o", model, "--force", "--format", "json")
-    source = next(population["name"] for population in found["populations"] if population["kind"] == "input")
-    report = command(program, "run", model, "--input", f"{source}={folder}/in.npy", "--engine", "reference", "--probe",
-                     f"{found['output']}.spikes", "-o", out, "--force", "--format", "json")
-    spikes = numpy.load(os.path.join(out, found["output"] + ".spikes.npy"))
-    start = next(population["start_step"] for population in found["populations"] if population["name"] == found["output"])
-    predicted = [-1 if one is None else one for one in report["predicted"]]
-    return spikes.transpose(0, 2, 1) > 0, numpy.array(report["output_counts"]), predicted, start
+    found, said = command(program, "import", path, *options, "-o", model, "--force", "--format", "json")
+    numpy.save(os.path.join(folder, "in.npy"), numpy.concatenate([spikes, numpy.zeros_like(spikes[..., :8])], axis=2))
+    source = next(one["name"] for one in found["populations"] if one["kind"] == "input")
+    command(program, "run", model, "--input", f"{source}={folder}/in.npy", "--engine", "reference", "--probe",
+            f"{found['output']}.spikes", "-o", out, "--force", "--format", "json")
+    start = next(one["start_step"] for one in found["populations"] if one["name"] == found["output"])
+    ours = numpy.load(os.path.join(out, found["output"] + ".spikes.npy")).transpose(0, 2, 1) > 0
+    return ours[:, start : start + STEPS], said
 
 
-def classes(spikes):
-    """The unit with most spikes, the first of equal ones; -1 where none spikes."""
-    counts = spikes.sum(1)
-    return [int(count.argmax()) if count.any() else -1 for count in counts]
+def read(tool, spikes):
+    """Spikes of the last layer of `nsim.from_torch`."""
+    import nsim
+    import torch
 
-
-def compare(program, folder, peer, layers, spikes):
-    """A network in its tool and in nsim: whether they agree, and a line about it."""
-    os.makedirs(folder, exist_ok=True)
-    numpy.save(os.path.join(folder, "in.npy"), spikes)
-    path, options = peer.write(folder)
-    given = torch.tensor(spikes)
-    single = peer.run(given.float()).numpy() > 0
-    peer.net.double()
-    double = peer.run(given.double()).numpy() > 0
-    rate = single.mean()
-    line = f"{peer.name:42} {layers} layers {rate:6.3f} "
     try:
-        ours, counts, predicted, start = nsim(program, folder, path, options)
-    except RuntimeError as problem:
-        return False, f"{line} refused: {problem}"
-    # A probe has the steps of the input; the counts have what the output answers to the last of them too.
-    equal = lambda k, right: (ours[k, start:] == right[k, : STEPS - start]).all() and (counts[k] == right[k].sum(0)).all()
-    differ = sum(not equal(k, single) and not equal(k, double) for k in range(len(ours)))
-    right = [mine in pair for mine, *pair in zip(predicted, classes(single), classes(double))]
-    ok = differ == 0 and all(right) and 0.01 < rate < 0.6
-    return ok, f"{line} {sum(right):3} of {len(right)} classes, spikes of {differ:2} samples differ"
+        with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("always", nsim.Warning)
+            network = nsim.from_torch(tool.net, torch.zeros(1, CHANNELS))
+    except nsim.Error as refused:
+        raise Question(" ".join(str(refused).split())) from refused
+    silent = numpy.zeros_like(spikes[..., :8])
+    name, rows = [one for one in nsim._nsim.real_spikes(network, numpy.concatenate([spikes, silent], axis=2)) if one[0] != "always"][-1]
+    ours = numpy.zeros((len(spikes), STEPS, SIZES[-1]), bool)
+    rows = rows[rows[:, 1] < STEPS]
+    ours[rows[:, 0], rows[:, 1], rows[:, 2]] = True
+    return ours, " ".join(str(one.message) for one in warned if issubclass(one.category, nsim.Warning))
 
 
-def peers():
-    for neuron in ("Leaky", "Synaptic"):
-        for form in ("state dict", "NIR"):
-            for reset in ("subtract", "zero"):
-                for layers, recurrent in ((2, 0), (4, 0), (5, 0), (2, 1), (4, 1)):
-                    # NIR's reset takes effect at the spike. Those of snnTorch's other neurons cost the next step too.
-                    if form == "NIR" and reset == "zero" and (neuron == "Synaptic" or recurrent):
-                        continue
-                    yield layers, SnnTorch(form, neuron, reset, layers, recurrent)
-    for layers in (2, 4, 5):
-        yield layers, Norse("NIR", layers, 0)
-        yield layers, Norse("state dict", layers, 0)
-        yield layers, Norse("state dict", layers, 1)
-        yield layers, Sinabs("IAF", layers)
-        yield layers, Sinabs("LIF", layers)
+def result(form, single, double):
+    """A line about a form, and whether it is right or a question."""
+    try:
+        ours, said = form()
+    except Question as question:
+        return True, f"a question: {str(question)[:130]}"
+    equal = sum(bool((mine == one).all() or (mine == two).all()) for mine, one, two in zip(ours, single, double))
+    line = f"equal in {equal} of {len(ours)} samples"
+    if equal == len(ours):
+        return True, line
+    warned = re.search("warning: (.*)|help", said) and [word for word in WARNED if word in said]
+    return bool(warned), f"a question: {line}, with a warning of {', '.join(warned)}" if warned else f"DIFFERS: {line}"
+
+
+def compared(tool, program, folder, spikes):
+    """Lines about each form of a module with a setting."""
+    for gain in 0.5 * 1.3 ** numpy.arange(24):
+        tool.build(gain)
+        if 0.05 < tool.both(spikes[:5])[0].mean() < 0.5:
+            break
+    else:
+        return [("network", False, "too silent or too loud to say anything")]
+    single, double = tool.both(spikes)
+    forms = [] if tool.PACKAGE in ("spyx", "lava-dl") else [("from_torch", lambda: read(tool, spikes))]
+    path = os.path.join(folder, "net.net" if tool.PACKAGE == "lava-dl" else "net.nir")
+
+    def of_file(options):
+        return lambda: imported(program, folder, path, options, spikes)
+
+    found, own = [(name, *result(form, single, double)) for name, form in forms], os.path.splitext(path)[1][1:]
+    try:
+        tool.export(path)
+    except Exception as stopped:
+        return [*found, (own, True, f"a question: its exporter stops: {type(stopped).__name__}: {' '.join(str(stopped).split())[:80]}")]
+    named = "--from" in subprocess.run([program, "import", "--help"], capture_output=True, text=True).stdout
+    forms = [(own, [])] + [(f"{own} --from", ["--from", tool.PACKAGE])] * named
+    return found + [(name, *result(of_file(options), single, double)) for name, options in forms]
 
 
 def rewritten(program, folder):
-    """Files of HDF5 that nsim refuses, after the command that the refusal prints: whether all are read, and lines about them."""
+    """Files of HDF5 that nsim refuses, after the command that the refusal prints: whether all are read."""
     import h5py
 
     layouts = os.path.join(os.path.dirname(os.path.abspath(__file__)), "layouts")
@@ -327,22 +505,25 @@ def rewritten(program, folder):
         if found:
             subprocess.run([sys.executable, "-c", found.group(1).replace("FILE", path).replace("NEW", new)])
         good.append(bool(found) and subprocess.run([program, "import", new], capture_output=True).returncode == 0)
-        print(f"{os.path.basename(path):42} rewritten as nsim says: {'read' if good[-1] else refusal}")
+        print(f"{os.path.basename(path):14} rewritten as nsim says: {'read' if good[-1] else refusal}")
     return all(good)
 
 
 def main():
-    program, folder = sys.argv[1:3]
+    program, folder, tool = sys.argv[1:4]
     os.makedirs(folder, exist_ok=True)
-    spikes = recordings(int(sys.argv[3]) if len(sys.argv) > 3 else 60)
-    good = []
-    print(f"{'network':42} layers   rate")
-    for index, (layers, peer) in enumerate(peers()):
-        ok, line = compare(program, os.path.join(folder, str(index)), peer, layers, spikes)
-        print(line + ("" if ok else "  <--"), flush=True)
-        good.append(ok)
-    print(f"{sum(good)} of {len(good)} networks agree")
-    sys.exit(not (rewritten(program, folder) and all(good)))
+    spikes, good = recordings(int(sys.argv[4]) if len(sys.argv) > 4 else 60), []
+    kind = next(kind for kind in TOOLS if kind.PACKAGE == tool)
+    version = importlib.metadata.version(tool)
+    for module, settings in kind.CASES.items():
+        for place, setting in enumerate(settings):
+            named = ", ".join(f"{key}={value}" for key, value in setting.items()) or "defaults"
+            for form, ok, line in compared(kind(module, setting, place > 0), program, folder, spikes):
+                print(f"{tool} {version} | {module} | {named} | {form} | {line}{'' if ok else '  <--'}", flush=True)
+                good.append(ok)
+    print(f"{sum(good)} of {len(good)} are equal or a question")
+    # Once: the tools agree about HDF5.
+    sys.exit(not (all(good) and (tool != "sinabs" or rewritten(program, folder))))
 
 
 if __name__ == "__main__":
