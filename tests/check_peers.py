@@ -63,6 +63,7 @@ class Tool:
     PRECISIONS = ("float32", "float64")
     # Numbers at their defaults, where each neuron has its own of all of them.
     USUAL = {}
+    ENGINE = "reference"
 
     def __init__(self, module, setting, each):
         self.module, self.setting, self.each = module, setting, each
@@ -361,9 +362,10 @@ class Spyx(Tool):
 
 
 class LavaDl(Tool):
-    """Blocks of lava-dl; its file is netx, as its tutorials write it. A block adds a step of delay, which the chip has between layers."""
+    """Blocks of lava-dl, in integers; their file is netx, as its tutorials write it."""
 
     PACKAGE = "lava-dl"
+    ENGINE = "fast"
     CASES = {
         "cuba": [dict(threshold=1.0, current_decay=0.25, voltage_decay=0.1), dict(threshold=0.6, current_decay=0.9, voltage_decay=0.03),
                  dict(threshold=1.0, current_decay=0.25, voltage_decay=0.1, delay=True)],
@@ -388,8 +390,10 @@ class LavaDl(Tool):
     def both(self, spikes):
         import torch
 
+        # A block delays its spikes by a step. The chip does so between layers.
+        longer = torch.nn.functional.pad(torch.tensor(spikes).float(), (0, 1))
         with torch.no_grad():
-            found = self.net(torch.tensor(spikes).float()).numpy().transpose(0, 2, 1) > 0
+            found = self.net(longer).numpy().transpose(0, 2, 1)[:, 1:] > 0
         return found, found
 
     def export(self, path):
@@ -416,13 +420,13 @@ def command(*args):
     return answer, done.stderr
 
 
-def imported(program, folder, path, options, spikes):
+def imported(program, folder, path, options, spikes, engine):
     """Spikes `[sample, step, unit]` of a file's output and the step at which they begin, and the warnings of its import."""
     model, out = os.path.join(folder, "model.ron"), os.path.join(folder, "out")
     found, said = command(program, "import", path, *options, "-o", model, "--force", "--format", "json")
     numpy.save(os.path.join(folder, "in.npy"), numpy.concatenate([spikes, numpy.zeros_like(spikes[..., :8])], axis=2))
     source = next(one["name"] for one in found["populations"] if one["kind"] == "input")
-    command(program, "run", model, "--input", f"{source}={folder}/in.npy", "--engine", "reference", "--probe",
+    command(program, "run", model, "--input", f"{source}={folder}/in.npy", "--engine", engine, "--probe",
             f"{found['output']}.spikes", "-o", out, "--force", "--format", "json")
     start = next(one["start_step"] for one in found["populations"] if one["name"] == found["output"])
     ours = numpy.load(os.path.join(out, found["output"] + ".spikes.npy")).transpose(0, 2, 1) > 0
@@ -475,7 +479,7 @@ def compared(tool, program, folder, spikes):
     path = os.path.join(folder, "net.net" if tool.PACKAGE == "lava-dl" else "net.nir")
 
     def of_file(options):
-        return lambda: imported(program, folder, path, options, spikes)
+        return lambda: imported(program, folder, path, options, spikes, tool.ENGINE)
 
     found, own = [(name, *result(form, single, double)) for name, form in forms], os.path.splitext(path)[1][1:]
     try:
