@@ -43,22 +43,6 @@ fn dense(name: &'static str, [targets, sources]: [usize; 2], weights: &[f32]) ->
     (name, vec![targets, sources, 1, 1, 1], weights.to_vec())
 }
 
-/// `NSIM_PEERS` names a Python with the tools listed in `tests/check_peers.py`; without one this is
-/// skipped.
-#[test]
-fn the_tools_themselves_give_the_same_spikes_and_classes() {
-    let Some(python) = std::env::var_os("NSIM_PEERS") else {
-        common::say("skipped: NSIM_PEERS names no Python with snntorch, norse and sinabs");
-        return;
-    };
-    let folder = tempfile::tempdir().unwrap();
-    let script = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/check_peers.py");
-    let command = [script, env!("CARGO_BIN_EXE_nsim")];
-    let output = std::process::Command::new(python).args(command).arg(folder.path()).output().unwrap();
-    println!("{}", String::from_utf8_lossy(&output.stdout));
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-}
-
 #[test]
 fn lava_dl_counts_in_64ths_with_the_decays_of_the_file() {
     let folder = tempfile::tempdir().unwrap();
