@@ -86,7 +86,8 @@ fn rows(scene: &Scene) -> Vec<Row> {
         Row { kind, setting: setting.to_string(), network: network.clone(), program, skip, rule }
     };
     let whole = &scene.network;
-    let stimulus = Stimulus { samples: scene.samples.clone(), origin: vec![scene.name.to_string()], seed: None };
+    let stimulus =
+        Stimulus { samples: scene.samples.clone(), origin: vec![scene.name.to_string()], ..Stimulus::default() };
     let fixed = prune(whole, &Plan::fixed()).unwrap();
     let shown = prune(whole, &Plan::for_stimulus(whole, &stimulus)).unwrap();
     let margin = Rule::Margin(8.try_into().unwrap());

@@ -87,6 +87,9 @@ class Network:
     def notes(self) -> list[str]:
         """Conventions by which another tool's network was read."""
     @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """Warnings of the reader and of the conversion to integers: code, population, message."""
+    @property
     def name(self) -> str: ...
     @property
     def populations(self) -> list[tuple[str, str, list[int]]]:
@@ -426,6 +429,9 @@ class Energy:
         """Time of a timestep, in us."""
     @property
     def rows(self) -> list[dict[str, Any]]: ...
+    @property
+    def warnings(self) -> list[dict[str, Any]]:
+        """Warnings, as of a run."""
     def table(self) -> Any:
         """A data frame of pandas, or of polars."""
     def json(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ use nsim::train::convert::staged::is_real;
 use pyo3::prelude::*;
 use serde_json::Value;
 
-use crate::error::{exception, issue_warning};
+use crate::error::{exception, in_python, issue_warning, warn};
 use crate::html::{columns, frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::spikes::{NetworkInput, sources};
@@ -200,6 +200,9 @@ fn model(
         }
     };
     let (graph, integers) = try_detached(py, || real_and_integers(&loaded))?;
+    if given.extract::<PathBuf>().is_ok() {
+        warn(py, &in_python(integers.parts().warnings.clone()), &[])?;
+    }
     Ok(Some((loaded, role(&graph), integers)))
 }
 

@@ -9,7 +9,7 @@
 //! `numpy.nditer` reads numbers in parts of bounded size, and a converted copy of the whole array
 //! is never made: an array may claim more numbers than it stores (`numpy.broadcast_to`).
 
-use nsim::import::spikes::options::SPIKE_RULE;
+use nsim::import::spikes::options::{SPIKE_RULE, SpikeValues};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::graph::Shape;
 use numpy::{Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
@@ -172,11 +172,11 @@ impl<'py> Array<'py> {
     }
 
     /// Calls `add` with the index in C order of every number that is not zero; refuses a negative
-    /// or fractional number. Returns a message about the first that is greater than 1.
+    /// or fractional number, and several values, which are counts.
     ///
     /// Most numbers of recordings are zero, so [`TOGETHER`] numbers are compared at a time.
-    pub fn each_spike(&self, mut add: impl FnMut(usize) -> Result<(), nsim::Error>) -> PyResult<Option<String>> {
-        let mut greater = None;
+    pub fn each_spike(&self, mut add: impl FnMut(usize) -> Result<(), nsim::Error>) -> PyResult<()> {
+        let mut values = SpikeValues::default();
         let mut spike = |index: usize, number: f64| {
             if !number.is_finite() {
                 return Err(self.not_finite(index, number).into());
@@ -188,14 +188,7 @@ impl<'py> Array<'py> {
                             array >= 0.5";
                 return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
             }
-            if number < 0.0 {
-                let wrong = self.wrong(index, number, "and a spike has no sign");
-                let help = "array != 0 makes each a spike; array > 0 and array < 0 are the channels of two polarities";
-                return Err(Diagnostic::new("input.value", wrong.message).help(help).into());
-            }
-            if number > 1.0 && greater.is_none() {
-                greater = Some(self.wrong(index, number, "which counts as one spike").message);
-            }
+            values.add(index, number);
             add(index)
         };
         let mut index = 0;
@@ -224,7 +217,7 @@ impl<'py> Array<'py> {
                     .map_err(|problem| exception(bytes.py(), problem))?,
                 false => parts(&bytes, "u1", read)?,
             }
-            return Ok(greater);
+            return self.refuse_counts(&values);
         }
         parts(&self.array, "f8", |part: &[f64]| {
             for numbers in part.chunks(TOGETHER) {
@@ -236,7 +229,16 @@ impl<'py> Array<'py> {
             }
             Ok(())
         })?;
-        Ok(greater)
+        self.refuse_counts(&values)
+    }
+
+    /// Refuses numbers that spikes without a value would lose.
+    fn refuse_counts(&self, values: &SpikeValues) -> PyResult<()> {
+        let Some(((index, number), message)) = values.loss() else { return Ok(()) };
+        let help = "array != 0 makes each entry one spike, array >= 2 those from 2 on; array > 0 and array < 0 \
+                    are the channels of two polarities; an input with message_bits sends the numbers";
+        let wrong = Diagnostic::new("input.value", self.wrong(index, number, &message).message);
+        Err(exception(self.array.py(), wrong.help(help)))
     }
 }
 

@@ -74,6 +74,7 @@ fn run_and_price<T: Send>(
     let options = options(py, keywords)?;
     keywords.refuse_unread()?;
     let long = is_long(shared, &shown);
+    let known = [&shared.warnings()[..], &shown.stimulus.warnings].concat();
     let (result, warnings) = work(py, long, |progress| {
         let NetworkInput { stimulus, order } = shown;
         // The network of a published job is mapped as in its publication.
@@ -85,14 +86,15 @@ fn run_and_price<T: Send>(
             false => None,
         };
         let program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
-        let evaluated = evaluate(plan, &workload, &options, Some((&compiled.one, program)), |metered, watched| {
+        let mut evaluated = evaluate(plan, &workload, &options, Some((&compiled.one, program)), |metered, watched| {
             workload.simulate(metered, watched, true, (progress, None))
         })?;
-        let warnings = evaluated.energy.detail.warnings.clone();
+        let warnings = in_python(std::mem::take(&mut evaluated.energy.detail.warnings));
+        evaluated.energy.detail.warnings.clone_from(&warnings);
         Ok((then(&workload, evaluated, (options.transport, progress))?, warnings))
     })?;
     if shared.warns() {
-        warn(py, &warnings)?;
+        warn(py, &warnings, &known)?;
     }
     Ok(result)
 }
@@ -145,7 +147,7 @@ impl Energy {
         sample: Sample,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        let stimulus = Stimulus { samples: vec![sample], origin: vec!["session".to_string()], seed: None };
+        let stimulus = Stimulus { samples: vec![sample], origin: vec!["session".to_string()], ..Stimulus::default() };
         let shown = NetworkInput { stimulus, order: vec![0] };
         run_and_price(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
@@ -179,6 +181,12 @@ impl Energy {
     /// The rows of the table as a data frame of pandas, or of polars where only that is installed.
     fn table<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         frame(py, &self.report.json()["rows"])
+    }
+
+    /// A dictionary for each warning, as `Run.warnings`.
+    #[getter]
+    fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &serde_json::json!(self.report.detail.warnings))
     }
 
     /// The object that `nsim energy --format json` prints.

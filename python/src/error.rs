@@ -3,6 +3,7 @@
 use std::ffi::CString;
 
 use nsim::ir::base::diagnostic::{Diagnostic, Position};
+use nsim::ir::base::warning::Warning as Record;
 use pyo3::exceptions::{PyException, PyUserWarning};
 use pyo3::prelude::*;
 use serde_json::{Value, json};
@@ -78,16 +79,16 @@ pub fn python_message(text: &str) -> String {
     out
 }
 
-/// Issues the warnings of a run.
-pub fn warn(py: Python<'_>, found: &[nsim::ir::base::warning::Warning]) -> PyResult<()> {
-    for warning in found {
-        let message = match &warning.population {
-            Some(population) => format!("'{population}': {}", python_message(&warning.message)),
-            None => python_message(&warning.message),
-        };
-        issue_warning(py, &message)?;
-    }
-    Ok(())
+/// The warnings with the arguments of Python in their messages.
+pub fn in_python(warnings: Vec<Record>) -> Vec<Record> {
+    let translated = |warning: Record| Record { message: python_message(&warning.message), ..warning };
+    warnings.into_iter().map(translated).collect()
+}
+
+/// Issues warnings that are not among those `known`, which the caller has issued before.
+pub fn warn(py: Python<'_>, warnings: &[Record], known: &[Record]) -> PyResult<()> {
+    let new = warnings.iter().filter(|warning| !known.contains(warning));
+    new.map(Record::to_string).try_for_each(|message| issue_warning(py, &message))
 }
 
 /// Issues a warning.

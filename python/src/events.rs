@@ -17,7 +17,7 @@ use numpy::{PyArrayDescrMethods, PyUntypedArray, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
 use crate::arrays::{Array, CountBound};
-use crate::error::{exception, issue_warning};
+use crate::error::exception;
 use crate::keywords::{usage, whole};
 
 /// The most samples of one array of events.
@@ -202,12 +202,12 @@ impl Records {
         Ok(Some(Records { name: name.to_string(), text, count, options: EventOptions::default() }))
     }
 
-    /// The sample for a population; warns of events without a channel or step in it.
+    /// The sample for a population, with a warning of events without a channel or step in it.
     pub fn recording(&self, py: Python<'_>, population: &Population, dt_ms: f64) -> PyResult<PopulationSpikes> {
         let (units, volume) = (population.shape.len().into(), population.shape.volume());
         let expected = InputSpec { units, volume, dt_ms, values: false };
         let read = read_input(&mut self.text.as_bytes(), "events", EventFormat::Text, &expected, &self.options);
-        let (spikes, counts) = read.map_err(|mut problem| {
+        let (mut spikes, counts) = read.map_err(|mut problem| {
             // The first row is the header.
             let row = problem.message.strip_prefix("row ").and_then(|text| text.split_once(": "));
             let record = row.and_then(|(row, what)| Some((row.parse::<usize>().ok()?.checked_sub(2)?, what)));
@@ -229,10 +229,8 @@ impl Records {
             exception(py, problem)
         })?;
         if counts.dropped > 0 {
-            let (name, dropped, events) = (&population.name, counts.dropped, counts.events);
-            let message =
-                format!("'{name}': {dropped} of {events} events have no channel or no timestep and were dropped");
-            issue_warning(py, &message)?;
+            let (dropped, events) = (counts.dropped, counts.events);
+            spikes.changes = Some(format!("{dropped} of {events} events have no channel or no timestep and were dropped"));
         }
         Ok(spikes)
     }

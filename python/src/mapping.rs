@@ -8,6 +8,7 @@ use nsim::compile::{self, CopyPlacement, Objective, Options, Strategy};
 use nsim::files::mapping::mapping_text;
 use nsim::files::network::Network;
 use nsim::files::table::count;
+use nsim::ir::base::warning::Warning;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Population;
 use nsim::session::obtain::{Job, Request, TargetChoice, obtain};
@@ -18,7 +19,7 @@ use pyo3::types::PyDict;
 
 use crate::bench::bench;
 use crate::energy::{self, Energy};
-use crate::error::exception;
+use crate::error::{exception, warn};
 use crate::html::populations;
 use crate::keywords::{Keywords, usage};
 use crate::projections;
@@ -77,10 +78,17 @@ impl MappingRequest {
 pub struct Mapping(Arc<Shared>);
 
 impl Mapping {
-    /// Maps a network.
-    pub fn new(py: Python<'_>, model: &str, network: &Arc<Network>, request: &MappingRequest) -> PyResult<Self> {
+    /// Maps a network, and issues its warnings that are not among those `known`.
+    pub fn new(
+        py: Python<'_>,
+        (model, known): (&str, &[Warning]),
+        network: &Arc<Network>,
+        request: &MappingRequest,
+    ) -> PyResult<Self> {
         let shared = |(compiled, target)| Shared::new(model, network, compiled, target);
-        try_detached(py, || request.obtain_mapping(model, network).map(shared)).map(|shared| Mapping(Arc::new(shared)))
+        let shared = try_detached(py, || request.obtain_mapping(model, network).map(shared))?;
+        warn(py, &shared.warnings(), known)?;
+        Ok(Mapping(Arc::new(shared)))
     }
 
     /// The part that runs and energies share.
@@ -174,8 +182,8 @@ impl Mapping {
 
     /// Runs samples on the simulated cores: `nsim run --engine fast`.
     ///
-    /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which a number other
-    /// than zero is a spike, a dictionary from input populations to such arrays, a source or a list
+    /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which one value
+    /// above zero is a spike, a dictionary from input populations to such arrays, a source or a list
     /// of sources as for `--input`, or None for the model's own scene. With `time_first` arrays are
     /// `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the samples,
     /// `samples` is (first, end), `seed` is the seed of a scene, `early_exit` 'certain' or a margin

@@ -22,7 +22,6 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{Array, CountBound};
-use crate::error::{issue_warning, python_message};
 use crate::keywords::{Keywords, usage, whole};
 use crate::work::try_detached;
 
@@ -277,9 +276,6 @@ fn build_import(
         let Imported { model, notes, warnings, .. } = imported()?;
         Ok(model.build(Path::new(&memory_name(name)))?.read_by(Conventions { notes, warnings }))
     })?;
-    for warning in &network.conventions().warnings {
-        issue_warning(py, &python_message(&warning.to_string()))?;
-    }
     let notes = network.conventions().notes.clone();
     Ok((network, notes))
 }

@@ -9,6 +9,7 @@ use nsim::energy::evaluate::DeploymentPlan;
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
 use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::base::warning::Warning;
 use nsim::session::front::real_and_integers;
 use numpy::ToPyArray;
 use pyo3::prelude::*;
@@ -17,12 +18,13 @@ use pyo3::types::PyDict;
 use crate::agree::Agreement;
 use crate::convert::Conversion;
 use crate::energy::{self, Energy};
-use crate::error::{issue_warning, python_message};
+use crate::error::{in_python, issue_warning, python_message};
 use crate::html::populations;
 use crate::keywords::{Keywords, whole};
 use crate::mapping::{Mapping, MappingRequest, TARGET};
 use crate::memory;
 use crate::spikes::NetworkInput;
+use crate::value::to_python;
 use crate::work::{try_detached, work};
 
 /// Loads a model.
@@ -49,10 +51,10 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
                 );
             }
         };
-        real_and_integers(&network)?;
         Ok::<_, Diagnostic>(network)
     })?;
-    Network::from_file(py, model, network)
+    let notes = network.conventions().notes.clone();
+    Network::with_notes(py, (format!("{model}: "), model), network, notes)
 }
 
 /// A network from the bytes of a file of another tool.
@@ -120,6 +122,7 @@ pub struct Network {
     model: String,
     network: Arc<nsim::files::network::Network>,
     notes: Vec<String>,
+    warnings: Vec<Warning>,
 }
 
 impl Network {
@@ -130,13 +133,18 @@ impl Network {
         Network::without_file(py, network, Vec::new())
     }
 
-    /// A network of a file, with a warning of the assumptions of its reader.
-    fn from_file(py: Python<'_>, model: String, network: nsim::files::network::Network) -> PyResult<Self> {
-        let conventions = network.conventions().clone();
-        for warning in &conventions.warnings {
-            issue_warning(py, &format!("{model}: {}", python_message(&warning.to_string())))?;
-        }
-        Ok(Network { model, network: Arc::new(network), notes: conventions.notes })
+    /// A network whose warnings, of its reader and of its conversion to integers, are issued after
+    /// `prefix`.
+    fn with_notes(
+        py: Python<'_>,
+        (prefix, model): (String, String),
+        network: nsim::files::network::Network,
+        notes: Vec<String>,
+    ) -> PyResult<Self> {
+        let (_, integers) = try_detached(py, || real_and_integers(&network))?;
+        let warnings = in_python(integers.parts().warnings.clone());
+        warnings.iter().try_for_each(|warning| issue_warning(py, &format!("{prefix}{warning}")))?;
+        Ok(Network { model, network: Arc::new(network), notes, warnings })
     }
 
     /// The mapping to price, and its deployment: one copy unless `copies` or the deployment has
@@ -154,13 +162,13 @@ impl Network {
         let mut request = MappingRequest::new(target, &Keywords::new(None)?)?;
         request.copies = plan.mapped_copies().unwrap_or(1);
         request.options.placement = plan.placement();
-        Ok((Mapping::new(py, &self.model, &self.network, &request)?, plan))
+        Ok((Mapping::new(py, (&self.model, &self.warnings), &self.network, &request)?, plan))
     }
 
     /// A network that has no file.
     pub fn without_file(py: Python<'_>, network: nsim::files::network::Network, notes: Vec<String>) -> PyResult<Self> {
-        try_detached(py, || real_and_integers(&network))?;
-        Ok(Network { model: memory::memory_name(&network.file().name), network: Arc::new(network), notes })
+        let model = memory::memory_name(&network.file().name);
+        Network::with_notes(py, (String::new(), model), network, notes)
     }
 }
 
@@ -193,6 +201,13 @@ impl Network {
     #[getter]
     fn notes(&self) -> Vec<String> {
         self.notes.iter().map(|note| python_message(note)).collect()
+    }
+
+    /// A dictionary for each warning, of the reader and of the conversion to integers: `code`,
+    /// `population`, `message`.
+    #[getter]
+    fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        to_python(py, &serde_json::json!(self.warnings))
     }
 
     /// Its name.
@@ -238,7 +253,7 @@ impl Network {
         let keywords = Keywords::new(options)?;
         let request = MappingRequest::new(target, &keywords)?;
         keywords.refuse_unread()?;
-        Mapping::new(py, &self.model, &self.network, &request)
+        Mapping::new(py, (&self.model, &self.warnings), &self.network, &request)
     }
 
     /// Energy, time and power of the network on the chip: `nsim energy`.

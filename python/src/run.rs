@@ -19,7 +19,7 @@ use nsim::session::{Outcome, Probe, SampleSettings, digest};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
-use crate::error::warn;
+use crate::error::{in_python, warn};
 use crate::html::{frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
@@ -124,7 +124,8 @@ impl Run {
         })?;
         let run = Run { mapping: mapping.clone(), shown, run, early_exit, probes: names };
         if mapping.warns() {
-            warn(py, &run_detached(py, || run.detail().warnings))?;
+            let known = [&mapping.warnings()[..], &run.shown.stimulus.warnings].concat();
+            warn(py, &run_detached(py, || run.detail().warnings), &known)?;
         }
         Ok(run)
     }
@@ -135,9 +136,10 @@ impl Run {
         let sums = CountsByPopulation::new(network, &self.run.counts);
         let samples = self.shown.samples();
         let engine = RunEngine::Program(program);
-        let finished = FinishedRun { network, engine, sums: &sums, samples: &samples, outcomes: &self.run.outcomes };
+        let (of_input, outcomes) = (&self.shown.stimulus.warnings, &self.run.outcomes);
+        let finished = FinishedRun { network, engine, sums: &sums, samples: &samples, of_input, outcomes };
         // The check of a silent population runs samples once more.
-        let found = on_own_threads(|| warnings(finished));
+        let found = in_python(on_own_threads(|| warnings(finished)));
         Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found, ranks: Vec::new() }
     }
 

@@ -5,9 +5,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use nsim::compile::Mapping;
 use nsim::files::network::Network;
+use nsim::ir::base::warning::Warning;
 use nsim::ir::hardware::Target;
 use nsim::machine::Image;
 use nsim::session::samples::{Division, lay_out};
+
+use crate::error::in_python;
+
 /// A mapping that runs and energies share.
 pub struct Shared {
     /// The model, as the user named it.
@@ -48,6 +52,11 @@ impl Shared {
     /// The compiled network.
     pub fn compiled(&self) -> &Mapping {
         &self.compiled
+    }
+
+    /// Warnings of the network, which a run repeats.
+    pub fn warnings(&self) -> Vec<Warning> {
+        in_python(self.compiled.one.parts().warnings.clone())
     }
 
     /// Whether warnings of this network are still to be issued; true only in the first call.

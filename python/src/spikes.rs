@@ -7,7 +7,7 @@
 //! are made. Errors: `input.*`, `usage`.
 
 use nsim::files::budget::{Budget, MOST_STEPS};
-use nsim::import::spikes::PopulationSpikes;
+use nsim::import::spikes::{PopulationSpikes, warning_of_changes};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::{Population, Quantised};
 use nsim::ir::spikes::{Message, Sample, Stimulus};
@@ -16,7 +16,7 @@ use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
 use crate::arrays::{Array, CountBound, matches_shape};
-use crate::error::{exception, issue_warning};
+use crate::error::{exception, in_python, warn};
 use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
 use crate::work::try_detached;
@@ -66,13 +66,11 @@ impl NetworkInput {
                     return Err(usage(message, "give a source or an array, or None for the model's own scene"));
                 }
                 Some(sources) => named(network, &sources, scene, seed)?,
-                None => Stimulus {
-                    samples: arrays(network, spikes, time_first)?,
-                    origin: vec!["array".to_string()],
-                    seed: None,
-                },
+                None => arrays(network, spikes, time_first)?,
             },
         };
+        shown.warnings = in_python(shown.warnings);
+        Python::attach(|py| warn(py, &shown.warnings, &[]))?;
         if let Some(labels) = labels {
             let labels = Array::new(&labels, "labels")?;
             if labels.shape() != [shown.samples.len()] {
@@ -148,8 +146,8 @@ fn texts(spikes: &Bound<'_, PyAny>) -> PyResult<Option<Vec<String>>> {
     Ok(if listed { spikes.extract().ok() } else { None })
 }
 
-/// The samples of an array or of a dictionary of arrays.
-fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> PyResult<Vec<Sample>> {
+/// The stimulus of an array or of a dictionary of arrays.
+fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> PyResult<Stimulus> {
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
     let read_as = (network.parts().timestep_ms, time_first);
     let names = || inputs.iter().map(|population| population.name.as_str()).collect::<Vec<_>>().join(", ");
@@ -177,8 +175,11 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
             return Err(usage(message, &format!("give a dictionary with an array for each of: {}", names())));
         }
     };
+    let changes = inputs.iter().zip(&sources).filter_map(|(input, read)| warning_of_changes(&input.name, read));
+    let warnings = changes.collect();
     let samples = join_samples(&inputs, sources).and_then(|samples| Ok(with_drain(network, samples)?));
-    samples.map_err(|error| exception(spikes.py(), error))
+    let samples = samples.map_err(|error| exception(spikes.py(), error))?;
+    Ok(Stimulus { samples, origin: vec!["array".to_string()], seed: None, warnings })
 }
 
 /// The samples of an array, or of events, for a population; a timestep has `dt_ms` milliseconds.
@@ -303,8 +304,8 @@ fn read(
             }
             add(index, Some(value))
         })?;
-    } else if let Some(greater) = array.each_spike(|index| add(index, None))? {
-        issue_warning(py, &format!("{greater}; give array != 0 if each non-zero value is a spike"))?;
+    } else {
+        array.each_spike(|index| add(index, None))?;
     }
     Ok(recordings)
 }

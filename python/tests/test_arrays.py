@@ -121,23 +121,20 @@ class Spikes(Case):
         repeated = np.broadcast_to(spikes[0], (7, CHANNELS, STEPS))
         self.assertEqual(self.mapping.run(repeated).digest, self.mapping.run(repeated.copy()).digest)
 
-    def test_a_number_beyond_1_is_a_spike_and_a_warning_and_minus_zero_is_none(self):
-        def said(spikes):
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                mapping = network().map("loihi1-chip")
-                self.assertEqual(mapping.run(spikes).activity["spikes_in"], np.count_nonzero(spikes))
-                # The printed remedy.
-                self.assertEqual(mapping.run(spikes != 0).digest, mapping.run(spikes).digest)
-            return [str(one.message) for one in caught if "one spike" in str(one.message)]
-
+    def test_one_value_is_a_spike_and_several_are_counts_and_minus_zero_is_none(self):
         for kind in ["i1", "u1", "i8", "u8", "f4"]:
-            spikes = np.zeros((CHANNELS, 40), kind)
-            spikes[2, 33] = 1
-            self.assertEqual(said(spikes), [])
-            spikes[2, 35] = spikes[3, 1] = 127 if "1" in kind else np.iinfo(kind).max if "8" in kind else 3e38
-            first, _ = said(spikes)
-            self.assertRegex(first, r"spikes\[2, 35\] is .* array != 0")
+            greatest = 127 if "1" in kind else np.iinfo(kind).max if "8" in kind else 3e38
+            for one in (1, greatest):
+                spikes = np.zeros((CHANNELS, 40), kind)
+                spikes[2, 33] = spikes[3, 1] = one
+                self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], 2)
+            spikes[2, 33], spikes[2, 35] = 1, 2
+            words = ("2 of 3 entries other than 0 are greater than 1",)
+            error = self.refused(lambda: self.mapping.run(spikes), *words, code="input.value")
+            # The printed remedies.
+            self.assertRegex(error.help, "array != 0 .* array >= 2 .* message_bits")
+            self.assertEqual(self.mapping.run(spikes != 0).activity["spikes_in"], 3)
+            self.assertEqual(self.mapping.run(spikes >= 2).activity["spikes_in"], 2)
         spikes = np.zeros((CHANNELS, 4))
         spikes[2] = [-0.0, 0, 0, 1]
         self.assertEqual(self.mapping.run(spikes).activity["spikes_in"], 1)

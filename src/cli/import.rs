@@ -16,6 +16,7 @@ use crate::cli::inspect::network::kind_and_parameters;
 use crate::cli::output;
 use nsim_files::changes;
 use nsim_files::network::ProjectionKind;
+use nsim_files::warnings::show;
 use nsim_import::foreign::{self, DecayRule, Imported, Options};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -116,9 +117,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Some(check) => with_rows(problem, &check.by_tool(&args.file, &options)),
         None => problem,
     })?;
-    for warning in &imported.warnings {
-        tracing::warn!("{}: {warning}", args.file.display());
-    }
+    show(&args.file.display().to_string(), &imported.warnings);
     let shown = args.output.as_deref().unwrap_or(&args.file);
     // An error of the model is reported for the foreign file: the user did not write the model's
     // text.

@@ -15,6 +15,7 @@ use nsim_files as io;
 use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
 use nsim_files::shipped;
+use nsim_files::warnings::show;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
@@ -122,6 +123,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         }
         begun => begun?,
     };
+    show("", &front.quantised().parts().warnings);
     let MappingSettings { target, options, .. } = &settings;
     let in_boxes = front.in_boxes(options.copies);
     let relays = front.relays().cloned();

@@ -9,9 +9,9 @@ use crate::cli::context::{Context, Format, refuse_if};
 use nsim_energy::environment::Environment;
 use nsim_files as io;
 use nsim_files::table::{latex, markdown, replace_section};
+use nsim_files::warnings::shown;
 use nsim_files::write::checksum;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::warning::Warning;
 use nsim_report::charts::picture::{ENDINGS, PictureFormat};
 use nsim_session::error::Error;
 use nsim_session::samples::Progress;
@@ -94,22 +94,18 @@ pub fn print(
 ) -> Result<(), Error> {
     let out = match format {
         Format::Text => plain(),
-        Format::Json => format!("{:#}\n", checksum::printed(json())),
+        Format::Json => {
+            let mut result = json();
+            if let serde_json::Value::Object(fields) = &mut result {
+                fields.insert("warnings".to_string(), serde_json::json!(shown()));
+            }
+            format!("{:#}\n", checksum::printed(result))
+        }
         Format::Csv => csv(),
         Format::Markdown => markdown(&csv()),
         Format::Latex => latex(&csv()),
     };
     Ok(io::write::stdout(&out)?)
-}
-
-/// Prints warnings, a line each.
-pub fn warn_all(warnings: &[Warning]) {
-    for Warning { population, message, .. } in warnings {
-        match population {
-            Some(population) => tracing::warn!("'{population}': {message}"),
-            None => tracing::warn!("{message}"),
-        }
-    }
 }
 
 /// Whether stages without countable parts are shown.

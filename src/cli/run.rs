@@ -11,6 +11,7 @@ use crate::cli::output;
 use crate::cli::probes::{NamedProbe, ProbeArgs, ProbeRecordings};
 use crate::cli::process::ranks;
 use nsim_files as io;
+use nsim_files::warnings::show;
 use nsim_ir::spikes::Sample;
 use nsim_reference::{Kernel, Model};
 use nsim_report::run::RunReport;
@@ -140,10 +141,17 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Job::Quantised(..) => ("golden", RunEngine::Integers),
         Job::Real(..) => ("reference", RunEngine::Reals),
     };
-    let warnings = warnings(FinishedRun { network, engine: ran, sums: &sums, samples: &samples, outcomes: &outcomes });
+    let warnings = warnings(FinishedRun {
+        network,
+        engine: ran,
+        sums: &sums,
+        samples: &samples,
+        of_input: &stimulus.warnings,
+        outcomes: &outcomes,
+    });
     let cores = job.program().map_or_else(Vec::new, |program| core_rows(program, &activity, None));
     let detail = Detail { sums, cores, warnings, ranks: ranks::rows(&rows, job.program().map(|program| &**program)) };
-    output::warn_all(&detail.warnings);
+    show("", &detail.warnings);
     let report = RunReport {
         network,
         target: job.mapped().map(|(_, target)| target.name()),

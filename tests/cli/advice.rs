@@ -15,7 +15,7 @@ fn nir(folder: &Path) -> String {
 }
 
 /// A NIR file of neurons with this resistance.
-fn nir_with(folder: &Path, r: f64) -> String {
+pub fn nir_with(folder: &Path, r: f64) -> String {
     let typed = |kind: &str| Group::default().with("type", kind);
     let one = |value: f64| Numbers::f64(&[2], &[value; 2]);
     let neuron = typed("LIF").with("tau", one(0.02)).with("r", one(r)).with("v_leak", one(0.0));

@@ -28,6 +28,7 @@ mod screens;
 mod side_by_side;
 mod sweep;
 mod training;
+mod warnings;
 
 use assert_cmd::Command;
 use common::command;

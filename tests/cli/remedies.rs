@@ -300,7 +300,7 @@ fn each_warning_of_a_run_is_gone_after_the_change_that_it_names() {
     let noise = ["--input", "scene:noise?samples=2&steps=100&rate=0.5&seed=1"];
     // The model, the code, the words of the advice, and the settings that they suggest.
     type Change = fn(&str) -> Vec<String>;
-    let rows: [(String, &str, &str, Change); 9] = [
+    let rows: [(String, &str, &str, Change); 13] = [
         (
             single("du: 4096, dv: 4096, vth_mant: 1", "weights: [[8, 8]], weight_exp: -4"),
             "silent-output",
@@ -338,13 +338,39 @@ fn each_warning_of_a_run_is_gone_after_the_change_that_it_names() {
             |_| vec!["populations.out.vmax_exp=7".to_string()],
         ),
         (
-            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[63, 61]], weight_exp: 1"),
+            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[63, -61]], weight_exp: 1"),
             "weights-rounded",
             "double them and lower weight_exp by 1",
             |said| {
                 let lower = 1 - number(said, "lower weight_exp by ");
-                vec!["projections.0.weights=[[126, 122]]".to_string(), format!("projections.0.weight_exp={lower}")]
+                vec!["projections.0.weights=[[126, -122]]".to_string(), format!("projections.0.weight_exp={lower}")]
             },
+        ),
+        (
+            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[63, 4]]"),
+            "weights-rounded",
+            "changed 1 of 2 weights, by at most 1.000 (not in the reference engine): sign: Excitatory holds them",
+            |_| vec!["projections.0.sign=Excitatory".to_string()],
+        ),
+        (
+            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[-255, -3]], weight_bits: 6"),
+            "weights-rounded",
+            "sign: Inhibitory with weight_bits: 8 holds them",
+            |_| vec!["projections.0.sign=Inhibitory".to_string(), "projections.0.weight_bits=8".to_string()],
+        ),
+        (
+            single("du: 4096, dv: 0, vth_mant: 90, refractory: 5", "weights: [[64, 64]]")
+                .replace("output:", "semantics: Lava, output:"),
+            "parameter-ignored",
+            "refractory is ignored under semantics Lava",
+            |said| vec![set(said)],
+        ),
+        (
+            single("du: 4096, dv: 0, vth_mant: 90, vmin_exp: 20", "weights: [[64, 64]]")
+                .replace("output:", "semantics: Slayer, output:"),
+            "parameter-ignored",
+            "vmin_exp is ignored under semantics Slayer",
+            |said| vec![set(said)],
         ),
         (
             single("du: 4096, dv: 0, vth_mant: 90", "weights: [[0, 0]]")

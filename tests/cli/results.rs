@@ -57,7 +57,7 @@ fn every_command_prints_its_object() {
 const QUIET: &str = "Network(name: \"quiet\", timestep_ms: 1.0,
   populations: [Input(name: \"in\", shape: [4]), Loihi(name: \"hid\", shape: [3], du: 1024, dv: 128, vth_mant: 9000),
     Loihi(name: \"out\", shape: [2], du: 1024, dv: 128, vth_mant: 80)],
-  projections: [Dense(from: [\"in\"], to: \"hid\", weights: [[20, 20, 20, 20], [2, 2, 2, 2], [3, 5, 7, 9]]),
+  projections: [Dense(from: [\"in\"], to: \"hid\", weights: [[20, 20, 20, 20], [2, 2, 2, 2], [4, 6, 8, 10]]),
     Dense(from: [\"hid\"], to: \"out\", weights: [[2, 2, 2], [2, 2, 2]])], output: \"out\")";
 
 fn sum(rows: &Value, key: &str) -> u64 {

@@ -88,7 +88,7 @@ fn sample(network: &Quantised, seed: u64) -> Sample {
 }
 
 fn stimulus(samples: Vec<Sample>) -> Stimulus {
-    Stimulus { samples, origin: vec!["these samples".to_string()], seed: None }
+    Stimulus { samples, origin: vec!["these samples".to_string()], ..Stimulus::default() }
 }
 
 /// The compartments of the whole network that remain in the pruned one.

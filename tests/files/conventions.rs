@@ -66,7 +66,7 @@ fn a_tool_sets_timestep_decay_gain_reset_and_threshold() {
         let close = weights.iter().zip(&w).all(|(made, given)| (made - gain * given).abs() < 1e-9);
         assert!(close, "{tool}: {weights:?}");
         let assumed = ["reset-assumed", "threshold-assumed", "lower-bound-assumed", "gain"];
-        assert!(imported.warnings.iter().all(|warning| !assumed.contains(&warning.code)), "{:?}", imported.warnings);
+        assert!(imported.warnings.iter().all(|warning| !assumed.contains(&warning.code.name())), "{:?}", imported.warnings);
         // A single option wins.
         assert_eq!(read(&root, &given(tool, 0.0, Some(ResetMode::Zero))).unwrap().reset, Some(ResetMode::Zero));
     }
@@ -164,7 +164,7 @@ fn a_rest_potential_is_counted_from_and_an_infinite_time_constant_never_decays()
 #[test]
 fn what_is_assumed_is_a_warning_and_an_edge_is_never_dropped_in_silence() {
     let codes = |root: &Group| -> Vec<&str> {
-        read(root, &given("", 1.0, None)).unwrap().warnings.iter().map(|warning| warning.code).collect()
+        read(root, &given("", 1.0, None)).unwrap().warnings.iter().map(|warning| warning.code.name()).collect()
     };
     // Weights are multiples of 1/64, and some are negative.
     assert_eq!(codes(&net(lif(&[3]))), ["reset-assumed", "threshold-assumed", "lower-bound-assumed"]);

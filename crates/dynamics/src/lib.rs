@@ -20,10 +20,10 @@ pub use kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers};
 use std::num::NonZeroU32;
 
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
-use nsim_ir::base::fixed::OutOfRange;
+use nsim_ir::base::fixed::{OutOfRange, Refractory};
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
 use nsim_ir::neurons::{NeuronKind, ParameterRow, Role};
-use nsim_ir::quantised::{Neuron, Population, Quantised};
+use nsim_ir::quantised::{Neuron, Neurons, Population, Quantised};
 
 /// The description of a kind with the registers of Loihi 1.
 fn kind(kind: NeuronKind) -> &'static Kind {
@@ -37,6 +37,28 @@ fn kind(kind: NeuronKind) -> &'static Kind {
 /// Arithmetics in which a kind is defined.
 pub fn semantics(of: NeuronKind) -> &'static [Semantics] {
     if of.table().registers { kind(of).semantics } else { &[Semantics::Hardware] }
+}
+
+/// Parameters that an arithmetic lacks (`docs/semantics.md`, 11), and why.
+const LACKING: [(Semantics, &str, &str); 6] = [
+    (Semantics::Lava, "refractory", "lava's LIF has no refractory period (its LIFRefractory is another process)"),
+    (Semantics::Lava, "vmin_exp", "lava's LIF clips v to 24 bits"),
+    (Semantics::Lava, "vmax_exp", "lava's LIF clips v to 24 bits"),
+    (Semantics::Slayer, "bias_mant", "SLAYER's kernel has no bias"),
+    (Semantics::Slayer, "vmin_exp", "SLAYER's kernel does not clip v"),
+    (Semantics::Slayer, "vmax_exp", "SLAYER's kernel does not clip v"),
+];
+
+/// Parameters of a population that have an effect on the chip and none in this arithmetic, with the
+/// reason.
+pub fn ignored_parameters(neurons: &Neurons, semantics: Semantics) -> Vec<(&'static str, &'static str)> {
+    let differs = |name: &str, neuron: &Neuron| match name {
+        // A refractory period of 0 behaves as 1.
+        "refractory" => neuron.refractory > Refractory::ONE,
+        _ => neuron.parameter(name) != Neuron::PLAIN.parameter(name),
+    };
+    let lacking = LACKING.into_iter().filter(|(of, name, _)| *of == semantics && neurons.any(|n| differs(name, n)));
+    lacking.map(|(_, name, why)| (name, why)).collect()
 }
 
 /// Makes a compartment from the integers of its parameters, in the order of the table.

@@ -4,6 +4,7 @@ use nsim_compile::Mapping;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::{CostTable, Deployment, MeterSettings, StepMeter, Transport};
 use nsim_ir::base::id::CompartmentId;
+use nsim_ir::base::warning::Warning;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::spikes::{Sample, Stimulus};
@@ -36,6 +37,8 @@ pub struct Workload<'j> {
     pub origin: Vec<String>,
     /// Seed of the input, if it was made from one.
     pub seed: Option<u64>,
+    /// Warnings of the reader of the input.
+    pub warnings: Vec<Warning>,
     metered: MeteredMapping<'j>,
 }
 
@@ -50,12 +53,12 @@ impl<'j> Workload<'j> {
         stimulus: Stimulus,
         order: Vec<usize>,
     ) -> Result<Self, Error> {
-        let Stimulus { samples: stimulus_samples, origin, seed } = stimulus;
+        let Stimulus { samples: stimulus_samples, origin, seed, warnings } = stimulus;
         if let Some(sample) = order.iter().find(|&&sample| sample >= stimulus_samples.len()) {
             return Err(Error::Usage(format!("sample {sample}: there are {} samples", stimulus_samples.len())));
         }
         let (copies, metered) = (compiled.options.copies, MeteredMapping::new(compiled));
-        Ok(Workload { compiled, target, copies, stimulus_samples, order, origin, seed, metered })
+        Ok(Workload { compiled, target, copies, stimulus_samples, order, origin, seed, warnings, metered })
     }
 
     /// Samples of one copy, in run order.
@@ -83,6 +86,7 @@ impl<'j> Workload<'j> {
             engine: RunEngine::Program(program),
             sums: &sums,
             samples: &samples,
+            of_input: &self.warnings,
             outcomes: &run.outcomes,
         };
         let warnings = warnings(finished);

@@ -22,4 +22,5 @@ pub mod table;
 pub mod target;
 pub mod text;
 pub mod training;
+pub mod warnings;
 pub mod write;

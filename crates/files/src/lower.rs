@@ -128,6 +128,7 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
         weight_rounding: file.weight_rounding,
         scene: file.scene.clone(),
         provenance: file.provenance.clone(),
+        warnings: network.conventions().warnings.clone(),
     };
     Ok(Graph::new(facts, graph, output))
 }

@@ -4,9 +4,8 @@
 //! file is reported at the place in the model file that names the array. `nsim_files::lower` checks
 //! the numbers.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
-use std::sync::Mutex;
 
 use super::foreign;
 use super::foreign::Reading;
@@ -14,12 +13,10 @@ use nsim_files::network::{ArrayRef, Network, NetworkFile, place};
 use nsim_files::shipped;
 use nsim_files::shipped::Origin;
 use nsim_files::text::sibling_path;
+use nsim_files::warnings::show;
 use nsim_files::{changes, npy, safetensors};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::tensor::Tensor;
-
-/// Models for which this process has warned of assumptions.
-static WARNED_MODELS: Mutex<BTreeSet<String>> = Mutex::new(BTreeSet::new());
 
 /// Loads a model: a path, `-`, or a shipped name. A file of another tool is imported like by `nsim
 /// import` without options.
@@ -40,12 +37,7 @@ pub fn load_model_with(argument: &str, reading: &Reading) -> Result<Network> {
     let path = Path::new(argument);
     if shipped::is_path(argument) && foreign::is_foreign(path) {
         let network = foreign::network(path, &foreign::Options { reading: *reading, ..Default::default() })?;
-        // Some commands read their model more than once, but one warning is enough.
-        let first = !network.conventions().warnings.is_empty()
-            && WARNED_MODELS.lock().is_ok_and(|mut warned| warned.insert(argument.to_string()));
-        for warning in network.conventions().warnings.iter().filter(|_| first) {
-            tracing::warn!("{argument}: {warning}");
-        }
+        show(argument, &network.conventions().warnings);
         return Ok(network);
     }
     let (source, origin) = shipped::path_or_shipped_text(argument, shipped::MODELS, "model", "model.unknown")?;

@@ -13,6 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::base::fixed::{Delay, SignMode};
+use crate::base::warning::Warning;
 use crate::locate::locate;
 use crate::neurons::{NeuronKind, Port};
 use crate::spanned::Spanned;
@@ -392,6 +393,8 @@ pub struct NetworkFacts {
     pub scene: Option<String>,
     /// The origin of the network.
     pub provenance: Option<String>,
+    /// Assumptions and losses of the reader of another tool's file.
+    pub warnings: Vec<Warning>,
 }
 
 /// The network with real parameters.

@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::activity::{Overflow, Totals};
 use crate::base::fixed::{MessageBits, Payload};
 use crate::base::id::{ChannelId, CompartmentId, Id};
+use crate::base::warning::Warning;
 
 /// Content of a population's messages, in addition to their source.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
@@ -238,6 +239,8 @@ pub struct Stimulus {
     pub origin: Vec<String>,
     /// The seed, when one was used.
     pub seed: Option<u64>,
+    /// Changes of recordings.
+    pub warnings: Vec<Warning>,
 }
 
 /// A spike to deliver to its synapses.

@@ -38,6 +38,7 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
         name: one.name.clone(),
         classes: one.classes.clone(),
         notes: one.notes.clone(),
+        warnings: one.warnings.clone(),
         ..*one
     };
     for k in 0..n {

@@ -30,6 +30,7 @@ use nsim_ir::base::fixed::{
     WeightBits, WeightExponent,
 };
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::graph::{self, Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
 use nsim_ir::neurons::{Conversion, ParameterField};
 use nsim_ir::quantised::connectivity::{Connectivity, SeparateSum, SynapseFormat};
@@ -49,7 +50,7 @@ pub fn quantise(graph: &Graph) -> Result<Quantised> {
 /// As [`quantise`].
 pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
     let graph = &assigned(graph, detail);
-    let mut stage = Stage { graph, notes: Vec::new() };
+    let mut stage = Stage { graph, notes: Vec::new(), warnings: graph.facts().warnings.clone() };
     let scales: Vec<Option<f64>> =
         graph.populations().map(|(node, population)| stage.scale(node, population)).collect::<Result<_, _>>()?;
     let (mut channels, mut compartments) = (0, 0);
@@ -103,6 +104,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         threshold: facts.threshold,
         reset: facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 }),
         notes: stage.notes,
+        warnings: stage.warnings,
         gathers: false,
     };
     // An error from here on is an internal error of this stage, reported instead of trusted.
@@ -116,7 +118,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
 /// As [`quantise`], for thresholds and scales.
 pub fn scales(graph: &Graph, detail: Detail) -> Result<Vec<Option<f64>>> {
     let graph = &assigned(graph, detail);
-    let stage = Stage { graph, notes: Vec::new() };
+    let stage = Stage { graph, notes: Vec::new(), warnings: Vec::new() };
     graph.populations().map(|(node, population)| stage.scale(node, population)).collect()
 }
 
@@ -128,6 +130,7 @@ fn population_id(node: NodeIndex) -> PopulationId {
 struct Stage<'a> {
     graph: &'a Graph,
     notes: Vec<Note>,
+    warnings: Vec<Warning>,
 }
 
 /// `x` as a multiple of `step`, by the named rounding.
@@ -376,9 +379,12 @@ impl Stage<'_> {
             true => PerCompartment::Same(neuron(0)?),
             false => PerCompartment::Each((0..population.shape.len()).map(neuron).collect::<Result<_, _>>()?),
         };
-        let biased = |neuron: &Neuron| neuron.bias_mant != BiasMantissa::ZERO;
-        if semantics == Semantics::Slayer && neurons.any(biased) {
-            self.note(name, "SLAYER's kernel has no bias: it is ignored under semantics Slayer");
+        for (parameter, why) in neuron::ignored_parameters(&neurons, semantics) {
+            let message = format!(
+                "{parameter} is ignored under semantics {semantics:?}: {why}. Remove it, or take the chip's arithmetic: \
+                 --set semantics=Hardware"
+            );
+            self.warnings.push(Warning::of_population(WarningCode::ParameterIgnored, name, message));
         }
         if let Some(scale) = scale {
             self.note(name, format!("1 real unit is {scale:.6} register units"));
@@ -452,6 +458,13 @@ impl Stage<'_> {
                 format!("rounding to multiples of {step} changed {changed} of {seen} weights, by at most {most:.3}");
             let rounded =
                 Some(Rounded { real: factor.is_some(), changed, weights: seen, worst_share: most / greatest });
+            if factor.is_none() {
+                let target = &self.graph.population(target).name;
+                let remedy = exact_format(projection, format);
+                let message =
+                    format!("projection {}: {message} (not in the reference engine): {remedy}", projection.name);
+                self.warnings.push(Warning::of_population(WarningCode::WeightsRounded, target, message));
+            }
             self.notes.push(Note { entity: projection.name.clone(), message, rounded });
         }
         Ok(Projection {
@@ -598,6 +611,34 @@ impl Rounding<'_, '_> {
 }
 
 /// Calls `f(weight)` for every given weight of a projection, or for the bounds of random ones.
+/// The change of a projection's format that holds all its integer weights.
+fn exact_format(projection: &graph::Projection, format: SynapseFormat) -> String {
+    let SynapseFormat { exponent, sign, bits, .. } = format;
+    let widest = WeightBits::MAX;
+    // Sign, bits, factor of the weights, and the words for it. A doubled weight needs one exponent
+    // less, which loses no bits from -6 on.
+    let doubles = if exponent.get() > -6 { 2.0 } else { 1.0 };
+    let changes = [
+        (SignMode::Excitatory, bits, 1.0, "sign: Excitatory holds them, as none is negative"),
+        (SignMode::Inhibitory, bits, 1.0, "sign: Inhibitory holds them, as none is positive"),
+        (sign, widest, 1.0, "weight_bits: 8 holds them"),
+        (SignMode::Excitatory, widest, 1.0, "sign: Excitatory with weight_bits: 8 holds them, as none is negative"),
+        (SignMode::Inhibitory, widest, 1.0, "sign: Inhibitory with weight_bits: 8 holds them, as none is positive"),
+        (sign, bits, doubles, "double them and lower weight_exp by 1, which preserves odd weights"),
+    ];
+    for (sign, bits, factor, words) in changes {
+        let (step, (low, high), mut exact) = (f64::from(sign.step(bits)), sign.range(bits), true);
+        visit_weights(projection, |weight| {
+            let scaled = weight * factor;
+            exact &= scaled % step == 0.0 && (f64::from(low)..=f64::from(high)).contains(&scaled);
+        });
+        if exact {
+            return words.to_string();
+        }
+    }
+    format!("give multiples of {}", sign.step(bits))
+}
+
 fn visit_weights(projection: &graph::Projection, mut f: impl FnMut(f64)) {
     match &projection.kind {
         ProjectionKind::Dense { weights } | ProjectionKind::Conv2d { weights, .. } => weights.reals().for_each(f),

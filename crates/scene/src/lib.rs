@@ -158,7 +158,7 @@ fn recorded_stimulus(network: &Quantised, scene: &RecordedScene) -> Result<Stimu
         })
         .collect::<Result<_, _>>()
         .map_err(|error| Diagnostic::new("scene.too-large", error.to_string()))?;
-    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed) })
+    Ok(Stimulus { samples, origin: vec![format!("scene:{name}")], seed: Some(scene.seed), ..Stimulus::default() })
 }
 
 #[cfg(test)]

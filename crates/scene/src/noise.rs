@@ -75,5 +75,5 @@ pub fn stimulus(network: &Quantised, noise: &Noise) -> Result<Stimulus> {
         })
         .collect::<Result<_, _>>()
         .map_err(|e| Diagnostic::new("scene.too-large", e.to_string()))?;
-    Ok(Stimulus { samples, origin: vec!["scene:noise".to_string()], seed: Some(noise.seed) })
+    Ok(Stimulus { samples, origin: vec!["scene:noise".to_string()], seed: Some(noise.seed), ..Stimulus::default() })
 }

@@ -9,8 +9,11 @@ use std::path::{Path, PathBuf};
 
 use crate::error::Error;
 use nsim_files::budget::MOST_STEPS_TOGETHER;
+use nsim_files::warnings::show;
 use nsim_import::kind::FileKind;
-use nsim_import::spikes::{EventOptions, InputSpec, Manifest, PopulationSpikes, labels, read_manifest, read_spikes};
+use nsim_import::spikes::{
+    EventOptions, InputSpec, Manifest, PopulationSpikes, labels, read_manifest, read_spikes, warning_of_changes,
+};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::names::did_you_mean;
@@ -33,6 +36,7 @@ pub fn stimulus(
 ) -> Result<Stimulus, Error> {
     let mut stimulus = read_samples(network, arguments, default, seed)?;
     stimulus.samples = with_drain(network, stimulus.samples)?;
+    show("", &stimulus.warnings);
     Ok(stimulus)
 }
 
@@ -102,6 +106,7 @@ fn read_samples(
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
     let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
     let mut clocks: Vec<(usize, Clock)> = Vec::new();
+    let mut warnings = Vec::new();
     let position =
         |name: &str| inputs.iter().position(|p| p.name == name).ok_or_else(|| unknown_population(name, &inputs));
     for argument in &parsed {
@@ -145,6 +150,7 @@ fn read_samples(
                 Some(part) => part.read(&population.name, &expected)?,
                 None => read_spikes(path, &population.name, &expected, &options)?,
             };
+            warnings.extend(warning_of_changes(&population.name, &spikes));
             if let Some(file) = &labels {
                 labels::apply(file, &labels::read(file)?, &mut spikes)?;
             }
@@ -169,7 +175,7 @@ fn read_samples(
         source.ok_or_else(|| Error::Usage(message()))
     });
     let filled = filled.collect::<Result<Vec<_>, Error>>()?;
-    Ok(Stimulus { samples: join_samples(&inputs, filled)?, origin: arguments, seed: None })
+    Ok(Stimulus { samples: join_samples(&inputs, filled)?, origin: arguments, seed: None, warnings })
 }
 
 /// Returns the spikes of a clock over the steps of a sample.

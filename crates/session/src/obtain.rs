@@ -15,6 +15,7 @@ use nsim_compile::{
 use nsim_files::mapping::load_mapping;
 use nsim_files::network::Network;
 use nsim_files::target::load_target;
+use nsim_files::warnings::show;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::base::names::fits_pattern;
 use nsim_ir::firing_rates::Rates;
@@ -202,12 +203,13 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
             return Err(Error::Usage(message.to_string()));
         }
         let (graph, quantised) = real_and_integers(network)?;
+        show("", &quantised.parts().warnings);
         return Ok(Job::Real(Box::new(graph), Box::new(quantised), scene));
     }
     if engine == EngineKind::Quantised {
         let quantised = request.front()?.into_quantised();
         refuse_large("--engine golden", &quantised, 1)?;
-        log_notes(&quantised);
+        log_changes(&quantised);
         return Ok(Job::Quantised(Box::new(quantised), scene));
     }
     let (front, settings) = prepare_mapping(request)?;
@@ -217,7 +219,7 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
         compiled.one = compiled.one.without_projections();
         compiled.quantised = compiled.quantised.without_projections();
     }
-    log_notes(&compiled.quantised);
+    log_changes(&compiled.quantised);
     Ok(Job::Mapped(Box::new(compiled), Box::new(settings.target), scene))
 }
 
@@ -294,7 +296,9 @@ impl MappingSettings {
     }
 }
 
-fn log_notes(quantised: &Quantised) {
+/// Logs the notes of a network, and shows its warnings.
+fn log_changes(quantised: &Quantised) {
+    show("", &quantised.parts().warnings);
     for note in &quantised.parts().notes {
         tracing::info!("{}: {}", note.entity, note.message);
     }

@@ -18,7 +18,7 @@ use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::fixed::{ThresholdMantissa, VmaxExponent};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::neurons::{NeuronKind, Storage};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::{Neuron, Note, Quantised, Units};
@@ -47,6 +47,8 @@ pub struct FinishedRun<'a> {
     pub sums: &'a CountsByPopulation,
     /// The input samples.
     pub samples: &'a [&'a Sample],
+    /// Warnings of their reader.
+    pub of_input: &'a [Warning],
     /// Outcome of each sample.
     pub outcomes: &'a [Outcome],
 }
@@ -77,10 +79,11 @@ impl NearestCompartment {
     }
 }
 
-/// Returns the warnings of a run, in the order of the populations.
+/// Returns the warnings of the network and of its input, then those of the run in the order of the
+/// populations.
 pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
-    let mut found = Vec::new();
     let network = run.network;
+    let mut found = [&network.parts().warnings, run.of_input].concat();
     let compartments = network.populations().enumerate().filter(|(_, p)| p.first_compartment().is_some());
     let rows: Vec<(PopulationId, &PopulationCounts)> =
         compartments.map(|(id, _)| id).zip(&run.sums.populations).collect();
@@ -94,24 +97,30 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
     for &(id, row) in &rows {
         let is_output = id == network.parts().output;
         let by_potential = is_output && network.parts().decision != ReadOut::Spikes;
-        let mut add = |code, message| found.push(Warning { code, population: Some(row.name.clone()), message });
+        let mut add = |code, message| found.push(Warning::of_population(code, &row.name, message));
         if by_potential {
             // An output that decides by its potentials may be silent.
             if let Some(message) = undecided_reason(run, &spiking, id) {
-                add("silent-output", message);
+                add(WarningCode::SilentOutput, message);
             }
         } else if let Ok(place) = silent.binary_search(&id) {
             let change = firing_advice(run, &spiking, id, nearest.get(place).copied().flatten());
             let what = if is_output { "the output never spikes, so no sample is decided" } else { "never spikes" };
-            add(if is_output { "silent-output" } else { "silent-population" }, format!("{what}: {change}"));
+            add(
+                if is_output { WarningCode::SilentOutput } else { WarningCode::SilentPopulation },
+                format!("{what}: {change}"),
+            );
         } else if is_output && let Some(message) = silent_classes(run) {
-            add("silent-output", message);
+            add(WarningCode::SilentOutput, message);
         }
         // Clipping a negative voltage, or a voltage that a spike resets to zero, is harmless.
         if row.cut > 0 {
             let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
             let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);
-            add("clipped", format!("{} clipped{place}: {}", count(row.cut, "voltage"), clipping_advice(network, id)));
+            add(
+                WarningCode::Clipped,
+                format!("{} clipped{place}: {}", count(row.cut, "voltage"), clipping_advice(network, id)),
+            );
         }
         if row.wrapped > 0 {
             let place = first.as_ref().filter(|(population, _)| *population == id).map_or("", |(_, place)| place);
@@ -123,12 +132,12 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
                     count(row.wrapped, "value")
                 ),
             };
-            add("wrapped", message);
+            add(WarningCode::Wrapped, message);
         }
         if !matches!(run.engine, RunEngine::Reals)
             && let Some(message) = rounding_message(network, id)
         {
-            add("weights-rounded", message);
+            add(WarningCode::WeightsRounded, message);
         }
     }
     found
@@ -147,6 +156,7 @@ pub fn run_warnings(network: &Quantised, program: &Arc<Program>, samples: &[&Sam
         engine: RunEngine::Program(program),
         sums: &sums,
         samples,
+        of_input: &[],
         outcomes: &run.outcomes,
     }))
 }
@@ -355,27 +365,24 @@ pub fn clipping_advice(network: &Quantised, id: PopulationId) -> String {
 
 /// Returns a message on the projections into a population whose weights were all rounded.
 fn rounding_message(network: &Quantised, id: PopulationId) -> Option<String> {
-    // Real weights are hardly ever multiples of a step, so the size of the steps counts.
+    // Real weights are hardly ever multiples of a step, so the size of the steps counts. The network
+    // has warnings of changed integers.
     let whole = |note: &&Note| {
-        note.rounded.is_some_and(|rounded| {
-            rounded.changed == rounded.weights && (!rounded.real || rounded.worst_share > COARSE)
-        })
+        note.rounded
+            .is_some_and(|rounded| rounded.changed == rounded.weights && rounded.real && rounded.worst_share > COARSE)
     };
     let leads_here = |note: &&Note| network.incoming(id).any(|(_, projection)| projection.name == note.entity);
     let notes: Vec<&Note> = network.parts().notes.iter().filter(whole).filter(leads_here).collect();
     let all = notes.iter().filter_map(|note| note.rounded);
     let worst = notes.iter().copied().zip(all.clone()).max_by(|a, b| a.1.worst_share.total_cmp(&b.1.worst_share))?;
-    if worst.1.real && worst.1.worst_share > 0.999 {
+    if worst.1.worst_share > 0.999 {
         let entity = &worst.0.entity;
         return Some(format!(
             "the weights of {entity} became 0, because they are too small for the threshold: lower vth to slightly \
              above the largest potential"
         ));
     }
-    let change = match worst.1.real {
-        true => "`nsim agree` shows the loss; a separate projection for the largest weights makes the steps finer",
-        false => "double them and lower weight_exp by 1, which preserves odd weights",
-    };
+    let change = "`nsim agree` shows the loss; a separate projection for the largest weights makes the steps finer";
     let weights = count(all.map(|rounded| rounded.weights).sum::<u64>(), "weight");
     let (entity, percent) = (&worst.0.entity, 100.0 * worst.1.worst_share);
     Some(format!("all {weights} were rounded, in {entity} by up to {percent:.2} % of the greatest: {change}"))

@@ -14,7 +14,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_agree::compare::LayerRow;
 use nsim_compile::Mapping;
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::spikes::Sample;
 use nsim_report::agree::AgreeReport;
 use nsim_report::charts::picture::FILE;
@@ -112,7 +112,7 @@ pub(super) fn within_bounds(args: &Args, class_agreement: Option<f64>, exact: bo
 /// Warnings about the deployed network, except of rounding, whose cost the comparison reports.
 pub(super) fn deployed_warnings(deployed: &Mapping, samples: &[&Sample]) -> Result<Vec<Warning>, Error> {
     let mut warnings = run_warnings(&deployed.quantised, &deployed.program, samples)?;
-    warnings.retain(|warning| warning.code != "weights-rounded");
+    warnings.retain(|warning| warning.code != WarningCode::WeightsRounded);
     Ok(warnings)
 }
 

@@ -22,8 +22,9 @@ use nsim_agree::compare::{Counterpart, DeployedNetwork, compare, output_layer};
 use nsim_agree::staged::layers;
 use nsim_compile::refuse_large;
 use nsim_files::target::target_with_neurons;
+use nsim_files::warnings::show;
 use nsim_import::foreign::Options;
-use nsim_import::spikes::read_source;
+use nsim_import::spikes::{read_source, warning_of_changes};
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::stimulus::{InputArg, InputSource};
@@ -49,6 +50,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
     refuse_large("nsim agree", &analytic, 1)?;
+    show("", &analytic.parts().warnings);
     let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
     let models = models::model_files(&args.against)?;
@@ -79,7 +81,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let (fits, program, steps) = (&integers.fits, &compiled.program, args.steps);
     let deployed = DeployedNetwork { graph: &graph, fits, staged: &staged, program, samples: &samples, steps };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
-    output::warn_all(&deployed_warnings(&compiled, &samples)?);
+    show("", &deployed_warnings(&compiled, &samples)?);
     let some = &samples[..samples.len().min(args.attribution_samples as usize)];
     let attribution = attributed.then(|| {
         let _busy = output::spinner("attributing the disagreement to causes");
@@ -152,7 +154,9 @@ fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Counterpar
             let names: Vec<&str> = layers.iter().map(|layer| layer.name.as_str()).collect();
             Error::Usage(format!("--against {text}: populations with compartments are: {}", names.join(", ")))
         })?;
-        Ok((layer.clone(), read_source(path, u64::from(layer.count))?))
+        let recordings = read_source(path, u64::from(layer.count))?;
+        show("", warning_of_changes(&layer.name, &recordings).as_slice());
+        Ok((layer.clone(), recordings))
     });
     Ok(Counterpart::Recorded(recorded.collect::<Result<_, Error>>()?))
 }

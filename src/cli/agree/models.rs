@@ -14,6 +14,7 @@ use crate::cli::output;
 use nsim_agree::compare::compare_models;
 use nsim_compile::{CompileError, Mapping, refuse_large};
 use nsim_files as io;
+use nsim_files::warnings::show;
 use nsim_import::kind::FileKind;
 use nsim_ir::graph::Graph;
 use nsim_ir::hardware::Target;
@@ -86,7 +87,7 @@ fn compare_each(
         let agreement = output::with_progress(context, samples.len(), "samples", |done| {
             compare_models(first, (&second, &compiled.program), samples, args.steps, done)
         })?;
-        output::warn_all(&deployed_warnings(&compiled, samples)?);
+        show("", &deployed_warnings(&compiled, samples)?);
         let (against, name) = ((*file).to_string(), second.parts().name.clone());
         all.push((ComparedNetwork { against, name, cores: compiled.program.cores().len(), agreement }, role(&trained)));
     }

@@ -98,7 +98,7 @@ fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) 
     let Job::Real(graph, quantised, _) = &job else {
         let (compiled, target) = job.mapped().ok_or_else(|| Error::Fault(format!("{model} is not mapped")))?;
         let order = (0..samples.len()).collect();
-        let stimulus = Stimulus { samples, origin: Vec::new(), seed: None };
+        let stimulus = Stimulus { samples, ..Stimulus::default() };
         return timed(&Workload::new(compiled, target, stimulus, order)?, context);
     };
     let samples: Vec<&Sample> = samples.iter().collect();

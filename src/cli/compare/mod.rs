@@ -12,6 +12,7 @@ use nsim_cost::job::{Accounting, Mode};
 use nsim_energy::evaluate::{self, DeploymentPlan};
 use nsim_energy::options::CostOptions;
 use nsim_files as io;
+use nsim_files::warnings::show;
 use nsim_ir::hardware::Target;
 use nsim_report::compare::{self as report, ComparedTarget, Comparison, Intervals, RefusalReason, TargetCost};
 use nsim_session::error::Error;
@@ -109,7 +110,7 @@ fn priced(
     let evaluated = evaluate::evaluate(&plan, &workload, &options, None, |metered, watched| {
         simulate(&workload, metered, watched, true, None, context)
     })?;
-    output::warn_all(&evaluated.energy.detail.warnings);
+    show("", &evaluated.energy.detail.warnings);
     (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);
     let fed = |(part, _): &&(&str, f64)| ["injection", "turn", "reset"].contains(part);
     let x86_share = evaluated.energy.estimate.time_us.filter(|_| evaluated.deployment.x86_cores > 0).map(|parts| {

@@ -16,6 +16,7 @@ use crate::cli::convert::fine_tuning::FineTuneArgs;
 use crate::cli::output;
 use nsim_files as io;
 use nsim_files::network::NetworkFile;
+use nsim_files::warnings::show;
 use nsim_report::convert::ConvertReport;
 use nsim_session::error::Error;
 use nsim_session::inputs;
@@ -72,6 +73,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let scene = network.file().scene.clone();
     let job = Job::new(&network, &io::target::load_target(&args.target)?)?;
     args.tuning.check(&job)?;
+    show("", &job.integers.parts().warnings);
     let stimulus = inputs::stimulus(&job.integers, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
     let shown = select(&stimulus.samples, &args.input)?;
     let wanted = args.calibration_samples as usize;

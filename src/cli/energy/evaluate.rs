@@ -7,12 +7,12 @@ use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::workload::{simulate, workload};
-use crate::cli::output;
 use crate::cli::process::ranks;
 use nsim_energy::evaluate::{self, DeploymentPlan, Evaluation};
 use nsim_energy::options::{CostOptions, baselines};
 use nsim_energy::report::table::empty_result;
 use nsim_energy::workload::Workload;
+use nsim_files::warnings::show;
 use nsim_session::error::Error;
 use nsim_session::obtain::EngineKind;
 
@@ -61,7 +61,7 @@ pub fn evaluate(
     })?;
     let detail = &mut evaluated.energy.detail;
     detail.ranks = ranks::rows(&detail.ranks, Some(&workload.compiled.program));
-    output::warn_all(&evaluated.energy.detail.warnings);
+    show("", &evaluated.energy.detail.warnings);
     report(&workload, evaluated)
 }
 

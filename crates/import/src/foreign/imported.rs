@@ -8,7 +8,7 @@ use nsim_files::network::{NetworkFile, Parameter};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The greatest threshold mantissa, for compartments that should not spike.
 pub(super) const MAX_THRESHOLD: f64 = ThresholdMantissa::MAX.get() as f64;
@@ -246,7 +246,7 @@ impl Imported {
                      makes both identical",
                     self.model.output
                 );
-                self.warn(Warning::of_network("decision-by-potential", note));
+                self.warn(Warning::of_network(WarningCode::DecisionByPotential, note));
             }
         }
         if option.is_some() || !never {

@@ -17,7 +17,7 @@ use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc
 use nsim_files::text::unreadable;
 use nsim_files::{disk, npy};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// A layer's weights.
 #[derive(Debug, Clone, Default)]
@@ -205,7 +205,7 @@ fn projection(
             encoded.changed,
             given.len()
         );
-        warnings.push(Warning::of_population("weights-rounded", layer, message));
+        warnings.push(Warning::of_population(WarningCode::WeightsRounded, layer, message));
     }
     let line = LayerWeights::new(layer, &shape, scale, &given, &encoded.in_units(weight_exp));
     if line.is_lost() {

@@ -20,7 +20,7 @@ use super::slayer::{self, Matrix};
 use super::stored::{self, Array, wrong};
 use super::torch;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The role of a tensor in its layer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -114,7 +114,7 @@ pub fn read(bytes: Vec<u8>, path: &Path, name: &str, options: &Options) -> Resul
     );
     let kind = if lava { "PyTorch state dict of lava-dl" } else { "PyTorch state dict of SLAYER" };
     let mut imported = slayer::build(kind, name, matrices, &neuron, notes, options)?;
-    imported.warn(Warning::of_network("layer-order", assumed));
+    imported.warn(Warning::of_network(WarningCode::LayerOrder, assumed));
     Ok(imported)
 }
 

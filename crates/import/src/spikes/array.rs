@@ -1,7 +1,7 @@
 //! Spikes from NumPy arrays.
 //!
-//! Input: an array `[channels.., T]` or `[samples, channels.., T]`, in which a whole number other
-//! than zero is a spike, and the expected number of channels. Output: the spikes of each sample. A
+//! Input: an array `[channels.., T]` or `[samples, channels.., T]`, in which one whole number
+//! other than zero is a spike, and the expected number of channels. Output: the spikes of each sample. A
 //! polarity option merges or drops the one axis of length 2 before time. Errors: `input.shape`,
 //! `input.too-long`, `input.too-many`, `input.value`, and errors of the array's numbers.
 
@@ -106,8 +106,9 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
     u32::try_from(units).map_err(|_| wrong(format!("{units} channels exceed the 32-bit range of channel numbers")))?;
     let rows = units as usize * if polarity == Polarity::Both { 1 } else { 2 };
     let mut recordings = PopulationSpikes::silent(samples, units, steps, path.display().to_string());
+    let mut entries = options.entries(path);
     array.each_non_zero(|index, number| {
-        if !options.is_spike(number, path)? {
+        if !entries.is_spike(index, number)? {
             return Ok(());
         }
         let (row, step) = (index / steps as usize, index % steps as usize);
@@ -124,6 +125,7 @@ pub(super) fn from_array(array: &npy::Array, units: u64, options: ArrayOptions) 
         }
         Ok(())
     })?;
+    entries.finish()?;
     if polarity == Polarity::Merge {
         for recording in &mut recordings {
             recording.events.sort_unstable();

@@ -125,20 +125,101 @@ impl ArrayOptions {
         Ok(value)
     }
 
+    /// The numbers of an array, before the first.
+    pub(super) fn entries(self, path: &Path) -> Entries<'_> {
+        Entries { options: self, path, values: SpikeValues::default() }
+    }
+}
+
+/// The numbers of an array that are read as spikes.
+pub(super) struct Entries<'a> {
+    options: ArrayOptions,
+    path: &'a Path,
+    values: SpikeValues,
+}
+
+impl Entries<'_> {
     /// Whether a number is a spike.
     ///
     /// # Errors
     /// `input.value` for a fraction, without a least number.
-    pub(super) fn is_spike(self, number: f64, path: &Path) -> Result<bool> {
-        match self.least {
+    pub(super) fn is_spike(&mut self, index: usize, number: f64) -> Result<bool> {
+        match self.options.least {
             Some(least) => Ok(number >= least),
-            None if number.fract() == 0.0 => Ok(number != 0.0),
+            None if number.fract() == 0.0 => {
+                self.values.add(index, number);
+                Ok(number != 0.0)
+            }
             None => Err(Diagnostic::new("input.value", format!("the array holds {number}, but {SPIKE_RULE}"))
                 .help(format!(
                     "encode real numbers as spikes, or let values from 0.5 be spikes: {}?least=0.5",
-                    path.display()
+                    self.path.display()
                 ))
-                .in_file(path)),
+                .in_file(self.path)),
+        }
+    }
+
+    /// Refuses numbers that spikes without a value would lose.
+    ///
+    /// # Errors
+    /// `input.value`.
+    pub(super) fn finish(self) -> Result<()> {
+        let Some((_, message)) = self.values.loss().filter(|_| !self.options.values) else { return Ok(()) };
+        let path = self.path.display();
+        Err(Diagnostic::new("input.value", format!("the array holds counts or signed numbers: {message}"))
+            .help(format!(
+                "{path}?least=1 makes each number from 1 on one spike, least=2 from 2 on; on a chip with graded spikes, \
+                 such as --target oheo-gulch, an input with message_bits in the model (message_bits: 8) sends the numbers"
+            ))
+            .in_file(self.path))
+    }
+}
+
+/// Values of an array's entries other than zero. One value above zero is a spike without loss;
+/// several are counts.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct SpikeValues {
+    spikes: u64,
+    value: Option<f64>,
+    /// Whether there are several values.
+    varied: bool,
+    above_one: u64,
+    negative: u64,
+    /// Index and value of the first entry above one, and of the first negative one.
+    first_above: Option<(usize, f64)>,
+    first_negative: Option<(usize, f64)>,
+}
+
+impl SpikeValues {
+    /// Adds the entry at an index, unless it is zero.
+    pub fn add(&mut self, index: usize, number: f64) {
+        if number == 0.0 {
+            return;
+        }
+        self.spikes += 1;
+        self.varied |= number != *self.value.get_or_insert(number);
+        if number > 1.0 {
+            self.above_one += 1;
+            self.first_above.get_or_insert((index, number));
+        } else if number < 0.0 {
+            self.negative += 1;
+            self.first_negative.get_or_insert((index, number));
+        }
+    }
+
+    /// The first entry that a binary spike cannot represent, and a message about all of them.
+    pub fn loss(&self) -> Option<((usize, f64), String)> {
+        let SpikeValues { spikes, above_one, negative, .. } = *self;
+        match (self.first_negative, self.first_above.filter(|_| self.varied)) {
+            (Some(entry), _) => {
+                let message = format!("{negative} of {spikes} entries other than 0 are negative");
+                Some((entry, message + ", and a binary spike has no sign"))
+            }
+            (None, Some(entry)) => {
+                let message = format!("{above_one} of {spikes} entries other than 0 are greater than 1");
+                Some((entry, message + ", and a binary spike has no count"))
+            }
+            (None, None) => None,
         }
     }
 }

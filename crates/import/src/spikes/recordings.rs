@@ -35,8 +35,7 @@ pub(super) fn read(path: &Path, request: Request<'_>) -> Result<Vec<PopulationSp
         FileKind::Folder => read_folder(path, request),
         FileKind::Events(format) => {
             let (spikes, counts) = read_file(path, format, expected, options)?;
-            report(path, &counts);
-            Ok(vec![spikes])
+            Ok(vec![PopulationSpikes { changes: report(path, &counts), ..spikes }])
         }
         FileKind::Hdf5 => read_nir_data(path, request),
         FileKind::Npz => {
@@ -68,8 +67,7 @@ fn from_stream(path: &Path, bytes: Vec<u8>, request: Request<'_>) -> Result<Vec<
             let name = path.display().to_string();
             let (spikes, counts) = read_input(&mut bytes.as_slice(), &name, format, expected, options)
                 .map_err(|problem| problem.or_in_file(path))?;
-            report(path, &counts);
-            Ok(vec![spikes])
+            Ok(vec![PopulationSpikes { changes: report(path, &counts), ..spikes }])
         }
         _ => {
             takes_no_options(path, options)?;

@@ -56,7 +56,7 @@ mod tests {
     fn both_layouts_of_an_array_are_read() {
         let folder = tempfile::tempdir().unwrap();
         // Two samples, 1 x 2 channels, three steps.
-        let path = array(folder.path(), "a.npy", &[2, 1, 2, 3], &[0, 1, 0, 0, 0, 2, 1, 0, 0, 0, 0, 0]);
+        let path = array(folder.path(), "a.npy", &[2, 1, 2, 3], &[0, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0]);
         let samples = read_source(&path, 2).unwrap();
         assert_eq!(samples.iter().map(|s| s.events.clone()).collect::<Vec<_>>(), [vec![(1, 0), (2, 1)], vec![(0, 0)]]);
         assert!(samples.iter().all(|s| (s.steps, s.units, s.label) == (3, Some(2), None)));

@@ -19,6 +19,7 @@ use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Refractory, ThresholdMantissa, VmaxExponent, VminExponent, WeightExponent,
 };
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
+use crate::base::warning::Warning;
 use crate::graph::{PerCompartment, Shape};
 use crate::neurons::{Emits, NeuronKind, ParameterRow, Role, Stack, Storage};
 use crate::pruned;
@@ -305,6 +306,9 @@ pub struct Parts {
     pub reset: Option<Reset>,
     /// Changes by quantisation.
     pub notes: Vec<Note>,
+    /// Assumptions and losses of the reader, and changes of what the model states.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub warnings: Vec<Warning>,
     /// Whether sources may be grouped into population axons where a compartment has more of them
     /// than a core has input axons.
     pub gathers: bool,
@@ -327,6 +331,7 @@ impl Default for Parts {
             threshold: ThresholdTest::Strict,
             reset: None,
             notes: Vec::new(),
+            warnings: Vec::new(),
             gathers: false,
         }
     }
@@ -494,6 +499,13 @@ impl Quantised {
     #[must_use]
     pub fn with_chosen_rounding(mut self) -> Self {
         self.parts.notes.iter_mut().for_each(|note| note.rounded = None);
+        self
+    }
+
+    /// Returns this network with another warning.
+    #[must_use]
+    pub fn warned(mut self, warning: Warning) -> Self {
+        self.parts.warnings.push(warning);
         self
     }
 

@@ -314,6 +314,7 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
         name: before.name.clone(),
         classes: before.classes.clone(),
         notes: before.notes.clone(),
+        warnings: before.warnings.clone(),
         ..*before
     };
     (parts, kept)

@@ -10,6 +10,7 @@ use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::search;
 use nsim_compile::Front;
 use nsim_files::network::Network;
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_session::front::{has_srm, real_and_integers};
@@ -29,21 +30,22 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     let name = &network.file().name;
     let run = RunInput { sources: &[], seed: None, scene: network.file().scene.as_deref() };
     let Some(stimulus) = calibration::stimulus(&start, &[], run, CALIBRATION_SAMPLES)? else {
-        tracing::warn!(
+        let message = format!(
             "{name}: its spike response neurons become Loihi compartments by analysis only (equal decays, matched \
              peaks), because it has no scene for calibration; `nsim convert` calibrates on samples and writes the \
              result"
         );
-        return Ok(start.into());
+        return Ok(start.warned(Warning::of_network(WarningCode::Converted, message)).into());
     };
     let samples: Vec<&Sample> = stimulus.samples.iter().collect();
     let found = search(&graph, &samples, most_copies, |_| ())?;
-    tracing::warn!(
+    let message = format!(
         "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes \
          agree in {:.4}, coincidence {:.3}; `nsim convert -o` writes them",
         found.samples,
         found.end.classes.share_reproduced(),
         found.end.coincidence
     );
-    Ok(found.conversion.integers(&graph)?.with_chosen_rounding().into())
+    let integers = found.conversion.integers(&graph)?.with_chosen_rounding();
+    Ok(integers.warned(Warning::of_network(WarningCode::Converted, message)).into())
 }

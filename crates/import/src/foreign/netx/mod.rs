@@ -28,6 +28,7 @@ use nsim_files::network::{NetworkFile, PopulationDesc, ProjectionDesc, Projectio
 use nsim_files::npy;
 use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::warning::WarningCode;
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::neurons::NeuronKind;
 use reader::{DEFAULT_BITS, Neurons, Reader, units, wrong};
@@ -243,7 +244,7 @@ impl Reader<'_> {
             return;
         }
         let message = format!("{key} is {given:?}, the arrays have {right:?}: only the arrays count, as in netx");
-        self.warn(layer, "size-ignored", message);
+        self.warn(layer, WarningCode::SizeIgnored, message);
     }
 
     fn flatten(&mut self, layer: &Layer<'_>) -> Result<()> {
@@ -252,7 +253,7 @@ impl Reader<'_> {
         if layer.group.get("shape").is_some() && units(&layer.shape()?) != Some(last.units()) {
             let (shape, units) = (layer.shape()?, last.units());
             let message = format!("its shape is {shape:?}, but its input has {units} units, which count, as in netx");
-            self.warn(layer, "size-ignored", message);
+            self.warn(layer, WarningCode::SizeIgnored, message);
         }
         Ok(())
     }

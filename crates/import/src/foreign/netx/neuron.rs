@@ -10,6 +10,7 @@ use crate::foreign::hdf5::Numbers;
 use crate::foreign::imported::{MAX_THRESHOLD, integrator};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::warning::WarningCode;
 use nsim_ir::neurons::NeuronKind;
 
 /// The fields of a neuron; tauRho and scaleRho shape the surrogate gradient of training.
@@ -37,7 +38,7 @@ impl Reader<'_> {
             let whole: Vec<f64> = given.iter().map(|x| x.trunc()).collect();
             let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
             if cut > 0 {
-                self.warn(layer, "fraction-lost", format!("{cut} biases are not whole and lose their fraction"));
+                self.warn(layer, WarningCode::FractionLost, format!("{cut} biases are not whole and lose their fraction"));
             }
             let biases = self.expand(layer, "bias", whole, shape)?;
             match neurons.kind {
@@ -145,7 +146,7 @@ impl Reader<'_> {
             let right = 64.0 * mantissa;
             let message =
                 format!("theta is {theta}, and vThMant {mantissa} makes {right}: only vThMant counts, as in netx");
-            self.warn(layer, "theta-ignored", message);
+            self.warn(layer, WarningCode::ThetaIgnored, message);
         }
         Ok(())
     }
@@ -158,7 +159,7 @@ impl Reader<'_> {
             mantissas.iter_mut().for_each(|mantissa| *mantissa = mantissa.min(MAX_THRESHOLD));
             let message =
                 format!("{beyond} numbers of vThMant are above {MAX_THRESHOLD}, the greatest, and are lowered to it");
-            self.warn(layer, "threshold-clipped", message);
+            self.warn(layer, WarningCode::ThresholdClipped, message);
         }
     }
 

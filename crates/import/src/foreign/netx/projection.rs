@@ -10,6 +10,7 @@ use crate::foreign::imported::{LONGEST_DELAY, LayerWeights};
 use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::Result;
+use nsim_ir::base::warning::WarningCode;
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::neurons::NeuronKind;
 
@@ -35,7 +36,7 @@ impl Reader<'_> {
         let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
         if cut > 0 {
             let message = format!("{cut} numbers of '{key}' are not whole and lose their fraction");
-            self.warn(layer, "fraction-lost", message);
+            self.warn(layer, WarningCode::FractionLost, message);
         }
         let exponent =
             ["neuron/wgtExp", "neuron/weight_exp"].iter().find_map(|key| layer.group.number(key)).unwrap_or(0.0);
@@ -50,7 +51,7 @@ impl Reader<'_> {
                 encoded.changed,
                 given.len()
             );
-            self.warn(layer, "weights-rounded", message);
+            self.warn(layer, WarningCode::WeightsRounded, message);
         }
         let made = encoded.in_units(exponent as i64);
         let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &given, &made);
@@ -131,11 +132,11 @@ impl Reader<'_> {
                  clipped to it, as in netx",
                 given.len()
             );
-            self.warn(layer, "delay-clipped", message);
+            self.warn(layer, WarningCode::DelayClipped, message);
         }
         let cut = given.iter().filter(|delay| delay.fract() != 0.0).count();
         if cut > 0 {
-            self.warn(layer, "fraction-lost", format!("{cut} delays are not whole and lose their fraction"));
+            self.warn(layer, WarningCode::FractionLost, format!("{cut} delays are not whole and lose their fraction"));
         }
         Ok(())
     }

@@ -10,7 +10,7 @@ use super::neuron::{Discrete, Reset, all};
 use super::node_types::is_population;
 use super::projections::weights;
 use super::state::Reader;
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The most steps of a grid from 0 to the greatest weight or threshold, at which equality is likely.
 const MOST_GRID_STEPS: f64 = 16_384.0;
@@ -63,12 +63,12 @@ impl Reader<'_> {
                     "neurons of {} may {beyond}, which the file does not state and nsim does not do",
                     row.title
                 );
-                Warning::of_network("tool-beyond", message)
+                Warning::of_network(WarningCode::ToolBeyond, message)
             }));
         }
         if reading.tool.is_none() && reading.reset.is_none() && resetting {
             warnings.push(Warning::of_network(
-                "reset-assumed",
+                WarningCode::ResetAssumed,
                 "the file does not state the reset (a v_reset of 0 is its format's default), so v returns to zero, as \
                  on the chip. Networks of snnTorch, sinabs, Rockpool and spyx subtract the threshold: give --from TOOL, \
                  --reset subtract-later (snnTorch) or --reset subtract. --reset zero confirms zero",
@@ -111,7 +111,7 @@ impl Reader<'_> {
                 listed(&names),
                 (grid * 1e9).round() / 1e9
             );
-            Warning::of_network("threshold-assumed", message)
+            Warning::of_network(WarningCode::ThresholdAssumed, message)
         })
     }
 
@@ -133,7 +133,7 @@ impl Reader<'_> {
                  it",
                 listed(&names)
             );
-            Warning::of_network("lower-bound-assumed", message)
+            Warning::of_network(WarningCode::LowerBoundAssumed, message)
         })
     }
 
@@ -142,14 +142,14 @@ impl Reader<'_> {
         let mut warnings: Vec<Warning> = Vec::new();
         for (from, to) in &self.flat.doubled {
             let message = format!("the file has the edge from '{from}' to '{to}' more than once: it counts once");
-            warnings.push(Warning::of_network("edge-doubled", message));
+            warnings.push(Warning::of_network(WarningCode::EdgeDoubled, message));
         }
         let reached = self.closure(|(from, to)| (from, to), |kind| is_population(kind));
         let leading = self.closure(|(from, to)| (to, from), |kind| is_population(kind) || kind == "Output");
         for (from, to) in self.flat.edges.iter().filter(|(from, to)| !reached.contains(from) || !leading.contains(to)) {
             let why = if reached.contains(from) { "no path leads on to neurons" } else { "no spikes reach it" };
             let message = format!("the edge from '{from}' to '{to}' has no effect, as {why}: it is dropped");
-            warnings.push(Warning::of_network("edge-dropped", message));
+            warnings.push(Warning::of_network(WarningCode::EdgeDropped, message));
         }
         self.warnings.extend(warnings);
     }
@@ -191,5 +191,5 @@ fn scaled(neurons: &[(&str, &Discrete)]) -> Option<Warning> {
         format!("{:.6}", first.gain.get(0)).trim_end_matches('0').trim_end_matches('.'),
         listed(&names)
     );
-    Some(Warning::of_network("gain", message))
+    Some(Warning::of_network(WarningCode::Gain, message))
 }

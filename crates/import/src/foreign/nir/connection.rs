@@ -14,7 +14,7 @@ use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// Help to join layers without neurons between them.
 const JOIN_HELP: &str = "put a neuron between them, or join them into one layer. A convolution of stride s followed by \
@@ -177,7 +177,7 @@ impl Reader<'_> {
                     steps.len(),
                     most.round_ties_even()
                 );
-                self.warnings.push(Warning::of_network("delays-rounded", message));
+                self.warnings.push(Warning::of_network(WarningCode::DelaysRounded, message));
             }
         }
         Ok(())

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use super::state::Reader;
 use nsim_ir::base::depths::depths;
 use nsim_ir::base::diagnostic::Result;
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 impl Reader<'_> {
     /// Finds the depth of each population, in the order in which spikes reach them.
@@ -47,7 +47,7 @@ impl Reader<'_> {
                 "the loop from '{from}' to '{to}' takes additional steps ({}), as each layer takes a step on the chip",
                 arrives - depth(to)
             );
-            self.warnings.push(Warning::of_network("loop-slower", message));
+            self.warnings.push(Warning::of_network(WarningCode::LoopSlower, message));
         }
         depth(to).saturating_sub(arrives)
     }

@@ -11,7 +11,7 @@ use crate::foreign::hdf5::Group;
 use crate::foreign::imported::{Options, shortest_decimal, wrong_option};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// Change of v by a spike.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -135,11 +135,11 @@ impl Reader<'_> {
         ));
         if let Some(rest) = rest {
             let message = format!("v is counted from its rest potential {rest}, where it begins");
-            self.warnings.push(Warning::of_population("rest-potential", &self.names[name], message));
+            self.warnings.push(Warning::of_population(WarningCode::RestPotential, &self.names[name], message));
         }
         // One warning represents all nodes.
-        if let Some(long) = long.filter(|_| !self.warnings.iter().any(|warning| warning.code == "long-timestep")) {
-            self.warnings.push(Warning::of_network("long-timestep", long));
+        if let Some(long) = long.filter(|_| !self.warnings.iter().any(|warning| warning.code == WarningCode::LongTimestep)) {
+            self.warnings.push(Warning::of_network(WarningCode::LongTimestep, long));
         }
         Ok(Some(neuron))
     }

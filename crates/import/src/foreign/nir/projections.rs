@@ -13,7 +13,7 @@ use crate::foreign::imported::{LONGEST_DELAY, always_spiking, integrator};
 use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::warning::Warning;
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The diagnostic for too many listed synapses.
 fn too_many_listed() -> Diagnostic {
@@ -294,12 +294,12 @@ impl Reader<'_> {
             self.model.output = self.names[last].clone();
             self.drain(&last.clone());
             let message = format!("no path leads to an output node; '{}' is used as the output", self.model.output);
-            self.warnings.push(Warning::of_network("output-assumed", message));
+            self.warnings.push(Warning::of_network(WarningCode::OutputAssumed, message));
             return Ok(());
         };
         if outputs.len() > 1 {
             let message = format!("there are {} outputs; '{output}' is used", outputs.len());
-            self.warnings.push(Warning::of_network("output-assumed", message));
+            self.warnings.push(Warning::of_network(WarningCode::OutputAssumed, message));
         }
         let arrived = self.linear_map(&self.shapes[&path[0]].clone(), &path[1..])?;
         self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;

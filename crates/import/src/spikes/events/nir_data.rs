@@ -123,13 +123,15 @@ pub fn read(
             }
             check(units as f64)?;
             let mut recordings = silent(samples, bound(steps as f64)?)?;
+            let mut entries = of_grid.entries(path);
             for (at, number) in data.reals().enumerate() {
-                if !of_grid.is_spike(number, path)? {
+                if !entries.is_spike(at, number)? {
                     continue;
                 }
                 let (sample, step, unit) = (at / (steps * units), at / units % steps, at % units);
                 recordings[sample].events.push((step as u32, unit as u32));
             }
+            entries.finish()?;
             Ok(recordings)
         }
         Some("EventData" | "ValuedEventData") => {

@@ -105,9 +105,9 @@ fn default_origin(format: EventFormat) -> Origin {
     }
 }
 
-/// Logs the span and the counts of a recording, as a warning where events were dropped or moved, or
-/// where columns or units are assumed.
-pub fn report(path: &Path, counts: &Counts) {
+/// Logs the span and the counts of a recording. Where events were dropped or moved, or columns or
+/// units are assumed, returns the line instead, for a warning.
+pub fn report(path: &Path, counts: &Counts) -> Option<String> {
     let Counts { events, span_us, dropped, disordered, merged, faint, clock_turns, not_events, cut_bytes, .. } =
         *counts;
     let Counts { unit_assumed, columns_assumed, .. } = *counts;
@@ -139,8 +139,8 @@ pub fn report(path: &Path, counts: &Counts) {
     }
     let assumed = columns_assumed || unit_assumed;
     if assumed || dropped + disordered + faint + clock_turns > 0 || cut_bytes.is_some() {
-        tracing::warn!(target: RECORDING, "{line}");
-    } else {
-        tracing::info!(target: RECORDING, "{line}");
+        return Some(line);
     }
+    tracing::info!(target: RECORDING, "{line}");
+    None
 }

@@ -1,0 +1,211 @@
+//! What changes a model, or rests on an assumption, is in the text, in JSON and in Python alike.
+//!
+//! Each reader of models and of recordings has a case, and each code of a warning is made by one.
+//! `python/tests/test_warnings.py` has the cases of Python.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use nsim::files::npy;
+use nsim::import::foreign::hdf5::{self, Group, Numbers};
+use nsim::ir::base::warning::WarningCode;
+use serde_json::Value;
+
+use crate::advice::nir_with;
+use crate::common::command;
+#[path = "../common/torch.rs"]
+mod torch;
+#[path = "../files/tree.rs"]
+#[allow(dead_code)]
+mod tree;
+
+use crate::{MODEL, SRM, write};
+use tree::{int, ints, typed};
+
+/// A model of an input of 4 channels and a population of 2.
+fn model(neuron: &str, projection: &str, network: &str) -> String {
+    format!(
+        "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [4]),
+         Loihi(name: \"out\", shape: [2], {neuron})], projections: [Dense(from: [\"in\"], to: \"out\", {projection})],
+         output: \"out\", {network})"
+    )
+}
+
+/// A file of netx: a dense layer with these weights.
+fn netx(folder: &Path, name: &str, weights: [f64; 2]) {
+    let [du, dv, vth] = [2048, 512, 40].map(int);
+    let neuron = Group::default().with("type", "CUBA").with("iDecay", du).with("vDecay", dv).with("vThMant", vth);
+    let dense = typed("dense").with("shape", ints(&[1])).with("neuron", neuron);
+    let dense = dense.with("weight", Numbers::f64(&[1, 2], &weights));
+    let input = typed("input").with("shape", ints(&[2]));
+    let file = Group::default().with("layer", Group::default().with("0", input).with("1", dense));
+    std::fs::write(folder.join(name), hdf5::write(&file).unwrap()).unwrap();
+}
+
+fn array(folder: &Path, name: &str, shape: &[u64], numbers: &[f64]) {
+    npy::write(std::fs::File::create(folder.join(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
+}
+
+fn files(folder: &Path) {
+    nir_with(folder, 1.0);
+    netx(folder, "fraction.net", [20.0, -6.5]);
+    netx(folder, "odd.net", [513.0, -7.0]);
+    array(folder, "1-fc1.npy", &[1, 2], &[1000.0, 2.0]);
+    let dense: Vec<torch::Entry> =
+        vec![("fc1.weight", vec![2, 3], vec![20.0; 6]), ("fc2.weight", vec![2, 2], vec![20.0; 4])];
+    std::fs::write(folder.join("net.pt"), torch::checkpoint(&dense)).unwrap();
+    let yaml = "neuron:\n  type: LOIHI\n  vThMant: 80\n  vDecay: 128\n  iDecay: 1024\n  refDelay: 1\n  wgtExp: 0\n";
+    let strong = "du: 4096, dv: 1024, vth_mant: 1";
+    let none = "weights: [[64, 64, 64, 64], [64, 64, 64, 64]]";
+    for (name, text) in [
+        ("loihi.yml", yaml),
+        ("srm.ron", SRM),
+        (
+            "wide.ron",
+            &MODEL.replace("shape: [3]", "shape: [2, 1, 4]").replace(
+                "weights: [[20, 0, 4], [2, 30, 6], [0, 8, 40], [12, -6, 2]]",
+                "weights: Uniform(low: 2, high: 60, step: 2, seed: 1)",
+            ),
+        ),
+        ("odd.ron", &model(strong, "weights: [[63, 64, 65, 66], [64, -64, 64, 64]]", "")),
+        ("lava.ron", &model(&format!("{strong}, refractory: 5, vmax_exp: 3"), none, "semantics: Lava")),
+        ("slayer.ron", &model(&format!("{strong}, bias_mant: 3"), none, "semantics: Slayer")),
+        ("clipped.ron", &model("du: 4096, dv: 0, vth_mant: 100, vmax_exp: 1", none, "")),
+        (
+            "wrapped.ron",
+            &model(
+                "du: 0, dv: 4096, vth_mant: 1",
+                "weights: Uniform(low: 250, high: 254, step: 2, seed: 1), weight_exp: 7",
+                "",
+            ),
+        ),
+        ("silent.ron", &MODEL.replace("vth_mant: 10", "vth_mant: 9000")),
+        ("events.csv", "t_us,x,y,p\n0,1,0,1\n900,9,0,1\n1500,2,0,0\n2600,3,0,1\n"),
+        ("late.txt", "t_us,x,y,p\n0,1,0,1\n3000,2,0,1\n1000,2,0,0\n"),
+    ] {
+        write(folder, name, text);
+    }
+    // Addresses: column, row, polarity and 23 bits of time; the second is beyond the sensor.
+    std::fs::write(folder.join("events.bin"), [1, 0, 0x80, 0, 0, 30, 0, 0x80, 4, 0, 2, 0, 0, 9, 0]).unwrap();
+}
+
+/// The codes of a command's warnings. Each line that it prints is one of them, and the other way
+/// around; its result in text has the same lines.
+fn codes(folder: &Path, line: &str) -> BTreeSet<String> {
+    let (status, out, err) = command::said(folder, &format!("{line} --format json"));
+    assert!(status < 2, "{line}: {err}");
+    let result: Value = serde_json::from_str(&out).unwrap();
+    let lines: Vec<&str> = err.lines().filter_map(|line| line.trim_start().strip_prefix("WARN ")).collect();
+    let rows = result["warnings"].as_array().unwrap_or_else(|| panic!("{line}: {out}"));
+    let said = |row: &Value| match row["population"].as_str() {
+        Some(population) => format!("'{population}': {}", row["message"].as_str().unwrap()),
+        None => row["message"].as_str().unwrap().to_string(),
+    };
+    for row in rows {
+        assert_eq!(lines.iter().filter(|line| line.ends_with(&said(row))).count(), 1, "{line}: {row} in {err}");
+    }
+    assert_eq!(lines.len(), rows.len(), "{line}: {err}");
+    let (_, _, text) = command::said(folder, line);
+    assert_eq!(text, err, "{line}");
+    rows.iter().map(|row| row["code"].as_str().unwrap().to_string()).collect()
+}
+
+#[test]
+fn a_warning_is_in_text_and_json_alike_and_each_code_is_made() {
+    use WarningCode::*;
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    files(folder);
+    let noise = "scene:noise?samples=1&steps=40&rate=0.5&seed=1";
+    let events = "wide.ron --input in=events.csv?size=4,1&steps=3";
+    let cases: [(&[&str], String, &[WarningCode]); 20] = [
+        (&["run", "energy", "agree"], format!("net.nir --dt 1 --input {noise}"), &[ResetAssumed]),
+        (
+            &["map", "import", "import -o made.ron --force", "export -o made.nir --force"],
+            "net.nir --dt 1".into(),
+            &[ResetAssumed],
+        ),
+        (&["compare --targets loihi1-chip"], format!("net.nir --dt 1 --input {noise}"), &[ResetAssumed]),
+        (&["import"], "net.nir --dt 50 --decay exponential --reset zero".into(), &[LongTimestep]),
+        (&["import"], "net.nir --dt 1 --reset zero --decision greatest_v".into(), &[DecisionByPotential]),
+        (&["map", "import"], "fraction.net".into(), &[FractionLost]),
+        (&["run", "energy"], format!("odd.net --input {noise}"), &[WeightsRounded]),
+        (&["import"], "1-fc1.npy --neuron loihi.yml".into(), &[WeightsRounded]),
+        (&["import"], "net.pt --neuron loihi.yml".into(), &[LayerOrder]),
+        (&["run", "energy", "agree"], events.into(), &[EventsChanged]),
+        (&["run"], "wide.ron --input in=late.txt?size=4,1&steps=5".into(), &[EventsChanged]),
+        (&["run"], "wide.ron --input in=events.bin?size=4,1&steps=5".into(), &[EventsChanged]),
+        (&["run", "run --engine golden", "energy", "agree"], format!("odd.ron --input {noise}"), &[WeightsRounded]),
+        (&["map", "map --copies 3"], "odd.ron".into(), &[WeightsRounded]),
+        (&["run", "run --engine reference"], format!("lava.ron --input {noise}"), &[ParameterIgnored]),
+        (&["run", "energy"], format!("slayer.ron --input {noise}"), &[ParameterIgnored]),
+        (&["map"], "srm.ron".into(), &[Converted]),
+        (&["run", "energy"], format!("clipped.ron --input {noise}"), &[Clipped]),
+        (&["run"], format!("wrapped.ron --input {noise}"), &[Wrapped]),
+        (&["run", "energy"], format!("silent.ron --input {noise}"), &[SilentPopulation, SilentOutput]),
+    ];
+    let mut made = BTreeSet::new();
+    for (commands, arguments, expected) in &cases {
+        for command in *commands {
+            // Baselines have notes of their own.
+            let more = if command.starts_with("energy") { " --baseline" } else { "" };
+            let found = codes(folder, &format!("{command} {arguments}{more}"));
+            for code in *expected {
+                assert!(found.contains(code.name()), "{command} {arguments}: {code:?} is not among {found:?}");
+                made.insert(*code);
+            }
+        }
+    }
+    assert_eq!(made, BTreeSet::from(WarningCode::ALL));
+    let page = std::fs::read_to_string("docs/results.md").unwrap();
+    let (_, table) = page.split_once("\n## Warnings\n").unwrap();
+    let rows: Vec<&str> = table.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect();
+    let codes = WarningCode::ALL.map(WarningCode::name);
+    assert_eq!(rows[..codes.len()], codes, "docs/results.md has a row for each");
+    assert!(WarningCode::ALL.iter().all(|code| serde_json::json!(code) == code.name()));
+}
+
+/// Every source of arrays, in which two values or a sign are more than a spike.
+#[test]
+fn counts_and_signs_in_arrays_are_refused_where_spikes_would_lose_them() {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = temporary.path();
+    let binary = model("du: 4096, dv: 1024, vth_mant: 1", "weights: [[64, 64, 64, 64], [64, 64, 64, 64]]", "");
+    write(folder, "m.ron", &binary);
+    write(folder, "graded.ron", &binary.replace("shape: [4])", "shape: [4], message_bits: 8)"));
+    write(folder, "set.ron", "DataSet(name: \"s\", populations: {\"a\": \"in\"}, recordings: {\"a\": \"counts.npy\"})");
+    std::fs::create_dir(folder.join("all")).unwrap();
+    for name in ["counts.npy", "all/sample_0_label_0.npy"] {
+        array(folder, name, &[4, 2], &[0.0, 1.0, 2.0, 0.0, 3.0, 1.0, 0.0, 0.0]);
+    }
+    array(folder, "signs.npy", &[4, 2], &[0.0, -1.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0]);
+    array(folder, "one.npy", &[4, 2], &[0.0, 255.0, 0.0, 255.0, 0.0, 0.0, 0.0, 0.0]);
+    let spikes =
+        |arguments: &str| command::object(folder, &format!("run {arguments}"), 0)["activity"]["spikes_in"].clone();
+    let counts = "2 of 4 entries other than 0 are greater than 1";
+    for (source, says) in [
+        ("counts.npy", counts),
+        ("all", counts),
+        ("set.ron", counts),
+        ("signs.npy", "2 of 2 entries other than 0 are negative"),
+    ] {
+        for command in ["run", "energy", "agree", "map --profile"] {
+            let input = if command.starts_with("map") { "" } else { " --input" };
+            let line = match input {
+                "" => format!("{command} {source} m.ron"),
+                _ => format!("{command} m.ron{input} {source}"),
+            };
+            let (status, _, err) = command::said(folder, &line);
+            assert!(
+                status == 3 && err.contains(says) && err.contains("least=") && err.contains("message_bits"),
+                "{line}: {err}"
+            );
+        }
+    }
+    // What the refusal names.
+    assert_eq!(spikes("m.ron --input counts.npy?least=1"), 4);
+    assert_eq!(spikes("m.ron --input counts.npy?least=2"), 2);
+    assert_eq!(spikes("m.ron --input one.npy"), 2);
+    assert_eq!(spikes("graded.ron --target oheo-gulch --input counts.npy"), 4);
+    assert_eq!(spikes("graded.ron --target oheo-gulch --input signs.npy"), 2);
+}
