@@ -66,7 +66,11 @@ fn a_tool_sets_timestep_decay_gain_reset_and_threshold() {
         let close = weights.iter().zip(&w).all(|(made, given)| (made - gain * given).abs() < 1e-9);
         assert!(close, "{tool}: {weights:?}");
         let assumed = ["reset-assumed", "threshold-assumed", "lower-bound-assumed", "gain"];
-        assert!(imported.warnings.iter().all(|warning| !assumed.contains(&warning.code.name())), "{:?}", imported.warnings);
+        assert!(
+            imported.warnings.iter().all(|warning| !assumed.contains(&warning.code.name())),
+            "{:?}",
+            imported.warnings
+        );
         // A single option wins.
         assert_eq!(read(&root, &given(tool, 0.0, Some(ResetMode::Zero))).unwrap().reset, Some(ResetMode::Zero));
     }

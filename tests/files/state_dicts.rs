@@ -5,7 +5,6 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::common;
 use crate::torch::{Entry, checkpoint, nested};
 use nsim::files::lower::lower;
 use nsim::files::network::{Parameter, ProjectionKind};

@@ -310,7 +310,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(name);
         std::fs::write(&path, bytes).unwrap();
-        inspect(path.to_str().unwrap(), None)
+        inspect(path.to_str().unwrap(), &Reading::default())
     }
 
     fn object(findings: &Findings) -> Value {
@@ -372,7 +372,7 @@ Network(name: "m", timestep_ms: 1.0,
         for name in ["sample_0_label_1.npy", "sample_1_label_1.npy"] {
             std::fs::write(folder.path().join(name), &bytes).unwrap();
         }
-        let folder = object(&inspect(folder.path().to_str().unwrap(), None).unwrap());
+        let folder = object(&inspect(folder.path().to_str().unwrap(), &Reading::default()).unwrap());
         assert_eq!((&folder["spikes"], folder.get("events")), (&json!(4), None));
         assert_eq!(
             (&folder["density"], &folder["labels"]),
@@ -382,13 +382,13 @@ Network(name: "m", timestep_ms: 1.0,
         for name in ["a.bin", "b.bin"] {
             std::fs::write(folder.path().join(name), [3, 4, 0x80, 0, 9, 5, 6, 0, 1, 0]).unwrap();
         }
-        let folder = object(&inspect(folder.path().to_str().unwrap(), None).unwrap());
+        let folder = object(&inspect(folder.path().to_str().unwrap(), &Reading::default()).unwrap());
         assert_eq!((&folder["spikes"], &folder["events"]), (&Value::Null, &json!(4)));
     }
 
     #[test]
     fn a_shipped_target_shows_each_constant_with_unit_source_and_status() {
-        let object = object(&inspect("nahuku-32", None).unwrap());
+        let object = object(&inspect("nahuku-32", &Reading::default()).unwrap());
         assert_eq!((&object["kind"], &object["chips"], &object["cores"]), (&json!("target"), &json!(32), &json!(4096)));
         let constants = object["constants"].as_array().unwrap();
         for preset in ["davies2018", "sanafe-calibrated"] {
@@ -418,7 +418,7 @@ Network(name: "m", timestep_ms: 1.0,
         assert_eq!(findings("a.ron", b"Zoo()").err().unwrap().code, "inspect.kind");
         assert_eq!(findings("a.ron", b"/* x").err().unwrap().code, "inspect.kind");
         assert_eq!(findings("a.xyz", b"").err().unwrap().code, "inspect.kind");
-        assert_eq!(inspect("./absent.xyz", None).err().unwrap().code, "io.missing");
-        assert_eq!(inspect("absent", None).err().unwrap().code, "inspect.unknown");
+        assert_eq!(inspect("./absent.xyz", &Reading::default()).err().unwrap().code, "io.missing");
+        assert_eq!(inspect("absent", &Reading::default()).err().unwrap().code, "inspect.unknown");
     }
 }

@@ -28,8 +28,8 @@ use nsim_files::network::{NetworkFile, PopulationDesc, ProjectionDesc, Projectio
 use nsim_files::npy;
 use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::warning::WarningCode;
 use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::warning::WarningCode;
 use nsim_ir::neurons::NeuronKind;
 use reader::{DEFAULT_BITS, Neurons, Reader, units, wrong};
 

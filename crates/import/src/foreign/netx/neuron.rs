@@ -38,7 +38,11 @@ impl Reader<'_> {
             let whole: Vec<f64> = given.iter().map(|x| x.trunc()).collect();
             let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
             if cut > 0 {
-                self.warn(layer, WarningCode::FractionLost, format!("{cut} biases are not whole and lose their fraction"));
+                self.warn(
+                    layer,
+                    WarningCode::FractionLost,
+                    format!("{cut} biases are not whole and lose their fraction"),
+                );
             }
             let biases = self.expand(layer, "bias", whole, shape)?;
             match neurons.kind {

@@ -10,8 +10,8 @@ use crate::foreign::imported::{LONGEST_DELAY, LayerWeights};
 use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::Result;
-use nsim_ir::base::warning::WarningCode;
 use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::warning::WarningCode;
 use nsim_ir::neurons::NeuronKind;
 
 impl Reader<'_> {

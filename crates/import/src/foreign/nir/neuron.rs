@@ -138,7 +138,9 @@ impl Reader<'_> {
             self.warnings.push(Warning::of_population(WarningCode::RestPotential, &self.names[name], message));
         }
         // One warning represents all nodes.
-        if let Some(long) = long.filter(|_| !self.warnings.iter().any(|warning| warning.code == WarningCode::LongTimestep)) {
+        if let Some(long) =
+            long.filter(|_| !self.warnings.iter().any(|warning| warning.code == WarningCode::LongTimestep))
+        {
             self.warnings.push(Warning::of_network(WarningCode::LongTimestep, long));
         }
         Ok(Some(neuron))
