@@ -43,12 +43,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     nsim_session::front::check(&network)?;
     let model = network.resolved()?;
     let (tree, notes) = if has("nir") { nir_export::export(&model)? } else { netx_export::export(&model)? };
-    let bytes = foreign::exported(&args.output, &tree, &model)?;
+    let count = tree.group(path).map_or(0, |group| group.items.len());
+    let bytes = foreign::exported(&args.output, tree, &model)?;
     write::file(&args.output, context.force, |out| out.write_all(&bytes))?;
     for note in &notes {
         tracing::warn!("{note}");
     }
-    let count = tree.group(path).map_or(0, |group| group.items.len());
     let found = Findings {
         kind,
         facts: vec![

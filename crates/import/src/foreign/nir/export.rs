@@ -10,6 +10,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::state::MOST_NODES;
 use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::{MAX_THRESHOLD, always_spiking};
 use crate::foreign::window::Step;
@@ -80,6 +81,13 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     let name = graph.unused_name("output");
     graph.nodes.insert(&name, node("Output").with("shape", shape(&output.shape)));
     graph.edges.push((model.output.clone(), name));
+    let (nodes, edges) = (graph.nodes.items.len(), graph.edges.len());
+    if nodes.max(edges) > MOST_NODES {
+        graph.notes.push(format!(
+            "the graph has {nodes} nodes and {edges} edges: nsim restores the file, but reads a changed one only up to \
+             {MOST_NODES} of both"
+        ));
+    }
     let metadata = model_metadata(model)?;
     let root = nir_graph(graph.nodes, graph.edges).with("metadata", metadata);
     Ok((Group::default().with("version", VERSION).with("node", root), graph.notes))
