@@ -48,8 +48,11 @@ def from_nir(
     decay: Optional[str] = None,
     threshold: Optional[str] = None,
     decision: Optional[str] = None,
+    tool: Optional[str] = None,
+    check: Any = None,
 ) -> Network:
-    """A `nir.NIRGraph` as a network, as `nsim import` reads its file; `dt_ms` is the timestep in ms."""
+    """A `nir.NIRGraph` as a network, as `nsim import` reads its file; `dt_ms` is the timestep in ms, `tool` the one
+    whose conventions hold, `check` a pair of input and output spikes that the tool gave."""
 
 def from_torch(module: Any, sample: Any, *, export: Any = None, **options: Any) -> Network:
     """A `torch.nn.Module` as a network; `sample` is an input of one timestep, `[batch, channels..]`. A network

@@ -522,11 +522,12 @@ def network_of(module, sample, name="network", dt_ms=None, reset=None, output=No
     """A module with neurons of one of the tools as a network, which spikes as the module does.
 
     `output` names the layer that decides, by default the first that forward() returns. `check` are spikes `[samples, channels.., T]` on
-    which the network is compared with the module, beyond the random ones.
+    which the network is compared with the module, beyond the random ones, or a pair of them and the recorded output.
     """
     import torch
 
     dt_ms = timestep_ms(module) if dt_ms is None else dt_ms
+    check, recorded = check if isinstance(check, tuple) else (check, None)
     layout = layout_of(leaves(module))
     traced = copied(module)
     dtype = torch.float64 if any(one.dtype == torch.float64 for _, one in traced.named_parameters()) else torch.float32
@@ -548,7 +549,18 @@ def network_of(module, sample, name="network", dt_ms=None, reset=None, output=No
     with listed(traced):
         for given in shown:
             compare(network, traced, trace, given, layout)
+    if recorded is not None:
+        differing, said = _nsim.check_recording(network, shown[-1], recording(recorded))
+        if differing:
+            raise refusal(said, "record the output of the same module, on the same spikes", "check.differs")
     return network
+
+
+def recording(spikes):
+    """Recorded spikes of the output, `[samples, neurons, T]` or `[neurons, T]`: the steps and the (step, neuron) of each sample."""
+    spikes = np.asarray(spikes.detach().cpu() if hasattr(spikes, "detach") else spikes) != 0
+    spikes = spikes if spikes.ndim > 2 else spikes[None]
+    return [(one.shape[-1], np.argwhere(one.reshape(-1, one.shape[-1]).T).tolist()) for one in spikes]
 
 
 def training(module):

@@ -49,6 +49,8 @@ fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(network::from_bytes, module)?)?;
     module.add_function(wrap_pyfunction!(network::from_nodes, module)?)?;
     module.add_function(wrap_pyfunction!(network::real_spikes, module)?)?;
+    module.add_function(wrap_pyfunction!(network::check_recording, module)?)?;
+    module.add("TOOLS", nsim::import::foreign::Tool::ALL.map(nsim::import::foreign::Tool::name))?;
     module.add_function(wrap_pyfunction!(train::train, module)?)?;
     module.add_function(wrap_pyfunction!(sweep::sweep_len, module)?)?;
     module.add_function(wrap_pyfunction!(sweep::sweep_part, module)?)?;

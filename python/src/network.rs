@@ -4,10 +4,12 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use nsim::agree::compare::real_trace;
+use nsim::agree::recording::compare_recording;
 use nsim::agree::staged::layers;
 use nsim::energy::evaluate::DeploymentPlan;
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
+use nsim::import::spikes::PopulationSpikes;
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::warning::Warning;
 use nsim::session::front::real_and_integers;
@@ -114,6 +116,30 @@ pub fn real_spikes<'py>(
         Ok((layer.name, rows.to_pyarray(py).call_method1("reshape", (-1, 3))?))
     });
     rows.collect()
+}
+
+/// The number of values in which a tool's recorded spikes of the output differ from a network's in
+/// real numbers, and a sentence. `recorded` has the steps and the (step, neuron) of each sample.
+#[pyfunction]
+pub fn check_recording(
+    py: Python<'_>,
+    network: &Network,
+    spikes: &Bound<'_, PyAny>,
+    recorded: Vec<(u32, Vec<(u32, u32)>)>,
+) -> PyResult<(u64, String)> {
+    let (graph, integers) = try_detached(py, || real_and_integers(&network.network))?;
+    let shown = NetworkInput::new(&integers, None, Some(spikes), &Keywords::new(None)?)?;
+    let sample = |(steps, events)| PopulationSpikes { steps, events, ..PopulationSpikes::default() };
+    let recorded: Vec<PopulationSpikes> = recorded.into_iter().map(sample).collect();
+    let result = try_detached(py, || compare_recording((&graph, &integers), &shown.samples(), &recorded))?;
+    let first = result.first.map_or(String::new(), |first| {
+        let has = if first.recorded { "the recording" } else { "nsim" };
+        format!(
+            "; the first: sample {}, step {}, neuron {}, where only {has} has a spike; v is {:.6} of the threshold",
+            first.sample, first.step, first.neuron, first.potential
+        )
+    });
+    Ok((result.differing, result.text() + &first))
 }
 
 /// A network as in its file.

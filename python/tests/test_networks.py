@@ -131,13 +131,11 @@ class InMemory(unittest.TestCase):
             nir.CubaLIF(*[np.full(4, x) for x in [5e-3, 1e-2, 1.0, 0.0, 0.5]], w_in=np.full(4, 1.0), v_reset=np.zeros(4)),
             nir.Output({"output": np.array([4])}),
         )
-        with warnings.catch_warnings():
-            warnings.simplefilter("error", nsim.Warning)
+        with warnings.catch_warnings(record=True) as issued:
+            warnings.simplefilter("always")
             network = nsim.from_nir(graph, dt_ms=1.0)
         self.assertTrue(network.notes)
-        with self.assertRaises(nsim.Error) as refused:
-            nsim.from_nir(graph, dt_ms=1.0, reset="subtract-later")
-        self.assertIn("contradicts", str(refused.exception))
+        self.assertIn("does not state the reset", " ".join(str(one.message) for one in issued))
         with self.assertRaises(nsim.Error) as refused:
             nsim.from_nir("network.nir")
         self.assertIn("nsim.load(path)", refused.exception.help)
@@ -152,6 +150,20 @@ class InMemory(unittest.TestCase):
         of_bytes = nsim._nsim.from_bytes("network", content, dt_ms=1.0)
         self.assertEqual(figures(network, 6), figures(of_bytes, 6))
         self.assertEqual(figures(network, 6), figures(folded, 6))
+
+    @unittest.skipIf(nir is None, "nir is absent")
+    def test_recorded_spikes_decide_whose_conventions_hold(self):
+        graph = nir.NIRGraph.from_list(
+            nir.Input({"input": np.array([2])}), nir.Linear(np.eye(2)), nir.IF(np.ones(2), np.ones(2)), nir.Output({"output": np.array([2])})
+        )
+        spikes = np.random.default_rng(1).random((3, 2, 20)) < 0.4
+        # v equals the threshold at each spike, where spikingjelly spikes.
+        warnings.simplefilter("ignore", nsim.Warning)
+        nsim.from_nir(graph, tool="spikingjelly", check=(spikes, spikes))
+        with self.assertRaises(nsim.Error) as refused:
+            nsim.from_nir(graph, check=(spikes, spikes))
+        self.assertEqual(refused.exception.code, "check.differs")
+        self.assertIn("with tool='spikingjelly': 0 of 120", refused.exception.help)
 
     @unittest.skipIf(torch is None or nir is None, "torch, snntorch or nir is absent")
     def test_a_module_of_snntorch_to_energy(self):
