@@ -120,8 +120,10 @@ fn fractions_are_spikes_where_that_is_asked_for() {
     assert!(error["help"].as_str().unwrap().ends_with(&advised), "{error}");
     let spikes = |source: &str| object(&["run", &model, "--input", source], 0)["activity"]["spikes_in"].clone();
     assert_eq!(spikes(&advised), 3);
-    // Whole numbers are taken as spikes, regardless of their type.
-    assert_eq!(spikes(&array(folder.path(), "whole.npy", &[3, 2], &[0.0, 2.0, -1.0, 0.0, 1.0, 0.0])), 3);
+    // One value is a spike, regardless of its type; several are counts.
+    assert_eq!(spikes(&array(folder.path(), "whole.npy", &[3, 2], &[0.0, 2.0, 2.0, 0.0, 2.0, 0.0])), 3);
+    let counts = array(folder.path(), "counts.npy", &[3, 2], &[0.0, 2.0, 1.0, 0.0, 1.0, 0.0]);
+    assert_eq!(object(&["run", &model, "--input", &counts], 3)["code"], "input.value");
 }
 
 /// Remedies of a network that does not fit, each typed after the command.

@@ -586,7 +586,13 @@ fn messages_name_options_commands_and_values_that_exist() {
     // Options of cargo, which builds nsim, and one of a build with the feature nvml.
     let others = ["--features", "--release", "--gpu-command"];
     // Values that this file's tests, or tests/cli/advice.rs, take from the message and set.
-    let tried = ["timestep_ms=", "decision=GreatestV", "populations.NAME.start_step=0", "constants.{path}="];
+    let tried = [
+        "timestep_ms=",
+        "decision=GreatestV",
+        "populations.NAME.start_step=0",
+        "constants.{path}=",
+        "semantics=Hardware",
+    ];
     let tried = [&tried[..], &["projections.{place}.weight_bits=", "target.limits.{}="]].concat();
     // Examples of help texts.
     let tried =

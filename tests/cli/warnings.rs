@@ -20,7 +20,7 @@ mod torch;
 mod tree;
 
 use crate::{MODEL, SRM, write};
-use tree::{int, ints, typed};
+use tree::{int, ints, nir, node, reals, typed};
 
 /// A model of an input of 4 channels and a population of 2.
 fn model(neuron: &str, projection: &str, network: &str) -> String {
@@ -42,6 +42,42 @@ fn netx(folder: &Path, name: &str, weights: [f64; 2]) {
     std::fs::write(folder.join(name), hdf5::write(&file).unwrap()).unwrap();
 }
 
+/// A file of netx whose fields contradict each other, with a delay of 70 steps.
+fn contradicting_netx(folder: &Path) {
+    let neuron = |vth: i64| typed("CUBA").with("iDecay", int(2048)).with("vDecay", int(512)).with("vThMant", int(vth));
+    let dense = |neuron: Group| {
+        let weights = Numbers::f64(&[1, 1], &[20.0]);
+        typed("dense").with("shape", ints(&[1])).with("neuron", neuron).with("weight", weights)
+    };
+    let first = dense(neuron(40).with("theta", int(100))).with("delay", ints(&[70]));
+    let second = dense(neuron(200_000)).with("inFeatures", int(9));
+    let input = typed("input").with("shape", ints(&[1]));
+    let layers = Group::default().with("0", input).with("1", first).with("2", second);
+    std::fs::write(folder.join("fields.net"), hdf5::write(&Group::default().with("layer", layers)).unwrap()).unwrap();
+}
+
+/// A graph of NIR that states little: a rest potential, a loop, two outputs, edges twice and to nowhere.
+fn terse_nir(folder: &Path) {
+    let matrix = || typed("Linear").with("weight", Numbers::f64(&[2, 2], &[0.5, -0.25, 1.0, 0.75]));
+    let rest = [("tau", 0.008), ("r", 9.0), ("v_leak", -65.0), ("v_reset", -65.0), ("v_threshold", -64.0)];
+    let nodes = [
+        ("i", typed("Input").with("shape", ints(&[2]))),
+        ("w", matrix()),
+        ("d", typed("Delay").with("delay", reals(&[0.0004, 0.001]))),
+        ("n", node("LIF", &[2], &rest)),
+        ("x", matrix()),
+        ("m", node("LIF", &[2], &rest)),
+        ("y", matrix()),
+        ("z", matrix()),
+        ("o", typed("Output")),
+        ("p", typed("Output")),
+    ];
+    let edges = [("i", "w"), ("w", "d"), ("d", "n"), ("n", "x"), ("x", "m"), ("m", "o"), ("m", "y"), ("y", "n")];
+    let odd = [("n", "p"), ("n", "z"), ("i", "w")];
+    let root = nir(nodes, edges.into_iter().chain(odd));
+    std::fs::write(folder.join("terse.nir"), hdf5::write(&root).unwrap()).unwrap();
+}
+
 fn array(folder: &Path, name: &str, shape: &[u64], numbers: &[f64]) {
     npy::write(std::fs::File::create(folder.join(name)).unwrap(), shape, numbers.iter().copied()).unwrap();
 }
@@ -50,9 +86,11 @@ fn files(folder: &Path) {
     nir_with(folder, 1.0);
     netx(folder, "fraction.net", [20.0, -6.5]);
     netx(folder, "odd.net", [513.0, -7.0]);
+    contradicting_netx(folder);
+    terse_nir(folder);
     array(folder, "1-fc1.npy", &[1, 2], &[1000.0, 2.0]);
     let dense: Vec<torch::Entry> =
-        vec![("fc1.weight", vec![2, 3], vec![20.0; 6]), ("fc2.weight", vec![2, 2], vec![20.0; 4])];
+        vec![("fc1.weight", vec![2, 3, 1, 1, 1], vec![20.0; 6]), ("fc2.weight", vec![2, 2, 1, 1, 1], vec![20.0; 4])];
     std::fs::write(folder.join("net.pt"), torch::checkpoint(&dense)).unwrap();
     let yaml = "neuron:\n  type: LOIHI\n  vThMant: 80\n  vDecay: 128\n  iDecay: 1024\n  refDelay: 1\n  wgtExp: 0\n";
     let strong = "du: 4096, dv: 1024, vth_mant: 1";
@@ -113,12 +151,23 @@ fn codes(folder: &Path, line: &str) -> BTreeSet<String> {
 #[test]
 fn a_warning_is_in_text_and_json_alike_and_each_code_is_made() {
     use WarningCode::*;
+    const TERSE: [WarningCode; 9] = [
+        ThresholdAssumed,
+        LowerBoundAssumed,
+        Gain,
+        RestPotential,
+        DelaysRounded,
+        LoopSlower,
+        OutputAssumed,
+        EdgeDoubled,
+        EdgeDropped,
+    ];
     let temporary = tempfile::tempdir().unwrap();
     let folder = temporary.path();
     files(folder);
     let noise = "scene:noise?samples=1&steps=40&rate=0.5&seed=1";
     let events = "wide.ron --input in=events.csv?size=4,1&steps=3";
-    let cases: [(&[&str], String, &[WarningCode]); 20] = [
+    let cases: [(&[&str], String, &[WarningCode]); 23] = [
         (&["run", "energy", "agree"], format!("net.nir --dt 1 --input {noise}"), &[ResetAssumed]),
         (
             &["map", "import", "import -o made.ron --force", "export -o made.nir --force"],
@@ -128,6 +177,9 @@ fn a_warning_is_in_text_and_json_alike_and_each_code_is_made() {
         (&["compare --targets loihi1-chip"], format!("net.nir --dt 1 --input {noise}"), &[ResetAssumed]),
         (&["import"], "net.nir --dt 50 --decay exponential --reset zero".into(), &[LongTimestep]),
         (&["import"], "net.nir --dt 1 --reset zero --decision greatest_v".into(), &[DecisionByPotential]),
+        (&["map", "import"], "terse.nir --dt 1".into(), &TERSE),
+        (&["import"], "net.nir --from sinabs".into(), &[ToolBeyond]),
+        (&["import"], "fields.net".into(), &[DelayClipped, ThetaIgnored, ThresholdClipped, SizeIgnored]),
         (&["map", "import"], "fraction.net".into(), &[FractionLost]),
         (&["run", "energy"], format!("odd.net --input {noise}"), &[WeightsRounded]),
         (&["import"], "1-fc1.npy --neuron loihi.yml".into(), &[WeightsRounded]),

@@ -494,7 +494,7 @@ fn every_layer_of_netx_and_every_node_of_nir_becomes_a_network() {
     assert_eq!(population.parameter("du"), Some(&Parameter::Same(1024.0)));
     assert_eq!(population.parameter("dv"), Some(&Parameter::Same(256.0)));
     assert_eq!(model.projections.iter().find(|p| p.to == "q").unwrap().delay, 3);
-    for (name, dt) in [("nir_nested", Some(0.1)), ("nir_conv1d", None)] {
+    for (name, dt) in [("nir_nested", Some(0.1)), ("nir_conv1d", Some(1.0))] {
         let bytes = std::fs::read(corpus().join("hdf5").join(name)).unwrap();
         let options = Options { reading: Reading { dt_ms: dt, ..Reading::default() }, ..Options::default() };
         let imported =

@@ -248,12 +248,14 @@ pub const TABLE: [Row; 9] = [
     },
 ];
 
-impl Row {
-    /// The row of a tool.
-    pub fn of(tool: Tool) -> &'static Row {
-        &TABLE[tool as usize]
+impl Tool {
+    /// Its row.
+    pub fn row(self) -> &'static Row {
+        &TABLE[self as usize]
     }
+}
 
+impl Row {
     /// The reset of a NIR node of this type: CuBaLIF of spyx subtracts at the spike, its others later.
     pub(super) fn reset_of(&self, kind: &str) -> ResetMode {
         match (self.tool, kind) {
@@ -307,6 +309,6 @@ pub struct Reading {
 impl Reading {
     /// The row of the tool.
     pub fn row(&self) -> Option<&'static Row> {
-        self.tool.map(Row::of)
+        self.tool.map(Tool::row)
     }
 }

@@ -20,6 +20,7 @@ mod source;
 pub use self::folder::{MANIFEST, list_folder};
 pub use self::manifest::{Manifest, read_manifest};
 pub use self::options::{EventOptions, Origin, Polarity, TimeUnit};
-pub use self::population::{InputSpec, PopulationSpikes, warning_of_changes};
+pub use self::population::{InputSpec, PopulationSpikes};
+pub use self::recordings::warning_of_changes;
 pub use self::source::{read_source, read_spikes};
 pub use crate::kind::EventFormat;

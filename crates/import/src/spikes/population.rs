@@ -2,9 +2,6 @@
 
 use nsim_files::budget::MOST_EVENTS;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::warning::{Warning, WarningCode};
-
-use super::events::read::RECORDING;
 
 /// The spikes of one sample on the channels of one population.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -30,18 +27,6 @@ impl PopulationSpikes {
     pub fn silent(samples: usize, units: u64, steps: u32, name: String) -> Vec<Self> {
         vec![PopulationSpikes { units: Some(units), steps, name, ..Self::default() }; samples]
     }
-}
-
-/// The warning that recordings of a population were changed: the first of them, and the number of
-/// the others, which are logged.
-pub fn warning_of_changes(population: &str, recordings: &[PopulationSpikes]) -> Option<Warning> {
-    let mut changed = recordings.iter().filter_map(|recording| recording.changes.as_ref());
-    let mut message = changed.next()?.clone();
-    let others = changed.inspect(|line| tracing::info!(target: RECORDING, "{line}")).count();
-    if others > 0 {
-        message += &format!(" (and {others} more recordings were changed)");
-    }
-    Some(Warning::of_population(WarningCode::EventsChanged, population, message))
 }
 
 /// Requirements of the model's input population on a recording.

@@ -5,7 +5,7 @@ use std::path::Path;
 use rayon::prelude::*;
 
 use super::events::nir_data;
-use super::events::read::{read_file, read_input, report};
+use super::events::read::{RECORDING, read_file, read_input, report};
 use super::folder::list_folder;
 use super::options::{ArrayOptions, EventOptions};
 use super::population::{InputSpec, PopulationSpikes};
@@ -16,6 +16,7 @@ use nsim_files::budget::MOST_ARRAY;
 use nsim_files::npy;
 use nsim_files::text::read_bytes;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The population and the options for which a source is read.
 #[derive(Debug, Clone, Copy)]
@@ -25,6 +26,18 @@ pub(super) struct Request<'a> {
     pub(super) expected: &'a InputSpec,
     /// The options after the `?` of the source.
     pub(super) options: &'a EventOptions,
+}
+
+/// The warning that recordings of a population were changed: the first of them, and the number of
+/// the others, which are logged.
+pub fn warning_of_changes(population: &str, recordings: &[PopulationSpikes]) -> Option<Warning> {
+    let mut changed = recordings.iter().filter_map(|recording| recording.changes.as_ref());
+    let mut message = changed.next()?.clone();
+    let others = changed.inspect(|line| tracing::info!(target: RECORDING, "{line}")).count();
+    if others > 0 {
+        message += &format!(" (and {others} more recordings were changed)");
+    }
+    Some(Warning::of_population(WarningCode::EventsChanged, population, message))
 }
 
 /// Reads a file or a folder for a population.

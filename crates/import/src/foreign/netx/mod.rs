@@ -29,7 +29,7 @@ use nsim_files::npy;
 use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::base::warning::WarningCode;
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::neurons::NeuronKind;
 use reader::{DEFAULT_BITS, Neurons, Reader, units, wrong};
 
@@ -235,6 +235,12 @@ impl Reader<'_> {
             self.check_size(layer, key, &right);
         }
         Ok(())
+    }
+
+    /// Warns of a layer.
+    pub(super) fn warn(&mut self, layer: &Layer<'_>, code: WarningCode, message: impl std::fmt::Display) {
+        let message = format!("layer {} ({}): {message}", layer.number, layer.kind);
+        self.warnings.push(Warning::of_network(code, message));
     }
 
     fn check_size(&mut self, layer: &Layer<'_>, key: &str, right: &[f64]) {

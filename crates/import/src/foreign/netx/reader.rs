@@ -2,11 +2,10 @@
 
 use std::cell::Cell;
 
-use super::layer::Layer;
 use crate::foreign::imported::{LayerWeights, Options};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::warning::{Warning, WarningCode};
+use nsim_ir::base::warning::Warning;
 use nsim_ir::neurons::NeuronKind;
 
 /// The most numbers to which parameters per channel are expanded, over all layers.
@@ -73,12 +72,6 @@ pub(super) struct Reader<'a> {
 }
 
 impl Reader<'_> {
-    /// Warns of a layer.
-    pub(super) fn warn(&mut self, layer: &Layer<'_>, code: WarningCode, message: impl std::fmt::Display) {
-        let message = format!("layer {} ({}): {message}", layer.number, layer.kind);
-        self.warnings.push(Warning::of_network(code, message));
-    }
-
     /// Adds a population and makes it the last.
     pub(super) fn push(&mut self, name: &str, shape: Vec<u64>, neurons: Option<Neurons>) {
         let start_step = match &neurons {

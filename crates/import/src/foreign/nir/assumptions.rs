@@ -6,10 +6,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::neuron::{Discrete, Reset, all};
+use super::neuron::{Discrete, Reset};
 use super::node_types::is_population;
 use super::projections::weights;
-use super::state::Reader;
+use super::state::{Reader, all};
 use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The most steps of a grid from 0 to the greatest weight or threshold, at which equality is likely.

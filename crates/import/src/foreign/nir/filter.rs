@@ -10,9 +10,8 @@
 
 use std::collections::BTreeSet;
 
-use super::neuron::{all, optional, parameter};
 use super::node_types::{FILTER, is_population};
-use super::state::{Reader, unsupported, wrong};
+use super::state::{Reader, all, optional, parameter, unsupported, wrong};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 

@@ -5,9 +5,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::neuron::reals;
 use super::node_types::{Flat, Node, is_population};
-use super::state::{DEEPEST, MOST_NODES, MOST_PATHS, MOST_UNITS, Reader, product, wrong};
+use super::state::{DEEPEST, MOST_NODES, MOST_PATHS, MOST_UNITS, Reader, product, reals, wrong};
 use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::population_name;
 use nsim_ir::base::diagnostic::Result;

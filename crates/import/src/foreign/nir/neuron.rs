@@ -5,10 +5,9 @@
 
 use super::filter::Filter;
 use super::node_types::{Node, resets};
-use super::state::{Reader, product, unsupported, wrong};
+use super::state::{Reader, all, optional, parameter, product, unsupported, wrong, zip};
 use crate::foreign::conventions::{DecayRule, ResetMode};
-use crate::foreign::hdf5::Group;
-use crate::foreign::imported::{Options, shortest_decimal, wrong_option};
+use crate::foreign::imported::{Options, wrong_option};
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::warning::{Warning, WarningCode};
@@ -59,47 +58,6 @@ impl Discrete {
 
 /// Distance in 4096ths below which a decay is rounded, since time constants have single precision.
 const EXACT: f64 = 1e-3;
-
-/// Fields that may be infinite: exporters write a state that never decays so.
-const MAY_BE_INFINITE: [&str; 5] = ["tau", "tau_mem", "tau_syn", "r", "w_in"];
-
-/// The numbers of a field, which have to be finite but for time constants and their factors.
-pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
-    let numbers = node.numbers(key).ok_or_else(|| wrong(format!("node '{name}' has no array '{key}'")))?;
-    let single = numbers.dtype().ends_with("f4");
-    let reals: Vec<f64> = numbers.reals().map(|x| if single { shortest_decimal(x) } else { x }).collect();
-    let infinite = MAY_BE_INFINITE.contains(&key);
-    match reals.iter().find(|&&x| !x.is_finite() && !(infinite && x == f64::INFINITY)) {
-        Some(x) => Err(wrong(format!("node '{name}': '{key}' has a number that is {x}"))),
-        None if reals.is_empty() => Err(wrong(format!("node '{name}': '{key}' is empty"))),
-        None => Ok(reals),
-    }
-}
-
-/// The parameter in a field, or its default.
-pub(super) fn optional(node: &Group, name: &str, key: &str, default: f64) -> Result<Parameter> {
-    match node.get(key) {
-        Some(_) => Ok(Parameter::from_values(reals(node, name, key)?)),
-        None => Ok(Parameter::Same(default)),
-    }
-}
-
-pub(super) fn parameter(node: &Group, name: &str, key: &str) -> Result<Parameter> {
-    Ok(Parameter::from_values(reals(node, name, key)?))
-}
-
-/// Applies `f` to pairs of entries; a single number is paired with all.
-pub(super) fn zip(a: &Parameter, b: &Parameter, f: impl Fn(f64, f64) -> f64) -> Parameter {
-    match (a, b) {
-        (Parameter::Same(a), b) => b.map(|b| f(*a, b)),
-        (a, Parameter::Same(b)) => a.map(|a| f(a, *b)),
-        (a, b) => Parameter::from_values(a.values().iter().zip(b.values()).map(|(&a, &b)| f(a, b)).collect()),
-    }
-}
-
-pub(super) fn all(value: &Parameter, f: impl Fn(f64) -> bool) -> bool {
-    value.values().iter().all(|&x| f(x))
-}
 
 impl Reader<'_> {
     /// The discretised neuron of a node; `None` for an input.
@@ -223,19 +181,19 @@ impl NodeReader<'_> {
     }
 
     fn share_of(&mut self, key: &str, tau: &Parameter) -> Result<Share> {
-        let (name, dt) = (self.name, self.dt);
+        let (name, dt) = (self.name, self.file_dt);
         if !all(tau, |tau| tau > 0.0) {
             return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
         }
-        let steps = tau.map(|tau| self.file_dt / tau);
+        let steps = tau.map(|tau| dt / tau);
         if self.options.decay() == DecayRule::Exponential {
-            if let Some(&tau) = tau.values().iter().find(|&&tau| self.file_dt > tau) {
+            if let Some(&tau) = tau.values().iter().find(|&&tau| dt > tau) {
                 self.long.get_or_insert(format!(
                     "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so one step keeps {:.2} % of \
                      the state; nsim.from_torch reads networks of Norse and snnTorch",
                     dt * 1e3,
                     format!("{:.4e}", tau * 1e3).parse().unwrap_or(tau * 1e3),
-                    100.0 * (-self.file_dt / tau).exp()
+                    100.0 * (-dt / tau).exp()
                 ));
             }
             return Ok(Share { share: steps.map(|steps| -(-steps).exp_m1()), steps });

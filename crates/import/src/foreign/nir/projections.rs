@@ -6,8 +6,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::linear::{Connection, Linear, Window, delay_at, scaled};
-use super::neuron::{Discrete, Reset, all};
-use super::state::{Reader, product, unsupported, wrong};
+use super::neuron::{Discrete, Reset};
+use super::state::{Reader, all, product, unsupported, wrong};
 use crate::foreign::conventions::ResetMode;
 use crate::foreign::imported::{LONGEST_DELAY, always_spiking, integrator};
 use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};

@@ -7,9 +7,8 @@
 //!
 //! Errors: `import.option` where the timestep has to be given.
 
-use super::neuron::{optional, parameter};
 use super::node_types::{Node, resets};
-use super::state::Reader;
+use super::state::{Reader, optional, parameter};
 use crate::foreign::conventions::{GainRule, TimeUnit};
 use crate::foreign::imported::wrong_option;
 use nsim_files::network::Parameter;
