@@ -18,7 +18,7 @@ fn shown_so_far() -> MutexGuard<'static, Vec<(String, Warning)>> {
 /// Logs each warning once a process, after the name of the file that it is about, if any. Without a
 /// log, as in Python, nothing happens.
 pub fn show(file: &str, warnings: &[Warning]) {
-    if tracing::dispatcher::get_default(|log| log.is::<NoSubscriber>()) {
+    if tracing::dispatcher::get_default(tracing::Dispatch::is::<NoSubscriber>) {
         return;
     }
     let mut shown = shown_so_far();
