@@ -36,7 +36,7 @@ impl RecordingPair {
     /// Compares the recording with a network.
     fn compare(&self, network: &Network) -> Result<RecordingResult, Error> {
         let (graph, integers) = real_and_integers(network)?;
-        let stimulus = inputs::stimulus(&integers, &[self.input.clone()], None, None)?;
+        let stimulus = inputs::stimulus(&integers, std::slice::from_ref(&self.input), None, None)?;
         let recorded = read_source(&self.output, u64::from(output_layer(&integers).count))?;
         let samples: Vec<_> = stimulus.samples.iter().collect();
         Ok(compare_recording((&graph, &integers), &samples, &recorded)?)

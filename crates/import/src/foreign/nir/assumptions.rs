@@ -10,6 +10,7 @@ use super::neuron::{Discrete, Reset};
 use super::node_types::is_population;
 use super::projections::weights;
 use super::state::{Reader, all};
+use nsim_files::network::Parameter;
 use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The most steps of a grid from 0 to the greatest weight or threshold, at which equality is likely.
@@ -95,7 +96,7 @@ impl Reader<'_> {
         let mut names = Vec::new();
         for &(name, neuron) in neurons {
             let weights = self.weights_to(name);
-            let thresholds = neuron.threshold.iter().flat_map(|threshold| threshold.values());
+            let thresholds = neuron.threshold.iter().flat_map(Parameter::values);
             let numbers = weights.iter().copied().chain(thresholds.copied());
             let Some(grid) = common_grid(numbers).filter(|_| weights.iter().any(|&weight| weight != 0.0)) else {
                 continue;
@@ -144,7 +145,7 @@ impl Reader<'_> {
             let message = format!("the file has the edge from '{from}' to '{to}' more than once: it counts once");
             warnings.push(Warning::of_network(WarningCode::EdgeDoubled, message));
         }
-        let reached = self.closure(|(from, to)| (from, to), |kind| is_population(kind));
+        let reached = self.closure(|(from, to)| (from, to), is_population);
         let leading = self.closure(|(from, to)| (to, from), |kind| is_population(kind) || kind == "Output");
         for (from, to) in self.flat.edges.iter().filter(|(from, to)| !reached.contains(from) || !leading.contains(to)) {
             let why = if reached.contains(from) { "no path leads on to neurons" } else { "no spikes reach it" };

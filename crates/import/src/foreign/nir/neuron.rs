@@ -240,12 +240,12 @@ impl NodeReader<'_> {
                 let (synapse, membrane) = (self.share("tau_syn")?, self.share("tau_mem")?);
                 let w_in = self.parameter("w_in", Some(1.0))?;
                 let current = self.in_current(&synapse, &w_in, "w_in")?;
-                self.leaky(Some((synapse, current)), membrane)
+                self.leaky(Some((synapse, current)), &membrane)
             }
             "LIF" | "LI" => {
                 let current = filter.map(|filter| self.current_of(filter)).transpose()?;
                 let membrane = self.share("tau")?;
-                self.leaky(current, membrane)
+                self.leaky(current, &membrane)
             }
             "IF" | "I" => {
                 let current = filter.map(|filter| self.current_of(filter)).transpose()?;
@@ -300,8 +300,8 @@ impl NodeReader<'_> {
         }
     }
 
-    fn leaky(&mut self, current: Option<(Share, Parameter)>, membrane: Share) -> Result<Discrete> {
-        let voltage = self.in_voltage(&membrane, "r")?;
+    fn leaky(&mut self, current: Option<(Share, Parameter)>, membrane: &Share) -> Result<Discrete> {
+        let voltage = self.in_voltage(membrane, "r")?;
         let (rest, threshold, reset) = self.rest_and_threshold()?;
         let leak = zip(&self.parameter("v_leak", Some(0.0))?, &rest, |leak, rest| leak - rest);
         let (du, tau_u, gain) = self.before_voltage(current, &voltage);

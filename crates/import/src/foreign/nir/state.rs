@@ -40,7 +40,7 @@ pub(super) fn reals(node: &Group, name: &str, key: &str) -> Result<Vec<f64>> {
     let single = numbers.dtype().ends_with("f4");
     let reals: Vec<f64> = numbers.reals().map(|x| if single { shortest_decimal(x) } else { x }).collect();
     let infinite = MAY_BE_INFINITE.contains(&key);
-    match reals.iter().find(|&&x| !x.is_finite() && !(infinite && x == f64::INFINITY)) {
+    match reals.iter().find(|&&x| !(x.is_finite() || infinite && x == f64::INFINITY)) {
         Some(x) => Err(wrong(format!("node '{name}': '{key}' has a number that is {x}"))),
         None if reals.is_empty() => Err(wrong(format!("node '{name}': '{key}' is empty"))),
         None => Ok(reals),
