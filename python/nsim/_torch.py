@@ -560,7 +560,7 @@ def recording(spikes):
     """Recorded spikes of the output, `[samples, neurons, T]` or `[neurons, T]`: the steps and the (step, neuron) of each sample."""
     spikes = np.asarray(spikes.detach().cpu() if hasattr(spikes, "detach") else spikes) != 0
     spikes = spikes if spikes.ndim > 2 else spikes[None]
-    return [(one.shape[-1], np.argwhere(one.reshape(-1, one.shape[-1]).T).tolist()) for one in spikes]
+    return [(one.shape[-1], list(map(tuple, np.argwhere(one.reshape(-1, one.shape[-1]).T).tolist()))) for one in spikes]
 
 
 def training(module):

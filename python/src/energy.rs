@@ -20,7 +20,7 @@ use nsim::session::obtain::map_with_defaults;
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
-use crate::error::{exception, python_message, warn};
+use crate::error::{exception, in_python, python_message, warn};
 use crate::html::{frame, table};
 use crate::keywords::Keywords;
 use crate::run::{is_long, rule};

@@ -16,7 +16,7 @@ NSIM = os.environ.get("NSIM", "nsim")
 # The program is started in other folders.
 NSIM = os.path.abspath(NSIM) if os.sep in NSIM else NSIM
 # Wall-clock seconds differ from call to call, and Python names no files.
-APART = {"seconds", "output", "model", "next"}
+APART = {"seconds", "output", "model", "next", "warnings", "checksum"}
 
 CONFIG = """Training(
     name: "small",
