@@ -27,7 +27,11 @@ import numpy
 
 CHANNELS, STEPS, SIZES = 20, 50, (16, 12, 5)
 WARNED = ("reset", "threshold", "lower bound", "decay", "gain", "timestep", "equal")
-"""What a warning names that is a question."""
+"""What a warning names that is a question; with `--from` it is a parameter that is not the tool's default, or its several spikes a step."""
+
+
+RESETS = {"zero": "zero", "MembraneReset": "zero", "subtract": "subtract"}
+"""Values and names of settings, and the reset that they state."""
 
 
 def recordings(samples):
@@ -64,6 +68,8 @@ class Tool:
     # Numbers at their defaults, where each neuron has its own of all of them.
     USUAL = {}
     ENGINE = "reference"
+    # The setting of one spike a step, and what a warning calls several.
+    SINGLE = {}
 
     def __init__(self, module, setting, each):
         self.module, self.setting, self.each = module, setting, each
@@ -202,6 +208,7 @@ class Norse(Tool):
 
 class Sinabs(Tool):
     PACKAGE = "sinabs"
+    SINGLE = {"spike_fn": "MultiSpike"}
     USUAL = {kind: {"spike_threshold": 1.0} for kind in ("IAF", "IAFSqueeze", "LIF", "LIFSqueeze")}
     IAF = [dict(), dict(spike_fn="SingleSpike"), dict(spike_fn="SingleSpike", reset_fn="MembraneReset", spike_threshold=0.6)]
     CASES = {
@@ -280,6 +287,7 @@ class Spikingjelly(Tool):
 
 class Rockpool(Tool):
     PACKAGE = "rockpool"
+    SINGLE = {"max_spikes_per_dt": "max_spikes_per_dt"}
     # Its spikes are in single precision, and do not meet recurrent weights of another.
     PRECISIONS = ("float32",)
     CASES = {
@@ -349,8 +357,10 @@ class Spyx(Tool):
     def both(self, spikes):
         import spyx.nn
 
-        outputs, _ = spyx.nn.run(self.net, spikes.transpose(2, 0, 1).astype(numpy.float32))
-        single = numpy.asarray(outputs).transpose(1, 0, 2) > 0
+        # Each layer spikes a step after its potential has passed the threshold.
+        longer = numpy.pad(spikes, ((0, 0), (0, 0), (0, len(SIZES))))
+        outputs, _ = spyx.nn.run(self.net, longer.transpose(2, 0, 1).astype(numpy.float32))
+        single = numpy.asarray(outputs).transpose(1, 0, 2)[:, len(SIZES) :] > 0
         return single, single
 
     def export(self, path):
@@ -440,6 +450,7 @@ def read(tool, spikes):
 
     try:
         with warnings.catch_warnings(record=True) as warned:
+            warnings.simplefilter("ignore")
             warnings.simplefilter("always", nsim.Warning)
             network = nsim.from_torch(tool.net, torch.zeros(1, CHANNELS))
     except nsim.Error as refused:
@@ -449,11 +460,14 @@ def read(tool, spikes):
     ours = numpy.zeros((len(spikes), STEPS, SIZES[-1]), bool)
     rows = rows[rows[:, 1] < STEPS]
     ours[rows[:, 0], rows[:, 1], rows[:, 2]] = True
-    return ours, " ".join(str(one.message) for one in warned if issubclass(one.category, nsim.Warning))
+    if warned:
+        # What is equal has nothing to be warned of.
+        raise RuntimeError(str(warned[0].message))
+    return ours, ""
 
 
-def result(form, single, double):
-    """A line about a form, and whether it is right or a question."""
+def result(form, single, double, words):
+    """A line about a form, and whether it is right or a question: a refusal, or a warning that has one of some words."""
     try:
         ours, said = form()
     except Question as question:
@@ -462,7 +476,7 @@ def result(form, single, double):
     line = f"equal in {equal} of {len(ours)} samples"
     if equal == len(ours):
         return True, line
-    warned = re.search("warning: (.*)|help", said) and [word for word in WARNED if word in said]
+    warned = [word for word in words if word in " ".join(re.findall("WARN (.*)", said))]
     return bool(warned), f"a question: {line}, with a warning of {', '.join(warned)}" if warned else f"DIFFERS: {line}"
 
 
@@ -481,14 +495,18 @@ def compared(tool, program, folder, spikes):
     def of_file(options):
         return lambda: imported(program, folder, path, options, spikes, tool.ENGINE)
 
-    found, own = [(name, *result(form, single, double)) for name, form in forms], os.path.splitext(path)[1][1:]
+    found, own = [(name, *result(form, single, double, ())) for name, form in forms], os.path.splitext(path)[1][1:]
     try:
         tool.export(path)
     except Exception as stopped:
         return [*found, (own, True, f"a question: its exporter stops: {type(stopped).__name__}: {' '.join(str(stopped).split())[:80]}")]
     named = "--from" in subprocess.run([program, "import", "--help"], capture_output=True, text=True).stdout
-    forms = [(own, [])] + [(f"{own} --from", ["--from", tool.PACKAGE])] * named
-    return found + [(name, *result(of_file(options), single, double)) for name, options in forms]
+    # What the setting has in place of the tool's default.
+    reset = next((how for value, how in RESETS.items() if value in tool.setting.values() or value in tool.setting), None)
+    more = [] if reset is None else ["--reset", reset]
+    forms = [(own, [])] + [(" ".join([own, "--from", *more]), ["--from", tool.PACKAGE, *more])] * named
+    parameters = [key for key in tool.setting if key not in tool.SINGLE] + [many for key, many in tool.SINGLE.items() if key not in tool.setting]
+    return found + [(name, *result(of_file(options), single, double, parameters if options else WARNED)) for name, options in forms]
 
 
 def rewritten(program, folder):
