@@ -175,7 +175,7 @@ const SNNTORCH: Row = Row {
     lower_bound: "none",
     rest: "0",
     layer_delay: 0,
-    beyond: None,
+    beyond: Some("reset to zero (reset_mechanism), in all but Leaky a step longer"),
 };
 
 /// A row for each tool.
@@ -189,6 +189,7 @@ pub const TABLE: [Row; 9] = [
         unit: TimeUnit::Norse,
         dt_ms: Some(1.0),
         rest: "v_leak",
+        beyond: Some("reset to another v_reset, or by subtraction (reset_method)"),
         ..SNNTORCH
     },
     Row {
@@ -202,7 +203,7 @@ pub const TABLE: [Row; 9] = [
         lower_bound: "min_v_mem: none, or -1 after from_model",
         beyond: Some(
             "send several spikes a step (MultiSpike, the default), have a lower bound of v (min_v_mem, -1 after \
-             from_model), or take a whole weight in LIF (norm_input=False)",
+             from_model), reset to zero (reset_fn), or take a whole weight in LIF (norm_input=False)",
         ),
         ..SNNTORCH
     },
@@ -212,6 +213,7 @@ pub const TABLE: [Row; 9] = [
         threshold: ThresholdTest::Inclusive,
         reset: ResetMode::Zero,
         rest: "v_reset",
+        beyond: None,
         ..SNNTORCH
     },
     Row {
@@ -222,7 +224,9 @@ pub const TABLE: [Row; 9] = [
         decay: DecayRule::Exponential,
         gain: GainRule::Rockpool,
         dt_ms: Some(1.0),
-        beyond: Some("send several spikes a step (unless max_spikes_per_dt is 1), or have a bias"),
+        beyond: Some(
+            "send several spikes a step (unless max_spikes_per_dt is 1), have a bias, or be recurrent (has_rec, w_rec)",
+        ),
         ..SNNTORCH
     },
     Row {
@@ -232,10 +236,19 @@ pub const TABLE: [Row; 9] = [
         unit: TimeUnit::Steps,
         dt_ms: Some(1.0),
         layer_delay: 1,
+        beyond: None,
         ..SNNTORCH
     },
-    Row { tool: Tool::LavaDl, title: "lava-dl", reset: ResetMode::Zero, layer_delay: 1, ..SNNTORCH },
-    Row { tool: Tool::Slayer, title: "SLAYER", reset: ResetMode::Zero, dt_ms: None, layer_delay: 1, ..SNNTORCH },
+    Row { tool: Tool::LavaDl, title: "lava-dl", reset: ResetMode::Zero, layer_delay: 1, beyond: None, ..SNNTORCH },
+    Row {
+        tool: Tool::Slayer,
+        title: "SLAYER",
+        reset: ResetMode::Zero,
+        dt_ms: None,
+        layer_delay: 1,
+        beyond: None,
+        ..SNNTORCH
+    },
     Row {
         tool: Tool::Nengo,
         title: "nengo",

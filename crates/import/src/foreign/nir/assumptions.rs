@@ -61,7 +61,7 @@ impl Reader<'_> {
         if let Some(row) = reading.row() {
             warnings.extend(row.beyond.filter(|_| resetting).map(|beyond| {
                 let message = format!(
-                    "neurons of {} may {beyond}, which the file does not state and nsim does not do",
+                    "neurons of {} may {beyond}, which the file does not state (--reset changes the reset)",
                     row.title
                 );
                 Warning::of_network(WarningCode::ToolBeyond, message)
