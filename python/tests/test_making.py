@@ -255,6 +255,7 @@ class NotHelped(unittest.TestCase):
             network.convert(self.spikes, fine_tune=2)
         self.assertEqual(raised.exception.code, "convert.fine-tune")
         self.assertIn("spike response neurons", raised.exception.help)
+        self.assertIn("docs/tutorials/rounded-weights.md", raised.exception.help)
 
 
 class Tables(unittest.TestCase):

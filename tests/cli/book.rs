@@ -4,8 +4,8 @@
 //! In a tutorial, a shell runs each `sh` block in the page's own folder, and ends with status 0 or
 //! the one of `exit=`. A later `text` block is the output of the last `sh` block, where `...`
 //! represents any lines. Blocks `ron NAME` and `csv NAME` are files. A `python run` block is run if
-//! a Python with the package `nir` is found, else reported as skipped. `NSIM_BLESS=1` writes the
-//! pages of commands anew.
+//! a Python with the package `nir` is found, else reported as skipped; `python/tests/test_torch.py`
+//! runs the blocks `python torch`. `NSIM_BLESS=1` writes the pages of commands anew.
 
 use crate::common;
 use std::path::{Path, PathBuf};
@@ -142,6 +142,7 @@ fn tutorial(page: &Path, path: &std::ffi::OsStr, python: Option<&str>) {
                     return;
                 }
             },
+            ["python", "torch"] => commands += 1,
             _ => {}
         }
     }

@@ -417,6 +417,30 @@ fn each_command_that_is_named_does_what_it_says() {
 }
 
 #[test]
+fn a_loss_to_rounded_weights_leads_to_the_page_that_regains_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let page = "docs/tutorials/rounded-weights.md";
+    assert!(std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join(page).exists());
+    let text = r#"Network(name: "r", timestep_ms: 1.0, populations: [Input(name: "in", shape: [30]),
+        Loihi(name: "o", shape: [6], du: 4096, dv: 400, vth: 1.3)],
+        projections: [Dense(from: ["in"], to: "o", weights: Uniform(low: -0.2, high: 0.5, seed: 2), weight_bits: 3)],
+        output: "o")"#;
+    std::fs::write(folder.path().join("r.ron"), text).unwrap();
+    let joined = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    for line in ["agree r.ron", "convert r.ron"] {
+        let text = joined(&succeeds(folder.path(), &format!("{line} --input {NOISE}")));
+        assert!(text.contains("most to rounded weights") && text.contains(page), "{line}: {text}");
+        assert!(text.contains("weight_bits=8"), "{line}: {text}");
+        // With all bits no change of the file helps, but training does.
+        let all = format!("{line} --input {NOISE} --set projections.0.weight_bits=8");
+        let all = joined(&succeeds(folder.path(), &all));
+        assert!(all.contains("--plot first.svg") && all.contains(page), "{line}: {all}");
+    }
+    let (code, _, refusal) = said(folder.path(), &format!("convert r.ron --fine-tune 3 --input {NOISE}"));
+    assert!(code == 3 && joined(&refusal).contains(page), "{code}: {refusal}");
+}
+
+#[test]
 fn agree_and_convert_blame_the_same_cause() {
     let folder = tempfile::tempdir().unwrap();
     let folder = folder.path();

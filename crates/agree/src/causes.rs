@@ -46,8 +46,8 @@ impl Cause {
     /// Advice that lowers its cost, where one holds for every network.
     pub fn remedy(self) -> Option<&'static str> {
         (self == Cause::Weights).then_some(
-            "weights of a layer that are similar in size (decay or clip large ones in training), since 8 bits divide \
-             the range of the largest",
+            "weights of a layer that are similar in size (decay or clip large ones in training), since the bits of a \
+             weight divide the range of the largest; docs/tutorials/rounded-weights.md regains the loss in PyTorch",
         )
     }
 }

@@ -199,7 +199,10 @@ pub fn trainable(graph: &Graph) -> Result<()> {
                     "train the network again with a reset to zero (snnTorch: reset_mechanism='zero'): the conversion \
                      then loses nothing to the reset, so no fine-tuning is needed",
                 ),
-                false => unlike,
+                false => unlike.help(
+                    "fine-tuning supports spike response neurons; docs/tutorials/rounded-weights.md trains others in \
+                     PyTorch, with rounded weights",
+                ),
             });
         }
     }
