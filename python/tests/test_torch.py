@@ -757,6 +757,7 @@ class Modules(unittest.TestCase):
     def test_the_page_on_rounded_weights_regains_the_accuracy(self):
         blocks = re.findall(r"```python torch\n(.*?)```", (PAGE.parent / "rounded-weights.md").read_text(), re.DOTALL)
         names, before, printed = {}, os.getcwd(), io.StringIO()
+        torch.set_num_threads(1)  # Several wait for each other on a busy machine.
         with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(printed):
             os.chdir(folder)
             try:
