@@ -314,6 +314,17 @@ pub fn sample(network: &Quantised, seed: u64) -> Sample {
     Sample::new(steps, &events, None).unwrap()
 }
 
+/// A random sample with numbers, for a network of [`mixed`], and `silent` steps after it.
+pub fn valued(network: &Quantised, seed: u64, silent: u32) -> Sample {
+    let draw = &mut Draw::new(seed ^ 0x77);
+    let bare = sample(network, seed);
+    let events = (0..bare.steps()).flat_map(|t| bare.at(t).iter().map(move |&channel| (t, channel)));
+    // Sums of small numbers equal small thresholds by chance.
+    let most = draw.one_of(&[2, 3_000]);
+    let events: Vec<_> = events.map(|(t, channel)| (t, channel, draw.from(-most, most) as i32)).collect();
+    Sample::with_values(bare.steps() + silent, &events, None).unwrap()
+}
+
 /// A mapping that assigns the compartments to random cores in random order.
 pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
     let draw = &mut Draw::new(seed ^ 0x3a99);

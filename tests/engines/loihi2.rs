@@ -678,13 +678,7 @@ fn mixed_networks_are_the_same_in_both_engines() {
     let pool = rayon::ThreadPoolBuilder::new().num_threads(8).build().unwrap();
     let compare = |seed| {
         let network = random::mixed(seed);
-        let draw = &mut Draw::new(seed ^ 0x77);
-        let bare = random::sample(&network, seed);
-        let events = (0..bare.steps()).flat_map(|t| bare.at(t).iter().map(move |&channel| (t, channel)));
-        // Sums of small numbers equal small thresholds by chance.
-        let most = draw.one_of(&[2, 3_000]);
-        let valued: Vec<_> = events.map(|(t, channel)| (t, channel, draw.from(-most, most) as i32)).collect();
-        let sample = Sample::with_values(bare.steps(), &valued, None).unwrap();
+        let sample = random::valued(&network, seed, 0);
         let golden = trace(&mut Golden::new(&network), &network, &sample);
         let options = unsearched();
         for (what, target) in &targets {

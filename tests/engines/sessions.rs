@@ -23,7 +23,7 @@ type Seen = (Vec<(u32, i32)>, Vec<(i32, i32)>);
 
 fn seen(session: &Session, network: &Quantised) -> Seen {
     let n = network.compartments();
-    let registers = (0..n).map(CompartmentId).map(|c| (session.engine().u(c), session.engine().v(c)));
+    let registers = (0..n).map(CompartmentId).map(|c| (session.engine().u(c), session.engine().potential(c) as i32));
     (session.spikes(CompartmentId(0), n), registers.collect())
 }
 
@@ -61,7 +61,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
         let image = Image::new(&mapped.program, 1 + seed as usize % 2).unwrap();
         // The simplest method: a run with probes.
         let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
-        let probes = [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into();
+        let probes = [Quantity::Spikes, Quantity::U, Quantity::Potential].map(probe).into();
         let keep = SampleSettings { probes, ..SampleSettings::new(network.output()) };
         let mut session = Session::open(&image, &mapped.one, copies);
         let ran = Session::new(Machine::new(&image, Settings::default()), copies).run(&sample, &keep, ());

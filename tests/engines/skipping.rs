@@ -6,7 +6,8 @@ use crate::common;
 use std::collections::hash_map::DefaultHasher;
 use std::hash::{Hash, Hasher};
 
-use crate::common::{Builder, biased, neuron, sessions};
+use crate::common::compare::roomy;
+use crate::common::{Builder, biased, neuron, random, sessions, unsearched};
 use nsim::compile::{Mapping, Options, compile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
@@ -15,13 +16,18 @@ use nsim::ir::activity::Activity;
 use nsim::ir::arithmetic::{Semantics, ThresholdTest};
 use nsim::ir::base::id::{ChannelId, CompartmentId};
 use nsim::ir::graph::Shape;
-use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::{Population, Quantised};
 use nsim::ir::resource::Resource;
 use nsim::ir::spikes::{Engine, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
+use nsim::session::neurobench::NeuroBench;
 use nsim::session::observers::StepRange;
+use nsim::session::priced::MeteredMapping;
+use nsim::session::samples::{RunSettings, fast, golden as golden_run};
+use nsim::session::timeline::Timeline;
 use nsim::session::{Outcome, Probe, Quantity, SampleSettings, Session};
+use nsim_testing::cases;
 use rayon::prelude::*;
 
 /// Output spikes, and u and v of every compartment.
@@ -29,7 +35,7 @@ fn keep(network: &Quantised) -> SampleSettings {
     let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
     SampleSettings {
         output: network.output(),
-        probes: [Quantity::Spikes, Quantity::U, Quantity::V].map(probe).into(),
+        probes: [Quantity::Spikes, Quantity::U, Quantity::Potential].map(probe).into(),
         early_exit: None,
     }
 }
@@ -107,6 +113,62 @@ fn compare(model: &str, samples: &[Sample]) -> (u64, u64, u64) {
     let spikes: u64 = golden.iter().map(|(outcome, ..)| outcome.totals.spikes).sum();
     assert!(spikes > 0, "{model} never spikes");
     (samples.iter().map(silent).sum(), golden.iter().map(|(_, _, idle)| idle).sum(), steps)
+}
+
+/// Every quantity of every population, in its order; the last is the potential.
+fn all_quantities(network: &Quantised) -> Vec<Probe> {
+    let of_population = |population: &Population| {
+        let words = population.neuron_kind().map_or(&[][..], |kind| kind.table().state);
+        let names = Quantity::ALL.iter().map(|(_, name)| *name).chain(words.iter().map(|word| word.name));
+        let named: Vec<Probe> = names.filter_map(|name| Probe::named(population, name)).collect();
+        named.into_iter().chain(Probe::of_potential(population))
+    };
+    network.populations().iter().flat_map(of_population).collect()
+}
+
+/// Probes, traces of plots and pages, and NeuroBench's metrics of mixed kinds, with silence in and
+/// after their input: those of the interpreter. A word of state lasts while the network is idle.
+#[test]
+fn every_quantity_is_the_interpreters_through_silence() {
+    let target = roomy("oheo-gulch");
+    let networks = cases(2_000);
+    let compare = |seed: u64| {
+        let network = random::mixed(seed);
+        let sample = random::valued(&network, seed, 30);
+        let mapping = compile(network.clone(), &target, &unsearched()).unwrap();
+        let settings = SampleSettings { probes: all_quantities(&network), ..SampleSettings::new(network.output()) };
+        let golden = Session::new(Golden::new(&network), 1).run(&sample, &settings, ());
+        let metered = MeteredMapping::new(&mapping);
+        let run = fast(&mapping.program, &[&sample], RunSettings::new(&settings), || ()).unwrap();
+        let skipped = run.outcomes[0].skipped_steps;
+        assert_eq!(Outcome { skipped_steps: 0, ..run.outcomes[0].clone() }, golden, "network {seed}");
+
+        let everyone: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();
+        let prices = metered.offline(&target).unwrap().0;
+        let traced = (everyone.as_slice(), Quantity::Potential);
+        let traces = Timeline::new(&metered, &network, prices, &sample, traced).unwrap().traces;
+        let mut lasting = 0;
+        for (probe, values) in settings.probes.iter().zip(&golden.probes) {
+            let steps = sample.steps() as usize;
+            for (unit, values) in values.chunks(steps).enumerate() {
+                let id = probe.first.0 as usize + unit;
+                assert!(probe.quantity != Quantity::Potential || traces[id] == values, "network {seed}, {id}");
+                let is_word = matches!(probe.quantity, Quantity::State(_));
+                lasting += u64::from(is_word && skipped > 0 && values[steps - 1] != 0);
+            }
+        }
+        let on_golden =
+            |samples: &[&Sample], settings: &SampleSettings| Ok(golden_run(&network, samples, settings, &|| ()));
+        let on_machine = |samples: &[&Sample], settings: &SampleSettings| {
+            fast(&mapping.program, samples, RunSettings::new(settings), || ())
+        };
+        let metrics = NeuroBench::measure(&network, &[&sample], on_golden).unwrap();
+        assert_eq!(NeuroBench::measure(&network, &[&sample], on_machine).unwrap(), metrics, "network {seed}");
+        lasting
+    };
+    let lasting: Vec<u64> = (0..networks).into_par_iter().map(compare).collect();
+    let with_lasting = lasting.iter().filter(|&&words| words > 0).count() as u64;
+    assert!(20 * with_lasting > networks, "{with_lasting} networks end in silence with words other than 0");
 }
 
 /// A network whose compartments keep no state between steps, so that every silent step can be

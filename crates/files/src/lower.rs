@@ -12,6 +12,7 @@ use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
 use crate::synapses::{SynapseArrays, SynapseList};
+use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::base::diagnostic::{Diagnostic, Span, collect_all};
 use nsim_ir::base::fixed::{Delay, MessageBits, Payload, ThresholdMantissa};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
@@ -91,6 +92,15 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     if matches!(graph[output].kind, PopulationKind::Input) {
         let message = format!("output '{}' is an input population", file.output);
         return Err(lowering.problem("model.output", message, "output").help("name a population of compartments"));
+    }
+    if let PopulationKind::Neurons(neurons) = &graph[output].kind
+        && file.decision != ReadOut::Spikes
+        && neurons.kind.potential().is_none()
+    {
+        let kind = neurons.kind.name();
+        let message =
+            format!("output '{}' has neurons of kind {kind}, which have no potential to decide by", file.output);
+        return Err(lowering.problem("model.decision", message, "decision").help("give decision: Spikes"));
     }
     let classes = &file.classes;
     if !classes.is_empty() && classes.len() != size as usize {

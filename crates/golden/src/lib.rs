@@ -456,7 +456,8 @@ impl Engine for Golden {
     }
 
     fn potential(&self, compartment: CompartmentId) -> f64 {
-        self.state(compartment, self.compartments[compartment].neuron.kind.potential()).into()
+        let word = self.compartments[compartment].neuron.kind.potential();
+        word.map_or(0.0, |word| self.state(compartment, word).into())
     }
 
     fn v_register(&self, compartment: CompartmentId) -> i32 {

@@ -5,6 +5,7 @@
 //! [`NeuronKind::table`]. The dynamics of a kind are in `nsim_dynamics` and again in `nsim_golden`.
 
 use std::cmp::Ordering;
+use std::collections::BTreeMap;
 use std::hash::{Hash, Hasher};
 use std::sync::{LazyLock, Mutex, PoisonError};
 
@@ -541,9 +542,11 @@ impl NeuronKind {
         self.table().parameters
     }
 
-    /// The index of the word of state that outputs are read from: v, else the first.
-    pub fn potential(self) -> usize {
-        self.table().state.iter().position(|word| word.name == "v").unwrap_or(0)
+    /// The index of the word of state that is the potential: v, else the first. None for a kind
+    /// without state.
+    pub fn potential(self) -> Option<usize> {
+        let state = self.table().state;
+        state.iter().position(|word| word.name == "v").or_else(|| (!state.is_empty()).then_some(0))
     }
 
     /// Every name that a parameter of the kind may be given under, each once.
@@ -612,7 +615,8 @@ struct MicrocodeTable {
     table: KindTable,
 }
 
-static MICROCODE_KINDS: Mutex<Vec<&'static MicrocodeTable>> = Mutex::new(Vec::new());
+/// All kinds so far, by name.
+static MICROCODE_KINDS: Mutex<BTreeMap<&'static str, Vec<&'static MicrocodeTable>>> = Mutex::new(BTreeMap::new());
 
 impl MicrocodeKind {
     /// The kind of a declaration.
@@ -626,11 +630,12 @@ impl MicrocodeKind {
         }
         let code = Microcode::new(declaration, ParameterRow::EMPTY.0.len())?;
         let mut kinds = MICROCODE_KINDS.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(same) = kinds.iter().find(|kind| kind.code == code) {
+        let of_name = kinds.get(code.name()).map_or(&[][..], Vec::as_slice);
+        if let Some(same) = of_name.iter().find(|kind| kind.code == code) {
             return Ok(MicrocodeKind(same));
         }
         let kind: &MicrocodeTable = Box::leak(Box::new(MicrocodeTable { table: table_of(&code), code }));
-        kinds.push(kind);
+        kinds.entry(kind.code.name()).or_default().push(kind);
         Ok(MicrocodeKind(kind))
     }
 

@@ -332,7 +332,8 @@ pub trait Engine {
     fn u(&self, compartment: CompartmentId) -> i32;
     /// The membrane after the last step: 0 at a spike and while refractory.
     fn v(&self, compartment: CompartmentId) -> i32;
-    /// The potential that decisions read (v, else the first word), unrounded in engines of reals.
+    /// The potential ([`crate::neurons::NeuronKind::potential`]) after the last step, unrounded in
+    /// engines of reals; 0 for a kind without one.
     fn potential(&self, compartment: CompartmentId) -> f64 {
         self.v(compartment).into()
     }

@@ -487,7 +487,8 @@ impl Engine for Machine {
         if !self.image.is_local(compartment) {
             return 0.0;
         }
-        self.state(compartment, self.image.neuron(compartment).kind.potential()).into()
+        let word = self.image.neuron(compartment).kind.potential();
+        word.map_or(0.0, |word| self.state(compartment, word).into())
     }
 
     fn v_register(&self, compartment: CompartmentId) -> i32 {

@@ -19,7 +19,7 @@
 
 use super::samples::Run;
 use super::steps::groups;
-use super::{Outcome, Probe, Quantity, SampleSettings};
+use super::{Outcome, Probe, SampleSettings};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::Id;
@@ -138,8 +138,8 @@ impl NeuroBench {
         samples: &[&Sample],
         mut run: impl FnMut(&[&Sample], &SampleSettings) -> Result<Run<()>>,
     ) -> Result<NeuroBench> {
-        let voltages = Probe { first: Id::new(0), count: network.compartments(), quantity: Quantity::V };
-        let sample_settings = SampleSettings { probes: vec![voltages], ..SampleSettings::new(network.output()) };
+        let probes = network.populations().iter().filter_map(Probe::of_potential).collect();
+        let sample_settings = SampleSettings { probes, ..SampleSettings::new(network.output()) };
         let (mut plain, mut graded, mut updates, mut spikes, mut timesteps) = (0, 0, 0, 0, 0);
         let mut right = Some(0u32);
         for group in groups(samples, network.compartments() as usize) {

@@ -147,7 +147,7 @@ impl<E: Engine + ?Sized> Observer<E> for Outputs<'_> {
     }
 }
 
-/// Values recorded by probes, `[compartments][steps]` for each; 0 in idle steps.
+/// Values recorded by probes, `[compartments][steps]` for each. State is constant in idle steps.
 pub(crate) struct Recording<'k, T, R> {
     probes: &'k [Probe],
     steps: usize,
@@ -172,15 +172,16 @@ where
     R: Fn(&E, Quantity, CompartmentId) -> T,
 {
     fn observe(&mut self, engine: &E, range: StepRange) {
-        if range.idle {
-            return;
-        }
         for (probe, values) in self.probes.iter().zip(&mut self.values) {
             let place = |i: u32| i as usize * self.steps + range.first as usize;
             if !matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
                 for i in 0..probe.count {
-                    values[place(i)] = (self.read)(engine, probe.quantity, CompartmentId(probe.first.0 + i));
+                    let value = (self.read)(engine, probe.quantity, CompartmentId(probe.first.0 + i));
+                    values[place(i)..][..range.steps as usize].fill(value);
                 }
+                continue;
+            }
+            if range.idle {
                 continue;
             }
             let payloads = engine.payloads().iter().copied().chain(std::iter::repeat(1));
@@ -199,6 +200,6 @@ pub(crate) fn integer<E: Engine + ?Sized>(engine: &E, quantity: Quantity, compar
         Quantity::U => engine.u(compartment),
         Quantity::VRegister => engine.v_register(compartment),
         Quantity::State(column) => engine.state(compartment, column),
-        _ => engine.v(compartment),
+        _ => engine.potential(compartment) as i32,
     }
 }

@@ -20,8 +20,8 @@ pub enum Quantity {
     Spikes,
     /// The current register.
     U,
-    /// The membrane.
-    V,
+    /// The potential: v, or the first word of state of a kind without one.
+    Potential,
     /// Value of the chip's voltage register.
     VRegister,
     /// Payload of the message; 0 where none is sent.
@@ -35,7 +35,7 @@ impl Quantity {
     pub const ALL: [(Quantity, &'static str); 5] = [
         (Quantity::Spikes, "spikes"),
         (Quantity::U, "u"),
-        (Quantity::V, "v"),
+        (Quantity::Potential, "v"),
         (Quantity::VRegister, "v_register"),
         (Quantity::Message, "message"),
     ];
@@ -66,8 +66,15 @@ impl Probe {
     /// state; `None` where they have none of this name.
     pub fn named(population: &Population, what: &str) -> Option<Probe> {
         let (first, count) = (population.first_compartment()?, population.shape.len());
-        let kind = population.each_neuron().next().map_or(NeuronKind::Loihi, |neuron| neuron.kind);
-        Some(Probe { first, count, quantity: Quantity::of_kind(kind, what)? })
+        Some(Probe { first, count, quantity: Quantity::of_kind(population.neuron_kind()?, what)? })
+    }
+
+    /// Returns the probe of the potentials of a population's compartments; `None` where they have
+    /// none.
+    pub fn of_potential(population: &Population) -> Option<Probe> {
+        let (first, count) = (population.first_compartment()?, population.shape.len());
+        population.neuron_kind()?.potential()?;
+        Some(Probe { first, count, quantity: Quantity::Potential })
     }
 }
 

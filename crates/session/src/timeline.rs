@@ -164,7 +164,7 @@ mod tests {
             let metered = MeteredMapping::new(&compiled);
             let (settings, _) = metered.offline(&board).unwrap();
             let watched: Vec<CompartmentId> = (0..network.compartments().min(5)).map(CompartmentId).collect();
-            let found = Timeline::new(&metered, network, settings, &sample, (&watched, Quantity::V)).unwrap();
+            let found = Timeline::new(&metered, network, settings, &sample, (&watched, Quantity::Potential)).unwrap();
             let mut golden = Golden::new(network);
             golden.begin(60);
             let width = found.layout.columns().len();

@@ -203,7 +203,7 @@ fn firing_advice(
         return why;
     }
     let population = &network.populations()[id];
-    let kind = population.each_neuron().next().map_or(NeuronKind::Loihi, |neuron| neuron.kind);
+    let kind = population.neuron_kind().unwrap_or(NeuronKind::Loihi);
     let table = kind.table();
     if !table.registers {
         let threshold = table.parameters.iter().find(|parameter| parameter.storage == Storage::Threshold);

@@ -170,7 +170,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
         return Err(Error::Usage("there is no sample to draw".to_string()));
     };
     let metered = MeteredMapping::new(workload.compiled);
-    let quantity = if args.what == PlotKind::Messages { Quantity::Message } else { Quantity::V };
+    let quantity = if args.what == PlotKind::Messages { Quantity::Message } else { Quantity::Potential };
     let drawn = |ids: &[CompartmentId]| {
         let (settings, _) = metered.offline(workload.target)?;
         workload.timeline(settings, sample, (ids, quantity))
@@ -195,7 +195,8 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     }
     let wanted = populations.into_iter().map(|(id, named)| (id, named, MOST_OF_POPULATION));
     let spikes = |id: CompartmentId| u64::from(counts[id.0 as usize]);
-    let (ids, traced) = traced(network, wanted, spikes, MOST_OF_PICTURE);
+    let (ids, traced) = traced(network, wanted, quantity, spikes, MOST_OF_PICTURE);
+    refuse_if(traced.is_empty(), "no neuron of these populations has a potential: plot messages or raster instead")?;
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
     write(args, &traces(&title, network, &timeline, &traced, quantity), taken, context)
 }

@@ -184,6 +184,11 @@ impl Population {
         self.neurons().into_iter().flat_map(move |neurons| units.clone().map(move |index| neurons.get(index)))
     }
 
+    /// The kind of its neurons; `None` for inputs.
+    pub fn neuron_kind(&self) -> Option<NeuronKind> {
+        self.neurons()?.values().first().map(|neuron| neuron.kind)
+    }
+
     /// The use of the stack by its compartments.
     pub fn stack(&self) -> Stack {
         self.neurons().and_then(|neurons| neurons.values().first()).map_or(Stack::UNUSED, |neuron| neuron.stack)

@@ -149,9 +149,9 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
     Panels { title, y_label: String::new(), steps, timestep_ms, onset_ms: None, panels }.svg()
 }
 
-/// SVG with a panel for each compartment: potentials as fractions of their thresholds, or messages
-/// as fractions of the greatest, which a label gives. The timeline has the traces of `traced`, in
-/// this order. 0 represents no message.
+/// SVG with a panel for each compartment: potentials as fractions of their thresholds, messages and
+/// potentials without thresholds as fractions of the greatest, which a label gives. The timeline has
+/// the traces of `traced`, in this order. 0 represents no message.
 pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced], quantity: Quantity) -> String {
     let is_message = quantity == Quantity::Message;
     let steps = timeline.steps.0;
@@ -162,12 +162,12 @@ pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[T
         false => part.iter().copied().max(),
     };
     let panel = |(of, trace): (&Traced, &Vec<i32>)| {
-        let (label, whole) = match is_message {
-            true => {
+        let (label, whole) = match of.threshold.filter(|_| !is_message) {
+            None => {
                 let greatest = trace.iter().map(|value| value.unsigned_abs()).max().unwrap_or(0);
                 (format!("{}: {greatest}", of.name), f64::from(greatest.max(1)))
             }
-            false => (of.name.clone(), of.threshold),
+            Some(threshold) => (of.name.clone(), threshold),
         };
         // A point is at the end of its steps.
         let end = |point: usize| ((point + 1) * group).min(steps as usize);
@@ -176,7 +176,11 @@ pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[T
         Panel { label, share: 1.0, content: Content::Potential(points) }
     };
     let panels = traced.iter().zip(&timeline.traces).map(panel).collect();
-    let y_label = if is_message { "message (dashed: the greatest)" } else { "potential (dashed: threshold)" };
+    let y_label = match (is_message, traced.iter().all(|of| of.threshold.is_some())) {
+        (true, _) => "message (dashed: the greatest)",
+        (false, true) => "potential (dashed: threshold)",
+        (false, false) => "potential (dashed: threshold, or the number beside it)",
+    };
     let (title, y_label) = (title.to_string(), format!("{y_label}{reduced}"));
     Panels { title, y_label, steps, timestep_ms: network.parts().timestep_ms, onset_ms: None, panels }.svg()
 }
@@ -186,15 +190,17 @@ pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[T
 pub struct Traced {
     /// Population and index.
     pub name: String,
-    /// Its threshold.
-    pub threshold: f64,
+    /// Its threshold; none for a kind whose potential is a word of state, which no threshold of
+    /// Loihi's form is compared with.
+    pub threshold: Option<f64>,
 }
 
-/// At most `most` compartments to draw: of each population the named unit, or the given number of
-/// units that spike most.
+/// At most `most` compartments that have the quantity to draw: of each population the named unit, or
+/// the given number of units that spike most.
 pub fn traced(
     network: &Quantised,
     populations: impl IntoIterator<Item = (PopulationId, Option<u32>, usize)>,
+    quantity: Quantity,
     spikes: impl Fn(CompartmentId) -> u64,
     most: usize,
 ) -> (Vec<CompartmentId>, Vec<Traced>) {
@@ -202,7 +208,11 @@ pub fn traced(
     let (mut ids, mut traced) = (Vec::new(), Vec::new());
     for (id, named, of_each) in populations {
         let population = &network.populations()[id];
-        let Some(first) = population.first_compartment() else { continue };
+        let (Some(first), Some(kind)) = (population.first_compartment(), population.neuron_kind()) else { continue };
+        if quantity == Quantity::Potential && kind.potential().is_none() {
+            continue;
+        }
+        let has_threshold = kind.table().registers;
         let mut units: Vec<u32> = named.map_or_else(|| (0..population.shape.len()).collect(), |unit| vec![unit]);
         units.sort_by_key(|&unit| std::cmp::Reverse(spikes(CompartmentId(first.0 + unit))));
         units.truncate(of_each.min(most - ids.len()));
@@ -210,7 +220,8 @@ pub fn traced(
         for unit in units {
             ids.push(CompartmentId(first.0 + unit));
             let name = format!("{}[{}]", population.name, network.index_before_pruning(id, unit));
-            traced.push(Traced { name, threshold: thresholds[(first.0 + unit) as usize] });
+            let threshold = has_threshold.then(|| thresholds[(first.0 + unit) as usize]);
+            traced.push(Traced { name, threshold });
         }
     }
     (ids, traced)

@@ -56,7 +56,7 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Tran
         let (ids, watched) = watched(network, &run.counts);
         let tables = run.meter.tables()[..1].to_vec();
         let settings = workload.metered(tables, deployment, transport);
-        let timeline = workload.timeline(settings, first, (&ids, Quantity::V))?;
+        let timeline = workload.timeline(settings, first, (&ids, Quantity::Potential))?;
         sections.sample = sample::json(network, &timeline, &watched, first, outcome);
     }
     Ok(sections)
@@ -105,5 +105,5 @@ fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, V
     let others = network.populations().ids().filter(|&id| id != output);
     let of_output = WATCHED_OF_EACH.max(network.parts().classes.len().min(6));
     let wanted = std::iter::once((output, None, of_output)).chain(others.map(|id| (id, None, WATCHED_OF_EACH)));
-    traced(network, wanted, |id| counts.compartments[id], WATCHED)
+    traced(network, wanted, Quantity::Potential, |id| counts.compartments[id], WATCHED)
 }

@@ -90,7 +90,7 @@ fn population_json(population: &Population) -> Value {
         object["kind"] = "input".into();
         return object;
     }
-    let kind = population.each_neuron().next().map(|neuron| neuron.kind);
+    let kind = population.neuron_kind();
     object["kind"] = kind.map_or("", NeuronKind::name).into();
     let table = kind.unwrap_or_default().table();
     let own: Vec<&str> = table.parameters.iter().map(|parameter| parameter.name).collect();

@@ -86,6 +86,8 @@
   const totalOf = (of) => (of.rows || []).find((row) => row.hardware === of.rows[0].hardware && row.unit === "total");
   const total = totalOf(result);
   const interval = (row, key) => (row && row.low && row.high && isNumber(row.low[key]) ? `${number(row.low[key], 2)} to ${number(row.high[key], 2)}` : null);
+  // Loihi 2's constants are modelled, so an interval bounds them alone.
+  const spread = isNumber(result.level) ? `${100 * result.level} %` : "model's bounds";
   const timesteps = result.timesteps || 0;
 
   function header() {
@@ -102,7 +104,7 @@
     const cards = [];
     const card = (value, unit, words) => cards.push(element("div", { class: "card" }, element("b", {}, `${value} ${unit}`), element("span", {}, words)));
     if (total) {
-      const within = (key) => (interval(total, key) ? ` (80 %: ${interval(total, key)})` : "");
+      const within = (key) => (interval(total, key) ? ` (${spread}: ${interval(total, key)})` : "");
       card(number(total.energy_uj, 2), "µJ", "energy of a timestep" + within("energy_uj"));
       card(number(total.latency_us, 2), "µs", "time of a timestep" + within("latency_us"));
       card(number(total.total_mw, 2), "mW", "power" + within("total_mw"));
@@ -366,7 +368,7 @@
   function potentialsSection() {
     if (!sample || !sample.potentials.length) return;
     const group = sample.steps_a_point;
-    const part = section("potentials", "Potentials", `The voltage of the outputs and of the most active compartments of each population in the first sample, after the update and the reset of each timestep; the dashed line is the threshold.${group > 1 ? ` A point is the largest of ${group} timesteps.` : ""}`);
+    const part = section("potentials", "Potentials", `The voltage of the outputs and of the most active compartments of each population in the first sample, after the update and the reset of each timestep; a dashed line is a threshold.${group > 1 ? ` A point is the largest of ${group} timesteps.` : ""}`);
     const height = 84;
     let top = 26;
     const grids = sample.potentials.map(() => { const grid = { left: 120, right: 24, top, height: height - 18 }; top += height; return grid; });
@@ -376,7 +378,7 @@
       grid: grids, dataZoom: zoom(),
       xAxis: grids.map((_, index) => ({ gridIndex: index, type: "value", min: 0, max: sample.steps, axisLabel: { show: index === last }, axisTick: { show: index === last }, splitLine: { show: false }, ...(index === last ? axisName("timestep", 24) : {}) })),
       yAxis: sample.potentials.map((of, index) => ({ gridIndex: index, type: "value", splitNumber: 2, axisLabel: { formatter: (x) => (Math.abs(x) >= 1000 ? `${number(x / 1000)}k` : x) }, name: of.name, nameLocation: "middle", nameGap: 52, nameRotate: 0, nameTextStyle: { align: "right", width: 66, overflow: "truncate" }, max: (range) => Math.max(range.max, of.threshold * 1.05) })),
-      series: sample.potentials.map((of, index) => ({ type: "line", name: of.name, xAxisIndex: index, yAxisIndex: index, symbol: "none", lineStyle: { width: 1.2 }, itemStyle: { color: colours[index % 6] }, data: of.largest.map((v, at) => [at * group, v]), markLine: { silent: true, symbol: "none", label: { show: false }, lineStyle: { type: "dashed", color: "#333" }, data: [{ yAxis: of.threshold }] } })),
+      series: sample.potentials.map((of, index) => ({ type: "line", name: of.name, xAxisIndex: index, yAxisIndex: index, symbol: "none", lineStyle: { width: 1.2 }, itemStyle: { color: colours[index % 6] }, data: of.largest.map((v, at) => [at * group, v]), markLine: { silent: true, symbol: "none", label: { show: false }, lineStyle: { type: "dashed", color: "#333" }, data: of.threshold === null ? [] : [{ yAxis: of.threshold }] } })),
     });
   }
   function stepsSection() {
@@ -436,7 +438,7 @@
     if (list.length < 1 || !total) return;
     const part = section("hardware", "Energy and time compared with other hardware", `${decision()} Figures are of a timestep of one copy.`.trim());
     part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (nJ s)", "source"], rows.map((row) => [row.unit === "total" || row.hardware !== rows[0].hardware ? row.hardware : `${row.hardware} ${row.unit}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs / 1e3), row.power_source && row.power_source !== row.source ? `${row.source}, power ${row.power_source}` : row.source]), [0, 6]));
-    part.append(element("p", { class: "lead" }, "Axes are logarithmic. A bar is an 80 % interval, from the errors of predictions of published measurements."));
+    part.append(element("p", { class: "lead" }, `Axes are logarithmic. A bar ${isNumber(result.level) ? `is an ${spread} interval, from the errors of predictions of published measurements` : "spans the bounds of modelled constants"}.`));
     const halves = element("div", { class: "halves" });
     part.append(halves);
     const nameOf = (row) => `${row.hardware} (${row.source})`;
@@ -446,7 +448,7 @@
       const known = list.filter((row) => isNumber(row[key]) && row[key] > 0);
       const bars = known.map((row, index) => (row.low && row.high && row.low[key] > 0 ? [row.low[key], row.high[key], index] : null)).filter(Boolean);
       chart(box, `${words} of a timestep (${unit})`, 90 + 34 * known.length, {
-        tooltip: { formatter: (at) => { const row = known[at.seriesIndex === 0 ? at.data[2] : at.dataIndex]; return `${escape(nameOf(row))}<br>${number(row[key])} ${unit}${interval(row, key) ? `<br>80 %: ${interval(row, key)}` : ""}`; } },
+        tooltip: { formatter: (at) => { const row = known[at.seriesIndex === 0 ? at.data[2] : at.dataIndex]; return `${escape(nameOf(row))}<br>${number(row[key])} ${unit}${interval(row, key) ? `<br>${spread}: ${interval(row, key)}` : ""}`; } },
         grid: { left: 205, right: 20, top: 8, bottom: 42 },
         xAxis: { type: "log", ...axisName(`${unit}, logarithmic`, 26), axisLabel: { formatter: (x) => number(x) }, minorSplitLine: { show: true, lineStyle: { color: "#f0f0f0" } } },
         yAxis: { type: "category", inverse: true, data: known.map(nameOf), axisLabel: { width: 195, overflow: "break", lineHeight: 13 } },
