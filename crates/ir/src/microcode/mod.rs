@@ -29,6 +29,9 @@ use tree::{MOST_TEMPORARIES, is_name};
 pub const MOST_WORDS: usize = 8;
 /// The most assignments of an update, or of a reset.
 const MOST_ASSIGNMENTS: usize = 128;
+/// Most instructions of a kind. A bound of this program: registers of compiled kinds have 15 bits,
+/// and an instruction writes at most twelve.
+const MOST_INSTRUCTIONS: u32 = 2048;
 
 /// Treatment of a value that does not fit its word. Both are reported by rule (14) of
 /// `docs/semantics.md`.
@@ -178,7 +181,14 @@ impl Microcode {
         };
         let reset = assignments("reset", &declaration.reset, &mut scope)?;
         let (temporaries, ports) = (scope.temporaries(), scope.ports);
-        Ok(Microcode { declaration, temporaries, ports, update, sends, message, reset })
+        let code = Microcode { declaration, temporaries, ports, update, sends, message, reset };
+        match code.instructions() {
+            0..=MOST_INSTRUCTIONS => Ok(code),
+            count => {
+                let problem = format!("{count} instructions, more than {MOST_INSTRUCTIONS}: shorten its expressions");
+                Err(Problem::new("", problem))
+            }
+        }
     }
 
     /// Its declaration.

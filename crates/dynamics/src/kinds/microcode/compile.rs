@@ -185,6 +185,7 @@ impl Compiler<'_> {
             None => {
                 let next = if to_wide { &mut section.wide } else { &mut section.narrow };
                 let out = *next;
+                assert!(out < FIXED - 1, "a kind's bound on instructions keeps registers below the mark");
                 *next += 1;
                 section.instructions.push(Instruction { action, wide, operands: places, out });
                 out
