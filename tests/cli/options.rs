@@ -81,7 +81,7 @@ fn fields_of_model_target_and_constants_are_set() {
     let hop = " --set constants.hop_ew_energy=0 --set constants.hop_ns_energy=0";
     assert!(energy("") >= energy(hop));
     for (wrong, says) in [
-        ("nothing=1", "field named `nothing`"),
+        ("nothing=1", "has no field `nothing`"),
         ("populations.c.du=1", "populations has no c; it has in, a"),
         ("populations.a.vt_mant=1", "did you mean 'vth_mant'?"),
         ("populations.a.vth=x", "model."),

@@ -109,7 +109,7 @@ fn it_is_written_as_it_is_read_and_refuses_what_it_has_not() {
     );
     let leak = text.replace("refractory: 2", "dv: 2");
     let problem = network(SourceText::new("n.ron", leak), Origin::File).unwrap_err();
-    assert!(problem.message.contains("Unexpected field named `dv` in `If`"), "{problem}");
+    assert!(problem.message.contains("`If` has no field `dv`"), "{problem}");
     let lava = text.replace("output:", "semantics: Lava, output:");
     let graph = lower(&network(SourceText::new("n.ron", lava), Origin::File).unwrap()).unwrap();
     assert_eq!(quantise(&graph).unwrap_err().code, "model.semantics");

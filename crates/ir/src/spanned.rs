@@ -163,7 +163,7 @@ pub fn parse<T: DeserializeOwned>(source: &SourceText, code: &'static str) -> Re
         let others: Vec<String> = others.iter().map(|one| format!("{} (line {})", one.1, place(one))).collect();
         let also = if others.is_empty() { String::new() } else { format!("; also missing: {}", others.join(", ")) };
         let problem = Diagnostic::new(code, malformed.message.clone() + &also).at(source, malformed.span);
-        match malformed.message.contains("field named") {
+        match is_of_fields(&malformed.message) {
             true => {
                 problem.help("nsim show NAME prints a shipped file with its fields; docs/formats.md has all of them")
             }
@@ -221,10 +221,15 @@ const MOST_BYTES: usize = 1 << 20;
 /// The most missing fields that are named after the first.
 const MOST_MISSING: usize = 40;
 
-/// Field and owner in RON's message about a missing field.
+/// Field and owner in the message about a missing field.
 fn missing_field(message: &str) -> Option<(&str, &str)> {
-    let (field, rest) = message.split_once("missing field named `")?.1.split_once('`')?;
-    Some((field, rest.split_once("in `")?.1.split_once('`')?.0))
+    let (field, rest) = message.strip_prefix("field `")?.split_once("` of `")?;
+    Some((field, rest.strip_suffix("` is missing")?))
+}
+
+/// Whether a message is about a missing or an unknown field.
+fn is_of_fields(message: &str) -> bool {
+    message.starts_with("field `") || message.contains("has no field `")
 }
 
 /// Further missing fields, with their places. RON stops at the first missing field. So that field
@@ -255,12 +260,10 @@ fn other_missing_fields<T: DeserializeOwned>(
             let another = missing_field(&message);
             let inside = (at..end).contains(&span.start);
             if inside && another.is_none() {
-                // For an enum the message names a variant.
-                let variant = message.split_once(", expected ").and_then(|(_, rest)| rest.split('`').nth(1));
-                if let Some(variant) = variant
-                    .filter(|name| message.contains("enum") && fillers.len() == FILLERS.len() && !name.is_empty())
-                {
-                    fillers.push(variant.to_string());
+                // The message about an unknown name has the known ones.
+                let known = message.split_once(ONE_OF).and_then(|(_, names)| names.split('`').nth(1));
+                if let Some(name) = known.filter(|name| fillers.len() == FILLERS.len() && !name.is_empty()) {
+                    fillers.push(name.to_string());
                 }
                 continue;
             }
@@ -286,18 +289,37 @@ fn other_missing_fields<T: DeserializeOwned>(
     found
 }
 
-/// RON's message in one line.
+/// What precedes known names in the message about an unknown one.
+const ONE_OF: &str = "write one of ";
+
+/// RON's message in one line, in the words of files.
 fn plain(error: &ron::Error) -> String {
-    match error {
-        ron::Error::ExceededRecursionLimit => return "brackets are nested too deeply".to_string(),
-        ron::Error::ExpectedComma => return "expected a comma or a closing bracket".to_string(),
+    let owner = |outer: &Option<String>| outer.as_ref().map_or(String::new(), |outer| format!(" of `{outer}`"));
+    let meant = |found: &str, known: &[&'static str]| {
+        let meant = did_you_mean(found, known.iter().copied());
+        format!("{meant}{ONE_OF}`{}`", known.join("`, `"))
+    };
+    let known = match error {
+        ron::Error::ExceededRecursionLimit => "brackets are nested too deeply".to_string(),
+        ron::Error::ExpectedComma => "expected a comma or a closing bracket".to_string(),
+        ron::Error::ExpectedArray => "expected a list, which begins with [".to_string(),
+        ron::Error::ExpectedBoolean => "expected true or false".to_string(),
+        ron::Error::ExpectedFloat => "expected a number".to_string(),
+        ron::Error::ExpectedInteger => "expected a whole number".to_string(),
+        ron::Error::ExpectedString => "expected a text in quotes".to_string(),
+        ron::Error::MissingStructField { field, outer } => format!("field `{field}`{} is missing", owner(outer)),
+        ron::Error::DuplicateStructField { field, outer } => format!("field `{field}`{} is given twice", owner(outer)),
         ron::Error::NoSuchStructField { expected, found, outer } => {
-            let of = outer.as_ref().map_or(String::new(), |outer| format!(" in `{outer}`"));
-            let meant = did_you_mean(found, expected.iter().copied());
-            let meant = meant.strip_suffix(' ').map_or(String::new(), |meant| format!(" ({meant})"));
-            return format!("Unexpected field named `{found}`{of}{meant}, expected one of `{}`", expected.join("`, `"));
+            let owner = outer.as_ref().map_or("this entry".to_string(), |outer| format!("`{outer}`"));
+            format!("{owner} has no field `{found}`: {}", meant(found, expected))
         }
-        _ => {}
+        ron::Error::NoSuchEnumVariant { expected, found, .. } => {
+            format!("`{found}` is unknown: {}", meant(found, expected))
+        }
+        _ => String::new(),
+    };
+    if !known.is_empty() {
+        return known;
     }
     let mut message = error.to_string().replace('\n', " ");
     if message.len() > 300 {
@@ -321,9 +343,11 @@ mod tests {
 
     #[test]
     fn a_single_value_in_the_place_of_a_list_is_told_how_a_list_is_written() {
-        for (value, written) in
-            [("16", "write [16]"), ("\"a:b c\"", "write [\"a:b c\"]"), ("(1, 2)", "Expected opening `[`")]
-        {
+        for (value, written) in [
+            ("16", "write [16]"),
+            ("\"a:b c\"", "write [\"a:b c\"]"),
+            ("(1, 2)", "expected a list, which begins with ["),
+        ] {
             let text = SourceText::new("f.ron", format!("Outer(name: \"n\", inner: {value})"));
             let error = parse::<Outer>(&text, "x.syntax").unwrap_err();
             assert!(error.message.contains(written), "{value}: {}", error.message);
@@ -371,7 +395,7 @@ mod tests {
         let text = "Whole(_inner: (_size: 3),\n _more: [(_kind: Thin,), ()],\n)";
         let error = parse::<Whole>(&SourceText::new("t.ron", text), "t").err().unwrap();
         let said = error.to_string();
-        let first = "missing field named `_kind` in `Inner`; also missing: `_pair` in `Inner` (line 1), ";
+        let first = "field `_kind` of `Inner` is missing; also missing: `_pair` in `Inner` (line 1), ";
         assert!(said.contains(first), "{said}");
         let second = "`_size` in `Inner` (line 2), `_pair` in `Inner` (line 2), `_size` in `Inner` (line 2), ";
         assert!(said.contains(second), "{said}");
