@@ -10,7 +10,7 @@ use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
 use nsim::session::Session as Stepped;
 use nsim::session::samples::{Division, lay_out};
-use numpy::{Element, PyArray1, PyArrayMethods};
+use numpy::{Element, PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
@@ -110,20 +110,23 @@ fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &
     fn copied<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>, mut add: impl FnMut(u32)) -> bool {
         array.to_owned_array().iter().all(|&number| number.try_into().map(&mut add).is_ok())
     }
-    let (units, before) = (shape.len(), shown.len());
+    let (units, before, mut are_truths) = (shape.len(), shown.len(), false);
     let help = "give the numbers of the channels that spike, counted from 0, or a truth value for each: array > 0";
     let mut add = |number| shown.push((ChannelId(number), 1));
-    let are_whole = if let Ok(array) = given.cast::<PyArray1<i64>>() {
+    // A masked array is an array, too.
+    let plain = Some(given).filter(|given| given.is_exact_instance_of::<PyUntypedArray>());
+    let are_whole = if let Some(Ok(array)) = plain.map(|array| array.cast::<PyArray1<i64>>()) {
         copied(array, add)
-    } else if let Ok(array) = given.cast::<PyArray1<i32>>() {
+    } else if let Some(Ok(array)) = plain.map(|array| array.cast::<PyArray1<i32>>()) {
         copied(array, add)
-    } else if let Ok(array) = given.cast::<PyArray1<u32>>() {
+    } else if let Some(Ok(array)) = plain.map(|array| array.cast::<PyArray1<u32>>()) {
         copied(array, add)
     } else if given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>() || given.hasattr("__array__")? {
         let array = Array::new(given, format!("'{name}'"))?;
         let numbers = || array.numbers(units as usize, help);
         if array.holds_truth_values() {
             check_each(&array, name, shape, "truth values")?;
+            are_truths = true;
             (0..).zip(numbers()?).filter(|&(_, spikes)| spikes != 0.0).for_each(|(number, _)| add(number));
             true
         } else if array.is_of_bytes() && matches_shape(shape, array.shape()) {
@@ -149,6 +152,12 @@ fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &
         return Err(usage(format!("the channels of '{name}' are not a list of whole numbers from 0"), help));
     }
     let own = &mut shown[before..];
+    if !are_truths && own.len() == units as usize && own.iter().all(|(number, _)| number.0 <= 1) {
+        let message = format!(
+            "'{name}' has {units} channels, and as many integers of 0 and 1 are channel numbers or a truth value for each"
+        );
+        return Err(usage(message, "give array > 0, or the channels that spike as truth values: [True, False, ..]"));
+    }
     own.sort_unstable_by_key(|(number, _)| *number);
     if let Some((ChannelId(number), _)) = own.last().filter(|(number, _)| number.0 >= units) {
         return Err(usage(format!("'{name}' has {units} channels, so channel {number} cannot spike"), help));

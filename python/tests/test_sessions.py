@@ -131,8 +131,9 @@ class Sessions(unittest.TestCase):
             for wrong, says in [
                 (spikes.astype(np.uint8), "a byte for each"),
                 (np.arange(spikes.size).astype(np.int8), "a byte for each"),
-                (spikes.astype(int), "channel 0 of 'tactile' is given twice"),
-                (spikes.astype(int).tolist(), "channel 0 of 'tactile' is given twice"),
+                (spikes.astype(int), "channel numbers or a truth value for each"),
+                (spikes.astype(int).tolist(), "channel numbers or a truth value for each"),
+                (np.ma.array([3, 1], mask=[True, False]), "mask"),
                 ([3, 1, 3], "channel 3 of 'tactile' is given twice"),
                 (spikes.astype(float), "whole numbers"),
                 (spikes[:, None] & np.array([True, False]), "truth values of shape"),
