@@ -132,14 +132,7 @@ pub fn check_recording(
     let sample = |(steps, events)| PopulationSpikes { steps, events, ..PopulationSpikes::default() };
     let recorded: Vec<PopulationSpikes> = recorded.into_iter().map(sample).collect();
     let result = try_detached(py, || compare_recording((&graph, &integers), &shown.samples(), &recorded))?;
-    let first = result.first.map_or(String::new(), |first| {
-        let has = if first.recorded { "the recording" } else { "nsim" };
-        format!(
-            "; the first: sample {}, step {}, neuron {}, where only {has} has a spike; v is {:.6} of the threshold",
-            first.sample, first.step, first.neuron, first.potential
-        )
-    });
-    Ok((result.differing, result.text() + &first))
+    Ok((result.differing, result.lines().join("; ")))
 }
 
 /// A network as in its file.

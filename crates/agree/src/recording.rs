@@ -50,7 +50,19 @@ pub struct RecordingResult {
 }
 
 impl RecordingResult {
-    /// Its sentence.
+    /// How many values differ, and the first that does.
+    pub fn lines(&self) -> Vec<String> {
+        let first = self.first.map(|first| {
+            let has = if first.recorded { "the recording" } else { "nsim" };
+            format!(
+                "the first: sample {}, step {}, neuron {}, where only {has} has a spike; v is {:.6} of the threshold",
+                first.sample, first.step, first.neuron, first.potential
+            )
+        });
+        std::iter::once(self.text()).chain(first).collect()
+    }
+
+    /// How many values differ.
     pub fn text(&self) -> String {
         let later = match self.later {
             0 => String::new(),

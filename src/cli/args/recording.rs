@@ -48,20 +48,13 @@ impl RecordingPair {
     /// As [`compare_recording`]; files that cannot be read.
     pub fn lines(&self, network: &Network, file: &Path, options: &Options) -> Result<(bool, Vec<String>), Error> {
         let result = self.compare(network)?;
-        let output = self.output.display();
-        if result.differing == 0 {
-            return Ok((true, vec![format!("{output}: {}", result.text())]));
+        let is_equal = result.differing == 0;
+        let mut lines = result.lines();
+        lines[0] = format!("{}: {}", self.output.display(), lines[0]);
+        if !is_equal {
+            lines.extend(self.by_tool(file, options));
         }
-        let mut lines = vec![format!("{output}: {}", result.text())];
-        lines.extend(result.first.map(|first| {
-            let (has, lacks) = if first.recorded { ("the recording", "nsim") } else { ("nsim", "the recording") };
-            format!(
-                "the first: sample {}, step {}, neuron {}: {has} has a spike, {lacks} has none; v is {:.6} of the threshold",
-                first.sample, first.step, first.neuron, first.potential
-            )
-        }));
-        lines.extend(self.by_tool(file, options));
-        Ok((false, lines))
+        Ok((is_equal, lines))
     }
 
     /// A line for each tool by whose conventions the file can be read.

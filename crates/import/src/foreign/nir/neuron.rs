@@ -113,6 +113,11 @@ struct Share {
 }
 
 impl Share {
+    /// That of a state without decay.
+    fn none() -> Share {
+        Share { share: Parameter::Same(0.0), steps: Parameter::Same(0.0) }
+    }
+
     /// The time constant in ms with `1 - share = exp(-dt / tau)`; none where 4096ths represent it.
     fn tau(&self, dt: f64) -> Option<Parameter> {
         let in_4096ths = |share: f64| (4096.0 * share - (4096.0 * share).round()).abs() < EXACT;
@@ -271,7 +276,7 @@ impl NodeReader<'_> {
         }
         let share = match &filter.tau {
             Some(tau) => self.share_of("tau", tau)?,
-            None => Share { share: Parameter::Same(0.0), steps: Parameter::Same(0.0) },
+            None => Share::none(),
         };
         let gain = match filter.tau {
             Some(_) => {
@@ -288,15 +293,25 @@ impl NodeReader<'_> {
         if all(&r, |r| r == 1.0) { r } else { r.map(|r| r * self.file_dt) }
     }
 
-    /// Decay of the current, its time constant, and what a weight counts in v.
-    fn before_voltage(
+    /// A neuron with these states, each with what its input counts in it, that never resets.
+    fn filtering(
         &self,
         current: Option<(Share, Parameter)>,
-        voltage: &Parameter,
-    ) -> (Parameter, Option<Parameter>, Parameter) {
-        match current {
+        (membrane, voltage): (&Share, Parameter),
+        threshold: Option<Parameter>,
+    ) -> Discrete {
+        let (du, tau_u, gain) = match current {
             None => (Parameter::Same(4096.0), None, voltage.clone()),
-            Some((share, gain)) => (share.decay(self.dt), share.tau(self.dt), zip(&gain, voltage, |a, b| a * b)),
+            Some((share, gain)) => (share.decay(self.dt), share.tau(self.dt), zip(&gain, &voltage, |a, b| a * b)),
+        };
+        Discrete {
+            du,
+            dv: membrane.decay(self.dt),
+            taus: [tau_u, membrane.tau(self.dt)],
+            gain,
+            voltage_gain: voltage,
+            reset: Reset::Never,
+            ..Discrete::memoryless(threshold)
         }
     }
 
@@ -304,25 +319,14 @@ impl NodeReader<'_> {
         let voltage = self.in_voltage(membrane, "r")?;
         let (rest, threshold, reset) = self.rest_and_threshold()?;
         let leak = zip(&self.parameter("v_leak", Some(0.0))?, &rest, |leak, rest| leak - rest);
-        let (du, tau_u, gain) = self.before_voltage(current, &voltage);
-        Ok(Discrete {
-            du,
-            dv: membrane.decay(self.dt),
-            taus: [tau_u, membrane.tau(self.dt)],
-            gain,
-            voltage_gain: voltage,
-            bias: zip(&membrane.share, &leak, |a, b| a * b),
-            threshold,
-            reset,
-        })
+        let bias = zip(&membrane.share, &leak, |a, b| a * b);
+        Ok(Discrete { bias, reset, ..self.filtering(current, (membrane, voltage), threshold) })
     }
 
     fn integrator(&mut self, current: Option<(Share, Parameter)>) -> Result<Discrete> {
         let (_, threshold, reset) = self.rest_and_threshold()?;
         let voltage = self.checked(snapped(&self.per_step(self.parameter("r", Some(1.0))?)), "r")?;
-        let (du, tau_u, gain) = self.before_voltage(current, &voltage);
-        let (dv, taus) = (Parameter::Same(0.0), [tau_u, None]);
-        Ok(Discrete { du, dv, taus, gain, voltage_gain: voltage, reset, ..Discrete::memoryless(threshold) })
+        Ok(Discrete { reset, ..self.filtering(current, (&Share::none(), voltage), threshold) })
     }
 
     /// A threshold on arrivals, or on the potential of a filter, which a spike does not reset.
@@ -339,16 +343,7 @@ impl NodeReader<'_> {
         };
         let without_current = Filter { current: None, ..filter.clone() };
         let (membrane, voltage) = self.current_of(&without_current)?;
-        let (du, tau_u, gain) = self.before_voltage(current, &voltage);
-        Ok(Discrete {
-            du,
-            dv: membrane.decay(self.dt),
-            taus: [tau_u, membrane.tau(self.dt)],
-            gain,
-            voltage_gain: voltage,
-            reset: Reset::Never,
-            ..Discrete::memoryless(Some(threshold))
-        })
+        Ok(self.filtering(current, (&membrane, voltage), Some(threshold)))
     }
 
     /// The potential from which v is counted, the threshold above it, and the reset. A neuron that
