@@ -208,8 +208,10 @@ impl Energy {
     fn _repr_html_(&self) -> String {
         let json = self.report.json();
         let mut rows = json["rows"].as_array().cloned().unwrap_or_default();
-        let level = 100.0 * json["level"].as_f64().unwrap_or(0.8);
-        let interval = format!("{level:.0} % interval (uJ)");
+        let interval = match json["level"].as_f64() {
+            Some(level) => format!("{:.0} % interval (uJ)", 100.0 * level),
+            None => "model's bounds (uJ)".to_string(),
+        };
         for row in &mut rows {
             if let (Some(low), Some(high)) = (row["low"]["energy_uj"].as_f64(), row["high"]["energy_uj"].as_f64()) {
                 row[interval.as_str()] = format!("{low:.3} .. {high:.3}").into();

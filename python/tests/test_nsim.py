@@ -77,6 +77,10 @@ class SameAsTheCommandLine(unittest.TestCase):
         self.assertEqual(run._repr_html_().count("<tr>"), 1 + len(run.json()["populations"]))
         self.assertEqual(energy._repr_html_().count("<tr>"), 1 + len(energy.rows))
         self.assertIn("energy_uj", energy._repr_html_())
+        self.assertIn("80 % interval (uJ)", energy._repr_html_())
+        # Constants of Loihi 2 are modelled: their intervals are bounds.
+        on_loihi_2 = nsim.load("vtsnn-slip").map("oheo-gulch").energy(samples=(0, 1))
+        self.assertIn("model's bounds (uJ)", on_loihi_2._repr_html_())
 
     def test_options_of_energy(self):
         theirs = command("energy", "vtsnn-slip", "--baseline", "--copies", "2", "--mode", "realtime", "--samples", "1..3")

@@ -106,6 +106,13 @@ fn results_say_what_each_population_and_core_did_and_what_to_change() {
     assert_eq!(sum(&energy["cores"], "spikes"), sum(&energy["populations"], "spikes"));
     assert_eq!(sum(&energy["cores"], "slowest_steps"), energy["timesteps"].as_u64().unwrap());
     has_keys(&energy["cores"][0], &["core", "chip", "energy_pj", "busy_us", "messages_in", "messages_out"]);
+    // Cores of both copies: the breakdown of one, without hops.
+    let of_cores: f64 =
+        energy["cores"].as_array().unwrap().iter().map(|core| core["energy_pj"].as_f64().unwrap()).sum();
+    let parts = energy["breakdown_pj_per_timestep"].as_object().unwrap().iter().filter(|(name, _)| *name != "hop");
+    let of_parts: f64 = parts.map(|(_, part)| part.as_f64().unwrap()).sum();
+    let expected = 2.0 * of_parts * energy["timesteps"].as_f64().unwrap();
+    assert!((of_cores / expected - 1.0).abs() < 1e-9, "{of_cores} pJ by core, {expected} pJ by part");
     let reference = object(&["run", "vtsnn-slip-srm", "--samples", "0..2"], 0);
     assert_eq!((&reference["engine"], &reference["cores"]), (&"reference".into(), &Value::Array(vec![])));
     assert_eq!(sum(&reference["populations"], "spikes"), reference["activity"]["spikes"].as_u64().unwrap());

@@ -329,6 +329,9 @@ pub(crate) mod tests {
             prop_assert_eq!(batch.lanes(), whole.lanes());
             prop_assert_eq!(batch.slowest_steps(), whole.slowest_steps());
             prop_assert_eq!(one_by_one.distribution(), whole.distribution());
+            for parts in [&batch, &whole] {
+                prop_assert_eq!((parts.hops, parts.core_time), (one_by_one.hops, one_by_one.core_time));
+            }
             prop_assert_eq!(one_by_one.steps(), activity.steps());
             prop_assert_eq!(one_by_one.slowest_steps(), whole.slowest_steps());
             prop_assert_eq!(whole.slowest_steps().iter().sum::<u64>(), activity.steps());

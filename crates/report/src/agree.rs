@@ -333,14 +333,16 @@ impl AgreeReport<'_> {
 
     fn attribution_text(&self) -> String {
         let Some(attribution) = self.attribution else { return String::new() };
-        let table = table_of(&attribution.shares, &SHARE_TEXT);
+        let have_shares = attribution.shares.iter().all(|share| share.share.is_some());
+        let columns = SHARE_TEXT.iter().filter(|(heading, _)| have_shares || *heading != "share").copied();
+        let table = table_of(&attribution.shares, &columns.collect::<Vec<_>>());
         let intro = format!(
             "causes: disagreement {} (1 - coincidence over all layers) over {}, from the trained network to the \
              machine. Each row is the network with one more cause added{}. without: the coincidence of the machine \
              without this cause",
             three(attribution.disagreement),
             count(self.attribution_samples as u64, "sample"),
-            match attribution.shares.iter().all(|share| share.share.is_some()) {
+            match have_shares {
                 true => ", and its share is the mean over the forward and the reversed order",
                 false => ". Causes cancel each other, so none has a share",
             }

@@ -23,7 +23,8 @@ EXAMPLES:
   nsim compare                                      the shipped network on one Loihi and one Loihi 2
   nsim compare model.ron --targets loihi1-chip,oheo-gulch --input spikes.npy
   nsim compare model.ron --targets oheo-gulch,mine.ron --input scene:noise --format json
-  nsim compare --targets loihi1-chip,nahuku-32 --samples 0..4 --format csv > targets.csv";
+  nsim compare --targets loihi1-chip,nahuku-32 --samples 0..4 --format csv > targets.csv
+  nsim report a.json b.json -o both.html            two results of nsim energy --format json, side by side";
 
 /// Compare targets for a network: cores, time, energy and power side by side, with intervals
 #[derive(Debug, Clone, clap::Args)]

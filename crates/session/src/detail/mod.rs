@@ -110,3 +110,25 @@ fn core_json(row: &CoreRow) -> Value {
     }
     object
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cores::CoreSpent;
+    use nsim_cost::model::Breakdown;
+    use nsim_ir::activity::CoreCounts;
+    use nsim_ir::base::id::CoreId;
+    use nsim_ir::base::units::{Femtojoules, Picoseconds};
+
+    #[test]
+    fn a_core_has_picojoules_and_microseconds() {
+        let energy = Breakdown { synapse: Femtojoules(5_000), axon_in: Femtojoules(250), ..Breakdown::default() };
+        let spent = Some(CoreSpent { energy, busy: Picoseconds(2_500_000), slowest_steps: 3 });
+        let row = core_json(&CoreRow { core: CoreId(7), chip: 1, counts: CoreCounts::default(), spent });
+        assert_eq!((&row["energy_pj"], &row["busy_us"], &row["slowest_steps"]), (&json!(5.25), &json!(2.5), &json!(3)));
+        assert_eq!(
+            (&row["energy_parts_pj"]["synapse"], &row["energy_parts_pj"]["axon_in"]),
+            (&json!(5.0), &json!(0.25))
+        );
+    }
+}
