@@ -16,6 +16,7 @@ use nsim_import::spikes::events::event::{Counts, Event, Sink};
 use nsim_import::spikes::events::{nir_data, read};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::inspect::{Findings, FindingsTable, number};
+use nsim_session::front::check;
 
 /// Columns of the table, in which each array or text is a row.
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
@@ -33,8 +34,13 @@ const MOST_NUMBERS: usize = 1 << 28;
 pub(super) fn model(path: &Path, kind: FileKind, reading: &Reading) -> Result<Findings, Diagnostic> {
     let bytes = hdf5::read_foreign_file(path)?;
     let in_file = |problem: Diagnostic| problem.or_in_file(path);
-    let importable =
-        import_summary(&foreign::from_bytes(path, bytes.clone(), &Options { reading: *reading, ..Options::default() }));
+    let options = Options { reading: *reading, ..Options::default() };
+    // What the file means may be what no model can be.
+    let imported = foreign::from_bytes(path, bytes.clone(), &options).and_then(|imported| {
+        check(&imported.model.build(path)?)?;
+        Ok(imported)
+    });
+    let importable = import_summary(&imported);
     let mut rows = Vec::new();
     let kind = match kind {
         FileKind::Hdf5 => {

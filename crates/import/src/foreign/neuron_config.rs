@@ -45,7 +45,7 @@ pub enum NeuronKind {
 pub(super) const LAVA_SCALE: f64 = 64.0;
 /// Fields of training: shapes of the surrogate gradient, lava-dl's handling of parameters.
 const TRAINING_FIELDS: &str =
-    "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state norm dropout";
+    "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state dropout";
 
 #[derive(Deserialize)]
 struct ConfigFile {
@@ -63,6 +63,7 @@ struct SimulationFile {
 #[derive(Deserialize)]
 #[serde(untagged)]
 enum Field {
+    Null(()),
     Number(f64),
     Text(String),
     Other(IgnoredAny),
@@ -130,6 +131,7 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
         },
         other => return Err(wrong(format!("neuron type '{other}' is not supported")).help(KINDS)),
     };
+    fields.retain(|key, value| key != "norm" || !matches!(value, Field::Null(())));
     match fields.into_keys().find(|key| !TRAINING_FIELDS.split(' ').any(|known| known == key)) {
         Some(key) => Err(wrong(format!("neurons of type {kind} do not support field '{key}'"))
             .help("remove it if the network does not depend on it; docs/import.md lists the fields of each type")),
@@ -191,6 +193,7 @@ mod tests {
         for (text, says) in [
             ("neuron:\n  type: LOIHI\n  vThMant: 80\n", "vDecay"),
             ("neuron:\n  type: ADEX\n", "ADEX"),
+            ("neuron:\n  {type: CUBA, threshold: 1.0, norm: batch}", "'norm'"),
             ("a: 1", "neuron"),
             ("neuron:\n  type: LOIHI\n  vThMant: [1]\n", "n"),
             ("\t: {", ""),
@@ -198,6 +201,7 @@ mod tests {
             let error = parse(text).unwrap_err();
             assert!(error.code == "import.yaml" && error.message.contains(says), "{text}: {error}");
         }
+        assert!(parse("neuron:\n  {type: CUBA, threshold: 1.0, norm: null, dropout: 0.1}").is_ok());
         let bomb = "a: &a [1,1,1,1,1,1,1,1,1]\nb: &b [*a,*a,*a,*a,*a,*a,*a,*a]\nc: &c [*b,*b,*b,*b,*b,*b,*b,*b]\nd: \
                     &d [*c,*c,*c,*c,*c,*c,*c,*c]\ne: [*d,*d,*d,*d,*d,*d,*d,*d,*d,*d,*d,*d]\nneuron: {type: LOIHI}\n";
         assert!(parse(bomb).is_err());
