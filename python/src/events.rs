@@ -230,7 +230,8 @@ impl Records {
         })?;
         if counts.dropped > 0 {
             let (dropped, events) = (counts.dropped, counts.events);
-            spikes.changes = Some(format!("{dropped} of {events} events have no channel or no timestep and were dropped"));
+            spikes.changes =
+                Some(format!("{dropped} of {events} events have no channel or no timestep and were dropped"));
         }
         Ok(spikes)
     }

@@ -183,13 +183,13 @@ impl Mapping {
     /// Runs samples on the simulated cores: `nsim run --engine fast`.
     ///
     /// `spikes` is an array `[channels.., T]` or `[samples, channels.., T]` in which one value
-    /// above zero is a spike, a dictionary from input populations to such arrays, a source or a list
-    /// of sources as for `--input`, or None for the model's own scene. With `time_first` arrays are
-    /// `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the samples,
-    /// `samples` is (first, end), `seed` is the seed of a scene, `early_exit` 'certain' or a margin
-    /// in spikes, `probe` a list of POPULATION.spikes, .u, .v or .v_register to record. The first
-    /// run of a mapping issues its warnings (`nsim.Warning`); `Run.warnings` lists them for every
-    /// run.
+    /// above zero is a spike, a dictionary from input populations to such arrays, a source or a
+    /// list of sources as for `--input`, or None for the model's own scene. With `time_first`
+    /// arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the
+    /// samples, `samples` is (first, end), `seed` is the seed of a scene, `early_exit`
+    /// 'certain' or a margin in spikes, `probe` a list of POPULATION.spikes, .u, .v or
+    /// .v_register to record. The first run of a mapping issues its warnings (`nsim.Warning`);
+    /// `Run.warnings` lists them for every run.
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, \

@@ -7,7 +7,9 @@
 
 use std::path::Path;
 
-use nsim::files::network::{Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
+use nsim::files::network::{
+    Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor,
+};
 use nsim::import::foreign;
 use nsim::import::foreign::hdf5::{Group, Numbers};
 use nsim::import::foreign::{DecayRule, Imported, Options, Reading, ResetMode, Tool};

@@ -56,7 +56,8 @@ fn contradicting_netx(folder: &Path) {
     std::fs::write(folder.join("fields.net"), hdf5::write(&Group::default().with("layer", layers)).unwrap()).unwrap();
 }
 
-/// A graph of NIR that states little: a rest potential, a loop, two outputs, edges twice and to nowhere.
+/// A graph of NIR that states little: a rest potential, a loop, two outputs, edges twice and to
+/// nowhere.
 fn terse_nir(folder: &Path) {
     let matrix = || typed("Linear").with("weight", Numbers::f64(&[2, 2], &[0.5, -0.25, 1.0, 0.75]));
     let rest = [("tau", 0.008), ("r", 9.0), ("v_leak", -65.0), ("v_reset", -65.0), ("v_threshold", -64.0)];

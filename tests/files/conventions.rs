@@ -1,4 +1,5 @@
-//! Conventions that files do not state: a row a tool, the timestep, potentials that are sent, edges.
+//! Conventions that files do not state: a row a tool, the timestep, potentials that are sent,
+//! edges.
 
 use crate::nir_nodes::{cuba, file, file_with, given, lif, noise, output, read, source};
 use crate::real::{spikes, total};
@@ -135,7 +136,8 @@ fn a_potential_that_is_sent_becomes_a_current() {
     assert!(total(&right) > 20);
     assert_eq!(spikes(&model, "n", 4), right);
     assert_eq!(model.population("n").unwrap().kind, NeuronKind::SoftReset);
-    // Refused: other time constants in a sum, a second filter, a potential that is also the output, other inputs.
+    // Refused: other time constants in a sum, a second filter, a potential that is also the output,
+    // other inputs.
     let varied = li(5, 0.004).with("tau", reals(&[0.004, 0.004, 0.004, 0.004, 0.008]));
     let of_current = [&nodes(li(5, 0.004))[..4], &[("n", cuba(&[3])), ("o", output())]].concat();
     let whole = |second: Group| [&nodes(second)[..], &[("o", output())]].concat();

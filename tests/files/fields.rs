@@ -1,6 +1,6 @@
 //! The table of fields in `tests/files/fields.md`: a field with another valid value changes the
-//! model, adds a warning or is refused, and a field without meaning changes nothing. `docs/import.md` has each
-//! field in a row of its layer.
+//! model, adds a warning or is refused, and a field without meaning changes nothing.
+//! `docs/import.md` has each field in a row of its layer.
 
 use std::collections::BTreeSet;
 use std::path::Path;

@@ -1,9 +1,10 @@
 //! Recorded spikes of the tool that wrote a network, compared with the reference engine's.
 //!
 //! Input: a network, samples, the tool's spikes of the output. Output: a [`RecordingResult`]: the
-//! number of values that differ, and the first of them with its potential. In training tools a spike
-//! passes all layers in one step, here it takes a step a layer, so the output's `start_step` is
-//! removed. A tool whose layers take steps of their own answers later by a constant, which is found.
+//! number of values that differ, and the first of them with its potential. In training tools a
+//! spike passes all layers in one step, here it takes a step a layer, so the output's `start_step`
+//! is removed. A tool whose layers take steps of their own answers later by a constant, which is
+//! found.
 //!
 //! Errors: as [`real_trace`]; `check.samples` and `check.steps` for recordings of another size.
 

@@ -15,12 +15,13 @@ pub struct ReadingArgs {
     /// Milliseconds of a timestep, where the file of a model has none
     #[arg(long = "dt", value_name = "MS", value_parser = milliseconds)]
     pub dt_ms: Option<f64>,
-    /// Conventions of the tool that wrote the model's file: its timestep, reset, threshold test, decay
-    /// and the meaning of r and w_in (NIR); --dt, --reset and others override them
+    /// Conventions of the tool that wrote the model's file: its timestep, reset, threshold test,
+    /// decay and the meaning of r and w_in (NIR); --dt, --reset and others override them
     #[arg(long, value_name = "TOOL", value_parser = one_of(&Tool::ALL, Tool::name))]
     pub from: Option<Tool>,
-    /// Reset at a spike, which a NIR file does not state: to zero, as on the chip; or by subtracting
-    /// the threshold at the spike, or a step later as in snnTorch, which only some targets can do
+    /// Reset at a spike, which a NIR file does not state: to zero, as on the chip; or by
+    /// subtracting the threshold at the spike, or a step later as in snnTorch, which only some
+    /// targets can do
     #[arg(long, value_name = "HOW", value_parser = one_of(&ResetMode::ALL, ResetMode::name))]
     pub reset: Option<ResetMode>,
 }

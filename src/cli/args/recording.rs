@@ -1,7 +1,8 @@
 //! `--check IN.npy=OUT.npy`: the tool's own spikes, compared with the reference engine's.
 //!
 //! Input: spikes and the output's spikes that the tool recorded on them. Output: a line, where they
-//! are equal; else the first difference, and how many values differ by the conventions of each tool.
+//! are equal; else the first difference, and how many values differ by the conventions of each
+//! tool.
 
 use std::path::{Path, PathBuf};
 
@@ -42,7 +43,8 @@ impl RecordingPair {
         Ok(compare_recording((&graph, &integers), &samples, &recorded)?)
     }
 
-    /// Lines on a network of a file: whether it spikes as recorded, and by which conventions it would.
+    /// Lines on a network of a file: whether it spikes as recorded, and by which conventions it
+    /// would.
     ///
     /// # Errors
     /// As [`compare_recording`]; files that cannot be read.

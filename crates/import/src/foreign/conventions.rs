@@ -66,8 +66,9 @@ pub enum GainRule {
     Equations,
     /// `w_in` in the current, `a r` in the voltage.
     WholeCurrent,
-    /// `w_in exp(-dt / tau_syn)` in the current. In the voltage of a neuron `r (dt / tau) exp(dt / tau)`,
-    /// which is 1 for the r that Rockpool writes; in an integrator `r dt / tau`.
+    /// `w_in exp(-dt / tau_syn)` in the current. In the voltage of a neuron
+    /// `r (dt / tau) exp(dt / tau)`, which is 1 for the r that Rockpool writes; in an integrator
+    /// `r dt / tau`.
     Rockpool,
     /// 1 in neurons, whose r is the share that a step keeps; `a r` in integrators.
     One,
@@ -129,7 +130,8 @@ pub enum TimeUnit {
     Seconds,
     /// Steps: the tool knows no other time.
     Steps,
-    /// Those of Norse, which writes `dt / tau_mem_inv` where `1 / tau_mem_inv` is the time constant.
+    /// Those of Norse, which writes `dt / tau_mem_inv` where `1 / tau_mem_inv` is the time
+    /// constant.
     Norse,
 }
 
@@ -269,7 +271,8 @@ impl Tool {
 }
 
 impl Row {
-    /// The reset of a NIR node of this type: CuBaLIF of spyx subtracts at the spike, its others later.
+    /// The reset of a NIR node of this type: CuBaLIF of spyx subtracts at the spike, its others
+    /// later.
     pub(super) fn reset_of(&self, kind: &str) -> ResetMode {
         match (self.tool, kind) {
             (Tool::Spyx, "CubaLIF") => ResetMode::Subtract,

@@ -63,8 +63,9 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Impo
     imported.map_err(|problem| problem.or_in_file(path))
 }
 
-/// The bytes of an exported file. They are read back first, so that what the readers refuse is never
-/// written, whatever their limits are. This makes an export of 2^25 weights 2.3 times as long.
+/// The bytes of an exported file. They are read back first, so that what the readers refuse is
+/// never written, whatever their limits are. This makes an export of 2^25 weights 2.3 times as
+/// long.
 ///
 /// # Errors
 /// `export.unsupported` for a file that would be refused or read as another model; `hdf5.write`.

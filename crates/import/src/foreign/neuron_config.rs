@@ -44,8 +44,7 @@ pub enum NeuronKind {
 /// Units of the mantissa in a real weight of 1 of lava-dl (`w_scale` of its neurons, d825ac5).
 pub(super) const LAVA_SCALE: f64 = 64.0;
 /// Fields of training: shapes of the surrogate gradient, lava-dl's handling of parameters.
-const TRAINING_FIELDS: &str =
-    "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state dropout";
+const TRAINING_FIELDS: &str = "tauRho scaleRho tau_grad scale_grad requires_grad shared_param persistent_state dropout";
 
 #[derive(Deserialize)]
 struct ConfigFile {

@@ -1,11 +1,11 @@
 //! Networks of dense layers that SLAYER or lava-dl trained.
 //!
-//! Input: matrices by name, from a state dict (`state_dict`) or from the `.npy` files of VT_SNN, and
-//! the description of the neurons (`neuron_config`). Output: a model of dense layers in the order of
-//! the file, or three layers, of which the last receives both others. A weight becomes `2 round(w /
-//! 2)`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There is one step between
-//! layers, as on the chip and as `delayShift` does in training. Only training uses the kernels
-//! `srmKernel` and `refKernel` of checkpoints.
+//! Input: matrices by name, from a state dict (`state_dict`) or from the `.npy` files of VT_SNN,
+//! and the description of the neurons (`neuron_config`). Output: a model of dense layers in the
+//! order of the file, or three layers, of which the last receives both others. A weight becomes `2
+//! round(w / 2)`, ties to even (slayerPytorch 01beeeb, `src/quantizeParams.py`). There is one step
+//! between layers, as on the chip and as `delayShift` does in training. Only training uses the
+//! kernels `srmKernel` and `refKernel` of checkpoints.
 
 use std::path::{Path, PathBuf};
 

@@ -1,11 +1,11 @@
 //! State dicts of SLAYER and lava-dl, recognised by the names and shapes of their tensors.
 //!
-//! Input: a checkpoint, and the description of its neurons (`--neuron`). Output: a model whose layers
-//! follow each other in the order of the file ([`super::slayer`]). A checkpoint may hold the state
-//! dict in a dictionary within it. A state dict has no `forward()`, so one of another tool is no
-//! network: it is refused with the Python that reads the network itself. Blocks of lava-dl other than
-//! dense layers of CUBA neurons are refused with lava-dl's export: the activation of a sigma-delta
-//! neuron and the stride of a convolution are in no tensor.
+//! Input: a checkpoint, and the description of its neurons (`--neuron`). Output: a model whose
+//! layers follow each other in the order of the file ([`super::slayer`]). A checkpoint may hold the
+//! state dict in a dictionary within it. A state dict has no `forward()`, so one of another tool is
+//! no network: it is refused with the Python that reads the network itself. Blocks of lava-dl other
+//! than dense layers of CUBA neurons are refused with lava-dl's export: the activation of a
+//! sigma-delta neuron and the stride of a convolution are in no tensor.
 //!
 //! Errors: `import.state-dict` for the content of the file, `import.option` for missing or
 //! contradictory descriptions of the neurons.
@@ -73,7 +73,8 @@ struct Layer {
 }
 
 impl Layer {
-    /// Axes of the weight without the last ones of length 1, which are time or a kernel of one unit.
+    /// Axes of the weight without the last ones of length 1, which are time or a kernel of one
+    /// unit.
     fn axes(&self) -> &[usize] {
         let shape = &self.weight.shape[..];
         let used = shape.iter().rposition(|&axis| axis != 1).map_or(0, |last| last + 1);
@@ -285,8 +286,8 @@ fn differ((du, dv): &(Vec<f64>, Vec<f64>), given_du: Option<f64>, given_dv: Opti
     differs(du, given_du) || differs(dv, given_dv)
 }
 
-/// Refuses the kernel of a convolution. A kernel that covers all of its input is a dense layer; each
-/// kernel is then one unit of the next layer's input.
+/// Refuses the kernel of a convolution. A kernel that covers all of its input is a dense layer;
+/// each kernel is then one unit of the next layer's input.
 fn check_dense(layers: &[Layer], place: usize, options: &Options) -> Result<()> {
     let (layer, axes) = (&layers[place], layers[place].axes());
     let (key, shape, kernel) = (&layer.weight.key, &layer.weight.shape, &axes[1..]);

@@ -1,8 +1,8 @@
 //! Tensors of a PyTorch checkpoint, in both of its containers.
 //!
 //! Input: the bytes of a `.pt` file: a zip archive (torch 1.6 and later) or, from older versions,
-//! five pickles, then raw numbers. Output: the names of its tensors, and single tensors. A tensor of
-//! a dictionary within the checkpoint has that dictionary's key before its own, and a dot.
+//! five pickles, then raw numbers. Output: the names of its tensors, and single tensors. A tensor
+//! of a dictionary within the checkpoint has that dictionary's key before its own, and a dot.
 //! `super::pickle` reads the pickles and executes nothing: a checkpoint that pickles a whole module
 //! is refused with the name of its class.
 

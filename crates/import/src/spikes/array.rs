@@ -1,9 +1,10 @@
 //! Spikes from NumPy arrays.
 //!
 //! Input: an array `[channels.., T]` or `[samples, channels.., T]`, in which one whole number
-//! other than zero is a spike, and the expected number of channels. Output: the spikes of each sample. A
-//! polarity option merges or drops the one axis of length 2 before time. Errors: `input.shape`,
-//! `input.too-long`, `input.too-many`, `input.value`, and errors of the array's numbers.
+//! other than zero is a spike, and the expected number of channels. Output: the spikes of each
+//! sample. A polarity option merges or drops the one axis of length 2 before time. Errors:
+//! `input.shape`, `input.too-long`, `input.too-many`, `input.value`, and errors of the array's
+//! numbers.
 
 use super::options::{ArrayOptions, Polarity};
 use super::population::{PopulationSpikes, too_many};

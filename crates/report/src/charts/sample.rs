@@ -150,8 +150,8 @@ pub fn raster(title: &str, network: &Quantised, timeline: &Timeline, shown: &[Po
 }
 
 /// SVG with a panel for each compartment: potentials as fractions of their thresholds, messages and
-/// potentials without thresholds as fractions of the greatest, which a label gives. The timeline has
-/// the traces of `traced`, in this order. 0 represents no message.
+/// potentials without thresholds as fractions of the greatest, which a label gives. The timeline
+/// has the traces of `traced`, in this order. 0 represents no message.
 pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[Traced], quantity: Quantity) -> String {
     let is_message = quantity == Quantity::Message;
     let steps = timeline.steps.0;
@@ -195,8 +195,8 @@ pub struct Traced {
     pub threshold: Option<f64>,
 }
 
-/// At most `most` compartments that have the quantity to draw: of each population the named unit, or
-/// the given number of units that spike most.
+/// At most `most` compartments that have the quantity to draw: of each population the named unit,
+/// or the given number of units that spike most.
 pub fn traced(
     network: &Quantised,
     populations: impl IntoIterator<Item = (PopulationId, Option<u32>, usize)>,

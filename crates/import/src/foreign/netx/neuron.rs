@@ -139,8 +139,8 @@ impl Reader<'_> {
     }
 
     /// Warns where theta, SLAYER's threshold, is not 64 vThMant. SLAYER and lava-dl's netx compute
-    /// the threshold from vThMant alone. lava-dl silences outputs by a vThMant of 131071, and leaves
-    /// theta as in the other layers.
+    /// the threshold from vThMant alone. lava-dl silences outputs by a vThMant of 131071, and
+    /// leaves theta as in the other layers.
     fn check_theta(&mut self, layer: &Layer<'_>) -> Result<()> {
         let thetas: Vec<f64> = layer.group.numbers("neuron/theta").into_iter().flat_map(Numbers::reals).collect();
         let mantissas = layer.reals("neuron/vThMant")?;

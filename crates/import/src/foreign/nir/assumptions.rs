@@ -1,8 +1,8 @@
 //! What a NIR file does not state, as warnings.
 //!
 //! Input: the model that was read. Output: a warning for each convention that was assumed and that
-//! changes spikes in some tool (`foreign::conventions`), and for each edge without effect. `--from` and
-//! single options state the conventions.
+//! changes spikes in some tool (`foreign::conventions`), and for each edge without effect. `--from`
+//! and single options state the conventions.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -13,7 +13,8 @@ use super::state::{Reader, all};
 use nsim_files::network::Parameter;
 use nsim_ir::base::warning::{Warning, WarningCode};
 
-/// The most steps of a grid from 0 to the greatest weight or threshold, at which equality is likely.
+/// The most steps of a grid from 0 to the greatest weight or threshold, at which equality is
+/// likely.
 const MOST_GRID_STEPS: f64 = 16_384.0;
 /// Most names in a warning.
 const LISTED: usize = 4;
@@ -90,7 +91,8 @@ impl Reader<'_> {
         self.model.projections.iter().filter(|one| one.to == name).flat_map(|one| weights(&one.kind)).collect()
     }
 
-    /// Neurons whose v can equal the threshold, as weights and thresholds are multiples of one number.
+    /// Neurons whose v can equal the threshold, as weights and thresholds are multiples of one
+    /// number.
     fn on_a_grid(&self, neurons: &[(&str, &Discrete)]) -> Option<Warning> {
         let mut found = None;
         let mut names = Vec::new();

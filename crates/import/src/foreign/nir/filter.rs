@@ -1,9 +1,9 @@
 //! Potentials that are sent on: an integrator (LI, CubaLI, I) before weights.
 //!
 //! Input: integrators from which a path leads to a neuron. Output: a [`Filter`] of that neuron, in
-//! place of a population. A compartment sends spikes only, so an integrator that sends its potential
-//! cannot be one. But weights and a filter that is the same in all units commute, so `LI, Linear,
-//! LIF` is a neuron with a current, CubaLIF, and `LI, Threshold` a neuron without a reset.
+//! place of a population. A compartment sends spikes only, so an integrator that sends its
+//! potential cannot be one. But weights and a filter that is the same in all units commute, so `LI,
+//! Linear, LIF` is a neuron with a current, CubaLIF, and `LI, Threshold` a neuron without a reset.
 //!
 //! Errors: `import.unsupported` where the filter is not the same for all sources of a sum, where a
 //! potential is sent and read, or passes two filters.

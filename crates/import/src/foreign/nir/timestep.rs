@@ -1,9 +1,10 @@
 //! The timestep of a file, which NIR does not state.
 //!
-//! Input: time constants and the factors of their inputs. Output: the timestep. Exporters that write
-//! `r = tau / dt` imply it; but one such ratio agrees with itself, and tools give r other meanings.
-//! So it takes two that do not depend on each other: `tau_mem / r` and `tau_syn / w_in`, `tau / r` of two
-//! time constants, or `tau / r` and `1 / r` of IF. With a tool's conventions one is enough.
+//! Input: time constants and the factors of their inputs. Output: the timestep. Exporters that
+//! write `r = tau / dt` imply it; but one such ratio agrees with itself, and tools give r other
+//! meanings. So it takes two that do not depend on each other: `tau_mem / r` and `tau_syn / w_in`,
+//! `tau / r` of two time constants, or `tau / r` and `1 / r` of IF. With a tool's conventions one
+//! is enough.
 //!
 //! Errors: `import.option` where the timestep has to be given.
 
@@ -50,8 +51,8 @@ struct ImpliedSteps {
 }
 
 impl ImpliedStep {
-    /// The timestep in ms. Many exporters compute in single precision, so one of few digits is rounded
-    /// to them.
+    /// The timestep in ms. Many exporters compute in single precision, so one of few digits is
+    /// rounded to them.
     fn ms(&self) -> f64 {
         let digits: f64 = format!("{:.4e}", self.seconds).parse().unwrap_or(self.seconds);
         let rounded = if (digits / self.seconds - 1.0).abs() < 1e-5 { digits } else { self.seconds };
