@@ -17,18 +17,26 @@ fn a_row_is_what_energy_says_of_that_target() {
     let folder = tempfile::tempdir().unwrap();
     let here = folder.path();
     write(here, "m.ron", MODEL);
-    for options in
-        ["", " --host none", " --accounting rails", " --relays --set target.limits.axons_in=2", " --prune static"]
-    {
-        rows_are_those_of_energy(here, options);
+    let relays = " --relays --set target.limits.axons_in=2";
+    for options in ["", " --host none", " --accounting rails", " --mode realtime", relays, " --prune static"] {
+        rows_are_those_of_energy(here, ["loihi1-chip", "oheo-gulch"], options);
     }
+    // 130 cores are on two chips, hence two x86 cores.
+    let wide = format!(
+        "Network(name: \"small\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [3]),
+           Loihi(name: \"out\", shape: [130], du: 1024, dv: 128, vth_mant: 10)],
+         projections: [Dense(from: [\"in\"], to: \"out\", weights: {:?})], output: \"out\")",
+        [[9; 3]; 130]
+    );
+    write(here, "m.ron", &wide);
+    rows_are_those_of_energy(here, ["nahuku-32", "pohoiki-springs"], " --set target.limits.compartments=1");
 }
 
-fn rows_are_those_of_energy(here: &std::path::Path, options: &str) {
-    let line = format!("compare m.ron --targets loihi1-chip,oheo-gulch --input {INPUT}{options}");
+fn rows_are_those_of_energy(here: &std::path::Path, targets: [&str; 2], options: &str) {
+    let line = format!("compare m.ron --targets {} --input {INPUT}{options}", targets.join(","));
     let compared = object(here, &line, 0);
     assert_eq!((&compared["schema"], &compared["model"]), (&"nsim.compare/1".into(), &"small".into()));
-    for (row, name) in compared["targets"].as_array().unwrap().iter().zip(["loihi1-chip", "oheo-gulch"]) {
+    for (row, name) in compared["targets"].as_array().unwrap().iter().zip(targets) {
         let energy = object(here, &format!("energy m.ron --target {name} --baseline --input {INPUT}{options}"), 0);
         let rows = energy["rows"].as_array().unwrap();
         let total = rows.iter().find(|row| row["unit"] == "total").unwrap();
@@ -40,6 +48,9 @@ fn rows_are_those_of_energy(here: &std::path::Path, options: &str) {
             let low = row[format!("{key}_low")].as_f64();
             assert!(low < row[key].as_f64() && low.is_some(), "{name} {key}");
         }
+        let (all, job) = (total["total_mw"].as_f64().unwrap(), energy["job"]["total_mw"].as_f64().unwrap());
+        assert!((all / job - 1.0).abs() < 1e-9, "{name}: {all} mW of {job}");
+        assert_eq!(row["x86_share"], energy["host"]["x86_share"], "{name}");
         assert_eq!(row["cores_used"], energy["cores_used"]);
         // Bounds of modelled constants have no level.
         let modelled = energy["level"] == Value::Null;

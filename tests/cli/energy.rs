@@ -121,6 +121,33 @@ fn every_unit_of_the_paper_s_job_stands_by_what_it_is_here() {
     assert!(said(&["show", "loihi1-evidence"]).1.contains("231 us a step less its other parts"));
 }
 
+/// For one copy the x86 row is all x86 cores, and its number; for several it is one of them.
+#[test]
+fn the_total_of_one_copy_is_its_job_and_more_hardware_never_draws_less() {
+    let mut least = 0.0;
+    for (copies, deployment, x86) in
+        [(1, "1,1,1", 1), (1, "1,1,3", 3), (1, "2,2,6", 6), (1, "24,24,24", 24), (1, "24,24,72", 72), (2, "2,2,6", 6)]
+    {
+        let copies = copies.to_string();
+        let line = ["energy", "--samples", "0..1", "--baseline", "--copies", &copies, "--deployment", deployment];
+        let energy = object(&line, 0);
+        let mw = |at: usize| energy["rows"][at]["total_mw"].as_f64().unwrap();
+        let job = energy["job"]["total_mw"].as_f64().unwrap();
+        assert!((mw(0) + mw(1) - mw(2)).abs() < 1e-9 * job, "{energy}");
+        let text = said(&line).1;
+        if copies == "1" {
+            assert!((mw(2) - job).abs() < 1e-9 * job && job > least, "{deployment}: {energy}");
+            least = job;
+            assert_eq!(energy["rows"][0]["x86_cores"], x86);
+            let row = if x86 == 1 { "\nx86 core ".to_string() } else { format!("\n{x86} x86 cores ") };
+            assert!(text.contains(&row), "{text}");
+        } else {
+            assert!((mw(0) * f64::from(x86) + mw(1) * 2.0 - job).abs() < 1e-9 * job, "{energy}");
+            assert!(energy["rows"][0]["x86_cores"] == 1 && text.contains("\nx86 core "), "{text}");
+        }
+    }
+}
+
 #[test]
 fn the_readme_shows_lines_that_are_printed() {
     let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();

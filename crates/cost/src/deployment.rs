@@ -85,6 +85,17 @@ pub struct Deployment {
     pub sent: Words,
 }
 
+/// Contents of the rows of the energy table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RowCounts {
+    /// Copies of the job, of which the row of neuron cores is one.
+    pub copies: u64,
+    /// x86 cores of the x86 row.
+    pub x86_cores: u64,
+    /// Number of such rows that the job's x86 cores would fill, at least 1.
+    pub x86_rows: u64,
+}
+
 /// Numbers of the chip with most cores in use.
 #[derive(Clone, Copy)]
 struct FullestChip {
@@ -174,6 +185,14 @@ impl Deployment {
             },
             sent: Words::NONE,
         }
+    }
+
+    /// Copies and x86 cores that the rows of the table count: one copy has the whole job in its
+    /// rows; of several copies a row is one copy, or one x86 core.
+    pub fn rows_count(&self) -> RowCounts {
+        let copies = u64::from(self.copies.max(1));
+        let x86_cores = if copies == 1 { self.x86_cores } else { self.x86_cores.min(1) };
+        RowCounts { copies, x86_cores, x86_rows: self.x86_cores.max(1) / x86_cores.max(1) }
     }
 
     /// Whether an x86 process takes a turn in each step.

@@ -95,6 +95,8 @@ pub struct EnergyRow {
     pub hardware: String,
     /// `x86`, `neuron` or `total`; by rails `boot`, `idle` or `total`.
     pub unit: &'static str,
+    /// x86 cores of the row; `None` for other hardware.
+    pub x86_cores: Option<u64>,
     /// Definition of the energy and the energy-delay product.
     pub convention: Convention,
     /// Power drawn without activity, mW.
@@ -144,6 +146,7 @@ impl EnergyRow {
         EnergyRow {
             hardware: hardware.to_string(),
             unit,
+            x86_cores: None,
             convention,
             static_mw: Some(static_mw),
             dynamic_mw,
@@ -274,6 +277,9 @@ pub struct Estimate {
     pub per_timestep_dynamic_uj: Option<Spread>,
     /// Mean of each part of a step's time, us; `None` without timesteps.
     pub time_us: Option<[(&'static str, f64); 6]>,
+    /// Share of a mean step in which x86 cores inject, take their turn and reset, 0..=1; `None`
+    /// without x86 cores or timesteps.
+    pub x86_share: Option<f64>,
     /// Reasons for unknown figures.
     pub notes: Vec<String>,
 }
@@ -382,7 +388,8 @@ pub fn step_price(
     let (injecting, resetting) = x86_work(table, deployment);
     let power = job_power(table, deployment, 0.0, 0, 0);
     let counted = f64::from(copies_counted.max(1));
-    let (copies, x86) = (f64::from(deployment.copies.max(1)), deployment.x86_cores.max(1) as f64);
+    let rows = deployment.rows_count();
+    let (copies, x86) = (rows.copies as f64, rows.x86_rows as f64);
     let (events, step_fj, always_mw) = match accounting {
         Accounting::Profiler => {
             let of_x86 = (power.x86_static + power.x86_clock + injecting) / x86;
@@ -432,6 +439,13 @@ impl EstimateInput<'_> {
         (time > 0).then(|| time as f64 / 1e6 / steps.steps as f64)
     }
 
+    /// Share of steps in which x86 cores inject, take their turn and reset.
+    fn x86_share(&self, steps: &StepSums) -> Option<f64> {
+        let [injection, turn, .., reset] = steps.parts;
+        let time = self.time(steps);
+        (self.deployment.x86_cores > 0 && time > 0).then(|| (injection + turn + reset) as f64 / time as f64)
+    }
+
     fn rows(&self, job: &JobPower, latency_us: Option<f64>) -> [EnergyRow; 3] {
         let row = |unit, powers: (f64, Option<f64>), latency_us, source| {
             EnergyRow::new(self.hardware, unit, self.convention, powers, latency_us, source, self.steps_per_sample)
@@ -439,13 +453,14 @@ impl EstimateInput<'_> {
         let (modelled, simulated) = (FigureSource::Modelled, FigureSource::Simulated);
         match self.accounting {
             Accounting::Profiler => {
-                let copies = f64::from(self.deployment.copies.max(1));
-                let x86 = self.deployment.x86_cores.max(1) as f64;
+                let counts = self.deployment.rows_count();
+                let (copies, x86) = (counts.copies as f64, counts.x86_rows as f64);
                 let of_x86 = (job.x86_static / x86, job.x86_dynamic().map(|power| power / x86));
                 let of_cores = (job.core_static / copies, job.core_dynamic.map(|power| power / copies));
                 let both = of_x86.1.zip(of_cores.1).map(|(x86, cores)| x86 + cores);
+                let x86_row = row("x86", of_x86, latency_us, modelled);
                 [
-                    row("x86", of_x86, latency_us, modelled),
+                    EnergyRow { x86_cores: Some(counts.x86_cores), ..x86_row },
                     row("neuron", of_cores, latency_us, simulated),
                     row("total", (of_x86.0 + of_cores.0, both), latency_us, simulated),
                 ]
@@ -598,6 +613,7 @@ pub fn estimate(case: &EstimateInput<'_>) -> Estimate {
         per_timestep_uj: spread(|distribution| &distribution.whole),
         per_timestep_dynamic_uj: spread(|distribution| &distribution.dynamic),
         time_us: some_steps.then(|| [0, 1, 2, 3, 4, 5].map(mean_us)),
+        x86_share: case.x86_share(&lane.whole),
         notes,
     }
 }
@@ -844,7 +860,8 @@ pub(crate) mod tests {
         #[test]
         fn the_parts_of_every_table_add_up(
             steps in proptest::collection::vec(any_step(2), 1..8),
-            realtime in any::<bool>(), published in any::<bool>(), copies_counted in 1..40u32, copies in 1..40u32,
+            realtime in any::<bool>(), published in any::<bool>(), copies_counted in 1..40u32,
+            copies in prop_oneof![Just(1), 2..40u32],
             cores_used in 1..5_000u64, x86_cores in 1..6u64,
         ) {
             let constants = preset("sanafe-calibrated");
@@ -877,6 +894,11 @@ pub(crate) mod tests {
                     prop_assert!(low <= figure && figure <= high);
                 }
             }
+            // The rows of one copy are the job.
+            let job = found.job.profiler().unwrap();
+            prop_assert!(copies > 1 || near(total.total_mw.unwrap(), job) && x86.x86_cores == Some(x86_cores));
+            let several = f64::from(copies) * neuron.total_mw.unwrap() + x86_cores as f64 * x86.total_mw.unwrap();
+            prop_assert!(copies == 1 || near(several, job) && x86.x86_cores == Some(1));
             // Dynamic power times time is the breakdown, and the spread's mean lies within it.
             let dynamic_pj = neuron.dynamic_mw.unwrap() * neuron.latency_us.unwrap() * 1e3;
             let parts: f64 = found.breakdown_pj.unwrap().iter().map(|(_, pj)| pj).sum();

@@ -287,6 +287,11 @@ pub fn three(x: f64) -> String {
     digits(x, 3)
 }
 
+/// A share as a percentage of two significant digits. One that rounding puts below 0 is 0.
+pub fn percent(share: f64) -> String {
+    format!("{} %", digits(if share.abs() < 1e-12 { 0.0 } else { 100.0 * share }, 2))
+}
+
 /// A number with four digits after the point.
 pub fn four(x: f64) -> String {
     format!("{x:.4}")

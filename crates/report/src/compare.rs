@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use nsim_compile::Reason;
 use nsim_cost::estimate::{Bound, EnergyRow};
-use nsim_files::table::{csv, table, three, wrapped};
+use nsim_files::table::{csv, percent, table, three, wrapped};
 
 /// Result of the network on one target.
 #[derive(Debug, Clone)]
@@ -37,7 +37,8 @@ pub struct TargetCost {
     pub intervals: Option<Intervals>,
     /// Notes on its constants, as `nsim energy` prints them.
     pub constant_notes: Vec<String>,
-    /// Share of a step in which x86 cores feed it, 0..=1; `None` without them.
+    /// Share of a step in which x86 cores inject, take their turn and reset, as `nsim energy`
+    /// prints it; `None` without them.
     pub x86_share: Option<f64>,
 }
 
@@ -97,7 +98,8 @@ const KEYS: &str = "target,hardware,constants,fits,chips_used,cores_used,latency
 fn row_json(row: &ComparedTarget) -> Value {
     let mut object = json!({
         "target": row.target, "hardware": row.hardware, "constants": row.constants, "fits": row.found.is_ok(),
-        "chips_used": null, "cores_used": null, "intervals": null, "reasons": [],
+        "chips_used": null, "cores_used": null, "intervals": null, "x86_share": null,
+        "reasons": [],
     });
     let found = row.found.as_ref();
     for (key, _, figure, end) in FIGURES {
@@ -111,6 +113,7 @@ fn row_json(row: &ComparedTarget) -> Value {
             object["chips_used"] = priced.chips_used.into();
             object["cores_used"] = priced.cores_used.into();
             object["intervals"] = json!(priced.intervals);
+            object["x86_share"] = json!(priced.x86_share);
         }
         Err(reasons) => object["reasons"] = json!(reasons),
     }
@@ -182,7 +185,7 @@ pub fn text(found: &Comparison) -> String {
     let shares: Vec<(&String, Option<f64>)> = of_x86.collect();
     if shares.iter().any(|(_, share)| share.is_some()) {
         let said = |(target, share): &(&String, Option<f64>)| match share {
-            Some(share) => format!("{:.0} % of a step on {target}", 100.0 * share),
+            Some(share) => format!("{} of a step on {target}", percent(*share)),
             None => format!("none on {target}"),
         };
         let said = shares.iter().map(said).collect::<Vec<_>>().join(", ");

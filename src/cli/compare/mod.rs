@@ -113,11 +113,7 @@ fn priced(
     })?;
     show("", &evaluated.energy.detail.warnings);
     (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);
-    let fed = |(part, _): &&(&str, f64)| ["injection", "turn", "reset"].contains(part);
-    let x86_share = evaluated.energy.estimate.time_us.filter(|_| evaluated.deployment.x86_cores > 0).map(|parts| {
-        let sum = |of: &mut dyn Iterator<Item = &(&str, f64)>| of.map(|(_, us)| us).sum::<f64>();
-        sum(&mut parts.iter().filter(fed)) / sum(&mut parts.iter()).max(f64::MIN_POSITIVE)
-    });
+    let x86_share = evaluated.energy.estimate.x86_share;
     let total = evaluated.energy.estimate.rows.into_iter().find(|row| row.unit == "total");
     let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
     let errors = target.constants().first().map_or(&[][..], |preset| target.errors(preset));

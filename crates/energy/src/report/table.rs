@@ -17,7 +17,7 @@ use nsim_cost::job::{Accounting, Mode};
 use nsim_cost::quantiles::Spread;
 use nsim_cost::{Host, Transport};
 use nsim_files::shipped::{CONSTANTS, Shipped};
-use nsim_files::table::{count, csv, csv_text, digits, table, three, wrapped};
+use nsim_files::table::{count, csv, csv_text, digits, percent, table, three, wrapped};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
@@ -238,6 +238,8 @@ fn row_name(row: &EnergyRow, chip: &str) -> String {
         };
     }
     match row.unit {
+        // Of the x86 cores of a copy the row counts all.
+        "x86" if row.x86_cores.is_some_and(|cores| cores > 1) => count(row.x86_cores.unwrap_or_default(), "x86 core"),
         "x86" => "x86 core".to_string(),
         "neuron" => "neuron cores".to_string(),
         "boot" => "board, boot".to_string(),
@@ -347,7 +349,10 @@ impl EnergyReport {
             tiles_used: self.deployment.tiles_used,
             chips_used: self.deployment.chips_used,
             x86_cores,
-            host: json!({ "kind": host, "x86_cores": x86_cores, "chips_injecting": injecting }),
+            host: json!({
+                "kind": host, "x86_cores": x86_cores, "chips_injecting": injecting,
+                "x86_share": self.estimate.x86_share,
+            }),
             job: self.job(),
             breakdown_pj_per_timestep: breakdown,
             per_timestep_uj: self.estimate.per_timestep_uj,
@@ -642,8 +647,8 @@ impl EnergyReport {
         if let Some(saved) = self.early_exit {
             let shares = saved.energy_saved_share.zip(saved.idle_saved_share);
             let share = shares.map_or(String::new(), |(off, idle)| {
-                let [off, idle] = [off, idle].map(|share| digits(100.0 * share, 2));
-                format!(", and {off} % of energy if the chip is off after the decision, {idle} % if it idles")
+                let [off, idle] = [off, idle].map(percent);
+                format!(", and {off} of energy if the chip is off after the decision, {idle} if it idles")
             });
             out += &wrapped(&format!(
                 "early exit {}: {} of {} samples decided early; saves {} of {} timesteps{share}. {}",
@@ -716,8 +721,8 @@ impl EnergyReport {
                 three(saved.time_saved_us),
                 three(saved.energy_saved_uj),
                 saved.energy_saved_share.map_or(String::new(), |share| format!(
-                    " ({:.1} %) if the chip is off after the decision",
-                    100.0 * share
+                    " ({}) if the chip is off after the decision",
+                    percent(share)
                 )),
             ));
             out.push('\n');
@@ -767,6 +772,9 @@ impl EnergyReport {
         if let Some(times) = self.estimate.time_us {
             let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", three(*us))).collect();
             out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));
+            if let Some(share) = self.estimate.x86_share {
+                out += &wrapped(&format!("Time of x86 cores for input: {} of a step.", percent(share)));
+            }
         }
         for (what, spread) in [
             ("Energy of a timestep, all power included (uJ, power x time)", self.estimate.per_timestep_uj),

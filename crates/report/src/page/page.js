@@ -85,6 +85,8 @@
   const rows = result.rows || [];
   const totalOf = (of) => (of.rows || []).find((row) => row.hardware === of.rows[0].hardware && row.unit === "total");
   const total = totalOf(result);
+  // A row of x86 cores names their number.
+  const unitName = (row) => (row.unit === "neuron" ? "neuron cores" : row.x86_cores > 1 ? plural(row.x86_cores, "x86 core") : row.unit);
   const interval = (row, key) => (row && row.low && row.high && isNumber(row.low[key]) ? `${number(row.low[key], 2)} to ${number(row.high[key], 2)}` : null);
   // Loihi 2's constants are modelled, so an interval bounds them alone.
   const spread = isNumber(result.level) ? `${100 * result.level} %` : "model's bounds";
@@ -109,7 +111,7 @@
       card(number(total.latency_us, 2), "µs", "time of a timestep" + within("latency_us"));
       card(number(total.total_mw, 2), "mW", "power" + within("total_mw"));
     }
-    if (result.cores_used) card(number(result.cores_used), result.cores_used === 1 ? "core" : "cores", `${plural(result.chips_used, "chip")}, ${plural(result.x86_cores, "x86 core")}`);
+    if (result.cores_used) card(number(result.cores_used), result.cores_used === 1 ? "core" : "cores", `${plural(result.chips_used, "chip")}, ${plural(result.x86_cores, "x86 core")}${isNumber((result.host || {}).x86_share) ? `, ${number(100 * result.host.x86_share, 2)} % of a step for input` : ""}`);
     if (result.populations && result.populations.length) {
       const spikes = sum(result.populations.map((row) => row.spikes));
       card(number(timesteps ? spikes / timesteps : 0), "", `spikes of compartments a timestep, ${number(sum(result.populations.map((row) => row.compartments)))} compartments`);
@@ -422,7 +424,7 @@
     halves.append(one, two);
     const times = Object.entries(result.time_us_per_timestep || {}).map(([name, x]) => [spaced(name), x]);
     parts("Time", one, times, "µs");
-    const units = rows.filter((row) => row.hardware === rows[0].hardware && row.unit !== "total").map((row) => [row.unit === "neuron" ? "neuron cores" : row.unit, row.energy_uj]);
+    const units = rows.filter((row) => row.hardware === rows[0].hardware && row.unit !== "total").map((row) => [unitName(row), row.energy_uj]);
     parts("Energy, static and dynamic", two, units, "µJ");
     parts("Energy of events", one, Object.entries(result.breakdown_pj_per_timestep || {}).map(([name, x]) => [spaced(name), x / 1e3]), "nJ");
     const slow = (result.cores || []).filter((row) => row.slowest_steps > 0).sort((a, b) => b.slowest_steps - a.slowest_steps).slice(0, 8);
@@ -437,7 +439,7 @@
     const list = rows.filter((row) => row.unit === "total" || row.hardware !== rows[0].hardware);
     if (list.length < 1 || !total) return;
     const part = section("hardware", "Energy and time compared with other hardware", `${decision()} Figures are of a timestep of one copy.`.trim());
-    part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (nJ s)", "source"], rows.map((row) => [row.unit === "total" || row.hardware !== rows[0].hardware ? row.hardware : `${row.hardware} ${row.unit}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs / 1e3), row.power_source && row.power_source !== row.source ? `${row.source}, power ${row.power_source}` : row.source]), [0, 6]));
+    part.append(table(["hardware", "static (mW)", "dynamic (mW)", "time (µs)", "energy (µJ)", "energy-delay (nJ s)", "source"], rows.map((row) => [row.unit === "total" || row.hardware !== rows[0].hardware ? row.hardware : `${row.hardware} ${unitName(row)}`, number(row.static_mw), number(row.dynamic_mw), number(row.latency_us), number(row.energy_uj), number(row.edp_pjs / 1e3), row.power_source && row.power_source !== row.source ? `${row.source}, power ${row.power_source}` : row.source]), [0, 6]));
     part.append(element("p", { class: "lead" }, `Axes are logarithmic. A bar ${isNumber(result.level) ? `is an ${spread} interval, from the errors of predictions of published measurements` : "spans the bounds of modelled constants"}.`));
     const halves = element("div", { class: "halves" });
     part.append(halves);
