@@ -1,6 +1,6 @@
 //! `nsim energy`: copies, other hardware, rates.
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::{MODEL, has_keys, nsim, object, said, succeeds, write};
 
@@ -148,6 +148,76 @@ fn the_total_of_one_copy_is_its_job_and_more_hardware_never_draws_less() {
     }
 }
 
+/// The job that is priced is the one that was typed: relays, hosts, resets, samples.
+#[test]
+fn deployments_and_hosts_are_priced_as_typed() {
+    let energy = |line: &str| {
+        let base = ["energy", "--samples", "0..2", "--baseline"].into_iter();
+        object(&base.chain(line.split_whitespace()).collect::<Vec<_>>(), 0)
+    };
+    let row = |of: &Value, unit: &str| {
+        let rows = of["rows"].as_array().unwrap();
+        rows.iter().find(|row| row["hardware"] == "loihi" && row["unit"] == unit).unwrap().clone()
+    };
+    // The numbers of the paper's job are its job; others keep its relays while there is room.
+    let paper = energy("--deployment paper");
+    let named = |line: &str| row(&energy(line), "neuron")["dynamic_mw"].as_f64().unwrap();
+    let (own, of_paper) = (named(""), row(&paper, "neuron")["dynamic_mw"].as_f64().unwrap());
+    assert_eq!(named("--copies 32 --deployment 594,5,5"), of_paper);
+    assert!(of_paper > 4.0 * own && (named("--copies 32 --deployment 600,5,6") / of_paper - 1.0).abs() < 0.01);
+    assert_eq!(named("--deployment 1,1,1"), own);
+    for (line, says) in [("--deployment 594,5,5", "Inputs have relays"), ("--deployment 18,1,1", "No relays of inputs")]
+    {
+        assert!(energy(line)["notes"].to_string().contains(says), "{line}");
+    }
+    // A network of the paper's inputs has its job, whatever its file.
+    let same = energy(concat!(env!("CARGO_MANIFEST_DIR"), "/models/vtsnn-slip.ron --deployment paper"));
+    assert_eq!(row(&same, "total"), row(&paper, "total"));
+    let other = energy("paper-slip-both-count --deployment paper");
+    assert_eq!(
+        (&other["deployment"], &other["cores_used"], &other["parts"]),
+        (&"paper".into(), &594.into(), &json!([]))
+    );
+    // An x86 core that only resets runs; without x86 cores there is neither host nor reset.
+    let (alone, resets) = (energy("--host none"), energy("--host none --reset-words 10496"));
+    assert_eq!((&alone["host"]["x86_cores"], &resets["host"]["x86_cores"]), (&0.into(), &1.into()));
+    let time = |of: &Value, part: &str| of["time_us_per_timestep"][part].as_f64().unwrap();
+    assert!(time(&resets, "reset") > 1.0 && time(&resets, "injection") == 0.0 && time(&resets, "turn") > 1.0);
+    assert!(resets["host"]["x86_share"].as_f64().unwrap() > 0.0 && alone["host"]["x86_share"].is_null());
+    assert_eq!(time(&energy("--deployment 1,1,0"), "injection"), 0.0);
+    for option in [&["--host", "stream"][..], &["--reset-words", "9"]] {
+        let (code, _, stderr) = said(&[&["energy", "--deployment", "1,1,0"], option].concat());
+        assert!(code == 2 && stderr.contains("needs an x86 core, and deployment as given has none"), "{stderr}");
+    }
+    // Every interval has a width, in real time and on rails, and lies around its figure.
+    for line in ["", "--mode realtime", "--accounting rails", "--accounting rails --mode realtime"] {
+        for row in energy(line)["rows"].as_array().unwrap().iter().filter(|row| row["hardware"] == "loihi") {
+            for key in ["total_mw", "latency_us", "energy_uj", "edp_pjs"].into_iter().filter(|key| !row[key].is_null())
+            {
+                let [low, figure, high] = [&row["low"][key], &row[key], &row["high"][key]].map(|x| x.as_f64().unwrap());
+                assert!(low <= figure && figure < high, "{line} {key}: {row}");
+            }
+        }
+    }
+    let rails = said(&["energy", "--samples", "0..1", "--baseline", "--accounting", "rails"]).1;
+    let at_work = rails.lines().skip_while(|line| !line.starts_with("x86 core ")).nth(1).unwrap();
+    assert!(at_work.contains("80 % interval") && at_work.contains('-'), "{rails}");
+    // The last line is a sample of the row, and its neuron cores alone.
+    let offline = energy("");
+    let (text, sample) = (said(&["energy", "--samples", "0..2", "--baseline"]).1, &offline["sample"]);
+    let energy_uj = |unit: &str| 150.0 * row(&offline, unit)["energy_uj"].as_f64().unwrap();
+    for (key, wanted) in [("energy_uj", energy_uj("total")), ("cores_uj", energy_uj("neuron")), ("steps", 150.0)] {
+        assert!((sample[key].as_f64().unwrap() / wanted - 1.0).abs() < 1e-9, "{key}: {sample}");
+    }
+    let last = text.lines().last().unwrap();
+    assert!(last.starts_with("A sample of 150 steps: ") && last.contains(" uJ; neuron cores alone: "), "{last}");
+    // What was computed from printed figures says so.
+    let printed =
+        |of: &Value| of["rows"].as_array().unwrap().iter().find(|row| row["source"] == "published").unwrap().clone();
+    assert_eq!(printed(&offline)["energy_source"], "computed");
+    assert_eq!(printed(&energy("--convention published"))["energy_source"], "published");
+}
+
 #[test]
 fn the_readme_shows_lines_that_are_printed() {
     let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
@@ -166,7 +236,7 @@ fn a_model_without_a_scenario_has_one_copy_everywhere() {
     assert_eq!(object(&["map", &model], 0)["copies"], 1);
     assert_eq!(object(&energy, 0)["copies"], 1);
     let (code, _, stderr) = said(&[&energy[..], &["--deployment", "paper"]].concat());
-    assert!(code == 2 && stderr.contains("no scenario ships"), "{stderr}");
+    assert!(code == 2 && stderr.contains("networks with inputs of 156 and 3150 channels"), "{stderr}");
     // A user's scenario gives its copies and its numbers of cores.
     let own = "Scenario(name: \"s\", model: \"small\", target: \"nahuku-32\", copies: 2, work: \"w\", source: \"s\",
         notes: \"\", deployment: (cores_used: 7, chips_used: 2, x86_cores: 3))";

@@ -43,10 +43,12 @@ pub fn is_charged(case: &EstimateInput<'_>, constant: &str) -> bool {
         "reset_word_time" => timing.reset.count > 0,
         "core_static_power" => !rails,
         "x86_static_ratio" => !rails && x86,
-        "x86_clock_power" | "x86_active_power" => x86,
-        "x86_injecting_share" => x86 && deployment.host != Host::None,
+        "x86_clock_power" => x86,
+        "x86_active_power" => !rails && x86,
+        "x86_injecting_share" => !rails && x86 && deployment.host != Host::None,
         "chip_boot_power" => rails,
         "x86_on_power" => rails && x86,
+        "x86_rails_power" => rails && deployment.x86_at_work() > 0,
         _ => true,
     }
 }

@@ -165,7 +165,9 @@ impl Deployment {
         work: HostWork,
     ) -> Self {
         let DeployedCores { cores_used, chips_used, x86_cores } = cores;
-        let x86_cores = if work.host == Host::None { 0 } else { x86_cores };
+        // Without a host an x86 core runs only to reset, and no host works without an x86 core.
+        let x86_cores = if work.host == Host::None && work.reset_words == 0 { 0 } else { x86_cores };
+        let host = if x86_cores == 0 { Host::None } else { work.host };
         Deployment {
             name: name.into(),
             copies,
@@ -174,7 +176,7 @@ impl Deployment {
             chips_used,
             chip_hops: chip_hops(chips_used, (target.chips_x(), target.chips() / target.chips_x())),
             board_chips: target.chips().into(),
-            host: work.host,
+            host,
             x86_cores,
             x86_chips: x86_cores.min(chips_used),
             x86_working: x86_cores,
@@ -198,6 +200,11 @@ impl Deployment {
     /// Whether an x86 process takes a turn in each step.
     pub fn takes_turns(&self) -> bool {
         self.x86_cores > 0 && (self.host != Host::None || self.reset.count > 0)
+    }
+
+    /// Number of x86 cores that inject, take turns or reset.
+    pub fn x86_at_work(&self) -> u64 {
+        if self.host != Host::None || self.takes_turns() { self.x86_working } else { 0 }
     }
 
     /// Returns the timing of a step, where steps count spikes of `copies_counted` copies.
@@ -262,5 +269,11 @@ pub(crate) mod tests {
         let alone = Deployment::from_placement("packed", &sequential(3), &nahuku(), 1, work);
         assert_eq!((alone.x86_cores, alone.x86_chips, alone.takes_turns()), (0, 0, false));
         assert_eq!(alone.timing(Transport::Analytic, 1).streams, 0);
+        // One that resets runs, and a host without an x86 core does not.
+        let resets = Deployment::from_placement("x", &sequential(3), &nahuku(), 1, HostWork { reset_words: 9, ..work });
+        assert_eq!((resets.x86_at_work(), resets.reset.count, resets.host), (1, 27, Host::None));
+        let cores = DeployedCores { cores_used: 1, chips_used: 1, x86_cores: 0 };
+        let alone = Deployment::from_numbers("x", cores, &nahuku(), 1, HostWork::default());
+        assert_eq!((alone.host, alone.x86_at_work(), alone.takes_turns()), (Host::None, 0, false));
     }
 }

@@ -50,6 +50,8 @@ named_variants! {
         Stated = "stated",
         /// An assumption.
         Assumed = "assumed",
+        /// Computed from printed figures.
+        Computed = "computed",
     }
 }
 
@@ -93,7 +95,7 @@ pub struct Shares {
 pub struct EnergyRow {
     /// The simulated chip's name, or a baseline's hardware.
     pub hardware: String,
-    /// `x86`, `neuron` or `total`; by rails `boot`, `idle` or `total`.
+    /// `x86`, `neuron` or `total`; by rails `boot`, `idle`, `x86` or `total`.
     pub unit: &'static str,
     /// x86 cores of the row; `None` for other hardware.
     pub x86_cores: Option<u64>,
@@ -126,6 +128,8 @@ pub struct EnergyRow {
     pub source: FigureSource,
     /// Source of its power, which may differ from the source of its time.
     pub power_source: FigureSource,
+    /// Source of its energy and energy-delay product: `computed` where power and time are printed.
+    pub energy_source: FigureSource,
 }
 
 impl EnergyRow {
@@ -162,6 +166,7 @@ impl EnergyRow {
             busy: None,
             source,
             power_source: source,
+            energy_source: if source == FigureSource::Published { FigureSource::Computed } else { source },
         }
     }
 
@@ -264,7 +269,7 @@ impl<'a> EstimateInput<'a> {
 /// Result of an estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// `x86`, `neuron`, `total`; by rails `boot`, `idle`, `total`.
+    /// `x86`, `neuron`, `total`; by rails `boot`, `idle`, `x86`, `total`.
     pub rows: Vec<EnergyRow>,
     /// Powers of all copies together.
     pub job: JobPower,
@@ -301,6 +306,8 @@ pub struct JobPower {
     pub boot: f64,
     /// Power that x86 cores add once a program is loaded, as the rails show it.
     pub x86_on: f64,
+    /// Power that x86 cores add while they work, as the rails show it.
+    pub x86_at_work: f64,
 }
 
 impl JobPower {
@@ -321,7 +328,7 @@ impl JobPower {
 
     /// Power of the whole board while the program runs.
     pub fn rails_running(&self) -> Option<f64> {
-        Some(self.rails_idle() + self.x86_active? + self.core_dynamic?)
+        Some(self.rails_idle() + self.x86_at_work + self.core_dynamic?)
     }
 }
 
@@ -354,6 +361,7 @@ pub fn job_power(table: &CostTable, deployment: &Deployment, events_fj: f64, ste
         boot: deployment.board_chips as f64 * table.chip_boot_power.milliwatts()
             + deployment.board_chips as f64 * table.chip_static_power.milliwatts(),
         x86_on: deployment.x86_cores as f64 * table.x86_on_power.milliwatts(),
+        x86_at_work: deployment.x86_at_work() as f64 * table.x86_rails_power.milliwatts(),
     }
 }
 
@@ -395,7 +403,9 @@ pub fn step_price(
             let of_x86 = (power.x86_static + power.x86_clock + injecting) / x86;
             (1.0 / counted, resetting / x86, of_x86 + power.core_static / copies)
         }
-        Accounting::Rails => (copies / counted, resetting, power.rails_idle() + injecting),
+        Accounting::Rails => {
+            (f64::from(deployment.copies.max(1)) / counted, 0.0, power.rails_idle() + power.x86_at_work)
+        }
     };
     StepPrice { events, step_fj, always_mw, paced: mode == Mode::Realtime }
 }
@@ -446,7 +456,7 @@ impl EstimateInput<'_> {
         (self.deployment.x86_cores > 0 && time > 0).then(|| (injection + turn + reset) as f64 / time as f64)
     }
 
-    fn rows(&self, job: &JobPower, latency_us: Option<f64>) -> [EnergyRow; 3] {
+    fn rows(&self, job: &JobPower, latency_us: Option<f64>) -> Vec<EnergyRow> {
         let row = |unit, powers: (f64, Option<f64>), latency_us, source| {
             EnergyRow::new(self.hardware, unit, self.convention, powers, latency_us, source, self.steps_per_sample)
         };
@@ -459,7 +469,7 @@ impl EstimateInput<'_> {
                 let of_cores = (job.core_static / copies, job.core_dynamic.map(|power| power / copies));
                 let both = of_x86.1.zip(of_cores.1).map(|(x86, cores)| x86 + cores);
                 let x86_row = row("x86", of_x86, latency_us, modelled);
-                [
+                vec![
                     EnergyRow { x86_cores: Some(counts.x86_cores), ..x86_row },
                     row("neuron", of_cores, latency_us, simulated),
                     row("total", (of_x86.0 + of_cores.0, both), latency_us, simulated),
@@ -468,9 +478,11 @@ impl EstimateInput<'_> {
             Accounting::Rails => {
                 let loaded = job.boot + job.x86_on;
                 let running = job.rails_running().map(|power| power - loaded);
-                [
+                let at_work = row("x86", (0.0, Some(job.x86_at_work)), None, modelled);
+                vec![
                     row("boot", (job.boot, Some(0.0)), None, modelled),
                     row("idle", (loaded, Some(job.x86_clock)), None, modelled),
+                    EnergyRow { x86_cores: Some(self.deployment.x86_at_work()), ..at_work },
                     row("total", (loaded, running), latency_us, simulated),
                 ]
             }
@@ -482,19 +494,21 @@ impl EstimateInput<'_> {
     }
 
     /// Sets the intervals of the rows.
-    fn bounds(&self, rows: &mut [EnergyRow; 3], lane: &Lane) {
+    fn bounds(&self, rows: &mut [EnergyRow], lane: &Lane) {
         let free_us = lane.whole.time as f64 / 1e6 / lane.whole.steps.max(1) as f64;
         let latency_us = self.latency_us(&lane.whole).unwrap_or(free_us);
         let time = self.within(FigureClass::Time);
-        // A paced step is as long as its timestep.
+        // A paced step is at least as long as its timestep.
         let held = self.mode == Mode::Realtime && latency_us > free_us;
         let least = if self.mode == Mode::Realtime { self.meter.settings().timestep.microseconds() } else { 0.0 };
         let ends = time.map(|factor| {
             let low = (free_us / factor).max(least).min(latency_us);
-            (low, (free_us * factor).max(latency_us))
+            // What the work of a step may take longer is added to a paced step: its overlap with
+            // the host's clock is unknown.
+            (low, latency_us + free_us * (factor - 1.0))
         });
         let events = self.within(if held { FigureClass::CoreEnergy } else { FigureClass::CoreDynamic });
-        let [first, second, _] = &*rows;
+        let (first, second) = (&rows[0], &rows[1]);
         let static_power = |row: &EnergyRow| (row.static_mw.unwrap_or(0.0), self.within(FigureClass::Static));
         let dynamic = |row: &EnergyRow, factor| (row.dynamic_mw.unwrap_or(0.0), factor);
         let x86 = dynamic(first, self.within(FigureClass::X86Dynamic));
@@ -504,9 +518,13 @@ impl EstimateInput<'_> {
         let both = (x86_static.0 + core_static.0, x86_static.1);
         let factors = match self.accounting {
             Accounting::Profiler => {
-                [log_factor(&[x86_static, x86]), log_factor(&[core_static, cores]), log_factor(&[both, x86, cores])]
+                vec![log_factor(&[x86_static, x86]), log_factor(&[core_static, cores]), log_factor(&[both, x86, cores])]
             }
-            Accounting::Rails => [self.within(FigureClass::Rails).map(f64::ln); 3],
+            Accounting::Rails => {
+                let class =
+                    |row: &EnergyRow| if row.unit == "x86" { FigureClass::X86Rails } else { FigureClass::Rails };
+                rows.iter().map(|row| self.within(class(row)).map(f64::ln)).collect()
+            }
         };
         for (row, power) in rows.iter_mut().zip(factors) {
             let bound = |high: bool| {
@@ -534,7 +552,7 @@ impl EstimateInput<'_> {
     }
 
     /// Adds the shares of each column by the status of the constants.
-    fn add_shares(&self, rows: &mut [EnergyRow; 3], by_status: &ByStatus, lane: &Lane) {
+    fn add_shares(&self, rows: &mut [EnergyRow], by_status: &ByStatus, lane: &Lane) {
         let latency_us = self.latency_us(&lane.whole);
         let parts = [0, 1, 2].map(|of| self.rows(&self.job(&by_status.tables[of], &lane.whole), latency_us));
         let statuses = [Status::Published, Status::Calibrated, Status::Assumed];
@@ -607,7 +625,7 @@ pub fn estimate(case: &EstimateInput<'_>) -> Estimate {
     let names = StepTime::default().parts().map(|(name, _)| name);
     let mean_us = |part: usize| (names[part], lane.whole.parts[part] as f64 / 1e6 / steps);
     Estimate {
-        rows: rows.into(),
+        rows,
         job,
         breakdown_pj,
         per_timestep_uj: spread(|distribution| &distribution.whole),
@@ -718,10 +736,16 @@ pub(crate) mod tests {
         let rails =
             |deployment| estimate(&EstimateInput { accounting: Accounting::Rails, ..case(&run, deployment) }).rows;
         assert_eq!(rails(&one), rails(&packed), "cores in use add nothing");
-        let [boot, idle, total] = <[EnergyRow; 3]>::try_from(rails(&one)).unwrap();
+        let [boot, idle, x86, total] = <[EnergyRow; 4]>::try_from(rails(&one)).unwrap();
         assert!((boot.total_mw.unwrap() - 32.0 * 28.43).abs() < 1e-9);
         assert!((idle.total_mw.unwrap() - boot.total_mw.unwrap() - 49.25 - 18.0).abs() < 1e-9);
-        assert!((total.total_mw.unwrap() - idle.total_mw.unwrap() - 3.0).abs() < 1e-9);
+        assert!((total.total_mw.unwrap() - idle.total_mw.unwrap() - x86.total_mw.unwrap()).abs() < 1e-9);
+        // A row of its own, with an interval of its own, within what works found: 3 to 26.3 mW.
+        assert_eq!((x86.total_mw, x86.x86_cores), (Some(10.02), Some(1)));
+        let errors = &preset("loihi1-evidence").errors;
+        let found = estimate(&EstimateInput { accounting: Accounting::Rails, errors, ..case(&run, &one) }).rows;
+        let ends = [found[2].low, found[2].high].map(|end| end.unwrap().total_mw.unwrap());
+        assert!(ends[0] <= 3.0 && 26.3 <= ends[1], "{ends:?}");
     }
 
     #[test]
@@ -762,12 +786,11 @@ pub(crate) mod tests {
         let edp = (high.edp_pjs.unwrap() / total.edp_pjs.unwrap()).ln();
         assert!((edp - power.hypot(2.0 * 3f64.ln())).abs() < 1e-9);
         assert!(low.energy_uj.unwrap() < total.energy_uj.unwrap());
-        // A step paced by a millisecond takes a millisecond, unless it may take longer.
+        // A step paced by a millisecond takes a millisecond, and may take longer by its work.
         let slow = estimate(&EstimateInput { errors: &errors, mode: Mode::Realtime, ..case(&run, &paper) });
-        assert_eq!(
-            (slow.rows[2].low.unwrap().latency_us, slow.rows[2].high.unwrap().latency_us),
-            (Some(1e3), Some(1e3))
-        );
+        assert_eq!(slow.rows[2].low.unwrap().latency_us, Some(1e3));
+        let free_us = total.latency_us.unwrap();
+        assert!((slow.rows[2].high.unwrap().latency_us.unwrap() - 1e3 - 2.0 * free_us).abs() < 1e-9);
         // A class that is not known leaves its sums without bounds.
         let found = estimate(&EstimateInput { errors: &errors[1..], ..case(&run, &paper) });
         assert_eq!((found.rows[2].low.unwrap().total_mw, found.rows[2].low.unwrap().energy_uj), (None, None));

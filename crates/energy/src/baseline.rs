@@ -238,7 +238,12 @@ impl Baseline {
             power_source: self.status(),
         };
         let (total_mw, energy_uj, edp_pjs) = (Some(total), Some(energy), Some(edp));
-        Ok(EnergyRow { total_mw, energy_uj, edp_pjs, ..figures.row(&self.file.hardware, convention, steps) })
+        let energy_source = match convention {
+            Convention::Published => self.status(),
+            Convention::Physical => FigureSource::Computed,
+        };
+        let row = figures.row(&self.file.hardware, convention, steps);
+        Ok(EnergyRow { total_mw, energy_uj, edp_pjs, energy_source, ..row })
     }
 
     fn status(&self) -> FigureSource {

@@ -15,8 +15,9 @@ use crate::report::table::{EnergyReport, JobPart};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
 use nsim_cost::estimate::{ByStatus, Convention, EstimateInput, FigureSource, step_price};
-use nsim_cost::job::Accounting;
+use nsim_cost::job::{Accounting, DeployedCores};
 use nsim_cost::{Deployment, MeterSettings, StepMeter};
+use nsim_files::table::three;
 use nsim_ir::hardware::Target;
 use nsim_ir::neurons::Family;
 use nsim_ir::program::Program;
@@ -45,7 +46,7 @@ impl DeploymentPlan {
     pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<DeploymentPlan, Error> {
         let shipped = shipped_for(model)?;
         let named = deployment.unwrap_or(CopyPlacement::default().name());
-        let source = DeploymentSource::load(named, model, shipped.as_ref())?;
+        let source = DeploymentSource::load(named, model)?;
         Ok(DeploymentPlan { is_explicit: deployment.is_some(), copies, shipped, source })
     }
 
@@ -94,12 +95,41 @@ impl DeploymentPlan {
         }
     }
 
+    /// The model's measured job on this target, if numbers of cores were given: they are numbers of
+    /// that job, with others.
+    fn job_of_numbers(&self, target: &Target) -> Option<(&ScenarioFile, DeployedCores)> {
+        let DeploymentSource::Numbers(cores) = self.source else { return None };
+        self.shipped.as_ref().filter(|job| job.is_on(target)).map(|job| (job, cores))
+    }
+
+    /// The published job whose network is mapped: of `paper` or a file; of numbers of cores, if a
+    /// copy has as many as in the model's measured job, since fewer cannot hold its network.
+    fn mapped_job(&self, target: &Target) -> Option<&ScenarioFile> {
+        let copies = u64::from(self.copies.unwrap_or(1));
+        let has_room = |(job, cores): &(&ScenarioFile, DeployedCores)| {
+            let of_job = job.deployment.value.cores_used * copies;
+            cores.cores_used * u64::from(job.copies.value) >= of_job
+        };
+        self.job().or_else(|| self.job_of_numbers(target).filter(has_room).map(|(job, _)| job))
+    }
+
     /// Maps the network of the published job, with input relays where the job had them.
     ///
     /// # Errors
-    /// When it does not compile.
+    /// When the job is of other networks, or its network does not compile.
     pub fn map_job(&self, compiled: &Mapping, target: &Target) -> Result<Option<Mapping>, Error> {
-        self.job().map(|scenario| paper::mapped(&compiled.one, scenario, target)).transpose()
+        self.source.check_network(&compiled.one)?;
+        self.mapped_job(target).map(|scenario| paper::mapped(&compiled.one, scenario, target)).transpose()
+    }
+
+    /// Remark on relays of the measured job, where numbers of cores were given.
+    fn relays_note(&self, target: &Target) -> Option<String> {
+        let (job, _) = self.job_of_numbers(target).filter(|(job, _)| job.input_relays)?;
+        let each = three(job.deployment.value.cores_used as f64 / f64::from(job.copies.value));
+        Some(match self.mapped_job(target) {
+            Some(_) => format!("Inputs have relays, as in {}, because a copy has its {each} cores.", job.work),
+            None => format!("No relays of inputs: a copy has fewer than the {each} cores of {}.", job.work),
+        })
     }
 }
 
@@ -131,9 +161,10 @@ pub fn evaluate(
     let (target, table) = select_constants(workload.target.clone(), options.constants.as_deref())?;
     let model = &compiled.one.parts().name;
     let steps_per_sample = workload.steps_per_sample();
-    let work = options.host_work(&target, steps_per_sample)?;
+    let work = options.host_work(&target, workload.mean_steps())?;
     let copies = plan.copies(workload.copies);
     let deployment = plan.source.deployment(compiled, &target, copies, work)?;
+    options.check_x86(&deployment, &target)?;
     let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
     let metered = workload.metered(vec![table], &deployment, options.transport);
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
@@ -169,7 +200,8 @@ pub fn evaluate(
     let (mut rows, mut as_in) = (Vec::new(), Vec::new());
     if let Some(job) = measured_job {
         if plan.job().is_none() {
-            as_in = paper::rows(workload, job, options, &target, work)?;
+            let is_mapped = plan.mapped_job(&target).is_some();
+            as_in = paper::rows((workload, is_mapped), job, options, &target, work)?;
             let total = as_in.iter().find(|row| row.unit == "total").cloned();
             rows.extend(total.map(|total| (total, "the measured job, by the same constants".to_string())));
         }
@@ -197,6 +229,7 @@ pub fn evaluate(
         let said = "The program of a microcode kind has no cost of its own: each compartment has the usual cost.";
         energy.constant_notes.push(said.to_string());
     }
+    energy.constant_notes.extend(plan.relays_note(&target));
     energy.seed = workload.seed;
     energy.input.clone_from(&workload.origin);
     let labels = workload.samples().into_iter().map(Sample::label);

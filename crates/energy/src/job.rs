@@ -28,7 +28,7 @@ pub fn early_exit_savings(
 ) -> EarlyExitSavings {
     let lane = &case.meter.lanes()[case.preset];
     let (whole, early) = (spent(case, &lane.whole), spent(case, &lane.until_decided));
-    // The steps until the decision are a part of all steps; rounding may put the difference below 0.
+    // The steps until the decision are a part of all steps, but rounding may say otherwise.
     let energy_saved_uj = (whole.energy_uj - early.energy_uj).max(0.0);
     let time_saved_us = (whole.time_us - early.time_us).max(0.0);
     let standing_uj = case.price(&case.meter.tables()[case.preset]).always_mw * time_saved_us / 1e3;

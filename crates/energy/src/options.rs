@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::baseline::Baseline;
-use crate::published::scenario::{ScenarioFile, scenario};
+use crate::published::scenario::{ScenarioFile, paper_for, scenario};
 use nsim_compile as compile;
 use nsim_compile::place::SAVED;
 use nsim_compile::{CopyPlacement, Mapping, Options, mapping_file};
@@ -17,6 +17,7 @@ use nsim_ir::base::names::did_you_mean;
 use nsim_ir::hardware::Target;
 use nsim_ir::locate::root_name;
 use nsim_ir::mapping::MappingFile;
+use nsim_ir::quantised::Quantised;
 use nsim_session::decision::Rule;
 use nsim_session::error::{Error, Result};
 
@@ -59,18 +60,32 @@ impl CostOptions {
         Ok(CostOptions { baselines: baselines(names)?, ..CostOptions::default() })
     }
 
+    /// Checks that a deployment has the x86 cores that the options require.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for a host or a reset without an x86 core.
+    pub(super) fn check_x86(&self, deployment: &Deployment, target: &Target) -> Result<(), Error> {
+        let host = self.host.filter(|host| *host != Host::None).map(|host| format!("--host {}", host.name()));
+        let resets = (self.reset_words > 0).then(|| "--reset-words".to_string());
+        match host.or(resets).filter(|_| deployment.x86_cores == 0) {
+            None => Ok(()),
+            Some(option) => {
+                let chip = if target.chip().x86_cores > 0 { ", or give x86 cores, CORES,CHIPS,X86" } else { "" };
+                let name = &deployment.name;
+                let message =
+                    format!("{option} needs an x86 core, and deployment {name} has none: remove {option}{chip}");
+                Err(Error::Usage(message))
+            }
+        }
+    }
+
     /// Returns the work of the x86 cores of a target.
     ///
     /// # Errors
     /// [`Error::Usage`] for a host on a chip without x86 cores.
-    pub(super) fn host_work(&self, target: &Target, steps_per_sample: Option<u32>) -> Result<HostWork, Error> {
+    pub(super) fn host_work(&self, target: &Target, steps_per_sample: u32) -> Result<HostWork, Error> {
         let refused = |problem: String| Error::Usage(format!("--host {problem}; remove --host"));
         let work = HostWork::fed_by(self.host, target).map_err(refused)?;
-        if self.reset_words > 0 && work.host == Host::None {
-            let message = "--reset-words needs an x86 core, and there is none with --host none or on this chip";
-            return Err(Error::Usage(message.to_string()));
-        }
-        let steps_per_sample = steps_per_sample.unwrap_or(1);
         Ok(HostWork { streams: self.streams, reset_words: self.reset_words, steps_per_sample, ..work })
     }
 }
@@ -103,6 +118,9 @@ pub fn select_constants(target: Target, asked: Option<&str>) -> Result<(Target, 
     Ok((target.with_preset(chosen), table))
 }
 
+/// Deployments that a message offers in place of a published job.
+const OTHER_DEPLOYMENTS: &str = "use spread, packed, CORES,CHIPS,X86, or the file of a scenario or of a saved mapping";
+
 /// `--deployment` with its loaded files.
 #[derive(Debug)]
 pub enum DeploymentSource {
@@ -122,7 +140,7 @@ impl DeploymentSource {
     /// # Errors
     /// [`Error::Usage`] when the paper's deployment is requested and no scenario ships for the
     /// model, [`Error::Input`] when a file cannot be used.
-    pub fn load(named: &str, model: &str, shipped: Option<&ScenarioFile>) -> Result<Self> {
+    pub fn load(named: &str, model: &str) -> Result<Self> {
         if let Some(&copies) = CopyPlacement::ALL.iter().find(|copies| copies.name() == named) {
             return Ok(DeploymentSource::Mapped(copies));
         }
@@ -135,13 +153,10 @@ impl DeploymentSource {
             return Ok(DeploymentSource::Numbers(DeployedCores { cores_used, chips_used, x86_cores }));
         }
         if named == "paper" {
-            let scenario = shipped.ok_or_else(|| {
-                Error::Usage(format!(
-                    "--deployment paper: no scenario ships for {model}; use spread, packed, CORES,CHIPS,X86, or the \
-                     file of a scenario or of a saved mapping"
-                ))
+            let scenario = paper_for(model)?.ok_or_else(|| {
+                Error::Usage(format!("--deployment paper: no scenario ships for {model}; {OTHER_DEPLOYMENTS}"))
             })?;
-            return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario.clone())));
+            return Ok(DeploymentSource::Scenario("paper".to_string(), Box::new(scenario)));
         }
         const CHOICES: &str =
             "--deployment is spread, packed, paper, CORES,CHIPS,X86, a scenario, or a mapping saved by nsim map -o";
@@ -158,13 +173,34 @@ impl DeploymentSource {
         Ok(DeploymentSource::Mapping(named.into(), Box::new(mapping)))
     }
 
+    /// Checks that a scenario is of this network.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] with the inputs of both.
+    pub(super) fn check_network(&self, network: &Quantised) -> Result<()> {
+        let DeploymentSource::Scenario(name, scenario) = self else { return Ok(()) };
+        if scenario.serves(network) {
+            return Ok(());
+        }
+        let sizes = |sizes: Vec<u32>| sizes.iter().map(u32::to_string).collect::<Vec<_>>().join(" and ");
+        let own = sizes(network.inputs().map(|(_, population)| population.shape.len()).collect());
+        let wanted = match scenario.inputs.as_slice() {
+            [] => format!("model {}", scenario.model),
+            inputs => format!("networks with inputs of {} channels, as {}", sizes(inputs.to_vec()), scenario.model),
+        };
+        let model = &network.parts().name;
+        Err(Error::Usage(format!(
+            "--deployment {name} is for {wanted}, not {model} with inputs of {own}; {OTHER_DEPLOYMENTS}"
+        )))
+    }
+
     /// The numbers of cores of `copies` copies of a mapped network.
     ///
     /// # Errors
     /// [`Error::Usage`] when a scenario is of another model; [`Error::Input`] when a saved mapping
     /// is not one of `copies` copies of this network on this target.
     pub fn deployment(&self, compiled: &Mapping, target: &Target, copies: u32, work: HostWork) -> Result<Deployment> {
-        let model = &compiled.one.parts().name;
+        self.check_network(&compiled.one)?;
         match self {
             DeploymentSource::Mapped(_) => {
                 // Copies that do not fit on separate chips are packed.
@@ -177,12 +213,6 @@ impl DeploymentSource {
                 Ok(Deployment::from_placement(name, &compiled.placement, target, copies, work))
             }
             DeploymentSource::Scenario(name, scenario) => {
-                if scenario.model != *model {
-                    return Err(Error::Usage(format!(
-                        "--deployment {name} is for model {}, not {model}",
-                        scenario.model
-                    )));
-                }
                 let (own, of) = (&scenario.target, scenario.copies.value);
                 if !scenario.is_on(target) {
                     let changed = if own == target.name() { " with --set" } else { "" };

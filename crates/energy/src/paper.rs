@@ -36,20 +36,22 @@ pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Resu
 }
 
 /// Returns the rows of a job by a target's first constants, on the workload's samples. Rows are one
-/// x86 core, the neuron cores of one copy, and their total.
+/// x86 core, the neuron cores of one copy, and their total. `is_mapped` says whether the workload's
+/// mapping is the job's.
 ///
 /// # Errors
 /// As [`mapped`].
 pub fn rows(
-    workload: &Workload<'_>,
+    (workload, is_mapped): (&Workload<'_>, bool),
     scenario: &ScenarioFile,
     options: &CostOptions,
     target: &Target,
     work: HostWork,
 ) -> Result<Vec<EnergyRow>, Error> {
-    let compiled = mapped(&workload.compiled.one, scenario, target)?;
+    let own = (!is_mapped).then(|| mapped(&workload.compiled.one, scenario, target)).transpose()?;
+    let compiled = own.as_ref().unwrap_or(workload.compiled);
     let deployment = Deployment::from_numbers("paper", scenario.deployment.value, target, scenario.copies.value, work);
-    let metered = MeteredMapping::new(&compiled);
+    let metered = MeteredMapping::new(compiled);
     let settings = metered.settings(vec![CostTable::new(&target.constants()[0])?], &deployment, options.transport);
     let samples = workload.samples();
     let run = metered.run(settings, &samples, RunSettings::new(&SampleSettings::new(compiled.program.output())))?;
@@ -96,11 +98,11 @@ pub fn printed(
             Convention::Physical => total_mw.zip(latency).map(|(power, time)| power * time / 1e3),
             Convention::Published => cell("energy_uj"),
         };
-        let edp_pjs = match convention {
-            Convention::Physical => energy_uj.zip(latency).map(|(energy, time)| energy * time),
-            Convention::Published => cell("edp_pjs"),
+        let (edp_pjs, energy_source) = match convention {
+            Convention::Physical => (energy_uj.zip(latency).map(|(energy, time)| energy * time), row.energy_source),
+            Convention::Published => (cell("edp_pjs"), FigureSource::Published),
         };
-        return Ok(Some((EnergyRow { total_mw, energy_uj, edp_pjs, ..row }, table.source)));
+        return Ok(Some((EnergyRow { total_mw, energy_uj, edp_pjs, energy_source, ..row }, table.source)));
     }
     Ok(None)
 }

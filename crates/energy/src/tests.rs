@@ -17,7 +17,6 @@ use crate::baseline::Baseline;
 use crate::baseline::tests::vtsnn;
 use crate::job;
 use crate::options::{DeploymentSource, select_constants};
-use crate::published::scenario::shipped_for;
 use crate::report::table::EnergyReport;
 
 const MS: Picoseconds = Picoseconds(1_000_000_000);
@@ -51,8 +50,7 @@ fn mapped(copies: u32, placement: CopyPlacement) -> Mapping {
 }
 
 fn deployed(model: &str, arg: &str, compiled: &Mapping, copies: u32) -> Result<Deployment, Error> {
-    let shipped = shipped_for(model)?;
-    let source = DeploymentSource::load(arg, model, shipped.as_ref())?;
+    let source = DeploymentSource::load(arg, model)?;
     source.deployment(compiled, &nahuku(), copies, HostWork::default())
 }
 
@@ -92,9 +90,12 @@ fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
     };
     let found = deployed("vtsnn-slip", "paper", &named("vtsnn-slip"), 32).unwrap();
     assert_eq!(numbers(&found), (32, 594, 5, 5));
-    // A scenario of another model, and a model without a shipped scenario.
-    assert_eq!(deployed("vtsnn-slip", "paper", &named("other"), 32).unwrap_err().exit_status(), 2);
-    assert_eq!(deployed("slip-tactile", "paper", &one, 1).unwrap_err().exit_status(), 2);
+    // A network of other inputs is refused, one of the paper's inputs not, whatever its name.
+    let refused = deployed("vtsnn-slip", "paper", &named("other"), 32).unwrap_err();
+    let says = "paper is for networks with inputs of 156 and 3150 channels, as vtsnn-slip, not other with inputs of";
+    assert!(refused.exit_status() == 2 && refused.to_string().contains(says), "{refused}");
+    let own = compile(nsim_testing::slip(3150), &nahuku(), &Options::default()).unwrap();
+    assert_eq!(numbers(&deployed("own.ron", "paper", &own, 32).unwrap()), (32, 594, 5, 5));
     // Numbers as given.
     assert_eq!(numbers(&deployed("own", "594,5,5", &one, 32).unwrap()), (32, 594, 5, 5));
     for (wrong, says) in [
@@ -113,7 +114,7 @@ fn copies_are_spread_or_packed_and_the_paper_s_job_says_where_its_are() {
     let paper = named("vtsnn-slip");
     let refused = deployed("vtsnn-slip", "paper", &paper, 33).unwrap_err();
     assert!(refused.to_string().contains("paper has 32 copies"), "{refused}");
-    let source = DeploymentSource::load("paper", "vtsnn-slip", shipped_for("vtsnn-slip").unwrap().as_ref()).unwrap();
+    let source = DeploymentSource::load("paper", "vtsnn-slip").unwrap();
     for other in [io::target::load_target("oheo-gulch").unwrap(), nahuku().changed()] {
         let refused = source.deployment(&paper, &other, 32, HostWork::default()).unwrap_err();
         assert!(refused.to_string().contains("is for target nahuku-32, not "), "{refused}");
@@ -171,11 +172,11 @@ fn json_has_every_row_and_constant_and_nothing_unknown_is_zero() {
     let units: Vec<_> =
         rows.iter().map(|row| (row["hardware"].as_str().unwrap(), row["unit"].as_str().unwrap())).collect();
     assert_eq!(units, [("loihi", "x86"), ("loihi", "neuron"), ("loihi", "total"), ("RTX 2080 Ti", "total")]);
-    assert_eq!(rows[3]["energy_uj"], 412.9);
+    assert_eq!((&rows[3]["energy_uj"], &rows[3]["energy_source"]), (&412.9.into(), &"published".into()));
     assert_eq!(rows[3]["low"], serde_json::Value::Null);
     let parts: Vec<&String> = json["breakdown_pj_per_timestep"].as_object().unwrap().keys().collect();
     assert_eq!(parts, ["synapse", "dendrite", "compartment", "spike", "axon_out", "axon_in", "hop", "learning"]);
-    assert_eq!(json["constants"].as_array().unwrap().len(), 38 + 4);
+    assert_eq!(json["constants"].as_array().unwrap().len(), 39 + 4);
     assert_eq!(json["constants"][0]["status"], "calibrated");
     assert_eq!(json["constants"][0]["unit"], "pJ");
 }
@@ -184,10 +185,11 @@ fn json_has_every_row_and_constant_and_nothing_unknown_is_zero() {
 fn csv_has_a_header_and_a_record_for_each_row() {
     let csv = report(&paper(), Mode::Offline, Convention::Physical).csv();
     let mut reader = csv::Reader::from_reader(csv.as_bytes());
-    assert_eq!(reader.headers().unwrap().len(), 19);
+    assert_eq!(reader.headers().unwrap().len(), 20);
     let records: Vec<csv::StringRecord> = reader.records().map(Result::unwrap).collect();
     assert_eq!(records.len(), 4);
-    assert_eq!((&records[3][8], &records[3][9], &records[3][17]), ("26411.49", "", "published"));
+    let gpu = [8, 9, 17, 19].map(|at| &records[3][at]);
+    assert_eq!(gpu, ["26411.49", "", "published", "computed"]);
 }
 
 fn report(deployment: &Deployment, mode: Mode, convention: Convention) -> EnergyReport {

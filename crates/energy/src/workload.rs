@@ -76,6 +76,14 @@ impl<'j> Workload<'j> {
         steps_per_sample(&self.samples())
     }
 
+    /// Mean number of timesteps of a sample, rounded, at least 1: a reset follows each sample.
+    pub fn mean_steps(&self) -> u32 {
+        let samples = self.samples();
+        let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+        let mean = (steps as f64 / samples.len().max(1) as f64).round();
+        (mean as u32).max(1)
+    }
+
     /// Returns the counts of a run by population, input and core over all copies, and its warnings.
     pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
         let (network, program) = (&self.compiled.one, &self.compiled.program);

@@ -359,6 +359,11 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_share_has_two_digits_and_no_sign_of_rounding() {
+        assert_eq!([0.0, -1e-17, 0.96543, 1.0, 0.00412].map(percent), ["0 %", "0 %", "97 %", "100 %", "0.41 %"]);
+    }
+
+    #[test]
     fn csv_becomes_a_table_for_papers() {
         let csv = "name,power_mw,digest,events\na|b & c,1.23456,ab,1751840\n\"100 %\",2,,3\n";
         assert!(markdown(csv).contains("| 1751840 |"), "counts are exact");

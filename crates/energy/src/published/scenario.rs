@@ -10,6 +10,7 @@ use nsim_cost::job::DeployedCores;
 use nsim_files::shipped;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::hardware::Target;
+use nsim_ir::quantised::Quantised;
 use nsim_ir::spanned::{Spanned, parse};
 
 /// A scenario file.
@@ -20,6 +21,10 @@ pub struct ScenarioFile {
     pub name: String,
     /// The model that ran.
     pub model: String,
+    /// Channels of its input populations: networks with equal ones run in its place. Without them
+    /// the job is of its model alone.
+    #[serde(default)]
+    pub inputs: Vec<u32>,
     /// The target that it ran on.
     pub target: String,
     /// Copies of the model on the target.
@@ -44,6 +49,15 @@ pub struct ScenarioFile {
 }
 
 impl ScenarioFile {
+    /// Whether a network has the inputs of the job, or is its model.
+    pub fn serves(&self, network: &Quantised) -> bool {
+        let mut inputs: Vec<u32> = network.inputs().map(|(_, population)| population.shape.len()).collect();
+        let mut own = self.inputs.clone();
+        inputs.sort_unstable();
+        own.sort_unstable();
+        self.model == network.parts().name || !own.is_empty() && own == inputs
+    }
+
     /// Whether this is the target of the job, by its name and unchanged.
     pub fn is_on(&self, target: &Target) -> bool {
         self.target == target.name() && !target.is_changed()
@@ -60,6 +74,18 @@ pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
     }
     let scenarios = shipped::SCENARIOS.iter().map(|shipped| scenario(&shipped.source())).collect::<Result<Vec<_>, _>>();
     Ok(scenarios?.into_iter().find(|scenario| scenario.model == model))
+}
+
+/// Returns the shipped scenario that `paper` names for a model: its own, else the first that serves
+/// other networks.
+///
+/// # Errors
+/// As [`scenario`].
+pub fn paper_for(model: &str) -> Result<Option<ScenarioFile>> {
+    let own = shipped_for(model)?;
+    let mut all = shipped::SCENARIOS.iter().map(|shipped| scenario(&shipped.source()));
+    let other = || all.find(|file| file.as_ref().map_or(true, |file| !file.inputs.is_empty())).transpose();
+    own.map_or_else(other, |own| Ok(Some(own)))
 }
 
 /// Parses and checks a scenario.
@@ -93,12 +119,19 @@ mod tests {
     use crate::published::measurement::load_measurements;
     use nsim_files::target::load_target;
     use nsim_import::model::load_model;
+    use nsim_ir::graph::PopulationKind;
 
     #[test]
     fn shipped_scenarios_name_what_ships_and_agree_with_their_tables() {
         for shipped in shipped::SCENARIOS {
             let file = scenario(&shipped.source()).unwrap();
-            assert_eq!(load_model(&file.model).unwrap().file().name, file.model);
+            let model = load_model(&file.model).unwrap();
+            assert_eq!(model.file().name, file.model);
+            let graph = nsim_files::lower::lower(&model).unwrap();
+            let inputs = graph.populations().filter(|(_, one)| matches!(one.kind, PopulationKind::Input { .. }));
+            let mut inputs: Vec<u32> = inputs.map(|(_, one)| one.shape.len()).collect();
+            inputs.sort_unstable();
+            assert_eq!(inputs, file.inputs);
             assert!(u64::from(load_target(&file.target).unwrap().cores()) >= file.deployment.value.cores_used);
             for table in &file.measured {
                 let table = load_measurements(table).unwrap();
@@ -113,6 +146,8 @@ mod tests {
         assert_eq!(shipped_for("vtsnn-slip").unwrap().unwrap().copies.value, 32);
         assert!(shipped_for("slip-tactile").unwrap().is_none());
         assert!(shipped_for("models/vtsnn-slip.ron").unwrap().is_none());
+        // Its job is that of `paper` for others, too.
+        assert_eq!(paper_for("models/vtsnn-slip.ron").unwrap().unwrap().model, "vtsnn-slip");
     }
 
     #[test]

@@ -208,6 +208,7 @@ struct EnergyResult<'r> {
     time_us_per_timestep: Option<Map<String, Value>>,
     transport: Transport,
     accounting: Accounting,
+    sample: Option<SampleCost>,
     #[serde(flatten)]
     comparison: &'r Comparison,
     early_exit: Option<EarlyExitSavings>,
@@ -220,6 +221,17 @@ struct EnergyResult<'r> {
     share: Option<StatusShare>,
     #[serde(flatten)]
     detail: &'r Detail,
+}
+
+/// Cost of a sample of one copy, power times time.
+#[derive(Debug, Clone, Copy, Serialize)]
+struct SampleCost {
+    /// Mean number of its timesteps.
+    steps: f64,
+    time_us: f64,
+    energy_uj: f64,
+    /// Energy of the neuron cores alone.
+    cores_uj: Option<f64>,
 }
 
 #[derive(Serialize)]
@@ -244,8 +256,8 @@ fn row_name(row: &EnergyRow, chip: &str) -> String {
         "neuron" => "neuron cores".to_string(),
         "boot" => "board, boot".to_string(),
         "idle" => "board, idle".to_string(),
-        // A name as the field writes it: Loihi.
-        _ => chip.chars().take(1).flat_map(char::to_uppercase).chain(chip.chars().skip(1)).collect(),
+        // Intel's chips as the field writes them; other names as their files do.
+        _ => chip.strip_prefix("loihi").map_or(chip.to_string(), |rest| format!("Loihi{rest}")),
     }
 }
 
@@ -360,6 +372,7 @@ impl EnergyReport {
             time_us_per_timestep: self.estimate.time_us.map(|all| times(all).into_iter().collect()),
             transport: self.transport,
             accounting: self.accounting,
+            sample: self.sample(),
             comparison: &self.comparison,
             early_exit: self.early_exit,
             parts: self.parts.iter().map(JobPart::json).collect(),
@@ -378,7 +391,7 @@ impl EnergyReport {
         let columns = "hardware,unit,convention,static_mw,dynamic_mw,total_mw,latency_us,energy_uj,edp_pjs,\
                        total_mw_low=low.total_mw,latency_us_low=low.latency_us,energy_uj_low=low.energy_uj,\
                        edp_pjs_low=low.edp_pjs,total_mw_high=high.total_mw,latency_us_high=high.latency_us,\
-                       energy_uj_high=high.energy_uj,edp_pjs_high=high.edp_pjs,source,power_source";
+                       energy_uj_high=high.energy_uj,edp_pjs_high=high.edp_pjs,source,power_source,energy_source";
         csv(self.rows(), columns)
     }
 
@@ -396,8 +409,7 @@ impl EnergyReport {
     /// The cells of a row: static, dynamic and total power, latency, energy, energy-delay product.
     fn cells(&self, row: &EnergyRow) -> [String; 6] {
         let printed = row.source == FigureSource::Published;
-        // Computed from a publication's figures, not printed by it.
-        let computed = printed && self.convention() == Convention::Physical;
+        let computed = row.energy_source == FigureSource::Computed;
         let assumed = row.power_source != row.source && row.power_source == FigureSource::Assumed;
         let cell = |figure: Option<f64>, exact: bool| match figure {
             None => String::new(),
@@ -444,9 +456,11 @@ impl EnergyReport {
         let mut lines = Vec::new();
         for row in self.rows() {
             let own = row.hardware == self.hardware();
-            if own && row.unit == "x86" && self.deployment.x86_cores == 0 {
+            if row.x86_cores == Some(0) {
                 continue;
             }
+            // The only figure of rails that no published total bounds.
+            let at_work = own && row.unit == "x86" && self.accounting == Accounting::Rails;
             let is_part = ["x86", "neuron", "boot", "idle"].contains(&row.unit);
             let source = match row.busy {
                 Some(_) => "busy CPUs".to_string(),
@@ -460,8 +474,7 @@ impl EnergyReport {
                     lines.push((name, self.cells(printed), String::new()));
                 }
             }
-            if row.source == FigureSource::Simulated
-                && (every_interval || !is_part)
+            if (row.source == FigureSource::Simulated && (every_interval || !is_part) || at_work)
                 && let Some(mut interval) = self.interval(row)
             {
                 // Time and energy belong to the whole, not to a part.
@@ -503,7 +516,8 @@ impl EnergyReport {
             None => count(self.samples, "sample"),
         };
         let power = match self.accounting {
-            Accounting::Profiler => "Power as Intel's profiler counts it.",
+            Accounting::Profiler if self.hardware().starts_with("loihi") => "Power as Intel's profiler counts it.",
+            Accounting::Profiler => "Power of the cores and chips in use.",
             Accounting::Rails => "Power of the board, as a meter shows it.",
         };
         out += &wrapped(&format!("{samples} ({shown}). {power}"));
@@ -568,7 +582,7 @@ impl EnergyReport {
         }
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
             let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
-            said.push(format!("Cores of a copy: {own} here, {theirs} in the paper; static power scales with them."));
+            said.push(format!("Cores of a copy: {own}; in the paper {theirs}. Static power scales with them."));
         }
         said.extend(job.map(|job| self.assumptions_text(job)));
         let mut marks = Vec::new();
@@ -608,7 +622,7 @@ impl EnergyReport {
         let relays = if job.input_relays { "relays; " } else { "" };
         let streams = if self.deployment.streams > 1 { "one stream per copy" } else { "one stream" };
         format!(
-            "Static, dynamic here / printed: {}. Inferred: a row is an x86 core and a copy; {relays}{streams}; input \
+            "Static, dynamic over printed: {}. Inferred: a row is an x86 core and a copy; {relays}{streams}; input \
              spikes.",
             parts.join("; ")
         )
@@ -641,7 +655,28 @@ impl EnergyReport {
         }
     }
 
-    /// The short report: the table of the paper in eighty columns, with its remarks and early exit.
+    /// Cost of a sample of mean length, physical: of the `total` row, and of its neuron cores where
+    /// power has such a row. `None` without timesteps.
+    fn sample(&self) -> Option<SampleCost> {
+        let row = |unit: &str| self.estimate.rows.iter().find(|row| row.unit == unit);
+        let steps = (self.samples > 0).then(|| self.timesteps as f64 / self.samples as f64)?;
+        let time_us = steps * self.total()?.latency_us?;
+        let energy_uj = |row: &EnergyRow| Some(row.total_mw? * time_us / 1e3);
+        let cores_uj = row("neuron").and_then(energy_uj);
+        Some(SampleCost { steps, time_us, energy_uj: energy_uj(self.total()?)?, cores_uj })
+    }
+
+    /// The last line: time and energy of a sample.
+    fn sample_text(&self) -> String {
+        let Some(SampleCost { steps, time_us, energy_uj, cores_uj }) = self.sample() else { return String::new() };
+        let steps = if steps.fract() == 0.0 { format!("{steps}") } else { format!("{} (mean)", three(steps)) };
+        let cores = cores_uj.map_or(String::new(), |uj| format!("; neuron cores alone: {} uJ", readable(uj)));
+        let steps = if steps == "1" { "1 step".to_string() } else { format!("{steps} steps") };
+        wrapped(&format!("A sample of {steps}: {} ms, {} uJ{cores}.", readable(time_us / 1e3), readable(energy_uj)))
+    }
+
+    /// The short report: the table of the paper in eighty columns, its remarks, early exit, and the
+    /// cost of a sample.
     pub fn headline(&self) -> String {
         let mut out = self.table(false);
         if let Some(saved) = self.early_exit {
@@ -660,7 +695,7 @@ impl EnergyReport {
                 self.comparison.decisions(self.accuracy)
             ));
         }
-        out
+        out + &self.sample_text()
     }
 
     /// The table as comma-separated values for a paper: its lines with all cells.
@@ -692,7 +727,7 @@ impl EnergyReport {
 
     /// The whole report for readers, most important parts first.
     pub fn text(&self) -> String {
-        let mut out = self.table(true);
+        let mut out = self.table(true) + &self.sample_text();
         out.push('\n');
         out.push_str(&self.breakdown());
         out.push_str(&self.shares());

@@ -136,6 +136,8 @@ named_variants! {
         CoreDynamic = "core_dynamic",
         /// Power of a whole board.
         Rails = "rails",
+        /// Power that x86 cores at work add to a board.
+        X86Rails = "x86_rails",
         /// Time of a step.
         Time = "time",
     }
@@ -333,6 +335,8 @@ macro_rules! for_each_constant {
             chip_boot_power: mW = "Constant::no_power",
             /// Power of an x86 core once a program is loaded, from the rails, mW.
             x86_on_power: mW = "Constant::no_power",
+            /// Power that an x86 core at work adds, from the rails, mW.
+            x86_rails_power: mW = "Constant::no_power",
         }
     };
 }
@@ -490,11 +494,13 @@ for_each_constant!(constants);
 
 /// The classes of figures that depend on a constant.
 pub fn classes_of(constant: &str) -> &'static [FigureClass] {
-    use FigureClass::{CoreDynamic, CoreEnergy, Rails, Static, Time, X86Dynamic};
+    use FigureClass::{CoreDynamic, CoreEnergy, Rails, Static, Time, X86Dynamic, X86Rails};
     match constant {
         "core_static_power" | "x86_static_ratio" => &[Static],
         "chip_static_power" => &[Static, Rails],
-        "x86_clock_power" | "x86_active_power" | "x86_injecting_share" => &[X86Dynamic, Rails],
+        "x86_clock_power" => &[X86Dynamic, Rails],
+        "x86_active_power" | "x86_injecting_share" => &[X86Dynamic],
+        "x86_rails_power" => &[X86Rails, Rails],
         "chip_boot_power" | "x86_on_power" => &[Rails],
         name if name.ends_with("_energy") => &[CoreEnergy, CoreDynamic, Rails],
         // A power is an energy over a time, so it depends on both.

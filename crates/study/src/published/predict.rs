@@ -121,7 +121,7 @@ fn figure(
         Quantity::RailsIdle => job.rails_idle(),
         Quantity::RailsStatic => job.rails_idle() - job.x86_clock,
         Quantity::RailsTotal => job.rails_running()?,
-        Quantity::RailsEmpty => job.rails_idle() + job.x86_active?,
+        Quantity::RailsEmpty => job.rails_idle() + job.x86_at_work,
         Quantity::AboveLoaded => job.rails_running()? - job.rails_idle(),
         Quantity::AboveBoot => job.rails_running()? - job.boot,
         Quantity::StepTime => step_us,
