@@ -16,6 +16,7 @@ use nsim::files::write::check_free;
 use nsim::ir::spikes::{Sample, Stimulus};
 use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
+use nsim::session::inputs::require_scene;
 use nsim::session::obtain::map_with_defaults;
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
@@ -58,7 +59,17 @@ pub struct Energy {
     report: EnergyReport,
 }
 
-fn read_input(shared: &Shared, spikes: Option<&Bound<'_, PyAny>>, keywords: &Keywords<'_>) -> PyResult<NetworkInput> {
+/// Input of a priced run. Energy depends on activity, so without spikes the model ships a scene.
+fn read_input(
+    py: Python<'_>,
+    shared: &Shared,
+    spikes: Option<&Bound<'_, PyAny>>,
+    keywords: &Keywords<'_>,
+) -> PyResult<NetworkInput> {
+    if spikes.is_none() {
+        let help = "give spikes, or 'scene:noise' to try";
+        require_scene(&shared.model, shared.scene.as_deref(), help).map_err(|problem| exception(py, problem))?;
+    }
     NetworkInput::new(&shared.compiled().one, shared.scene.as_deref(), spikes, keywords)
 }
 
@@ -109,7 +120,7 @@ pub fn report(
 ) -> PyResult<PathBuf> {
     check_free(&path, force).map_err(|problem| exception(py, problem))?;
     let network = &what.0.network;
-    let shown = read_input(what.0, spikes, keywords)?;
+    let shown = read_input(py, what.0, spikes, keywords)?;
     let page = run_and_price(py, what, shown, keywords, |workload, evaluated, (transport, progress)| {
         let mut sections = page::sections(workload, &evaluated, transport)?;
         if let Some(trained) = page::trained(workload, network)? {
@@ -135,7 +146,7 @@ impl Energy {
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
-        let shown = read_input(shared, spikes, keywords)?;
+        let shown = read_input(py, shared, spikes, keywords)?;
         run_and_price(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 

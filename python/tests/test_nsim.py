@@ -87,6 +87,26 @@ class SameAsTheCommandLine(unittest.TestCase):
         energy = nsim.load("vtsnn-slip").energy(copies=2, mode="realtime", samples=(1, 3))
         self.assertEqual(without(energy.json()), without(theirs))
 
+    def test_energy_without_spikes_needs_a_scene(self):
+        text = """Network(name: "own", timestep_ms: 1.0, populations: [Input(name: "in", shape: [2]),
+            Loihi(name: "out", shape: [2], du: 1024, dv: 128, vth_mant: 10)],
+            projections: [Dense(from: ["in"], to: "out", weights: [[20, 4], [2, 30]])], output: "out")"""
+        with tempfile.TemporaryDirectory() as folder:
+            path, page = os.path.join(folder, "own.ron"), os.path.join(folder, "p.html")
+            with open(path, "w") as file:
+                file.write(text)
+            network = nsim.load(path)
+            theirs = command("energy", path, "--baseline")
+            mapping = network.map()
+            for call in (network.energy, mapping.energy, lambda: network.report(page), lambda: mapping.report(page)):
+                with self.assertRaises(nsim.Error) as refused:
+                    call()
+                self.assertEqual(refused.exception.code, theirs["code"])
+            self.assertEqual(theirs["code"], "energy.input")
+            self.assertFalse(os.path.exists(page))
+            # What the message offers.
+            self.assertGreater(mapping.energy("scene:noise").energy_uj, 0)
+
     def test_arrays(self):
         for model in MODELS:
             with self.subTest(model=model), tempfile.TemporaryDirectory() as folder:
