@@ -13,6 +13,7 @@ mod convert;
 mod energy;
 mod errors;
 mod examples;
+mod growth;
 mod jobs;
 mod mapping;
 mod neurobench;

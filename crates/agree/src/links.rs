@@ -4,6 +4,8 @@
 //! between the same two populations are one link. Its weights from one source are contiguous, so a
 //! spike reads memory in order.
 
+use std::collections::HashMap;
+
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::quantised;
@@ -45,16 +47,18 @@ impl Link {
     /// Merges dense links between the same populations, so that a spike reads memory in order.
     pub fn merged(links: Vec<Link>) -> Vec<Link> {
         let mut merged: Vec<Vec<Link>> = Vec::new();
+        // The bundle of dense links between two populations.
+        let mut bundles: HashMap<(usize, usize, bool), usize> = HashMap::new();
         for link in links {
-            let fits = |first: &&mut Vec<Link>| {
-                let dense = |link: &Link| matches!(link.synapses, Synapses::Dense { .. });
-                let ends = |link: &Link| (link.source, link.target, link.restores);
-                first.first().is_some_and(|first| dense(first) && dense(&link) && ends(first) == ends(&link))
+            let next = merged.len();
+            let place = match link.synapses {
+                Synapses::Dense { .. } => *bundles.entry((link.source, link.target, link.restores)).or_insert(next),
+                _ => next,
             };
-            match merged.iter_mut().find(fits) {
-                Some(bundle) => bundle.push(link),
-                None => merged.push(vec![link]),
+            if place == next {
+                merged.push(Vec::new());
             }
+            merged[place].push(link);
         }
         merged.into_iter().filter_map(Link::bundle).collect()
     }

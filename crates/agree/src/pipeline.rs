@@ -22,6 +22,8 @@ pub struct Pipeline {
     loops: BTreeSet<(usize, usize)>,
     /// Whether spikes that skip layers still need a delay.
     waits: bool,
+    /// The longest wait.
+    pub longest_wait: u32,
     /// Steps that each sample has after its input.
     drained: u32,
     /// Steps that each sample needs after its input.
@@ -54,7 +56,9 @@ impl Pipeline {
         let (drain, drained) = (depths[graph.output().index()], graph.facts().drain);
         let started = kinds.iter().any(|kind| matches!(kind, PopulationKind::Neurons(p) if p.start_step > 0));
         let loops = loops.into_iter().map(|(from, to)| (order[from], order[to])).collect();
-        (drain > drained).then_some(Pipeline { depths, inputs, layers, loops, waits: !started, drained, drain })
+        let pipeline = Pipeline { depths, inputs, layers, loops, waits: !started, longest_wait: 0, drained, drain };
+        let longest_wait = ways.iter().map(|&(from, to)| pipeline.wait(from, to)).max().unwrap_or(0);
+        (drain > drained).then_some(Pipeline { longest_wait, ..pipeline })
     }
 
     /// The first step of a population.
@@ -69,11 +73,6 @@ impl Pipeline {
             false => self.depths[from] + u32::from(!self.loops.contains(&(from, to))),
         };
         if self.waits && self.layers[from] { self.depths[to].saturating_sub(arrives) } else { 0 }
-    }
-
-    /// The longest wait.
-    pub fn longest_wait(&self) -> u32 {
-        self.depths.iter().copied().max().unwrap_or(0)
     }
 
     /// Steps to add to a sample.

@@ -133,7 +133,7 @@ impl StagedNetwork {
         let latest = fits.iter().flatten().flat_map(|fit| &fit.copies).map(|&(delay, _)| delay).max().unwrap_or(0);
         let delays = chosen.projections().map(|(_, _, _, projection)| u32::from(projection.delay.get()));
         let pipeline = Pipeline::missing(graph);
-        let waits = pipeline.as_ref().map_or(0, Pipeline::longest_wait);
+        let waits = pipeline.as_ref().map_or(0, |pipeline| pipeline.longest_wait);
         let slots = (delays.max().unwrap_or(0) + latest + waits + 2) as usize;
         let mut staged = StagedNetwork {
             populations,
@@ -437,18 +437,23 @@ impl StagedNetwork {
             deciding: Vec::new(),
         };
         let deciding = self.calibrated.parts().output.index();
-        let mut spikes: Vec<(usize, u32)> = Vec::new();
-        let links = self.links(stage);
+        let mut firing = Firing::new(self.links(stage), self.populations.len());
+        let inputs: Vec<usize> = (0..states.len()).filter(|&index| self.populations[index].origin.is_none()).collect();
         for now in 0..steps {
-            for link in links.iter().filter(|link| self.populations[link.source].origin.is_none()) {
-                let of = &self.populations[link.source];
+            for channel in sample.at(now) {
+                let after = inputs.partition_point(|&index| self.populations[index].first <= channel.0);
+                let Some(index) = after.checked_sub(1).map(|place| inputs[place]) else { continue };
+                let Population { first, count, .. } = self.populations[index];
+                if channel.0 - first < count {
+                    firing.add(index, channel.0 - first);
+                }
+            }
+            firing.for_each_link(|link, channels| {
                 // Spike response kernels are 0 at their start, so input counts a step later.
                 let late = states[link.target].as_ref().is_some_and(|state| state.late);
-                let mine = sample.at(now).iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
                 let at = now + u32::from(late) + wait(link);
-                mine.for_each(|c| link.deliver(c, at, &mut arrivals[link.target]));
-            }
-            spikes.clear();
+                channels.iter().for_each(|&c| link.deliver(c, at, &mut arrivals[link.target]));
+            });
             let slot = now as usize % self.slots;
             for (index, state) in states.iter_mut().enumerate() {
                 let Some(state) = state else { continue };
@@ -459,7 +464,7 @@ impl StagedNetwork {
                 let first = self.populations[index].first;
                 if now >= state.start_step {
                     state.step(sums, |neuron| {
-                        spikes.push((index, neuron));
+                        firing.add(index, neuron);
                         trace.trains[(first + neuron) as usize].push(now);
                     });
                 }
@@ -474,13 +479,50 @@ impl StagedNetwork {
                     trace.deciding.push(state.potentials().to_vec());
                 }
             }
-            for link in links.iter().filter(|link| !link.restores || stage.has(Cause::HardReset)) {
-                for &(_, neuron) in spikes.iter().filter(|(population, _)| *population == link.source) {
-                    link.deliver(neuron, now + 1 + wait(link), &mut arrivals[link.target]);
+            firing.for_each_link(|link, neurons| {
+                if !link.restores || stage.has(Cause::HardReset) {
+                    let at = now + 1 + wait(link);
+                    neurons.iter().for_each(|&neuron| link.deliver(neuron, at, &mut arrivals[link.target]));
                 }
-            }
+            });
         }
         trace
+    }
+}
+
+/// The units that spike, by population, and the links that they spike into.
+struct Firing<'l> {
+    links: &'l [Link],
+    /// Indices of the links from each population.
+    from: Vec<Vec<usize>>,
+    units: Vec<Vec<u32>>,
+    /// Populations with a unit that spikes.
+    populations: Vec<usize>,
+}
+
+impl<'l> Firing<'l> {
+    fn new(links: &'l [Link], populations: usize) -> Self {
+        let mut from = vec![Vec::new(); populations];
+        links.iter().enumerate().for_each(|(index, link)| from[link.source].push(index));
+        Firing { links, from, units: vec![Vec::new(); populations], populations: Vec::new() }
+    }
+
+    fn add(&mut self, population: usize, unit: u32) {
+        if self.units[population].is_empty() {
+            self.populations.push(population);
+        }
+        self.units[population].push(unit);
+    }
+
+    /// Calls `deliver` with each link and the units of its source that spike, and forgets them. The
+    /// links are in their order, as sums of real numbers depend on it.
+    fn for_each_link(&mut self, mut deliver: impl FnMut(&Link, &[u32])) {
+        let mut active: Vec<usize> = self.populations.iter().flat_map(|&source| &self.from[source]).copied().collect();
+        active.sort_unstable();
+        for link in active.into_iter().map(|index| &self.links[index]) {
+            deliver(link, &self.units[link.source]);
+        }
+        self.populations.drain(..).for_each(|source| self.units[source].clear());
     }
 }
 

@@ -160,33 +160,14 @@ fn path_error(path: &str, message: &str) -> Diagnostic {
 /// # Errors
 /// `set.path`.
 pub fn model(source: SourceText) -> Result<SourceText> {
-    let mut text: Option<String> = None;
     let changes = changes(None);
-    for (path, value) in &changes {
-        let before = text.as_deref().unwrap_or(source.text());
-        text = Some(locate::replaced(before, path, value).map_err(|message| path_error(path, &message))?);
+    if changes.is_empty() {
+        return Ok(source);
     }
-    Ok(match text {
-        Some(text) => {
-            check_applied(&text, &changes, "")?;
-            SourceText::new(source.path(), text)
-        }
-        None => source,
-    })
-}
-
-/// Checks that the text that all changes made has each change, unless a later one has its path.
-///
-/// # Errors
-/// `set.path` for two paths of one field, or of a field and a value that contains it.
-fn check_applied(text: &str, changes: &[(String, String)], before: &str) -> Result<()> {
-    for (number, (path, value)) in changes.iter().enumerate() {
-        let again = changes[number + 1..].iter().any(|(later, _)| later == path);
-        if !again && locate::value(text, path) != Some(value) {
-            return Err(path_error(&format!("{before}{path}"), "another --set changes the same field"));
-        }
-    }
-    Ok(())
+    let pairs: Vec<(&str, &str)> = changes.iter().map(|(path, value)| (path.as_str(), value.as_str())).collect();
+    let text = locate::all_replaced(source.text(), &pairs);
+    let text = text.map_err(|(number, problem)| path_error(pairs[number].0, &problem))?;
+    Ok(SourceText::new(source.path(), text))
 }
 
 /// The changed fields of the target, as text of a target file; `None` without changes.
@@ -194,30 +175,33 @@ fn check_applied(text: &str, changes: &[(String, String)], before: &str) -> Resu
 /// # Errors
 /// `set.path`.
 pub fn target_fields() -> Result<Option<String>> {
-    let mut text = "Target()".to_string();
     let mut changes = changes(Some("target"));
-    for (path, value) in &mut changes {
+    for (path, _) in &mut changes {
         // A name that is not a limit of a resource is a pool's.
         let is_pool = |name: &&str| !name.contains('.') && *name != "pools" && !Limits::NAMES.contains(name);
         if let Some(name) = path.strip_prefix("limits.").filter(is_pool) {
             *path = format!("limits.pools.{name}");
         }
-        text = with_parents(text, path, value).map_err(|message| path_error(&format!("target.{path}"), &message))?;
     }
-    check_applied(&text, &changes, "target.")?;
+    let text = with_parents("Target()", &changes)
+        .map_err(|(number, message)| path_error(&format!("target.{}", changes[number].0), &message))?;
     let fields = text.strip_prefix("Target(").and_then(|text| text.strip_suffix(')'));
     Ok(fields.filter(|_| !changes.is_empty()).map(str::to_string))
 }
 
-/// Sets the value at a path and adds absent parents.
-fn with_parents(mut text: String, path: &str, value: &str) -> Result<String, String> {
-    for (at, _) in path.match_indices('.') {
-        let parent = &path[..at];
-        if locate::value(&text, parent).is_none() {
-            text = locate::replaced(&text, parent, "()")?;
+/// Sets the value at each path and adds absent parents.
+fn with_parents(text: &str, changes: &[(String, String)]) -> Result<String, (usize, String)> {
+    let mut text = text.to_string();
+    for (number, (path, _)) in changes.iter().enumerate() {
+        for (at, _) in path.match_indices('.') {
+            let parent = &path[..at];
+            if locate::value(&text, parent).is_none() {
+                text = locate::replaced(&text, parent, "()").map_err(|message| (number, message))?;
+            }
         }
     }
-    locate::replaced(&text, path, value)
+    let pairs: Vec<(&str, &str)> = changes.iter().map(|(path, value)| (path.as_str(), value.as_str())).collect();
+    locate::all_replaced(&text, &pairs)
 }
 
 /// Replaces the constants that are set.
@@ -254,13 +238,13 @@ mod tests {
 
     #[test]
     fn parents_are_made_where_they_are_absent() {
-        let one = with_parents("Target()".to_string(), "limits.axons_out", "8192").unwrap();
-        assert_eq!(one, "Target( limits: ( axons_out: 8192))");
-        let two = with_parents(one, "limits.axons_in", "7").unwrap();
-        assert_eq!(two, "Target( limits: ( axons_out: 8192, axons_in: 7))");
-        let three = with_parents(two, "chips_x", "2").unwrap();
-        assert_eq!(three, "Target( limits: ( axons_out: 8192, axons_in: 7), chips_x: 2)");
-        assert!(with_parents(three, "chips_x.y", "2").is_err());
+        let change = |path: &str, value: &str| (path.to_string(), value.to_string());
+        let mut changes = vec![change("limits.axons_out", "8192")];
+        assert_eq!(with_parents("Target()", &changes).unwrap(), "Target( limits: ( axons_out: 8192))");
+        changes.extend([change("limits.axons_in", "7"), change("chips_x", "2")]);
+        let three = "Target( limits: ( axons_out: 8192, axons_in: 7), chips_x: 2)";
+        assert_eq!(with_parents("Target()", &changes).unwrap(), three);
+        assert_eq!(with_parents(three, &[change("chips_x.y", "2")]).unwrap_err().0, 0);
     }
 
     #[test]

@@ -371,7 +371,7 @@ impl Lowering<'_> {
         };
         let sources: Vec<NodeIndex> = desc.from.iter().enumerate().map(source).collect::<Result<_, _>>()?;
         for (index, &node) in sources.iter().enumerate() {
-            self.check_sends(&graph[node], &desc.to, self.at(span, &format!("from.[{index}]")))?;
+            self.check_sends(&graph[node], &desc.to, || self.at(span, &format!("from.[{index}]")))?;
         }
         let declared = ProjectionLowering {
             lowering: self,
@@ -397,7 +397,7 @@ impl Lowering<'_> {
 
     /// Refuses a source that only integrates: its thresholds are the greatest, so it never spikes,
     /// and a core sends nothing but spikes.
-    fn check_sends(&self, source: &Population, target: &str, place: Span) -> Result<(), Diagnostic> {
+    fn check_sends(&self, source: &Population, target: &str, place: impl Fn() -> Span) -> Result<(), Diagnostic> {
         let PopulationKind::Neurons(parameters) = &source.kind else { return Ok(()) };
         let greatest = f64::from(ThresholdMantissa::MAX.get());
         let never = |values: &Values| values.each.values().iter().all(|&threshold| threshold == greatest);
@@ -409,7 +409,7 @@ impl Lowering<'_> {
             source.name
         );
         Err(self
-            .error("model.cannot-send", message, place)
+            .error("model.cannot-send", message, place())
             .help("remove the projection, or give the target a current of its own (du) in place of the integrator"))
     }
 
@@ -425,19 +425,17 @@ impl Lowering<'_> {
         let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
         let firsts = sizes.iter().scan(0, |next, &size| Some(std::mem::replace(next, *next + size)));
         let firsts: Vec<u32> = firsts.collect();
-        let of_source = |(&first, &size): (&u32, &u32)| match &whole {
-            ProjectionKind::Sparse { synapses } => ProjectionKind::Sparse {
-                synapses: synapses
-                    .iter()
-                    .filter(|s| (first..first + size).contains(&s.0))
-                    .map(|&(from, to, weight, entry)| (from - first, to, weight, entry))
-                    .collect(),
-            },
-            other => other.clone(),
-        };
-        let kinds = match sources.len() {
-            1 => vec![whole],
-            _ => firsts.iter().zip(&sizes).map(of_source).collect(),
+        let kinds = match whole {
+            ProjectionKind::Sparse { synapses } if sources.len() > 1 => {
+                let mut by_source = vec![Vec::new(); sources.len()];
+                for (from, to, weight, entry) in synapses {
+                    // Of populations that begin at one source, all but the last are empty.
+                    let place = firsts.partition_point(|&first| first <= from) - 1;
+                    by_source[place].push((from - firsts[place], to, weight, entry));
+                }
+                by_source.into_iter().map(|synapses| ProjectionKind::Sparse { synapses }).collect()
+            }
+            whole => vec![whole; sources.len()],
         };
         // A default value has no place in the file.
         let given = |is_given: bool, path: &str| if is_given { self.at(span, path) } else { Span::default() };

@@ -7,7 +7,9 @@
 use std::fmt;
 use std::sync::Arc;
 
+use petgraph::Direction;
 use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
+use petgraph::visit::EdgeRef;
 use serde::{Deserialize, Serialize};
 
 use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
@@ -451,8 +453,10 @@ impl Graph {
 
     /// Projections into a population in the order of the file, with their sources.
     pub fn incoming(&self, node: NodeIndex) -> impl Iterator<Item = (NodeIndex, &Projection)> {
-        let into = self.projections().filter(move |(_, _, target, _)| *target == node);
-        into.map(|(_, source, _, projection)| (source, projection))
+        // petgraph lists the last first.
+        let mut into: Vec<_> = self.graph.edges_directed(node, Direction::Incoming).collect();
+        into.sort_unstable_by_key(|edge| edge.id());
+        into.into_iter().map(|edge| (edge.source(), edge.weight()))
     }
 
     /// The index of each projection's declaration in the file, in the order of the projections. A

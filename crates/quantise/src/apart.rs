@@ -11,11 +11,14 @@
 //! - A negative exponent shifts the sum of each delay separately (`proc/dense/models.py`), over all
 //!   sources of a declaration.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
+
+use petgraph::graph::NodeIndex;
 
 use nsim_ir::base::fixed::{UV_BITS, WeightExponent};
-use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
+use nsim_ir::base::id::{Id, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph::Graph;
+use nsim_ir::neurons::Port;
 use nsim_ir::quantised::connectivity::{Connectivity, SeparateSum};
 use nsim_ir::quantised::{Population, Projection};
 use nsim_ir::spikes::Message;
@@ -32,8 +35,8 @@ pub(crate) fn loses_bits(projection: &Projection) -> bool {
     exponent < WeightExponent::ZERO && !projection.connectivity.all_multiples_of(exponent.lost())
 }
 
-/// Assigns separate sums to the projections into a population that need them; returns the number of
-/// shifted sums, `None` where no projection needs one.
+/// Assigns separate sums to those of the projections `into` a population that need them; returns
+/// the number of shifted sums, `None` where no projection needs one.
 ///
 /// # Errors
 /// When a compartment would have more than [`SeparateSum::MOST`] sums.
@@ -41,21 +44,22 @@ pub(crate) fn assign(
     graph: &Graph,
     populations: &IdVec<PopulationId, Population>,
     projections: &mut IdVec<ProjectionId, Projection>,
-    target: PopulationId,
+    into: &[ProjectionId],
 ) -> Result<Option<usize>, TooMany> {
-    let convolutions = wrapping(populations, projections, target);
-    let mut shifted = declared(graph, projections, target);
-    shifted.iter_mut().for_each(|group| group.retain(|id| !convolutions.iter().flatten().any(|other| other == id)));
+    let convolutions = wrapping(populations, projections, into);
+    let wrapped: BTreeSet<ProjectionId> = convolutions.iter().flatten().copied().collect();
+    let mut shifted = declared(graph, projections, into);
+    shifted.iter_mut().for_each(|group| group.retain(|id| !wrapped.contains(id)));
     shifted.retain(|group| !group.is_empty());
-    if convolutions.is_empty() && one_shift_does(projections, target) {
+    if convolutions.is_empty() && one_shift_does(projections, into) {
         return Ok(None);
     }
     let wraps = convolutions.len();
     let groups: Groups = convolutions.into_iter().chain(shifted).collect();
-    let own = |id: ProjectionId| groups.iter().position(|group| group.contains(&id));
-    let into = projections.enumerate().filter(|(_, projection)| projection.target == target);
-    let sums = into.map(|(id, projection)| {
-        let number = own(id);
+    let members = groups.iter().enumerate().flat_map(|(number, group)| group.iter().map(move |&id| (id, number)));
+    let own: BTreeMap<ProjectionId, usize> = members.collect();
+    let sums = into.iter().map(|&id| {
+        let (projection, number) = (&projections[id], own.get(&id));
         (projection.format.port, number, number.map(|_| projection.delay))
     });
     let sums = sums.collect::<BTreeSet<_>>().len();
@@ -74,10 +78,10 @@ pub(crate) fn assign(
 fn wrapping(
     populations: &IdVec<PopulationId, Population>,
     projections: &IdVec<ProjectionId, Projection>,
-    target: PopulationId,
+    into: &[ProjectionId],
 ) -> Groups {
     let mut groups: Vec<(_, Vec<ProjectionId>, Vec<u64>)> = Vec::new();
-    for (id, projection) in projections.enumerate().filter(|(_, projection)| projection.target == target) {
+    for (id, projection) in into.iter().map(|&id| (id, &projections[id])) {
         let Connectivity::Conv2d { window, kernel } = &projection.connectivity else { continue };
         let (format, most) = (projection.format, greatest(populations[projection.source].message));
         let exponent = format.exponent.get();
@@ -104,15 +108,16 @@ fn greatest(message: Message) -> u64 {
 }
 
 /// Projections into a population whose weights lose bits, grouped by declaration and delay.
-fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, target: PopulationId) -> Groups {
+fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, into: &[ProjectionId]) -> Groups {
     let mut groups = Groups::new();
+    let Some(target) = into.first().map(|&id| NodeIndex::new(projections[id].target.index())) else { return groups };
     let mut last = None;
-    for ((id, projection), (.., declared)) in projections.enumerate().zip(graph.projections()) {
-        // Sources of a declaration are consecutive, the first at 0.
+    for (&id, (_, declared)) in into.iter().zip(graph.incoming(target)) {
+        // Sources of a declaration are consecutive, the first at 0; they have one target.
         if declared.first_source == 0 {
             last = None;
         }
-        if projection.target == target && loses_bits(projection) {
+        if loses_bits(&projections[id]) {
             let place = *last.get_or_insert_with(|| {
                 groups.push(Vec::new());
                 groups.len() - 1
@@ -125,12 +130,11 @@ fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, target
 
 /// Whether one shift of each sum of a population suffices for all its projections: at most one
 /// loses bits at each port, and the exponents of all can be raised by as much.
-pub(crate) fn one_shift_does(projections: &IdVec<ProjectionId, Projection>, target: PopulationId) -> bool {
-    let into = || projections.iter().filter(move |projection| projection.target == target);
-    let exponents = || into().map(|projection| projection.format.exponent.get());
-    let lossy: Vec<_> = into().filter(|projection| loses_bits(projection)).map(|p| p.format).collect();
+pub(crate) fn one_shift_does(projections: &IdVec<ProjectionId, Projection>, into: &[ProjectionId]) -> bool {
+    let formats = || into.iter().map(|&id| &projections[id]);
+    let lossy: Vec<_> = formats().filter(|projection| loses_bits(projection)).map(|p| p.format).collect();
     let least = lossy.iter().map(|format| format.exponent.get()).min().unwrap_or(0);
-    let several = lossy.iter().any(|format| lossy.iter().filter(|other| other.port == format.port).count() > 1);
-    let raised = i64::from(exponents().max().unwrap_or(least)) - i64::from(least);
-    !several && raised <= WeightExponent::MAX.get().into()
+    let ports: BTreeSet<Port> = lossy.iter().map(|format| format.port).collect();
+    let greatest = formats().map(|projection| projection.format.exponent.get()).max().unwrap_or(least);
+    ports.len() == lossy.len() && i64::from(greatest) - i64::from(least) <= WeightExponent::MAX.get().into()
 }

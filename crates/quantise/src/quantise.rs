@@ -196,7 +196,9 @@ impl Stage<'_> {
         projections: &mut IdVec<ProjectionId, Projection>,
     ) -> Result<()> {
         let lava = self.graph.facts().semantics == Semantics::Lava;
-        for target in populations.ids() {
+        let mut by_target: IdVec<PopulationId, Vec<ProjectionId>> = populations.iter().map(|_| Vec::new()).collect();
+        projections.enumerate().for_each(|(id, projection)| by_target[projection.target].push(id));
+        for (target, into) in by_target.enumerate() {
             let population = &populations[target];
             let Units::Compartments { neurons, .. } = &population.units else { continue };
             let (name, whole) = (population.name.clone(), neurons.any(|neuron| !neuron.kind.table().registers));
@@ -205,7 +207,7 @@ impl Stage<'_> {
                 Err(self.error("model.semantics", format!("population '{name}': {message}"), span).help(help))
             };
             if whole {
-                match apart::assign(self.graph, populations, projections, target) {
+                match apart::assign(self.graph, populations, projections, into) {
                     Ok(None) => {}
                     Ok(Some(0)) => continue,
                     Ok(Some(shifted)) => {
@@ -223,10 +225,10 @@ impl Stage<'_> {
                     }
                 }
             }
-            let is_lossy = |p: &&Projection| p.target == target && apart::loses_bits(p);
-            let exponents = projections.iter().filter(is_lossy).map(|p| p.format.exponent.get());
+            let lossy = into.iter().map(|&id| &projections[id]).filter(|projection| apart::loses_bits(projection));
+            let exponents = lossy.map(|projection| projection.format.exponent.get());
             let Some(exponent) = exponents.min().filter(|_| lava || whole) else { continue };
-            if !apart::one_shift_does(projections, target) {
+            if !apart::one_shift_does(projections, into) {
                 let message = format!(
                     "lava shifts sums, so at most one projection into it may have a negative weight_exp that drops \
                      bits of weights; the others may exceed it by at most {}",
@@ -241,9 +243,10 @@ impl Stage<'_> {
                 *neurons = neurons.try_map(shifted)?;
             }
             self.note(&name, format!("input is shifted by {} bits in total, as in lava", -exponent));
-            for projection in projections.iter_mut().filter(|projection| projection.target == target) {
-                let raised = i64::from(projection.format.exponent.get() - exponent);
-                projection.format.exponent = WeightExponent::new(raised)
+            for &id in into {
+                let format = &mut projections[id].format;
+                let raised = i64::from(format.exponent.get() - exponent);
+                format.exponent = WeightExponent::new(raised)
                     .map_err(|e| self.error("model.synapse-format", e.to_string(), Span::default()))?;
             }
         }

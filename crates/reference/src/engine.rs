@@ -64,6 +64,9 @@ struct Projection<F> {
 #[derive(Debug)]
 pub struct Model<F> {
     populations: Vec<Population>,
+    /// Indices of the populations without and with compartments.
+    inputs: Vec<usize>,
+    layers: Vec<usize>,
     /// Projections by source population.
     projections: Vec<Vec<Projection<F>>>,
     channels: u32,
@@ -124,7 +127,20 @@ impl<F: Real> Model<F> {
             });
         }
         let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
-        Ok(Model { populations, projections, channels, compartments, options, test: facts.threshold, reset, slots })
+        let is_input = |&index: &usize| matches!(populations[index].kind, Kind::Input);
+        let (inputs, layers) = (0..populations.len()).partition(is_input);
+        Ok(Model {
+            populations,
+            inputs,
+            layers,
+            projections,
+            channels,
+            compartments,
+            options,
+            test: facts.threshold,
+            reset,
+            slots,
+        })
     }
 
     /// Number of input channels.
@@ -133,11 +149,17 @@ impl<F: Real> Model<F> {
     }
 
     fn at(&self, compartment: CompartmentId) -> (usize, usize) {
-        let found = self.populations.iter().enumerate().find_map(|(index, population)| {
-            let within = compartment.0.checked_sub(population.first)?;
-            (!matches!(population.kind, Kind::Input) && within < population.count).then_some((index, within as usize))
-        });
-        found.expect("compartments are numbered over the populations")
+        let (index, within) =
+            self.unit(&self.layers, compartment.0).expect("compartments are numbered over the populations");
+        (index, within as usize)
+    }
+
+    /// The population among some, in the order of their units, that has a unit; and its index there.
+    fn unit(&self, among: &[usize], number: u32) -> Option<(usize, u32)> {
+        let after = among.partition_point(|&index| self.populations[index].first <= number);
+        let index = among[after.checked_sub(1)?];
+        let Population { first, count, .. } = self.populations[index];
+        (number - first < count).then_some((index, number - first))
     }
 }
 
@@ -255,11 +277,10 @@ impl<F: Real> Engine for Reference<'_, F> {
 
     fn step(&mut self, input: Spikes<'_>) {
         let model = self.model;
-        let inputs = model.populations.iter().enumerate().filter(|(_, p)| matches!(p.kind, Kind::Input));
-        for (population, of) in inputs {
-            let mine = input.ids.iter().filter_map(|c| c.0.checked_sub(of.first)).filter(|&c| c < of.count);
-            mine.for_each(|index| self.send(population, index));
-        }
+        let mut channels: Vec<(usize, u32)> = input.ids.iter().filter_map(|c| model.unit(&model.inputs, c.0)).collect();
+        // Sums of real numbers depend on the order.
+        channels.sort_by_key(|(population, _)| *population);
+        channels.into_iter().for_each(|(population, index)| self.send(population, index));
         self.spikes.clear();
         let slot = self.step as usize % model.slots;
         for (index, population) in model.populations.iter().enumerate() {

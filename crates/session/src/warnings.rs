@@ -4,7 +4,7 @@
 //! the populations. For a silent population, the samples with most spikes run again. They measure
 //! the share of the threshold that it reached, which gives the change to make.
 
-use std::collections::{BTreeSet, HashSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 use crate::populations::{CountsByPopulation, PopulationCounts};
@@ -94,6 +94,7 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
     let spiking: HashSet<&str> =
         counted_spikes.filter(|&(_, spikes)| spikes > 0).map(|(name, _)| name.as_str()).collect();
     let (nearest, first) = (nearest(run, &silent), first_overflow(run));
+    let rounded = rounded_notes(network);
     for &(id, row) in &rows {
         let is_output = id == network.parts().output;
         let by_potential = is_output && network.parts().decision != ReadOut::Spikes;
@@ -135,7 +136,7 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
             add(WarningCode::Wrapped, message);
         }
         if !matches!(run.engine, RunEngine::Reals)
-            && let Some(message) = rounding_message(network, id)
+            && let Some(message) = rounding_message(network, &rounded, id)
         {
             add(WarningCode::WeightsRounded, message);
         }
@@ -363,16 +364,30 @@ pub fn clipping_advice(network: &Quantised, id: PopulationId) -> String {
     if narrow { "raise vmax_exp".to_string() } else { HALVE.to_string() }
 }
 
-/// Returns a message on the projections into a population whose weights were all rounded.
-fn rounding_message(network: &Quantised, id: PopulationId) -> Option<String> {
+/// Notes on projections whose weights were all rounded coarsely, by name, with their places.
+type RoundedNotes<'n> = HashMap<&'n str, Vec<(usize, &'n Note)>>;
+
+/// Returns the notes on projections whose weights were all rounded.
+fn rounded_notes(network: &Quantised) -> RoundedNotes<'_> {
     // Real weights are hardly ever multiples of a step, so the size of the steps counts. The network
     // has warnings of changed integers.
-    let whole = |note: &&Note| {
+    let is_whole = |note: &Note| {
         note.rounded
             .is_some_and(|rounded| rounded.changed == rounded.weights && rounded.real && rounded.worst_share > COARSE)
     };
-    let leads_here = |note: &&Note| network.incoming(id).any(|(_, projection)| projection.name == note.entity);
-    let notes: Vec<&Note> = network.parts().notes.iter().filter(whole).filter(leads_here).collect();
+    let mut notes = RoundedNotes::new();
+    for (place, note) in network.parts().notes.iter().enumerate().filter(|(_, note)| is_whole(note)) {
+        notes.entry(&note.entity).or_default().push((place, note));
+    }
+    notes
+}
+
+/// Returns a message on the projections into a population whose weights were all rounded.
+fn rounding_message(network: &Quantised, rounded: &RoundedNotes<'_>, id: PopulationId) -> Option<String> {
+    let names: BTreeSet<&str> = network.incoming(id).map(|(_, projection)| projection.name.as_str()).collect();
+    let by_place: BTreeMap<usize, &Note> =
+        names.iter().filter_map(|name| rounded.get(name)).flatten().copied().collect();
+    let notes: Vec<&Note> = by_place.into_values().collect();
     let all = notes.iter().filter_map(|note| note.rounded);
     let worst = notes.iter().copied().zip(all.clone()).max_by(|a, b| a.1.worst_share.total_cmp(&b.1.worst_share))?;
     if worst.1.worst_share > 0.999 {

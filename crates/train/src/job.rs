@@ -37,14 +37,11 @@ pub fn training_text(argument: &str) -> Result<SourceText> {
 /// # Errors
 /// `set.path` when the file has no such field.
 pub fn with_fields(source: &SourceText, fields: &[(&str, &str)]) -> Result<SourceText> {
-    let mut text = source.text().to_string();
-    for (path, value) in fields {
-        text = locate::replaced(&text, path, value).map_err(|problem| {
-            Diagnostic::new("set.path", format!("{path}: {problem}")).in_file(source.path()).help(
-                "a path is a field, or the name of an input or layer and its field, such as layers.out.size or epochs",
-            )
-        })?;
-    }
+    let text = locate::all_replaced(source.text(), fields).map_err(|(number, problem)| {
+        Diagnostic::new("set.path", format!("{}: {problem}", fields[number].0)).in_file(source.path()).help(
+            "a path is a field, or the name of an input or layer and its field, such as layers.out.size or epochs",
+        )
+    })?;
     Ok(SourceText::new(source.path(), text))
 }
 

@@ -2,8 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use super::{Network, NetworkFile, Parameter, ProjectionDesc, ProjectionKind, Weights, place, tensor};
+use super::{Network, NetworkFile, Parameter, ProjectionDesc, ProjectionKind, Weights, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::locate::items;
 
 fn seeded(what: &str) -> Diagnostic {
     Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
@@ -27,6 +28,7 @@ impl Network {
         }
         let sizes: BTreeMap<&str, u64> = model.populations.iter().map(|p| (p.name.as_str(), p.units())).collect();
         let size = |name: &String| sizes.get(name.as_str()).copied().unwrap_or(0);
+        let declared = items(self.source().text(), "projections");
         let mut projections = Vec::new();
         for (index, mut projection) in std::mem::take(&mut model.projections).into_iter().enumerate() {
             match &mut projection.kind {
@@ -37,7 +39,7 @@ impl Network {
                 ProjectionKind::Random { .. } => return Err(seeded("a Random projection")),
                 ProjectionKind::Arrays(arrays) => {
                     let sources = projection.from.iter().map(size).sum();
-                    let declared = place(self.source(), &format!("projections.[{index}]"));
+                    let declared = declared.get(index).copied().unwrap_or_default();
                     let stored = |array| self.array(array);
                     let sizes = (sources, size(&projection.to));
                     for (delay, listed) in arrays.read(stored, (self.source(), declared), sizes)? {

@@ -47,7 +47,7 @@
 //!
 //! [`packing::words_as`]: crate::resources::packing::words_as
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 use crate::resources::sorted_synapses::{self, Key};
 use nsim_ir::base::id::PopulationId;
@@ -127,21 +127,23 @@ pub struct Places {
     required: bool,
 }
 
-/// Whether the sources of a population are grouped into population axons because a target of dense
-/// projections has more sources than a core has input axons. Each source keeps its own list, so
-/// only input axons are saved.
-fn shares_inputs(network: &Quantised, id: PopulationId, limits: &Limits) -> bool {
-    let is_dense = |p: &Projection| matches!(p.connectivity, Connectivity::Dense { .. });
-    let outgoing = || network.outgoing(id).iter().map(|&p| &network.projections()[p]);
-    let too_many = |target: PopulationId| {
-        let into = network.incoming(target).map(|(_, p)| p).filter(|p| is_dense(p));
-        let sources: u64 = into.map(|p| u64::from(network.populations()[p.source].shape.len())).sum();
-        (u64::from(limits[Resource::AxonsIn]) + 1..=MOST_NUMBERED).contains(&sources)
-    };
-    network.parts().gathers
-        && matches!(limits.output_axons, OutputAxons::PerPosition { .. })
-        && outgoing().all(is_dense)
-        && outgoing().any(|p| too_many(p.target))
+fn is_dense(projection: &Projection) -> bool {
+    matches!(projection.connectivity, Connectivity::Dense { .. })
+}
+
+/// Populations whose dense projections have more sources than a core has input axons, where such
+/// sources are grouped into population axons. Each source keeps its own list, so only input axons
+/// are saved.
+fn crowded_targets(network: &Quantised, limits: Option<&Limits>) -> BTreeSet<PopulationId> {
+    let per_position = |limits: &&Limits| matches!(limits.output_axons, OutputAxons::PerPosition { .. });
+    let Some(limits) = limits.filter(per_position).filter(|_| network.parts().gathers) else { return BTreeSet::new() };
+    let mut sources: BTreeMap<PopulationId, u64> = BTreeMap::new();
+    for projection in network.projections().iter().filter(|projection| is_dense(projection)) {
+        *sources.entry(projection.target).or_default() +=
+            u64::from(network.populations()[projection.source].shape.len());
+    }
+    let too_many = u64::from(limits[Resource::AxonsIn]) + 1..=MOST_NUMBERED;
+    sources.into_iter().filter(|(_, sources)| too_many.contains(sources)).map(|(target, _)| target).collect()
 }
 
 impl Places {
@@ -160,11 +162,16 @@ impl Places {
     fn with_limits(network: &Quantised, limits: Option<&Limits>) -> Self {
         let mut places = Places::default();
         let mut next = 0;
+        let crowded = crowded_targets(network, limits);
         for (id, population) in network.populations().enumerate() {
-            let sends = network.outgoing(id).iter().any(|&p| network.projections()[p].connectivity.window().is_some());
+            let mut outgoing = network.outgoing(id).iter().map(|&p| &network.projections()[p]);
+            let sends = outgoing.clone().any(|p| p.connectivity.window().is_some());
+            let is_grouped = !crowded.is_empty()
+                && outgoing.clone().all(is_dense)
+                && outgoing.any(|projection| crowded.contains(&projection.target));
             let positions = match population.shape.volume() {
                 Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => height * width,
-                _ if limits.is_some_and(|limits| shares_inputs(network, id, limits)) => {
+                _ if is_grouped => {
                     places.required = true;
                     population.shape.len().div_ceil(MOST_ATOMS.into())
                 }

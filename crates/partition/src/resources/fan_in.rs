@@ -90,8 +90,49 @@ impl Transposed {
     }
 }
 
+/// Synapses into a population from projections that reach few of its compartments, by target. They
+/// have one index, because one for each projection would grow with projections times compartments.
+#[derive(Debug)]
+struct Gathered {
+    /// Index of each target's first synapse, and the end.
+    first: Vec<u64>,
+    /// Place of the projection among those into the population, and source; ascending.
+    synapses: Vec<(u32, u32)>,
+}
+
+impl Gathered {
+    /// The index of these projections, which stand at these places.
+    fn new(network: &Quantised, projections: &[(u32, ProjectionId)], targets: u32) -> Self {
+        let mut found: Vec<(u32, u32, u32)> = Vec::new();
+        for &(place, id) in projections {
+            let projection = &network.projections()[id];
+            for source in 0..network.populations()[projection.source].shape.len() {
+                projection.connectivity.for_each_target(source, |target| found.push((target, place, source)));
+            }
+        }
+        found.sort_unstable();
+        let first = (0..=targets).map(|target| found.partition_point(|synapse| synapse.0 < target) as u64).collect();
+        Gathered { first, synapses: found.into_iter().map(|(_, place, source)| (place, source)).collect() }
+    }
+
+    fn into_target(&self, target: u32) -> &[(u32, u32)] {
+        &self.synapses[self.first[target as usize] as usize..self.first[target as usize + 1] as usize]
+    }
+}
+
+/// The projections into a population.
+#[derive(Debug)]
+struct Incoming {
+    /// All, in the order of the file.
+    all: Vec<ProjectionId>,
+    /// Places of those that have an index of their own.
+    whole: Vec<u32>,
+    /// The index of the others.
+    gathered: Option<Arc<Gathered>>,
+}
+
 /// Key of projections that share an index.
-#[derive(PartialEq, Eq, Hash)]
+#[derive(Clone, PartialEq, Eq, Hash)]
 enum Key {
     Listed { list: (usize, usize), sources: u32, targets: u32 },
     Random { targets: u32, fan_out: u32, seed: u64, first_source: u32, sources: u32 },
@@ -110,12 +151,14 @@ enum Backwards {
     },
     Pool(Window),
     Listed(Arc<Transposed>),
+    /// Its synapses are in the population's common index.
+    Gathered,
 }
 
 /// A network, transposed.
 #[derive(Debug)]
 pub struct FanIn {
-    incoming: IdVec<PopulationId, Vec<ProjectionId>>,
+    incoming: IdVec<PopulationId, Incoming>,
     projections: IdVec<ProjectionId, (u32, Backwards)>,
     stored: OnceLock<StoredSynapses>,
 }
@@ -125,10 +168,17 @@ impl FanIn {
     pub fn new(network: &Quantised) -> Self {
         let mut known: HashMap<Key, Arc<Transposed>> = HashMap::new();
         let mut projections = IdVec::new();
-        for projection in network.projections() {
+        // Projections into each population that share an index.
+        let mut gathered: HashMap<PopulationId, Vec<(ProjectionId, Key)>> = HashMap::new();
+        for (id, projection) in network.projections().enumerate() {
             let source = &network.populations()[projection.source];
             let (sources, targets) = (source.shape.len(), network.populations()[projection.target].shape.len());
-            let mut listed = |key| {
+            let few = network.synapses_of(id) < u64::from(targets);
+            let mut listed = |key: Key| {
+                if few {
+                    gathered.entry(projection.target).or_default().push((id, key));
+                    return Backwards::Gathered;
+                }
                 let index = || Arc::new(Transposed::new(&projection.connectivity, sources, targets));
                 Backwards::Listed(known.entry(key).or_insert_with(index).clone())
             };
@@ -148,8 +198,25 @@ impl FanIn {
             };
             projections.push((network.first_source(source), backwards));
         }
-        let incoming = |id| network.incoming(id).map(|(id, _)| id).collect();
-        let incoming = network.populations().ids().map(incoming).collect();
+        let mut known: HashMap<Vec<(u32, Key)>, Arc<Gathered>> = HashMap::new();
+        let mut incoming = |(population, of): (PopulationId, &Population)| {
+            let all: Vec<ProjectionId> = network.incoming(population).map(|(id, _)| id).collect();
+            let mut keys = gathered.remove(&population).unwrap_or_default().into_iter().peekable();
+            let (mut whole, mut few, mut of_few) = (Vec::new(), Vec::new(), Vec::new());
+            for (&id, place) in all.iter().zip(0..) {
+                match keys.next_if(|(of, _)| *of == id) {
+                    Some((_, key)) => {
+                        few.push((place, id));
+                        of_few.push((place, key));
+                    }
+                    None => whole.push(place),
+                }
+            }
+            let index = || Arc::new(Gathered::new(network, &few, of.shape.len()));
+            let gathered = (!few.is_empty()).then(|| known.entry(of_few).or_insert_with(index).clone());
+            Incoming { all, whole, gathered }
+        };
+        let incoming = network.populations().enumerate().map(&mut incoming).collect();
         FanIn { incoming, projections, stored: OnceLock::new() }
     }
 
@@ -167,9 +234,18 @@ impl FanIn {
     pub fn for_each_into(&self, population: PopulationId, index: u32, mut f: impl FnMut(u32, ProjectionId, u64, u32)) {
         // Without a kernel, each synapse is a part of its own.
         let own = |source: u32| u64::from(source) << 32 | u64::from(index);
-        for &id in &self.incoming[population] {
+        let Incoming { all, whole, gathered } = &self.incoming[population];
+        let mut rest = gathered.as_ref().map_or(&[][..], |gathered| gathered.into_target(index));
+        for &place in whole {
+            while let Some((&(before, source), after)) = rest.split_first().filter(|((before, _), _)| *before < place) {
+                let id = all[before as usize];
+                f(self.projections[id].0 + source, id, own(source), 1);
+                rest = after;
+            }
+            let id = all[place as usize];
             let (first, backwards) = &self.projections[id];
             match backwards {
+                Backwards::Gathered => {}
                 Backwards::Dense { sources } => (0..*sources).for_each(|source| f(first + source, id, own(source), 1)),
                 Backwards::Listed(index_of) => {
                     let range = index_of.first[index as usize] as usize..index_of.first[index as usize + 1] as usize;
@@ -194,6 +270,10 @@ impl FanIn {
                     for_each_covered(window, index, channel, |source, _| f(first + source, id, 0, 1));
                 }
             }
+        }
+        for &(place, source) in rest {
+            let id = all[place as usize];
+            f(self.projections[id].0 + source, id, own(source), 1);
         }
     }
 

@@ -1,0 +1,112 @@
+//! Processor time against the size of a model: populations, inputs, sources of one declaration,
+//! projections, kinds.
+
+use std::path::Path;
+use std::process::Command;
+
+/// Sizes whose times are compared, and the greatest ratio of the times. Linear work has a ratio of
+/// 4, quadratic work one of 16.
+const SIZES: [usize; 2] = [4_000, 16_000];
+const MOST: f64 = 7.0;
+/// Time that is too short to compare, seconds.
+const SHORT: f64 = 0.25;
+
+fn list(count: usize, item: impl Fn(usize) -> String) -> String {
+    (0..count).map(item).collect::<Vec<_>>().join(",")
+}
+
+fn neurons(name: &str, count: usize) -> String {
+    format!("Loihi(name:\"{name}\",shape:[{count}],du:4096,dv:0,vth_mant:1)")
+}
+
+/// A model of a size: kinds, populations, projections.
+fn model(what: &str, n: usize) -> String {
+    let (kinds, populations, projections) = match what {
+        "populations" => {
+            let layers = list(n, |i| neurons(&format!("p{i}"), 1));
+            let dense = |i| format!("Dense(from:[\"in\"],to:\"p{i}\",weights:[[200]])");
+            let out = "Dense(from:[\"in\"],to:\"o\",weights:[[200]])";
+            let inputs = "Input(name:\"in\",shape:[1])";
+            (String::new(), format!("{inputs},{layers},{}", neurons("o", 1)), format!("{},{out}", list(n, dense)))
+        }
+        "inputs" => {
+            let inputs = list(n, |i| format!("Input(name:\"i{i}\",shape:[1])"));
+            let dense = |i| format!("Dense(from:[\"i{i}\"],to:\"o\",weights:[[2],[4]])");
+            (String::new(), format!("{inputs},{}", neurons("o", 2)), list(n, dense))
+        }
+        "sources" => {
+            let inputs = list(n, |i| format!("Input(name:\"i{i}\",shape:[1])"));
+            let sparse = format!(
+                "Sparse(from:[{}],to:\"o\",synapses:[{}])",
+                list(n, |i| format!("\"i{i}\"")),
+                list(n, |i| format!("({i},0,2)"))
+            );
+            (String::new(), format!("{inputs},{}", neurons("o", 2)), sparse)
+        }
+        "projections" => {
+            let sparse = |i| format!("Sparse(from:[\"in\"],to:\"o\",synapses:[({},{i},2)])", i % 64);
+            (String::new(), format!("Input(name:\"in\",shape:[64]),{}", neurons("o", n)), list(n, sparse))
+        }
+        _ => {
+            let kind = |i| {
+                format!(
+                    "Kind(name:\"k{i}\",state:[(name:\"v\",bits:24,overflow:Wrap)],update:[\"v = v + in + {i}\"],\
+                     spikes:\"v > 100\",reset:[\"v = 0\"])"
+                )
+            };
+            let layers = list(n, |i| format!("k{i}(name:\"p{i}\",shape:[1])"));
+            let dense = |i| format!("Dense(from:[\"in\"],to:\"p{i}\",weights:[[64]])");
+            (
+                format!("target:\"oheo-gulch\",kinds:[{}],", list(n, kind)),
+                format!("Input(name:\"in\",shape:[1]),{layers},k0(name:\"o\",shape:[1])"),
+                format!("{},Dense(from:[\"in\"],to:\"o\",weights:[[64]])", list(n, dense)),
+            )
+        }
+    };
+    format!(
+        "Network(name:\"g\",timestep_ms:1.0,{kinds}populations:[{populations}],projections:[{projections}],output:\"o\")"
+    )
+}
+
+/// Least processor time of a command, in a process of its own, of some runs.
+fn seconds(folder: &Path, line: &str, status: i32) -> f64 {
+    let program = assert_cmd::cargo::cargo_bin("nsim");
+    let timed = format!("TIMEFORMAT=%U; time '{}' {line} > out 2> err; exit $?", program.display());
+    let mut least = f64::INFINITY;
+    for _ in 0..3 {
+        let output = Command::new("bash").args(["-c", &timed]).current_dir(folder).output().unwrap();
+        assert_eq!(output.status.code(), Some(status), "{line}");
+        least = least.min(String::from_utf8_lossy(&output.stderr).trim().parse().unwrap());
+    }
+    least
+}
+
+#[test]
+#[ignore = "takes minutes; run by .ci/nightly"]
+fn time_is_proportional_to_the_model() {
+    let folder = tempfile::tempdir().unwrap();
+    let input = "--input 'scene:noise?samples=1&steps=10&seed=1&rate=1' --threads 1";
+    let mut failures = Vec::new();
+    for what in ["populations", "inputs", "sources", "projections", "kinds"] {
+        for n in SIZES {
+            std::fs::write(folder.path().join(format!("{n}.ron")), model(what, n)).unwrap();
+        }
+        // Kinds of a model's own have no form in real numbers.
+        let kinds = what == "kinds";
+        let commands = [
+            ("inspect", "", 0),
+            ("map", "--set target.limits.compartments=100000 --set target.limits.axons_in=100000", 0),
+            ("map", "--set target.limits.axons_out=0 --set target.limits.compartments=0", 1),
+            ("run", input, 0),
+            ("agree", input, 0),
+            ("energy", input, 0),
+        ];
+        for (command, options, status) in commands.into_iter().filter(|(name, ..)| !kinds || *name != "agree") {
+            let [few, many] = SIZES.map(|n| seconds(folder.path(), &format!("{command} {n}.ron {options}"), status));
+            if many > MOST * few.max(SHORT / MOST) {
+                failures.push(format!("{what}: {command} {options}: {few} s, {many} s"));
+            }
+        }
+    }
+    assert!(failures.is_empty(), "{}", failures.join("\n"));
+}
