@@ -62,7 +62,7 @@ pub fn sweep_merged(py: Python<'_>, path: PathBuf, text: String, tables: Vec<Str
     let sweep = parsed(py, path, text)?;
     try_detached(py, || {
         let mut whole = Table::new(&sweep);
-        tables.iter().try_for_each(|table| whole.add_csv(table).map(drop))?;
+        tables.iter().try_for_each(|table| whole.add_csv(table, None).map(drop))?;
         whole.check_whole()?;
         Ok::<_, nsim::Error>(whole.csv(None))
     })

@@ -20,6 +20,7 @@ use nsim_files::write::journal::Journal;
 use nsim_report::charts::picture::FILE;
 use nsim_report::sweep as picture;
 use nsim_session::error::Error;
+use nsim_study::sweep::identity;
 use nsim_study::sweep::row::{Cells, place};
 use nsim_study::sweep::table::{Table, checksum_column, from_line, line};
 use nsim_study::sweep::variants::Sweep;
@@ -116,10 +117,15 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let (done, journal) = if args.merge.is_empty() {
         run_variants(args, &sweep, &mut table, journal_path.as_deref(), context)?
     } else {
+        let identity = checksum_column(&work_digest(args, &sweep));
         for path in &args.merge {
             let text = io::text::read_text(path)?;
-            if !table.add_csv(text.text()).map_err(|problem| problem.or_in_file(path))? {
-                tracing::warn!("{} has no checksums, so a changed digit in it is not detected", path.display());
+            if !table.add_csv(text.text(), Some(&identity)).map_err(|problem| problem.or_in_file(path))? {
+                tracing::warn!(
+                    "{} is a whole table without checksums, so changed digits and rows of another model, target, input \
+                     or --set are not detected",
+                    path.display()
+                );
             }
         }
         table.check_whole()?;
@@ -199,8 +205,8 @@ fn variant_arguments(args: &Args) -> impl std::fmt::Debug {
 /// First line of a journal, by which it is identified: the program's version, and a digest of the
 /// part, the sweep, and the size and time of its files, which need not be opened.
 fn journal_header(args: &Args, sweep: &Sweep) -> String {
-    let of_file = |name: &String| {
-        let found = std::fs::metadata(name).ok().filter(std::fs::Metadata::is_file);
+    let of_file = |path: &Path| {
+        let found = std::fs::metadata(path).ok();
         let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
         format!("{:?} {time:?}", found.as_ref().map(std::fs::Metadata::len))
     };
@@ -212,15 +218,17 @@ fn journal_header(args: &Args, sweep: &Sweep) -> String {
 /// sweep, and the content of its files.
 fn work_digest(args: &Args, sweep: &Sweep) -> String {
     let before = format!("{} {:?}", env!("CARGO_PKG_VERSION"), variant_arguments(args));
-    digest(&before, sweep, |name| io::text::sha256_of_file(Path::new(name)).unwrap_or_default())
+    digest(&before, sweep, |path| io::text::sha256_of_file(path).unwrap_or_default())
 }
 
-/// Digest of `before`, a sweep's text, the `--set` changes, and the files that the sweep names. The
-/// version determines shipped files.
-fn digest(before: &str, sweep: &Sweep, of_file: impl Fn(&String) -> String) -> String {
-    let names = sweep.names();
-    let files: Vec<String> = names.iter().map(of_file).collect();
-    io::text::sha256(format!("{:?}", (before, sweep.text(), io::changes::process_changes(), names, files)).as_bytes())
+/// Digest of `before`, a sweep's text, the `--set` changes, and the files of the sweep. The version
+/// determines shipped files.
+fn digest(before: &str, sweep: &Sweep, of_file: impl Fn(&Path) -> String) -> String {
+    // Without the backslashes of quotes within a value.
+    let set = format!("{:?}", io::changes::process_changes()).replace('\\', "");
+    let files = identity::files(sweep, &set);
+    let files: Vec<(&Path, String)> = files.iter().map(|path| (path.as_path(), of_file(path))).collect();
+    io::text::sha256(format!("{:?}", (before, sweep.text(), set, sweep.names(), files)).as_bytes())
 }
 
 fn print_result(

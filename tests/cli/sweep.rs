@@ -336,3 +336,64 @@ fn variants_train_networks_of_their_own() {
         assert!(status == 3 && err.contains(code), "{text}: {err}");
     }
 }
+
+/// Parts of any other sweep: each file that a run reads, and each option that changes a row.
+#[test]
+fn parts_of_another_sweep_are_refused_and_the_target_is_the_model_s_own() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let write = |name: &str, text: &str| std::fs::write(folder.join(name), text).unwrap();
+    let array = |name: &str, weights: [i32; 8]| {
+        nsim::files::npy::write(std::fs::File::create(folder.join(name)).unwrap(), &[2, 4], weights).unwrap();
+    };
+    let model = r#"Network(name: "small", timestep_ms: 1.0, populations: [Input(name: "in", shape: [4]),
+        Loihi(name: "out", shape: [2], du: 1024, dv: [128, 256], vth_mant: 80)], projections: [
+        Dense(from: ["in"], to: "out", weights: Npy("w.npy"))], output: "out", target: "board.ron")"#;
+    let sweep = r#"Sweep(model: "m.ron", input: ["in=spikes.csv"], grid: [
+        (name: "t", paths: ["populations.out.vth_mant"], values: [40, 60, 80])])"#;
+    write("m.ron", model);
+    write("s.ron", sweep);
+    write("spikes.csv", "timestep,channel\n0,0\n1,1\n2,2\n3,3\n");
+    write("board.ron", r#"Target(base: "own", name: "board")"#);
+    write("own.ron", r#"Target(base: "oheo-gulch", name: "own")"#);
+    array("w.npy", [2, 4, -6, 8, 0, 2, 2, 2]);
+    for part in 1..=2 {
+        ran(folder, &format!("sweep s.ron -o {part}.csv --shard {part}/2"));
+    }
+    let merge = "sweep s.ron -o merged.csv --force --merge 1.csv 2.csv";
+    let refused = |line: &str, why: &str| {
+        let (status, _, error) = said(folder, line);
+        assert!(status == 3 && error.contains("error[sweep.shard]") && error.contains("other files"), "{why}: {error}");
+    };
+    ran(folder, merge);
+    ran(folder, "sweep s.ron -o t.csv");
+    let first = std::fs::read_to_string(folder.join("t.csv")).unwrap();
+    std::fs::copy(folder.join("w.npy"), folder.join("w.npy.before")).unwrap();
+    for (file, text) in [
+        ("s.ron", sweep.replace("grid", "copies: 4, grid")),
+        ("m.ron", model.replace("1024", "1025")),
+        ("spikes.csv", "timestep,channel\n0,0\n1,1\n2,2\n3,2\n".to_string()),
+        ("board.ron", r#"Target(base: "own", name: "board", chips_x: 2)"#.to_string()),
+        ("own.ron", r#"Target(base: "oheo-gulch", name: "own", chips_x: 2)"#.to_string()),
+    ] {
+        let before = std::fs::read_to_string(folder.join(file)).unwrap();
+        write(file, &text);
+        refused(merge, file);
+        write(file, &before);
+    }
+    array("w.npy", [2, 4, -6, 8, 0, 2, 2, 4]);
+    refused(merge, "an array");
+    std::fs::copy(folder.join("w.npy.before"), folder.join("w.npy")).unwrap();
+    for option in ["--set populations.out.refractory=3", "--relays"] {
+        refused(&format!("{merge} {option}"), option);
+    }
+    ran(folder, merge);
+    assert_eq!(std::fs::read_to_string(folder.join("merged.csv")).unwrap(), first);
+    // The sweep maps onto the model's own target, as the command does.
+    let energy = object(folder, "energy m.ron --input in=spikes.csv --baseline", 0);
+    let total = energy["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap();
+    assert_eq!(
+        (energy["target"].as_str(), cell(&rows(&first)[2], "energy_uj")),
+        (Some("board"), &*total["energy_uj"].to_string())
+    );
+}

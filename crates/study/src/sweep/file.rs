@@ -94,10 +94,6 @@ pub struct AxisDesc {
     pub step: Option<f64>,
 }
 
-fn target() -> String {
-    "nahuku-32".to_string()
-}
-
 fn one() -> u32 {
     1
 }
@@ -112,9 +108,10 @@ pub struct SweepFile {
     /// A training file or the name of a shipped one, instead of a model.
     #[serde(default)]
     pub train: Option<String>,
-    /// A target file or the name of a shipped target.
-    #[serde(default = "target")]
-    pub target: String,
+    /// A target file or the name of a shipped target; the model's own, or the usual one, when
+    /// omitted.
+    #[serde(default)]
+    pub target: Option<String>,
     /// Sources of spikes, as `--input`; the model's scene when omitted.
     #[serde(default)]
     pub input: Vec<String>,

@@ -172,11 +172,12 @@ impl Runner {
         })?)
     }
 
-    fn target(&self, job: &Job) -> Result<Arc<Target>, Error> {
-        let key = (job.target.clone(), job.target_changes.clone(), job.constants.clone());
+    fn target(&self, job: &Job, network: &Network) -> Result<Arc<Target>, Error> {
+        let name = network.file().target_or_usual(job.target.as_deref());
+        let key = (name.to_string(), job.target_changes.clone(), job.constants.clone());
         self.targets.get(key, || {
             with_changes(&job.target_changes, || {
-                let (target, _) = select_constants(load_target(&job.target)?, job.constants.as_deref())?;
+                let (target, _) = select_constants(load_target(name)?, job.constants.as_deref())?;
                 Ok(target)
             })
         })
@@ -229,7 +230,7 @@ impl Runner {
             let help = "give spikes with input: [\"FILE\"] in the sweep, or try input: [\"scene:noise\"]";
             require_scene(&job.model, network.file().scene.as_deref(), help)?;
         }
-        let target = self.target(job)?;
+        let target = self.target(job, &network)?;
         let compiled = self.mapped(job, &network, &target)?;
         let scene = network.file().scene.as_deref();
         let shown = self.stimulus(job, &input, &compiled.one, scene)?;

@@ -27,8 +27,6 @@ pub struct Table<'s> {
     pub rows: BTreeMap<u64, Cells>,
     /// The variants on the front, where one is asked for.
     pub front: Option<BTreeSet<u64>>,
-    /// Checksum column of the added shards; the inner `None`: a version without checksums.
-    column: Option<Option<String>>,
 }
 
 /// Prefix of the checksum column's name; a digest of the rows' sources follows.
@@ -89,7 +87,7 @@ pub fn from_line(line: &str) -> Option<(u64, Cells)> {
 impl<'s> Table<'s> {
     /// A table without rows.
     pub fn new(sweep: &'s Sweep) -> Self {
-        Table { sweep, rows: BTreeMap::new(), front: None, column: None }
+        Table { sweep, rows: BTreeMap::new(), front: None }
     }
 
     /// The sweep of the table.
@@ -130,12 +128,13 @@ impl<'s> Table<'s> {
         csv_text(header, rows)
     }
 
-    /// Adds the rows of a shard's table; returns whether they have checksums.
+    /// Adds the rows of a shard's table; returns whether they have checksums. `expected` is the
+    /// [`checksum_column`] of this sweep and its files, without which only a whole table is added.
     ///
     /// # Errors
-    /// `sweep.shard` for a table of another sweep or of other files than earlier shards, a
-    /// truncated or changed one, or a repeated variant.
-    pub fn add_csv(&mut self, text: &str) -> Result<bool> {
+    /// `sweep.shard` for a table of another sweep or of other files, a truncated or changed one, or
+    /// a repeated variant.
+    pub fn add_csv(&mut self, text: &str, expected: Option<&str>) -> Result<bool> {
         if !text.ends_with('\n') {
             return Err(wrong("the part is truncated: its last line has no end"));
         }
@@ -151,9 +150,12 @@ impl<'s> Table<'s> {
         if head.len() != columns.len() + others || !head.starts_with(&columns) {
             return Err(wrong("its columns differ from the columns of this sweep"));
         }
-        if *self.column.get_or_insert_with(|| column.clone()) != column {
-            return Err(wrong("its rows were made from other files, or by another nsim, than the parts before"));
+        if column.is_some() && column.as_deref() != expected {
+            return Err(wrong(
+                "its rows are of another sweep: of other files, other options or --set, or by another version of nsim",
+            ));
         }
+        let before = self.rows.len();
         while let Some(record) = next()? {
             let mut record: Vec<String> = record.iter().map(str::to_string).collect();
             let name = record.first().cloned().unwrap_or_default();
@@ -180,6 +182,9 @@ impl<'s> Table<'s> {
             if self.rows.insert(variant, cells).is_some() {
                 return Err(wrong(format!("variant {variant} is given twice")));
             }
+        }
+        if column.is_none() && expected.is_some() && (before > 0 || self.rows.len() as u64 != self.sweep.len()) {
+            return Err(wrong("its rows have no checksums, so it is not known whether they are of this sweep"));
         }
         Ok(column.is_some())
     }
@@ -232,35 +237,44 @@ mod tests {
         let (column, other) = (checksum_column(&"ab".repeat(32)), checksum_column("other"));
         for checksums in [None, Some(column.as_str())] {
             let mut merged = Table::new(&sweep);
-            assert_eq!(merged.add_csv(&shards[0].csv(checksums)).unwrap(), checksums.is_some());
+            assert_eq!(merged.add_csv(&shards[0].csv(checksums), checksums).unwrap(), checksums.is_some());
             assert!(merged.check_whole().unwrap_err().message.contains("variant 0"));
-            merged.add_csv(&shards[1].csv(checksums)).unwrap();
+            merged.add_csv(&shards[1].csv(checksums), checksums).unwrap();
             merged.check_whole().unwrap();
             assert_eq!(merged.csv(None), csv);
-            assert!(merged.add_csv(&whole.csv(checksums)).unwrap_err().message.contains("twice"));
+            assert!(merged.add_csv(&whole.csv(checksums), checksums).unwrap_err().message.contains("twice"));
             // Cut anywhere, a part is refused or lacks a variant.
             let part = whole.csv(checksums);
             for end in 0..part.len() {
                 let mut cut = Table::new(&sweep);
-                assert!(cut.add_csv(&part[..end]).and_then(|_| cut.check_whole()).is_err(), "{}", &part[..end]);
+                assert!(
+                    cut.add_csv(&part[..end], checksums).and_then(|_| cut.check_whole()).is_err(),
+                    "{}",
+                    &part[..end]
+                );
             }
         }
         let mut merged = Table::new(&sweep);
-        merged.add_csv(&shards[0].csv(Some(&column))).unwrap();
-        for other in [Some(other.as_str()), None] {
-            assert!(merged.add_csv(&shards[1].csv(other)).unwrap_err().message.contains("other files"));
-        }
+        let foreign = shards[0].csv(Some(&other));
+        assert!(merged.add_csv(&foreign, Some(&column)).unwrap_err().message.contains("other files"));
+        assert!(merged.add_csv(&shards[0].csv(None), Some(&column)).unwrap_err().message.contains("no checksums"));
+        // Only a whole table, which is drawn again, needs none.
+        assert!(!Table::new(&sweep).add_csv(&csv, Some(&column)).unwrap());
         let summed = whole.csv(Some(&column));
         for (from, to) in [("34", "35"), ("0.158", "0.159"), ("0a0a", "0a0b"), ("true", "tru"), ("ab", "ac")] {
             let changed = summed.replacen(from, to, 1);
-            assert_eq!(Table::new(&sweep).add_csv(&changed).unwrap_err().code, "sweep.shard", "{changed}");
+            assert_eq!(
+                Table::new(&sweep).add_csv(&changed, Some(&column)).unwrap_err().code,
+                "sweep.shard",
+                "{changed}"
+            );
         }
         for (from, to) in [("variant,model", "variant,modell"), ("1,c", "1,d"), ("1,c", "7,c"), ("0,", "x,")]
             .into_iter()
             .chain([("0.158", "0."), ("0.158", "NaN"), ("0.158", "inf"), ("true", ""), ("34", "-34"), ("0a0a", "0A0a")])
         {
             let changed = csv.replacen(from, to, 1);
-            assert_eq!(Table::new(&sweep).add_csv(&changed).unwrap_err().code, "sweep.shard", "{changed}");
+            assert_eq!(Table::new(&sweep).add_csv(&changed, None).unwrap_err().code, "sweep.shard", "{changed}");
         }
         assert_eq!(from_line(&line(7, &row("5"))), Some((7, row("5"))));
         assert_eq!(from_line("7,a"), None);

@@ -89,8 +89,9 @@ pub struct Job {
     pub training: Option<Training>,
     /// Facts that the file of another tool does not state.
     pub reading: Reading,
-    /// A target file or the name of a shipped target.
-    pub target: String,
+    /// A target file or the name of a shipped target; the model's own, or the usual one, when
+    /// `None`.
+    pub target: Option<String>,
     /// Sources of spikes; the model's scene when empty.
     pub input: Vec<String>,
     /// Range of samples; all when `None`.
@@ -200,7 +201,7 @@ impl Job {
     fn assign_own(&mut self, path: (&str, &str), value: &str) -> Result<bool, String> {
         match path {
             ("model", "") => self.model = value.to_string(),
-            ("target", "") => self.target = value.to_string(),
+            ("target", "") => self.target = Some(value.to_string()),
             ("input", "") => self.input = vec![value.to_string()],
             ("input", "samples") => {
                 self.samples = Some(sample_range(value).ok_or("not a range of samples such as 0..20")?);
@@ -406,7 +407,7 @@ impl Sweep {
     pub fn names(&self) -> Vec<String> {
         let Job { model, training, target, input, prune, constants, .. } = &self.base;
         let training = training.as_ref().map(|training| &training.config);
-        let named = [model, target].into_iter().chain(training).chain(input).chain(prune).chain(constants);
+        let named = std::iter::once(model).chain(target).chain(training).chain(input).chain(prune).chain(constants);
         let mut names: Vec<String> = named.cloned().collect();
         let is_name =
             |path: &String| ["model", "target", "input", "options.prune", "options.constants"].contains(&path.as_str());
