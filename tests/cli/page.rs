@@ -177,6 +177,9 @@ fn results_are_compared_and_other_files_are_refused() {
     save("run --samples 0..1 --format json", "b.json");
     std::fs::write(here.join("c.json"), "{\"schema\": \"nsim.map/1\"}").unwrap();
     std::fs::write(here.join("d.json"), "{\"schema\": ").unwrap();
+    std::fs::write(here.join("e.json"), r#"{"schema": "nsim.run/1", "model": "m", "populations": {}}"#).unwrap();
+    let text = r#"{"schema": "nsim.energy/1", "rows": [{"low": {"total_mw": 1}}, {"low": {"total_mw": "1"}}]}"#;
+    std::fs::write(here.join("f.json"), text).unwrap();
     let both = data(&page(here, "both.html", &["a.json", "b.json"]));
     assert_eq!(
         (&both["results"][0]["schema"], &both["results"][1]["schema"]),
@@ -186,6 +189,8 @@ fn results_are_compared_and_other_files_are_refused() {
     for (line, status, word) in [
         (&["c.json", "-o", "c.html"][..], 3, "report.result"),
         (&["a.json", "d.json", "-o", "d.html"], 3, "report.result"),
+        (&["e.json", "-o", "d.html"], 3, "populations is not a list"),
+        (&["a.json", "f.json", "-o", "d.html"], 3, "rows[1].low.total_mw is not a number"),
         (&["a.json", "-o", "d.pdf"], 2, ".html"),
         (&["vtsnn-slip", "b.json", "-o", "d.html"], 2, "b.json"),
         (&["vtsnn-slip", "-o", "d.html", "--format", "csv"], 2, "page"),
