@@ -205,6 +205,22 @@ fn every_file_is_part_of_its_crate_and_says_what_it_is() {
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// What a build script printed is used again where a checkout was copied with its `target` folder.
+#[test]
+fn build_scripts_embed_no_absolute_path() {
+    let mut found = Vec::new();
+    files(&root().join("crates"), "rs", &mut found);
+    let scripts: Vec<_> = found.into_iter().filter(|path| path.ends_with("build.rs")).collect();
+    assert!(scripts.len() > 2);
+    for path in scripts {
+        let text = fs::read_to_string(&path).unwrap();
+        // In the crate's source, which a script can write, it is the folder of the present checkout.
+        let absolute = ["env!(\"CARGO_MANIFEST_DIR\")", "canonicalize", "current_dir", "var(\"CARGO_MANIFEST_DIR"];
+        let code: String = text.lines().filter(|line| !line.starts_with("//!")).collect();
+        assert!(!absolute.iter().any(|word| code.contains(word)), "{}", path.display());
+    }
+}
+
 #[test]
 fn folders_hold_at_most_a_dozen_files() {
     let mut folders: BTreeMap<String, usize> = BTreeMap::new();

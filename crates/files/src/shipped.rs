@@ -30,7 +30,7 @@ macro_rules! shipped {
         &[$($(Shipped {
             name: concat!($prefix, $name),
             path: concat!($folder, "/", $name, ".ron"),
-            text: include_str!(concat!(env!("SHIPPED"), "/", $folder, "/", $name, ".ron")),
+            text: include_str!(concat!(env!("CARGO_MANIFEST_DIR"), env!("SHIPPED"), "/", $folder, "/", $name, ".ron")),
         },)*)*]
     };
 }
@@ -43,7 +43,7 @@ macro_rules! models {
         /// The arrays that shipped models refer to: path within `models/`, content.
         pub const ARRAYS: &[(&str, &[u8])] = &[$((
             concat!($name, ".safetensors"),
-            include_bytes!(concat!(env!("SHIPPED"), "/models/", $name, ".safetensors")).as_slice(),
+            include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), env!("SHIPPED"), "/models/", $name, ".safetensors")).as_slice(),
         )),*];
     };
 }

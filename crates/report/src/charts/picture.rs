@@ -75,7 +75,8 @@ impl PictureFormat {
 }
 
 /// Latin and Greek of the font, as the base64 digits of a WOFF2 file.
-const FONT_DIGITS: &str = include_str!(concat!(env!("ASSETS"), "/roboto/roboto-latin.woff2.base64"));
+const FONT_DIGITS: &str =
+    include_str!(concat!(env!("CARGO_MANIFEST_DIR"), env!("ASSETS"), "/roboto/roboto-latin.woff2.base64"));
 
 /// A picture with an embedded font.
 pub fn with_font(svg: &str) -> String {
@@ -96,7 +97,8 @@ mod drawn {
     use resvg::usvg::{Options, Tree};
     use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
-    const FONT: &[u8] = include_bytes!(concat!(env!("ASSETS"), "/roboto/roboto-subset.ttf"));
+    const FONT: &[u8] =
+        include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), env!("ASSETS"), "/roboto/roboto-subset.ttf"));
     /// Pixels of a picture for each of its units, unless it is so large that this would make more
     /// than [`MOST_PIXELS`].
     const SCALE: f32 = 3.0;

@@ -109,7 +109,7 @@ mod tests {
 
     #[test]
     fn the_charts_are_the_file() {
-        let file = include_str!(concat!(env!("ASSETS"), "/echarts/echarts.min.js"));
+        let file = include_str!(concat!(env!("CARGO_MANIFEST_DIR"), env!("ASSETS"), "/echarts/echarts.min.js"));
         assert!(charts() == file && file.len() > 500_000);
     }
 
