@@ -34,9 +34,17 @@ pub const SCENES: [&str; 4] = [clock::NAME, "container", "noise", "slip"];
 /// # Errors
 /// A diagnostic for an unknown scene or parameter, or a value out of range.
 pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
+    stimulus_with_progress(network, scene, &|| ())
+}
+
+/// As [`stimulus`]; calls `progress` after each sample, from any thread.
+///
+/// # Errors
+/// As [`stimulus`].
+pub fn stimulus_with_progress(network: &Quantised, scene: &SceneArg, progress: &(dyn Fn() + Sync)) -> Result<Stimulus> {
     match scene.name.as_str() {
-        "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?),
-        _ => recorded_stimulus(network, &RecordedScene::parse(scene)?),
+        "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?, progress),
+        _ => recorded_stimulus(network, &RecordedScene::parse(scene)?, progress),
     }
 }
 
@@ -124,7 +132,7 @@ impl RecordedScene {
 }
 
 /// The recordings of a scene on the channels of a network's input populations.
-fn recorded_stimulus(network: &Quantised, scene: &RecordedScene) -> Result<Stimulus> {
+fn recorded_stimulus(network: &Quantised, scene: &RecordedScene, progress: &(dyn Fn() + Sync)) -> Result<Stimulus> {
     let name = scene.name;
     // First channel of touch and of vision, where the network has them.
     let senses = [TOUCH, VISION, VISION_PLANES];
@@ -147,6 +155,7 @@ fn recorded_stimulus(network: &Quantised, scene: &RecordedScene) -> Result<Stimu
         .into_par_iter()
         .map(|sample| {
             let recording = scene.recording(sample, wanted);
+            progress();
             let mut events = Vec::with_capacity(recording.touch.len() + recording.vision.len());
             let recorded = [&recording.touch, &recording.vision, &recording.vision_planes];
             for (first, sense) in first.iter().zip(recorded) {

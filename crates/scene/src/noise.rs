@@ -53,11 +53,11 @@ impl Noise {
     }
 }
 
-/// Makes the samples.
+/// Makes the samples; calls `progress` after each.
 ///
 /// # Errors
 /// A diagnostic when a sample would have too many spikes to count.
-pub fn stimulus(network: &Quantised, noise: &Noise) -> Result<Stimulus> {
+pub fn stimulus(network: &Quantised, noise: &Noise, progress: &(dyn Fn() + Sync)) -> Result<Stimulus> {
     let samples = (0..noise.samples)
         .into_par_iter()
         .map(|index| {
@@ -71,6 +71,7 @@ pub fn stimulus(network: &Quantised, noise: &Noise) -> Result<Stimulus> {
                     events.extend(spiking.map(|t| (t, ChannelId(channel))));
                 }
             }
+            progress();
             Sample::new(noise.steps, &events, None)
         })
         .collect::<Result<_, _>>()

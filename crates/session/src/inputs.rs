@@ -8,6 +8,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crate::error::Error;
+use crate::samples::Progress;
 use nsim_files::budget::MOST_STEPS_TOGETHER;
 use nsim_files::warnings::show;
 use nsim_import::kind::FileKind;
@@ -34,7 +35,21 @@ pub fn stimulus(
     default: Option<&str>,
     seed: Option<u64>,
 ) -> Result<Stimulus, Error> {
-    let mut stimulus = read_samples(network, arguments, default, seed)?;
+    stimulus_with_progress(network, arguments, (default, seed), &|| ())
+}
+
+/// As [`stimulus`], with the model's own scene and a seed; calls `progress` after each sample of a
+/// scene.
+///
+/// # Errors
+/// As [`stimulus`].
+pub fn stimulus_with_progress(
+    network: &Quantised,
+    arguments: &[String],
+    (default, seed): (Option<&str>, Option<u64>),
+    progress: Progress<'_>,
+) -> Result<Stimulus, Error> {
+    let mut stimulus = read_samples(network, arguments, (default, seed), progress)?;
     stimulus.samples = with_drain(network, stimulus.samples)?;
     show("", &stimulus.warnings);
     Ok(stimulus)
@@ -92,8 +107,8 @@ pub fn with_drain(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sampl
 fn read_samples(
     network: &Quantised,
     arguments: &[String],
-    default: Option<&str>,
-    seed: Option<u64>,
+    (default, seed): (Option<&str>, Option<u64>),
+    progress: Progress<'_>,
 ) -> Result<Stimulus, Error> {
     let arguments = match arguments {
         [] => vec![default.unwrap_or("scene:noise").to_string()],
@@ -101,7 +116,7 @@ fn read_samples(
     };
     let parsed = arguments.iter().map(|text| parse_argument(network, text)).collect::<Result<Vec<_>, _>>()?;
     if let [InputArg { population: None, source: InputSource::Scene(scene) }] = parsed.as_slice() {
-        return Ok(scene_stimulus(network, scene, seed)?);
+        return Ok(scene_stimulus(network, scene, seed, progress)?);
     }
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
     let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
@@ -249,13 +264,18 @@ fn parse_argument(network: &Quantised, text: &str) -> Result<InputArg, Diagnosti
     }
 }
 
-fn scene_stimulus(network: &Quantised, scene: &SceneArg, seed: Option<u64>) -> Result<Stimulus, Diagnostic> {
+fn scene_stimulus(
+    network: &Quantised,
+    scene: &SceneArg,
+    seed: Option<u64>,
+    progress: Progress<'_>,
+) -> Result<Stimulus, Diagnostic> {
     let mut scene = scene.clone();
     if let Some(seed) = seed {
         scene.parameters.retain(|(key, _)| key != "seed");
         scene.parameters.push(("seed".to_string(), seed.to_string()));
     }
-    let mut stimulus = scene::stimulus(network, &scene)?;
+    let mut stimulus = scene::stimulus_with_progress(network, &scene, progress)?;
     stimulus.origin = vec![scene.spelled()];
     Ok(stimulus)
 }

@@ -34,6 +34,7 @@ pub fn run(
     }
     let (next, ended) = (AtomicUsize::new(0), AtomicBool::new(false));
     let (take, first_error) = (Mutex::new(take), Mutex::new(None));
+    let mut first_panic = None;
     let work = || {
         while !ended.load(Ordering::Relaxed) {
             let Some(&number) = numbers.get(next.fetch_add(1, Ordering::Relaxed)) else { return };
@@ -52,14 +53,20 @@ pub fn run(
         }
     };
     std::thread::scope(|scope| {
-        for _ in 0..threads.clamp(1, numbers.len().max(1)) {
-            let started = std::thread::Builder::new().stack_size(STACK).spawn_scoped(scope, alone);
-            // Where the system refuses a thread, the started ones do the work.
-            if started.is_err() {
-                break;
+        let start = |_| std::thread::Builder::new().stack_size(STACK).spawn_scoped(scope, alone);
+        // Where the system refuses a thread, the started ones do the work.
+        let started = (0..threads.clamp(1, numbers.len().max(1))).map(start).map_while(Result::ok);
+        for thread in started.collect::<Vec<_>>() {
+            if let Err(panic) = thread.join() {
+                ended.store(true, Ordering::Relaxed);
+                first_panic.get_or_insert(panic);
             }
         }
     });
+    // The payload of a thread, such as that of an interruption.
+    if let Some(panic) = first_panic {
+        std::panic::resume_unwind(panic);
+    }
     let left = next.load(Ordering::Relaxed) < numbers.len();
     if left && !ended.load(Ordering::Relaxed) {
         return Err(Error::Fault("threads cannot be started".to_string()));
