@@ -1,6 +1,6 @@
 //! A mapping that a Python loop steps, for example with a robot or an environment in it.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
@@ -13,6 +13,7 @@ use nsim::session::samples::{Division, lay_out};
 use numpy::{Element, PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
+use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
 use crate::arrays::{Array, matches_shape};
@@ -29,12 +30,25 @@ type Input = Vec<(ChannelId, i32)>;
 ///
 /// `step` runs one timestep, `session["POPULATION"]` has the spikes and state of a population after
 /// it. All copies of a network get the same input; spikes and registers are of the first.
-#[pyclass(module = "nsim")]
+#[pyclass(frozen, module = "nsim")]
 pub struct Session {
     mapping: Arc<Shared>,
+    /// A thread that steps holds the lock; the others wait.
+    state: Mutex<State>,
+}
+
+/// The state of a session, which threads use one after another.
+struct State {
+    /// `None` once the session is closed.
     stepped: Option<Stepped>,
     /// Scratch memory: the input of a step.
     shown: Input,
+}
+
+impl State {
+    fn stepped(&self) -> PyResult<&Stepped> {
+        self.stepped.as_ref().ok_or_else(closed)
+    }
 }
 
 /// The state of a session after some timestep.
@@ -63,15 +77,17 @@ impl Session {
             };
             Ok::<_, Diagnostic>(Stepped::open(&image, &compiled.one, compiled.options.copies))
         })?;
-        Ok(Session { mapping: mapping.clone(), stepped: Some(stepped), shown: Vec::new() })
+        let state = State { stepped: Some(stepped), shown: Vec::new() };
+        Ok(Session { mapping: mapping.clone(), state: Mutex::new(state) })
     }
 
     fn network(&self) -> &Quantised {
         &self.mapping.compiled().one
     }
 
-    fn stepped(&self) -> PyResult<&Stepped> {
-        self.stepped.as_ref().ok_or_else(closed)
+    /// The state, once no other thread uses it. A panic leaves it whole.
+    fn state(&self, py: Python<'_>) -> MutexGuard<'_, State> {
+        self.state.lock_py_attached(py).unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -178,11 +194,12 @@ impl Session {
     /// it may be the channels alone. An input population that sends integers takes an array with an
     /// integer for each channel. Populations without an entry are silent; in `step()` all are.
     #[pyo3(signature = (inputs=None))]
-    fn step(&mut self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
-        let Session { mapping, stepped, shown } = self;
+    fn step(&self, py: Python<'_>, inputs: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
+        // Without the lock, as reading an input can run Python code that uses this session.
+        let mut shown = std::mem::take(&mut self.state(py).shown);
         shown.clear();
         if let Some(inputs) = inputs {
-            let network = &mapping.compiled().one;
+            let network = self.network();
             let mut add = |name: &str, given: &Bound<'_, PyAny>| {
                 let found = network.inputs().find(|(_, population)| population.name == name);
                 let known = found.and_then(|(_, p)| Some((p.first_channel()?.0, p.shape, p.message)));
@@ -192,8 +209,8 @@ impl Session {
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
                 match message {
-                    Message::Value(_) => add_values(shown, given, first, name, shape),
-                    _ => add_channels(shown, given, first, name, shape),
+                    Message::Value(_) => add_values(&mut shown, given, first, name, shape),
+                    _ => add_channels(&mut shown, given, first, name, shape),
                 }
             };
             match inputs.cast::<PyDict>() {
@@ -210,35 +227,39 @@ impl Session {
                 }
             }
         }
-        let stepped = stepped.as_mut().ok_or_else(closed)?;
-        try_detached(py, || stepped.step(shown.iter().copied()))
+        let mut state = self.state(py);
+        let stepped = state.stepped.as_mut().ok_or_else(closed)?;
+        let done = try_detached(py, || stepped.step(shown.iter().copied()));
+        state.shown = shown;
+        done
     }
 
     /// Timesteps since the session was opened or reset.
     #[getter]
-    fn steps(&self) -> PyResult<u32> {
-        Ok(self.stepped()?.steps())
+    fn steps(&self, py: Python<'_>) -> PyResult<u32> {
+        Ok(self.state(py).stepped()?.steps())
     }
 
     /// The state, for `restore`.
-    fn snapshot(&self) -> PyResult<Snapshot> {
-        Ok(Snapshot { mapping: self.mapping.clone(), stepped: self.stepped()?.clone() })
+    fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
+        Ok(Snapshot { mapping: self.mapping.clone(), stepped: self.state(py).stepped()?.clone() })
     }
 
     /// Restores a snapshot of a session of this mapping.
-    fn restore(&mut self, snapshot: &Snapshot) -> PyResult<()> {
-        self.stepped()?;
+    fn restore(&self, py: Python<'_>, snapshot: &Snapshot) -> PyResult<()> {
+        let mut state = self.state(py);
+        state.stepped()?;
         if !Arc::ptr_eq(&self.mapping, &snapshot.mapping) {
             let message = "the snapshot belongs to another mapping".to_string();
             return Err(usage(message, "restore a snapshot() of a session of this mapping"));
         }
-        self.stepped = Some(snapshot.stepped.clone());
+        state.stepped = Some(snapshot.stepped.clone());
         Ok(())
     }
 
     /// Returns to the state before the first timestep.
-    fn reset(&mut self) -> PyResult<()> {
-        self.stepped.as_mut().ok_or_else(closed)?.reset();
+    fn reset(&self, py: Python<'_>) -> PyResult<()> {
+        self.state(py).stepped.as_mut().ok_or_else(closed)?.reset();
         Ok(())
     }
 
@@ -246,7 +267,7 @@ impl Session {
     /// runs once more. Keywords are as in `Mapping.energy`.
     #[pyo3(signature = (**options))]
     fn energy(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Energy> {
-        let sample = self.stepped()?.sample().map_err(|problem| exception(py, problem))?;
+        let sample = self.state(py).stepped()?.sample().map_err(|problem| exception(py, problem))?;
         if sample.steps() == 0 {
             return Err(usage("no timestep has run".into(), "call step() first"));
         }
@@ -257,8 +278,8 @@ impl Session {
     }
 
     fn __getitem__(slf: &Bound<'_, Self>, name: &str) -> PyResult<Population> {
-        let session = slf.borrow();
-        session.stepped()?;
+        let session = slf.get();
+        session.state(slf.py()).stepped()?;
         let network = session.network();
         let Some(id) = network.population_named(name) else {
             let known: Vec<&str> = network.populations().iter().map(|population| population.name.as_str()).collect();
@@ -271,13 +292,13 @@ impl Session {
         slf
     }
 
-    fn __exit__(&mut self, _type: &Bound<'_, PyAny>, _value: &Bound<'_, PyAny>, _traceback: &Bound<'_, PyAny>) {
-        self.stepped = None;
+    fn __exit__(&self, ended: &Bound<'_, PyAny>, _value: &Bound<'_, PyAny>, _traceback: &Bound<'_, PyAny>) {
+        self.state(ended.py()).stepped = None;
     }
 
-    fn __repr__(&self) -> String {
+    fn __repr__(&self, py: Python<'_>) -> String {
         let name = &self.network().parts().name;
-        match &self.stepped {
+        match &self.state(py).stepped {
             Some(stepped) => format!("<nsim.Session {name} after {} timesteps>", stepped.steps()),
             None => format!("<nsim.Session {name}, closed>"),
         }
@@ -287,8 +308,8 @@ impl Session {
 impl Population {
     /// Units that spiked in the last step, and the integers of their messages.
     fn spiking(&self, py: Python<'_>) -> PyResult<Vec<(u32, i32)>> {
-        let session = self.session.borrow(py);
-        let (stepped, network) = (session.stepped()?, session.network());
+        let (state, network) = (self.session.get().state(py), self.session.get().network());
+        let stepped = state.stepped()?;
         let population = &network.populations()[self.id];
         let units = population.shape.len();
         Ok(match &population.units {
@@ -308,8 +329,8 @@ impl Population {
 
     /// A word of state of each compartment, by the name of the word.
     fn words<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyArray1<i32>>> {
-        let session = self.session.borrow(py);
-        let (stepped, network) = (session.stepped()?, session.network());
+        let (state, network) = (self.session.get().state(py), self.session.get().network());
+        let stepped = state.stepped()?;
         let population = &network.populations()[self.id];
         let Units::Compartments { first, neurons, .. } = &population.units else {
             let message = format!("input population '{}' has no {name}", population.name);
@@ -366,7 +387,7 @@ impl Population {
         self.words(py, name)
     }
 
-    fn __len__(&self, py: Python<'_>) -> usize {
-        self.session.borrow(py).network().units_before_pruning(self.id) as usize
+    fn __len__(&self) -> usize {
+        self.session.get().network().units_before_pruning(self.id) as usize
     }
 }

@@ -11,7 +11,7 @@ use nsim::import::spikes::{PopulationSpikes, warning_of_changes};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::quantised::{Population, Quantised};
 use nsim::ir::spikes::{Message, Sample, Stimulus};
-use nsim::session::inputs::{MOST_REPEATS, join_samples, repeated_indices, stimulus, with_drain};
+use nsim::session::inputs::{MOST_REPEATS, join_samples, repeated_indices, stimulus_with_progress, with_drain};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
@@ -19,7 +19,7 @@ use crate::arrays::{Array, CountBound, matches_shape};
 use crate::error::{exception, in_python, warn};
 use crate::events::{Events, Records};
 use crate::keywords::{Keywords, usage};
-use crate::work::try_detached;
+use crate::work::work;
 
 /// The most numbers of an array, which take some seconds to read.
 const MOST_NUMBERS: usize = 1 << 34;
@@ -122,7 +122,7 @@ impl NetworkInput {
 }
 
 fn named(network: &Quantised, sources: &[String], scene: Option<&str>, seed: Option<u64>) -> PyResult<Stimulus> {
-    Python::attach(|py| try_detached(py, || stimulus(network, sources, scene, seed)))
+    Python::attach(|py| work(py, true, |progress| stimulus_with_progress(network, sources, (scene, seed), progress)))
 }
 
 /// Sources as for `--input`: one, a list of them, or none.

@@ -2,6 +2,7 @@
 
 import re
 import tempfile
+import threading
 import unittest
 from pathlib import Path
 
@@ -179,6 +180,25 @@ class Sessions(unittest.TestCase):
         lead = np.sort(scope["counts"])[-1] - np.sort(scope["counts"])[-2]
         self.assertEqual(lead, 3)
         self.assertGreater(scope["counts"].sum(), 0)
+
+    def test_threads_use_a_session_one_after_another(self):
+        mapping = nsim.load("container-tactile").map()
+        spikes = np.flatnonzero(recorded(mapping)["tactile"][:, 0])
+        with mapping.session() as session:
+            problems = []
+
+            def loop(action):
+                try:
+                    for _ in range(300):
+                        action()
+                except Exception as problem:  # noqa: BLE001
+                    problems.append(problem)
+
+            actions = [lambda: session.step(spikes), lambda: session["out"].v, session.snapshot, lambda: session.step(spikes)]
+            threads = [threading.Thread(target=loop, args=[action]) for action in actions]
+            [thread.start() for thread in threads]
+            [thread.join() for thread in threads]
+            self.assertEqual((problems, session.steps), ([], 600))
 
     def test_the_loop_and_the_chip_of_the_readme(self):
         readme = (PAGE.parents[1] / "README.md").read_text()

@@ -79,6 +79,22 @@ class Sweeps(unittest.TestCase):
         self.assertIsInstance(frame, pandas.DataFrame)
         self.assertEqual(list(frame["populations.touch.vth_mant"]), [1300, 1300, 1500, 1500, 1900, 1900])
 
+    def test_ctrl_c_ends_scenes_and_sweeps(self):
+        long = "Sweep(model: \"vtsnn-slip\", samples: \"0..2\", grid: [(paths: [\"populations.out.vth_mant\"], from: 1, to: 3000, step: 1)])"
+        script = f"""
+import os, signal, threading, time, nsim
+mapping = nsim.load("vtsnn-slip").map()
+for call in [lambda: mapping.run("scene:slip?samples=20000&seed=1"), lambda: nsim.sweep('{long}')]:
+    threading.Timer(1, os.kill, (os.getpid(), signal.SIGINT)).start()
+    begin = time.process_time()
+    try:
+        call()
+    except KeyboardInterrupt:
+        print("interrupted", time.process_time() - begin < 20)
+"""
+        done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=600)
+        self.assertEqual((done.stdout, done.stderr), ("interrupted True\n" * 2, ""))
+
     def test_errors(self):
         with self.assertRaises(nsim.Error) as caught:
             nsim.sweep("Sweep(oops: 1)")
