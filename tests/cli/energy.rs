@@ -152,8 +152,8 @@ fn the_total_of_one_copy_is_its_job_and_more_hardware_never_draws_less() {
 #[test]
 fn deployments_and_hosts_are_priced_as_typed() {
     let energy = |line: &str| {
-        let base = ["energy", "--samples", "0..2", "--baseline"].into_iter();
-        object(&base.chain(line.split_whitespace()).collect::<Vec<_>>(), 0)
+        let base = ["energy", "--samples", "0..2"].into_iter();
+        object(&base.chain(line.split_whitespace()).chain(["--baseline"]).collect::<Vec<_>>(), 0)
     };
     let row = |of: &Value, unit: &str| {
         let rows = of["rows"].as_array().unwrap();

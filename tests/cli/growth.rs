@@ -85,7 +85,8 @@ fn seconds(folder: &Path, line: &str, status: i32) -> f64 {
 #[ignore = "takes minutes; run by .ci/nightly"]
 fn time_is_proportional_to_the_model() {
     let folder = tempfile::tempdir().unwrap();
-    let input = "--input 'scene:noise?samples=1&steps=10&seed=1&rate=1' --threads 1";
+    let fits = "--set target.limits.compartments=100000 --set target.limits.axons_in=100000";
+    let input = &format!("--input 'scene:noise?samples=1&steps=10&seed=1&rate=1' --threads 1 {fits}");
     let mut failures = Vec::new();
     for what in ["populations", "inputs", "sources", "projections", "kinds"] {
         for n in SIZES {
@@ -95,7 +96,7 @@ fn time_is_proportional_to_the_model() {
         let kinds = what == "kinds";
         let commands = [
             ("inspect", "", 0),
-            ("map", "--set target.limits.compartments=100000 --set target.limits.axons_in=100000", 0),
+            ("map", fits, 0),
             ("map", "--set target.limits.axons_out=0 --set target.limits.compartments=0", 1),
             ("run", input, 0),
             ("agree", input, 0),

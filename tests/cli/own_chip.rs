@@ -316,7 +316,7 @@ fn messages_of_chips_and_constants_name_what_to_write() {
     for (line, says) in [
         (&["inspect", &unit][..], "synapse_dense_energy needs unit pJ, but the file has ns"),
         (&["inspect", &stem], "write the name without .ron: \\\"tern\\\""),
-        (&["inspect", &field], "`spike_enrgy` in `Constants` (did you mean 'spike_energy'?), expected"),
+        (&["inspect", &field], "`Constants` has no field `spike_enrgy`: did you mean 'spike_energy'?"),
         (&["inspect", &missing], "missing fields `synapse_formats`, `synapses_per_entry`, `packing`"),
         (&["map", &kind, "--target", &board], "add it to a chip of your own, as neuron_kinds: [Microcode]"),
     ] {

@@ -78,7 +78,7 @@ fn every_field_of_a_model_is_described() {
     let mut fields = 0;
     for probe in probes {
         let problem = model::network(SourceText::new("probe.ron", probe), Origin::File).unwrap_err();
-        let (_, listed) = problem.message.split_once(", expected one of ").unwrap_or_else(|| panic!("{problem}"));
+        let (_, listed) = problem.message.split_once("write one of ").unwrap_or_else(|| panic!("{problem}"));
         for field in listed.split('`').skip(1).step_by(2) {
             assert!(text.contains(&format!("`{field}`")) || text.contains(&format!("`{field}:")), "{field}");
             fields += 1;

@@ -371,7 +371,7 @@ mod tests {
         let board = read("Target(base: \"loihi1-chip\", chips_x: 2)");
         let own = read("Target(base: \"loihi1-chip\", limits: (compartments: 2048), x86_cores: 0)");
         assert_eq!((board.chip().hardware(), own.chip().hardware()), ("loihi", "own"));
-        assert_eq!((board.errors(&board.constants()[0]).len(), own.errors(&own.constants()[0]).len()), (6, 0));
+        assert_eq!((board.errors(&board.constants()[0]).len(), own.errors(&own.constants()[0]).len()), (7, 0));
         assert_eq!(own.chip().x86_cores_in_use, 0);
     }
 

@@ -455,7 +455,7 @@ impl Graph {
     pub fn incoming(&self, node: NodeIndex) -> impl Iterator<Item = (NodeIndex, &Projection)> {
         // petgraph lists the last first.
         let mut into: Vec<_> = self.graph.edges_directed(node, Direction::Incoming).collect();
-        into.sort_unstable_by_key(|edge| edge.id());
+        into.sort_unstable_by_key(EdgeRef::id);
         into.into_iter().map(|edge| (edge.source(), edge.weight()))
     }
 

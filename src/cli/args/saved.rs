@@ -48,7 +48,7 @@ impl Type {
     }
 
     /// The type of a value; `None` for any other.
-    fn of(value: &Value) -> Option<Type> {
+    fn from_value(value: &Value) -> Option<Type> {
         match value {
             Value::String(_) => Some(Type::Text),
             Value::Number(_) => Some(Type::Number),
@@ -69,7 +69,7 @@ fn wrong_type(value: &Value, path: &str, wanted: Type, at: &str) -> Option<Strin
         return items.find_map(|(place, item)| wrong_type(item, rest, wanted, &format!("{at}[{place}]")));
     }
     let Some(rest) = path.strip_prefix('.') else {
-        return (Type::of(value) != Some(wanted)).then(|| format!("{at} is not {}", wanted.name()));
+        return (Type::from_value(value) != Some(wanted)).then(|| format!("{at} is not {}", wanted.name()));
     };
     let end = rest.find(['.', '[']).unwrap_or(rest.len());
     let (name, rest) = rest.split_at(end);

@@ -115,7 +115,7 @@ pub fn cases() -> Vec<Case> {
     // Model files: replaced text, its replacement, code, line (0: the file as a whole), message.
     let syntax = "model.syntax";
     let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 55] = [
-        ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`dw` in `Loihi`"),
+        ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`Loihi` has no field `dw`"),
         ("unknown kind of population", "Loihi(", "Loki(", syntax, 6, "Loki"),
         ("unknown kind of projection", "Dense(", "Dence(", syntax, 9, "Dence"),
         ("unknown kind of file", "Network(", "Netwerk(", syntax, 1, "Network"),

@@ -559,7 +559,7 @@ mod tests {
     fn constants_with_findings_are_their_median() {
         let (_, constants) = loihi1();
         let found: Vec<_> = constants.list().into_iter().filter(|(_, one)| !one.findings.is_empty()).collect();
-        assert_eq!(found.len(), 7);
+        assert_eq!(found.len(), 8);
         for (name, constant) in found {
             let middle = constant.without("").unwrap();
             assert!((constant.value.value / middle - 1.0).abs() < 1e-3, "{name}: {middle}");

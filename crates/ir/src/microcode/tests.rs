@@ -72,8 +72,7 @@ fn a_kind_knows_its_ports_temporaries_and_instructions() {
 fn a_kind_has_at_most_2048_instructions() {
     // 127 sums of 16 operations, one of the rest, and the sending.
     let of = |operations: usize| format!("t = 1{}", "+1".repeat(operations));
-    let sums =
-        |last: usize| kind(&format!("{} | {}", [of(16)].repeat(127).join(" | "), of(last)), Some("1"), None, &[]);
+    let sums = |last: usize| kind(&format!("{} | {}", vec![of(16); 127].join(" | "), of(last)), Some("1"), None, &[]);
     assert_eq!(sums(15).unwrap().instructions(), 2048);
     let problem = sums(16).unwrap_err();
     assert!(problem.message.contains("2049 instructions, more than 2048"), "{}", problem.message);

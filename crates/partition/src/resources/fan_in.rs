@@ -115,7 +115,7 @@ impl Gathered {
         Gathered { first, synapses: found.into_iter().map(|(_, place, source)| (place, source)).collect() }
     }
 
-    fn into_target(&self, target: u32) -> &[(u32, u32)] {
+    fn links_to(&self, target: u32) -> &[(u32, u32)] {
         &self.synapses[self.first[target as usize] as usize..self.first[target as usize + 1] as usize]
     }
 }
@@ -235,7 +235,7 @@ impl FanIn {
         // Without a kernel, each synapse is a part of its own.
         let own = |source: u32| u64::from(source) << 32 | u64::from(index);
         let Incoming { all, whole, gathered } = &self.incoming[population];
-        let mut rest = gathered.as_ref().map_or(&[][..], |gathered| gathered.into_target(index));
+        let mut rest = gathered.as_ref().map_or(&[][..], |gathered| gathered.links_to(index));
         for &place in whole {
             while let Some((&(before, source), after)) = rest.split_first().filter(|((before, _), _)| *before < place) {
                 let id = all[before as usize];

@@ -1,7 +1,7 @@
 //! The files of a sweep, by which its parts and its journal are identified.
 //!
 //! Input: a sweep and the changes of `--set`. Output: the files that they name, and the files that
-//! these name in turn: arrays of a model, parts of a target, recordings of a data set. A text in
+//! these name: arrays of a model, parts of a target, recordings of a data set. A text in
 //! quotes that is no file is skipped, so a file that a later version of nsim reads is included too.
 
 use std::collections::BTreeSet;
