@@ -128,7 +128,7 @@ mod tests {
             let model = load_model(&file.model).unwrap();
             assert_eq!(model.file().name, file.model);
             let graph = nsim_files::lower::lower(&model).unwrap();
-            let inputs = graph.populations().filter(|(_, one)| matches!(one.kind, PopulationKind::Input { .. }));
+            let inputs = graph.populations().filter(|(_, one)| matches!(one.kind, PopulationKind::Input));
             let mut inputs: Vec<u32> = inputs.map(|(_, one)| one.shape.len()).collect();
             inputs.sort_unstable();
             assert_eq!(inputs, file.inputs);
