@@ -37,7 +37,8 @@ pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
     stimulus_with_progress(network, scene, &|| ())
 }
 
-/// As [`stimulus`]; calls `progress` after each sample, from any thread.
+/// As [`stimulus`]; calls `progress` before each sample, from any thread: where it panics, those
+/// that are left take no time.
 ///
 /// # Errors
 /// As [`stimulus`].
@@ -154,8 +155,8 @@ fn recorded_stimulus(network: &Quantised, scene: &RecordedScene, progress: &(dyn
     let samples = (0..scene.samples)
         .into_par_iter()
         .map(|sample| {
-            let recording = scene.recording(sample, wanted);
             progress();
+            let recording = scene.recording(sample, wanted);
             let mut events = Vec::with_capacity(recording.touch.len() + recording.vision.len());
             let recorded = [&recording.touch, &recording.vision, &recording.vision_planes];
             for (first, sense) in first.iter().zip(recorded) {

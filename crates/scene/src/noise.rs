@@ -53,7 +53,7 @@ impl Noise {
     }
 }
 
-/// Makes the samples; calls `progress` after each.
+/// Makes the samples; calls `progress` before each.
 ///
 /// # Errors
 /// A diagnostic when a sample would have too many spikes to count.
@@ -61,6 +61,7 @@ pub fn stimulus(network: &Quantised, noise: &Noise, progress: &(dyn Fn() + Sync)
     let samples = (0..noise.samples)
         .into_par_iter()
         .map(|index| {
+            progress();
             let mut events = Vec::new();
             for (_, population) in network.inputs() {
                 let rate = noise.rates.get(&population.name).copied().unwrap_or(noise.rate);
@@ -71,7 +72,6 @@ pub fn stimulus(network: &Quantised, noise: &Noise, progress: &(dyn Fn() + Sync)
                     events.extend(spiking.map(|t| (t, ChannelId(channel))));
                 }
             }
-            progress();
             Sample::new(noise.steps, &events, None)
         })
         .collect::<Result<_, _>>()

@@ -38,7 +38,7 @@ pub fn stimulus(
     stimulus_with_progress(network, arguments, (default, seed), &|| ())
 }
 
-/// As [`stimulus`], with the model's own scene and a seed; calls `progress` after each sample of a
+/// As [`stimulus`], with the model's own scene and a seed; calls `progress` before each sample of a
 /// scene.
 ///
 /// # Errors
