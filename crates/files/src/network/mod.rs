@@ -10,7 +10,7 @@ mod read;
 mod resolve;
 mod write;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
@@ -399,8 +399,9 @@ impl NetworkFile {
             Some(part) => parse_part(source, part, "model.kind")?,
             None => Vec::new(),
         };
+        let mut names = HashSet::new();
         for (place, kind) in kinds.iter().enumerate() {
-            if kinds[..place].iter().any(|other| other.name() == kind.name()) {
+            if !names.insert(kind.name()) {
                 let message = format!("kind '{}' is declared twice", kind.name());
                 let span = self::place(source, &format!("kinds.[{place}].name"));
                 return Err(Diagnostic::new("model.kind", message).at(source, span).help("choose another name"));

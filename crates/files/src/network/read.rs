@@ -1,12 +1,13 @@
 //! Populations and projections of a model file, read by serde.
 
+use std::collections::HashMap;
 use std::fmt;
 use std::sync::{LazyLock, Mutex, PoisonError};
 
 use serde::de::{DeserializeSeed, EnumAccess, Error, MapAccess, VariantAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use super::kinds::stated_here;
+use super::kinds::{stated_kind, stated_names};
 use super::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, Source, Weights};
 use crate::numbers;
 use crate::synapses::SynapseArrays;
@@ -58,22 +59,18 @@ static FIELDS: LazyLock<Vec<(&'static str, Vec<&'static str>)>> = LazyLock::new(
 static POPULATIONS: LazyLock<Vec<&'static str>> = LazyLock::new(|| FIELDS.iter().map(|(name, _)| *name).collect());
 
 /// Fields of the declared kinds' populations; leaked, since a kind lasts as long as the process.
-static STATED: Mutex<Vec<(MicrocodeKind, &'static [&'static str])>> = Mutex::new(Vec::new());
+static STATED: LazyLock<Mutex<HashMap<MicrocodeKind, &'static [&'static str]>>> = LazyLock::new(Mutex::default);
 
 /// A declared kind by its name, and the fields of its populations.
 fn stated(name: &str) -> Option<(MicrocodeKind, &'static [&'static str])> {
-    let kind = stated_here().into_iter().find(|kind| kind.name() == name)?;
+    let kind = stated_kind(name)?;
     let mut known = STATED.lock().unwrap_or_else(PoisonError::into_inner);
-    let found = known.iter().find(|(known, _)| *known == kind).copied();
-    Some(found.unwrap_or_else(|| {
-        known.push((kind, fields_of(NeuronKind::Microcode(kind)).leak()));
-        known[known.len() - 1]
-    }))
+    Some((kind, *known.entry(kind).or_insert_with(|| fields_of(NeuronKind::Microcode(kind)).leak())))
 }
 
 /// The error for a population of an unknown kind.
 fn unknown<E: Error>(name: &str) -> E {
-    let stated: Vec<&str> = stated_here().iter().map(|kind| kind.name()).collect();
+    let stated = stated_names();
     if stated.is_empty() {
         return E::unknown_variant(name, &POPULATIONS);
     }
