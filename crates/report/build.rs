@@ -1,6 +1,6 @@
 //! Deflates the chart library that pages embed, and passes on the folder of the assets, relative to
-//! this crate's: the project's, or the copies in a packaged crate. Paths are relative for the reason
-//! in `crates/files/build.rs`.
+//! this crate's: the project's, or the copies in a packaged crate. Paths are relative for the
+//! reason in `crates/files/build.rs`.
 
 use std::io::Write;
 use std::path::Path;

@@ -1,6 +1,6 @@
 //! Lists the stored results of the paper's tables, so that the program embeds each file of their
-//! folder. A packaged crate has a copy of the project's folder. Paths are relative for the reason in
-//! `crates/files/build.rs`.
+//! folder. A packaged crate has a copy of the project's folder. Paths are relative for the reason
+//! in `crates/files/build.rs`.
 
 use std::path::Path;
 

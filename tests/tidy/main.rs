@@ -214,7 +214,7 @@ fn build_scripts_embed_no_absolute_path() {
     assert!(scripts.len() > 2);
     for path in scripts {
         let text = fs::read_to_string(&path).unwrap();
-        // In the crate's source, which a script can write, it is the folder of the present checkout.
+        // In the crate's source, which a script can write, it is the present checkout's folder.
         let absolute = ["env!(\"CARGO_MANIFEST_DIR\")", "canonicalize", "current_dir", "var(\"CARGO_MANIFEST_DIR"];
         let code: String = text.lines().filter(|line| !line.starts_with("//!")).collect();
         assert!(!absolute.iter().any(|word| code.contains(word)), "{}", path.display());

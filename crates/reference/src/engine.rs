@@ -154,7 +154,7 @@ impl<F: Real> Model<F> {
         (index, within as usize)
     }
 
-    /// The population among some, in the order of their units, that has a unit; and its index there.
+    /// The population among some, in the order of their units, that has a unit; its index there.
     fn unit(&self, among: &[usize], number: u32) -> Option<(usize, u32)> {
         let after = among.partition_point(|&index| self.populations[index].first <= number);
         let index = among[after.checked_sub(1)?];
