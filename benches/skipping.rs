@@ -115,7 +115,7 @@ fn measure(scene: &Scene) {
     let keeps: Vec<SampleSettings> = rows
         .iter()
         .map(|row| {
-            let early_exit = row.rule.map(|rule| EarlyExit::new(rule, &row.network));
+            let early_exit = row.rule.map(|rule| EarlyExit::new(rule, &row.network).expect("an output that decides"));
             SampleSettings { early_exit, ..SampleSettings::new(row.program.output()) }
         })
         .collect();

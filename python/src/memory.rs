@@ -218,7 +218,7 @@ fn projection(given: &Bound<'_, PyDict>, populations: &[PopulationDesc]) -> PyRe
         weight_exp: keywords.take("weight_exp")?.filter(|&exponent: &i64| exponent != 0),
         weight_bits: keywords.take("weight_bits")?.unwrap_or(usual.weight_bits),
         weight_scale: keywords.take("weight_scale")?,
-        sign: keywords.one_of("sign", &signs, sign_name)?.unwrap_or(usual.sign),
+        sign: keywords.one_of("sign", &signs, sign_name)?,
         ..usual
     };
     keywords.refuse_unread()?;

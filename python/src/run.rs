@@ -118,7 +118,7 @@ impl Run {
             return Err(usage(message, "run some of the samples: samples=(FIRST, END), or record fewer populations"));
         }
         let run = work(py, is_long(mapping, &shown), |progress| {
-            let early_exit = early_exit.map(|rule| EarlyExit::new(rule, network));
+            let early_exit = early_exit.map(|rule| EarlyExit::new(rule, network)).transpose()?;
             let keep = SampleSettings { output: program.output(), probes, early_exit };
             Ok(simulate(mapping, &shown.samples(), &keep, progress)?)
         })?;

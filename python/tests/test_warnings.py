@@ -1,9 +1,11 @@
 """Each warning is in Python as in the text and JSON of the shell: of networks, runs, energies and inputs."""
 
+import json
 import os
 import tempfile
 import unittest
 import warnings
+from pathlib import Path
 
 import numpy as np
 import nsim
@@ -69,6 +71,44 @@ class Warnings(unittest.TestCase):
         mapping, said = issued(network.map)
         self.assertIn("spike response neurons become Loihi compartments", said[0])
         self.assertEqual(told(mapping.run(samples=(0, 1)).warnings[0]), said[0])
+
+    def test_each_code_of_the_shell_is_in_python_too(self):
+        """The cases of tests/cli/warnings.rs, which leaves its files beside the program."""
+        folder = Path(os.environ.get("NSIM", "")).resolve().parents[1] / "tmp" / "warnings"
+        if not (folder / "cases.json").exists():
+            self.skipTest("the cases of cargo test --test cli warnings are not there")
+        made = json.loads((folder / "cases.json").read_text())
+        here = os.getcwd()
+        self.addCleanup(os.chdir, here)
+        os.chdir(folder)
+        seen = {}
+        for commands, model, source, codes in made["cases"]:
+            file, *given = model.split()
+            names = {"--from": "tool", "--dt": "dt_ms"}
+            options = {names.get(name, name[2:]): value for name, value in zip(given[::2], given[1::2])}
+            options |= {"dt_ms": float(options["dt_ms"])} if "dt_ms" in options else {}
+            options |= {"decision": "GreatestV"} if "decision" in options else {}
+            energy = any(command.startswith("energy") for command in commands)
+            more = {"convention": "published"} if "published" in commands[0] else {}
+            maps = {"prune": "static"} if "static" in commands[0] else {}
+            more |= {"mode": "realtime", "constants": "slow.ron"} if "realtime" in commands[0] else {}
+            more |= {"baselines": "rtx-2080-ti"} if "baseline-missing" in codes else {}
+
+            def call():
+                network = nsim.load(file, **options)
+                mapping = network.map(**maps) if "import" not in commands else None
+                return mapping.energy(source, **more) if energy and mapping else mapping.run(source) if source and mapping else mapping or network
+
+            result, said = issued(call)
+            records = result.warnings if hasattr(result, "warnings") else []
+            for code in codes:
+                messages = [told(record) for record in records if record["code"] == code]
+                where = [message for message in said if any(message.endswith(one) for one in messages)] if messages else said
+                self.assertTrue(where, (code, model, said))
+                seen.setdefault(code, set()).add(messages != [])
+        for code in sorted(seen):
+            page = "no page: `nsim report` lacks the option" if code in made["without_page"] else "page"
+            print(f"{code:22} text  JSON  Python  {page}")
 
 
 if __name__ == "__main__":

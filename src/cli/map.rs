@@ -16,6 +16,7 @@ use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
 use nsim_files::shipped;
 use nsim_files::warnings::show;
+use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
@@ -204,6 +205,11 @@ const MOST_SAMPLES: usize = 64;
 /// Firing rates of sources over samples, by the golden interpreter, which needs no mapping.
 fn profile(network: &Quantised, sources: &[String], scene: Option<&str>) -> Result<Rates> {
     let sources: Vec<String> = match sources {
+        [one] if one == "scene" && scene.is_none() => {
+            let message = format!("model {} has no scene, so --profile scene has no rates", network.parts().name);
+            let help = "give --profile an input: a file, or scene:noise?rate=0.1 for noise";
+            return Err(Diagnostic::new("map.profile", message).help(help).into());
+        }
         [one] if one == "scene" => Vec::new(),
         given => given.to_vec(),
     };

@@ -118,7 +118,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let keep = SampleSettings {
         output: network.output(),
         probes: probes.iter().filter_map(NamedProbe::engine).collect(),
-        early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)),
+        early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)).transpose()?,
     };
     let mut batch = io::write::Batch::new(context.force);
     let Run { outcomes, activity, counts, meter: traces, skipped_updates, wall_s, ranks: rows } =

@@ -2,6 +2,7 @@
 //!
 //! A table file has a journal next to it until it is finished, so an interrupted sweep resumes.
 
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,7 +16,7 @@ use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cli::process::signals;
 use nsim_files as io;
-use nsim_files::table::without_column;
+use nsim_files::table::{text_of_csv, with_columns};
 use nsim_files::write::journal::Journal;
 use nsim_report::charts::picture::FILE;
 use nsim_report::sweep as picture;
@@ -79,6 +80,9 @@ pub struct Args {
     /// Draw the column that --axes names second over the first
     #[arg(long, value_name = FILE, requires = "axes")]
     plot: Option<PathBuf>,
+    /// Columns of the printed table [default: of a terminal, those that fit a reader]
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',', conflicts_with = "output")]
+    columns: Vec<String>,
     /// Two columns; the table of a whole sweep gets a column that says which rows are on their
     /// front
     #[arg(long, value_name = "X,Y", value_parser = columns)]
@@ -100,7 +104,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let sweep = sweep.with(args.reading.reading(), *relays, prune, copies.most());
     let mut table = Table::new(&sweep);
     let axes = args.axes.as_ref().map(|[x, y]| [x.as_str(), y.as_str()]);
-    for axis in axes.into_iter().flatten() {
+    for axis in axes.into_iter().flatten().chain(args.columns.iter().map(String::as_str)) {
         picture::check(&table.columns(), axis)?;
     }
     let file = args.output.as_deref().filter(|path| !io::text::is_standard_stream(path));
@@ -156,7 +160,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let ties = axes.map_or(Ok(0), |axes| picture::ties(&table, axes))?;
     let done = VariantCounts { wall_s: begin.elapsed().as_secs_f64(), ties, ..done };
-    print_result((&sweep, &table, checksums.as_deref()), &done, file, context)
+    print_result((&sweep, &table, checksums.as_deref()), &done, (file, &args.columns), context)
 }
 
 /// Runs the variants that the journal lacks.
@@ -231,23 +235,41 @@ fn digest(before: &str, sweep: &Sweep, of_file: impl Fn(&Path) -> String) -> Str
     io::text::sha256(format!("{:?}", (before, sweep.text(), set, sweep.names(), files)).as_bytes())
 }
 
+/// Columns that a terminal does not show.
+const UNREAD: [&str; 10] = [
+    "fits",
+    "samples",
+    "timesteps",
+    "digest",
+    "static_mw",
+    "dynamic_mw",
+    "edp_pjs",
+    "tightest",
+    "accuracy_low",
+    "accuracy_high",
+];
+
 fn print_result(
     (sweep, table, checksums): (&Sweep, &Table<'_>, Option<&str>),
     done: &VariantCounts,
-    file: Option<&Path>,
+    (file, columns): (Option<&Path>, &[String]),
     context: Context,
 ) -> Result<Answer, Error> {
     let count = |name: &str, value: &dyn Fn(&str) -> bool| {
         table.rows.values().filter(|cells| value(&cells[place(name)])).count()
     };
     let (errors, refused) = (count("error", &|cell| !cell.is_empty()), count("fits", &|cell| cell == "false"));
-    // In a document a row has no room for its digest.
-    let csv = || match context.format {
-        Format::Markdown | Format::Latex => without_column(&table.csv(None), "digest"),
+    let is_for_people = context.format == Format::Text && std::io::stdout().is_terminal();
+    let csv = || match (columns, context.format) {
+        (columns @ [_, ..], _) => with_columns(&table.csv(None), |name| columns.iter().any(|one| one == name)),
+        // In a document a row has no room for its digest.
+        (_, Format::Markdown | Format::Latex) => with_columns(&table.csv(None), |name| name != "digest"),
+        _ if is_for_people => with_columns(&table.csv(None), |name| !UNREAD.contains(&name)),
         _ => table.csv(checksums),
     };
     let Some(file) = file else {
-        output::print(context.format, csv, || json(sweep, table, done, [errors, refused]), csv)?;
+        let text = || if is_for_people { text_of_csv(&csv()) } else { csv() };
+        output::print(context.format, text, || json(sweep, table, done, [errors, refused]), csv)?;
         return Ok(Answer::Yes);
     };
     let text = || {

@@ -18,7 +18,7 @@ fn page(folder: &Path, name: &str, line: &[&str]) -> PathBuf {
 }
 
 /// The data of a page.
-fn data(path: &Path) -> Value {
+pub fn data(path: &Path) -> Value {
     let text = std::fs::read_to_string(path).unwrap();
     let (_, rest) = text.split_once("<script type=\"application/json\" id=\"data\">").unwrap();
     serde_json::from_str(rest.split_once("</script>").unwrap().0).unwrap()

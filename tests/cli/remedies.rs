@@ -347,13 +347,13 @@ fn each_warning_of_a_run_is_gone_after_the_change_that_it_names() {
             },
         ),
         (
-            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[63, 4]]"),
+            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[63, 4]], sign: Mixed"),
             "weights-rounded",
             "changed 1 of 2 weights, by at most 1.000 (not in the reference engine): sign: Excitatory holds them",
             |_| vec!["projections.0.sign=Excitatory".to_string()],
         ),
         (
-            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[-255, -3]], weight_bits: 6"),
+            single("du: 4096, dv: 0, vth_mant: 90", "weights: [[-255, -3]], sign: Mixed, weight_bits: 6"),
             "weights-rounded",
             "sign: Inhibitory with weight_bits: 8 holds them",
             |_| vec!["projections.0.sign=Inhibitory".to_string(), "projections.0.weight_bits=8".to_string()],
@@ -504,7 +504,7 @@ fn each_way_out_of_a_refusal_is_one() {
             )],
         ),
         (
-            (run(), weights("255, 255")),
+            (run(), weights("255, 255").replace("]])", "]], sign: Mixed)")),
             vec![
                 ("choose another sign mode", (run(), weights("255, 255").replace("]])", "]], sign: Excitatory)"))),
                 (

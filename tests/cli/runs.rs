@@ -1,6 +1,6 @@
 //! `nsim run`: sources of spikes, settings that change nothing, seeds.
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::{MODEL, nsim, object, said, write};
 
@@ -153,4 +153,35 @@ fn a_clock_goes_beside_recordings() {
         let (code, _, stderr) = said(&[&["run", &model], arguments].concat());
         assert!(code != 0 && stderr.contains(message), "{arguments:?}: {code}, {stderr}");
     }
+}
+
+#[test]
+fn a_network_of_values_decides_no_class() {
+    let folder = tempfile::tempdir().unwrap();
+    let model = |classes: &str| {
+        write(
+            folder.path(),
+            "values.ron",
+            &format!(
+                "Network(name: \"values\", timestep_ms: 1.0, target: \"oheo-gulch\", populations: [Input(name: \"in\", \
+                 shape: [1], message_bits: 8), SigmaDelta(name: \"out\", shape: [2], vth_mant: 3, bias_mant: 0)], \
+                 projections: [Dense(from: [\"in\"], to: \"out\", weights: [[2], [4]])], output: \"out\"{classes})"
+            ),
+        )
+    };
+    let values = model("");
+    let noise = ["--input", "scene:noise?samples=2&steps=20&rate=0.5"];
+    let run = object(&[&["run", &values], &noise[..]].concat(), 0);
+    assert_eq!((&run["predicted"], &run["undecided"]), (&json!([null, null]), &json!(0)));
+    let (_, text, _) = said(&[&["run", &values], &noise[..]].concat());
+    assert!(text.contains("'out' sends values: --probe out -o FOLDER") && !text.contains("undecided"), "{text}");
+    assert_eq!(object(&[&["energy", &values, "--baseline"], &noise[..]].concat(), 0)["per_decision"], Value::Null);
+    for command in ["run", "energy"] {
+        let early = [&[command, &values, "--early-exit", "1"], &noise[..]].concat();
+        assert_eq!(object(&early, 3)["code"], "run.early-exit");
+    }
+    // Scenes that a model lacks are no rates.
+    assert_eq!(object(&["map", &values, "--profile", "scene"], 3)["code"], "map.profile");
+    let classes = model(", classes: [\"a\", \"b\"]");
+    assert_ne!(object(&[&["run", &classes], &noise[..]].concat(), 0)["predicted"], json!([null, null]));
 }

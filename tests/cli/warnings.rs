@@ -1,7 +1,6 @@
-//! What changes a model, or rests on an assumption, is in the text, in JSON and in Python alike.
+//! What changes a model, or rests on an assumption, is in the text, in JSON, on pages and in Python.
 //!
 //! Each reader of models and of recordings has a case, and each code of a warning is made by one.
-//! `python/tests/test_warnings.py` has the cases of Python.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -9,10 +8,11 @@ use std::path::Path;
 use nsim::files::npy;
 use nsim::import::foreign::hdf5::{self, Group, Numbers};
 use nsim::ir::base::warning::WarningCode;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::advice::nir_with;
 use crate::common::command;
+use crate::page;
 #[path = "../common/torch.rs"]
 mod torch;
 #[path = "../files/tree.rs"]
@@ -98,6 +98,10 @@ fn files(folder: &Path) {
     let none = "weights: [[64, 64, 64, 64], [64, 64, 64, 64]]";
     for (name, text) in [
         ("loihi.yml", yaml),
+        (
+            "slow.ron",
+            "Constants(base: \"loihi1-evidence\", turn_time: (value: 2000.0, unit: us, source: \"me\", status: assumed))",
+        ),
         ("srm.ron", SRM),
         (
             "wide.ron",
@@ -109,6 +113,12 @@ fn files(folder: &Path) {
         ("odd.ron", &model(strong, "weights: [[63, 64, 65, 66], [64, -64, 64, 64]]", "")),
         ("lava.ron", &model(&format!("{strong}, refractory: 5, vmax_exp: 3"), none, "semantics: Lava")),
         ("slayer.ron", &model(&format!("{strong}, bias_mant: 3"), none, "semantics: Slayer")),
+        (
+            "conv.ron",
+            "Network(name: \"conv\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [1, 4, 4]), \
+             Loihi(name: \"out\", shape: [1, 3, 3], du: 4096, dv: 0, vth_mant: 9)], projections: [Conv2d(from: \
+             [\"in\"], to: \"out\", weights: [[[[0, 20], [30, 40]]]])], output: \"out\")",
+        ),
         ("clipped.ron", &model("du: 4096, dv: 0, vth_mant: 100, vmax_exp: 1", none, "")),
         (
             "wrapped.ron",
@@ -124,16 +134,27 @@ fn files(folder: &Path) {
     ] {
         write(folder, name, text);
     }
+    // Samples of 3 and of 5 steps.
+    std::fs::create_dir(folder.join("lengths")).unwrap();
+    array(folder, "lengths/sample_0_label_0.npy", &[8, 3], &[1.0; 24]);
+    array(folder, "lengths/sample_1_label_1.npy", &[8, 5], &[1.0; 40]);
     // Addresses: column, row, polarity and 23 bits of time; the second is beyond the sensor.
     std::fs::write(folder.join("events.bin"), [1, 0, 0x80, 0, 0, 30, 0, 0x80, 4, 0, 2, 0, 0, 9, 0]).unwrap();
 }
 
 /// The codes of a command's warnings. Each line that it prints is one of them, and the other way
-/// around; its result in text has the same lines.
+/// around; its result in text has the same lines, a page has the same records.
 fn codes(folder: &Path, line: &str) -> BTreeSet<String> {
-    let (status, out, err) = command::said(folder, &format!("{line} --format json"));
-    assert!(status < 2, "{line}: {err}");
-    let result: Value = serde_json::from_str(&out).unwrap();
+    let is_page = line.starts_with("report ");
+    let baseline = if line.contains("--baseline") { "" } else { " --baseline" };
+    let line = if is_page { format!("{line}{baseline} -o page.html --force") } else { line.to_string() };
+    let json = if is_page { line.clone() } else { format!("{line} --format json") };
+    let (status, out, err) = command::said(folder, &json);
+    assert!(status < 2, "{line}: {err}{out}");
+    let result = match is_page {
+        true => page::data(&folder.join("page.html"))["results"][0].clone(),
+        false => serde_json::from_str(&out).unwrap(),
+    };
     let lines: Vec<&str> = err.lines().filter_map(|line| line.trim_start().strip_prefix("WARN ")).collect();
     let rows = result["warnings"].as_array().unwrap_or_else(|| panic!("{line}: {out}"));
     let said = |row: &Value| match row["population"].as_str() {
@@ -144,13 +165,18 @@ fn codes(folder: &Path, line: &str) -> BTreeSet<String> {
         assert_eq!(lines.iter().filter(|line| line.ends_with(&said(row))).count(), 1, "{line}: {row} in {err}");
     }
     assert_eq!(lines.len(), rows.len(), "{line}: {err}");
-    let (_, _, text) = command::said(folder, line);
+    let (_, _, text) = command::said(folder, &line);
     assert_eq!(text, err, "{line}");
     rows.iter().map(|row| row["code"].as_str().unwrap().to_string()).collect()
 }
 
+/// Warnings that no page has, because `nsim report` has no option of these readers.
+const WITHOUT_PAGE: [WarningCode; 2] = [WarningCode::DecisionByPotential, WarningCode::LayerOrder];
+
+/// Each code is made by a case, in the text, in JSON and on a page. The cases stay in a folder, where
+/// `python/tests/test_warnings.py` makes them again, and prints a list of the codes and places.
 #[test]
-fn a_warning_is_in_text_and_json_alike_and_each_code_is_made() {
+fn a_warning_is_in_text_json_and_page_alike_and_each_code_is_made() {
     use WarningCode::*;
     const TERSE: [WarningCode; 9] = [
         ThresholdAssumed,
@@ -163,53 +189,83 @@ fn a_warning_is_in_text_and_json_alike_and_each_code_is_made() {
         EdgeDoubled,
         EdgeDropped,
     ];
-    let temporary = tempfile::tempdir().unwrap();
-    let folder = temporary.path();
+    const EACH: &[&str] = &["run", "energy --baseline", "agree", "report"];
+    let folder = &Path::new(env!("CARGO_TARGET_TMPDIR")).join("warnings");
+    let _ = std::fs::remove_dir_all(folder);
+    std::fs::create_dir_all(folder).unwrap();
     files(folder);
     let noise = "scene:noise?samples=1&steps=40&rate=0.5&seed=1";
-    let events = "wide.ron --input in=events.csv?size=4,1&steps=3";
-    let cases: [(&[&str], String, &[WarningCode]); 23] = [
-        (&["run", "energy", "agree"], format!("net.nir --dt 1 --input {noise}"), &[ResetAssumed]),
+    // Commands, a model with its options, an input, codes.
+    type Case = (&'static [&'static str], &'static str, &'static str, &'static [WarningCode]);
+    let cases: [Case; 27] = [
+        (EACH, "net.nir --dt 1", noise, &[ResetAssumed]),
         (
             &["map", "import", "import -o made.ron --force", "export -o made.nir --force"],
-            "net.nir --dt 1".into(),
+            "net.nir --dt 1",
+            "",
             &[ResetAssumed],
         ),
-        (&["compare --targets loihi1-chip"], format!("net.nir --dt 1 --input {noise}"), &[ResetAssumed]),
-        (&["import"], "net.nir --dt 50 --decay exponential --reset zero".into(), &[LongTimestep]),
-        (&["import"], "net.nir --dt 1 --reset zero --decision greatest_v".into(), &[DecisionByPotential]),
-        (&["map", "import"], "terse.nir --dt 1".into(), &TERSE),
-        (&["import"], "net.nir --from sinabs".into(), &[ToolBeyond]),
-        (&["import"], "fields.net".into(), &[DelayClipped, ThetaIgnored, ThresholdClipped, SizeIgnored]),
-        (&["map", "import"], "fraction.net".into(), &[FractionLost]),
-        (&["run", "energy"], format!("odd.net --input {noise}"), &[WeightsRounded]),
-        (&["import"], "1-fc1.npy --neuron loihi.yml".into(), &[WeightsRounded]),
-        (&["import"], "net.pt --neuron loihi.yml".into(), &[LayerOrder]),
-        (&["run", "energy", "agree"], events.into(), &[EventsChanged]),
-        (&["run"], "wide.ron --input in=late.txt?size=4,1&steps=5".into(), &[EventsChanged]),
-        (&["run"], "wide.ron --input in=events.bin?size=4,1&steps=5".into(), &[EventsChanged]),
-        (&["run", "run --engine golden", "energy", "agree"], format!("odd.ron --input {noise}"), &[WeightsRounded]),
-        (&["map", "map --copies 3"], "odd.ron".into(), &[WeightsRounded]),
-        (&["run", "run --engine reference"], format!("lava.ron --input {noise}"), &[ParameterIgnored]),
-        (&["run", "energy"], format!("slayer.ron --input {noise}"), &[ParameterIgnored]),
-        (&["map"], "srm.ron".into(), &[Converted]),
-        (&["run", "energy"], format!("clipped.ron --input {noise}"), &[Clipped]),
-        (&["run"], format!("wrapped.ron --input {noise}"), &[Wrapped]),
-        (&["run", "energy"], format!("silent.ron --input {noise}"), &[SilentPopulation, SilentOutput]),
+        (&["compare --targets loihi1-chip"], "net.nir --dt 1", noise, &[ResetAssumed]),
+        (&["import", "report"], "net.nir --dt 50 --from sinabs --reset zero", noise, &[LongTimestep, ToolBeyond]),
+        (&["import"], "net.nir --dt 1 --reset zero --decision greatest_v", "", &[DecisionByPotential]),
+        (&["map", "import", "report"], "terse.nir --dt 1", noise, &TERSE),
+        (&["import", "report"], "fields.net", noise, &[DelayClipped, ThetaIgnored, ThresholdClipped, SizeIgnored]),
+        (&["map", "import", "report"], "fraction.net", noise, &[FractionLost]),
+        (&["run", "energy --baseline", "report"], "odd.net", noise, &[WeightsRounded]),
+        (&["import"], "1-fc1.npy --neuron loihi.yml", "", &[WeightsRounded]),
+        (&["import"], "net.pt --neuron loihi.yml", "", &[LayerOrder]),
+        (EACH, "wide.ron", "in=events.csv?size=4,1&steps=3", &[EventsChanged]),
+        (&["run"], "wide.ron", "in=late.txt?size=4,1&steps=5", &[EventsChanged]),
+        (&["run"], "wide.ron", "in=events.bin?size=4,1&steps=5", &[EventsChanged]),
+        (&["run --engine golden"], "odd.ron", noise, &[WeightsRounded]),
+        (EACH, "odd.ron", noise, &[WeightsRounded]),
+        (&["map", "map --copies 3"], "odd.ron", "", &[WeightsRounded]),
+        (&["run", "run --engine reference", "report"], "lava.ron", noise, &[ParameterIgnored]),
+        (&["run", "energy --baseline"], "slayer.ron", noise, &[ParameterIgnored]),
+        (&["map", "report"], "srm.ron", noise, &[Converted]),
+        (&["run", "energy --baseline", "report"], "clipped.ron", noise, &[Clipped]),
+        (&["run", "report"], "wrapped.ron", noise, &[Wrapped]),
+        (&["run", "energy --baseline", "report"], "silent.ron", noise, &[SilentPopulation, SilentOutput]),
+        (
+            &["map --prune static", "run --prune static", "report --prune static"],
+            "conv.ron",
+            noise,
+            &[ConvolutionListed],
+        ),
+        (&["energy", "report --baseline rtx-2080-ti"], "wide.ron", noise, &[BaselineMissing]),
+        (
+            &["energy --convention published --baseline", "report --convention published"],
+            "wide.ron",
+            "lengths",
+            &[CostUnknown],
+        ),
+        (
+            &["energy --mode realtime --constants slow.ron --baseline", "report --mode realtime --constants slow.ron"],
+            "wide.ron",
+            noise,
+            &[RealtimeMissed],
+        ),
     ];
-    let mut made = BTreeSet::new();
-    for (commands, arguments, expected) in &cases {
+    let (mut made, mut on_page) = (BTreeSet::new(), BTreeSet::new());
+    for (commands, arguments, input, expected) in &cases {
         for command in *commands {
-            // Baselines have notes of their own.
-            let more = if command.starts_with("energy") { " --baseline" } else { "" };
-            let found = codes(folder, &format!("{command} {arguments}{more}"));
+            let reads_no_input = ["map", "import", "export"].iter().any(|name| command.starts_with(name));
+            let input = if reads_no_input { String::new() } else { format!(" --input {input}") };
+            // A list of names ends with the line.
+            let (command, options) = command.split_once(' ').unwrap_or((command, ""));
+            let found = codes(folder, format!("{command} {arguments}{input} {options}").trim_end());
             for code in *expected {
                 assert!(found.contains(code.name()), "{command} {arguments}: {code:?} is not among {found:?}");
                 made.insert(*code);
+                on_page.extend(command.starts_with("report").then_some(*code));
             }
         }
     }
     assert_eq!(made, BTreeSet::from(WarningCode::ALL));
+    on_page.extend(WITHOUT_PAGE);
+    assert_eq!(on_page, made);
+    let listed = cases.map(|(commands, model, input, codes)| json!([commands, model, input, codes]));
+    write(folder, "cases.json", &json!({"cases": listed, "without_page": WITHOUT_PAGE}).to_string());
     let page = std::fs::read_to_string("docs/results.md").unwrap();
     let (_, table) = page.split_once("\n## Warnings\n").unwrap();
     let rows: Vec<&str> = table.lines().filter_map(|line| line.strip_prefix("| `")?.split('`').next()).collect();

@@ -25,7 +25,7 @@ fn keep(network: &Quantised, rule: Option<Rule>) -> SampleSettings {
     SampleSettings {
         output: network.output(),
         probes: Vec::new(),
-        early_exit: rule.map(|rule| EarlyExit::new(rule, network)),
+        early_exit: rule.map(|rule| EarlyExit::new(rule, network).unwrap()),
     }
 }
 

@@ -118,7 +118,7 @@ impl Case {
                 distribution: None,
             };
             let early_exit = Some(match rule {
-                Some(rule) => EarlyExit::new(rule, &compiled.one),
+                Some(rule) => EarlyExit { ends: true, ..EarlyExit::recording_only(rule, &compiled.one) },
                 None => EarlyExit::recording_only(Rule::Certain, &compiled.one),
             });
             let keep = SampleSettings { early_exit, ..SampleSettings::new(compiled.program.output()) };

@@ -21,7 +21,6 @@ use nsim::import::spikes::events::event::{Counts, Event, Sink};
 use nsim::import::spikes::events::{nir_data, read as events};
 use nsim::import::spikes::{EventFormat, EventOptions, InputSpec, read_source, read_spikes};
 use nsim::ir::arithmetic::{ResetDesc, Semantics, ThresholdTest};
-use nsim::ir::base::fixed::SignMode;
 use nsim::ir::base::rng;
 use proptest::prelude::*;
 
@@ -555,7 +554,7 @@ fn models() -> impl Strategy<Value = NetworkFile> {
                 from: vec!["in".into(), "a".into()],
                 delay,
                 weight_exp: Some(exponent),
-                sign: SignMode::Mixed,
+                sign: None,
                 ..ProjectionDesc::new("", "b", ProjectionKind::Dense(tensor(vec![20, 30], dense)))
             };
             model.projections = vec![

@@ -36,7 +36,7 @@ fn class(read_out: ReadOut, v: &[Vec<i32>]) -> Option<u32> {
 fn keep(network: &Quantised, rule: Option<Rule>) -> SampleSettings {
     let output = network.output();
     let probe = Probe { first: output.first, count: output.count, quantity: Quantity::Potential };
-    let early_exit = rule.map(|rule| EarlyExit::new(rule, network));
+    let early_exit = rule.map(|rule| EarlyExit::new(rule, network).unwrap());
     SampleSettings { output, probes: if rule.is_none() { vec![probe] } else { Vec::new() }, early_exit }
 }
 

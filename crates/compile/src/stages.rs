@@ -14,7 +14,7 @@ use crate::mapping_file::pruned::plan;
 use crate::place::ranks::assign;
 use crate::place::{self, anneal};
 use nsim_check::{equivalence, relays, verify};
-use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::diagnostic::{Diagnostic, collect_all};
 use nsim_ir::base::id::{CoreId, IdVec};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -22,7 +22,7 @@ use nsim_ir::mapping::MappingFile;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Placement, Site};
-use nsim_ir::quantised::{Inconsistent, Note, Parts, Quantised, Units};
+use nsim_ir::quantised::{Inconsistent, Note, Parts, Population, Quantised, Units};
 use nsim_ir::ranks::{RankAssignment, RankShare};
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
@@ -284,44 +284,43 @@ impl Front {
     }
 }
 
-/// Refuses neurons and messages that the target does not support.
+/// Refuses neurons and messages that the target does not support, all of them at once.
 fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
-    let (kinds, widest) = (&target.chip().neuron_kinds, target.chip().message_bits);
-    for population in network.populations() {
-        let bits = population.message.bits();
-        if bits > widest {
-            let carry = if widest == 0 { "carry no integers".to_string() } else { format!("carry {widest} bits") };
-            let (name, target) = (&population.name, target.name());
-            let message =
-                format!("messages of population '{name}' carry integers of {bits} bits, messages of {target} {carry}");
-            return Err(Diagnostic::new("map.message", message)
-                .help(format!("set message_bits: {bits} in a chip of your own, or choose a target with wider messages"))
-                .into());
-        }
-        let Units::Compartments { neurons, .. } = &population.units else { continue };
-        let mut of_neurons = neurons.values().iter().map(|neuron| neuron.kind);
-        if let Some(kind) = of_neurons.find(|kind| !kinds.contains(&kind.family())) {
-            let message = format!(
-                "population '{}' has {} neurons, which {} does not have",
-                population.name,
-                kind.name(),
-                target.name()
-            );
-            let family = kind.family().name();
-            let own =
-                format!("add it to a chip of your own, as neuron_kinds: [{family}], or choose a target that has it");
-            let help = match kind {
-                NeuronKind::SoftReset => format!(
-                    "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion. nsim \
-                     convert changes the reset to zero and measures the loss, which may be large. Or run it exactly: \
-                     {own}"
-                ),
-                _ => own,
-            };
-            return Err(Diagnostic::new("map.neuron-kind", message).help(help).into());
-        }
-    }
+    let of = |population| [has_messages(population, target), has_kind(population, target)];
+    collect_all(network.populations().iter().flat_map(of))?;
     Ok(())
+}
+
+fn has_messages(population: &Population, target: &Target) -> Result<(), Diagnostic> {
+    let (bits, widest) = (population.message.bits(), target.chip().message_bits);
+    if bits <= widest {
+        return Ok(());
+    }
+    let carry = if widest == 0 { "carry no integers".to_string() } else { format!("carry {widest} bits") };
+    let (name, target) = (&population.name, target.name());
+    let message =
+        format!("messages of population '{name}' carry integers of {bits} bits, messages of {target} {carry}");
+    Err(Diagnostic::new("map.message", message)
+        .help(format!("set message_bits: {bits} in a chip of your own, or choose a target with wider messages")))
+}
+
+fn has_kind(population: &Population, target: &Target) -> Result<(), Diagnostic> {
+    let kinds = &target.chip().neuron_kinds;
+    let Units::Compartments { neurons, .. } = &population.units else { return Ok(()) };
+    let mut of_neurons = neurons.values().iter().map(|neuron| neuron.kind);
+    let Some(kind) = of_neurons.find(|kind| !kinds.contains(&kind.family())) else { return Ok(()) };
+    let (name, of_kind, target) = (&population.name, kind.name(), target.name());
+    let message = format!("population '{name}' has {of_kind} neurons, which {target} does not have");
+    let family = kind.family().name();
+    let own = format!("add it to a chip of your own, as neuron_kinds: [{family}], or choose a target that has it");
+    let help = match kind {
+        NeuronKind::SoftReset => format!(
+            "train with a reset to zero (snnTorch: reset_mechanism='zero'), which needs no conversion. nsim convert \
+             changes the reset to zero and measures the loss, which may be large. Or run it exactly: {own}"
+        ),
+        _ => own,
+    };
+    Err(Diagnostic::new("map.neuron-kind", message).help(help))
 }
 
 /// A network on logical cores, for several placements.

@@ -19,6 +19,7 @@ use nsim_ir::activity::Activity;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::base::units::Femtojoules;
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::hardware::constants::{ClassError, Constants, FigureClass, Status};
 
 impl Convention {
@@ -285,8 +286,8 @@ pub struct Estimate {
     /// Share of a mean step in which x86 cores inject, take their turn and reset, 0..=1; `None`
     /// without x86 cores or timesteps.
     pub x86_share: Option<f64>,
-    /// Reasons for unknown figures.
-    pub notes: Vec<String>,
+    /// Unknown figures, and steps that real time does not wait for.
+    pub warnings: Vec<Warning>,
 }
 
 /// Powers of a whole job, all copies together, in mW.
@@ -314,6 +315,14 @@ impl JobPower {
     /// Dynamic power of the x86 cores.
     pub fn x86_dynamic(&self) -> Option<f64> {
         Some(self.x86_clock + self.x86_active?)
+    }
+
+    /// Power of the job by an accounting; `None` where it depends on timesteps and none was run.
+    pub fn total(&self, accounting: Accounting) -> Option<f64> {
+        match accounting {
+            Accounting::Profiler => self.profiler(),
+            Accounting::Rails => self.rails_running(),
+        }
     }
 
     /// Power that the profiler attributes to the job.
@@ -430,6 +439,25 @@ impl EstimateInput<'_> {
             Mode::Offline => steps.time,
             Mode::Realtime => steps.paced_time,
         }
+    }
+
+    /// Warning of steps that take longer than their timestep in real time.
+    fn late_steps(&self, steps: &StepSums) -> Option<Warning> {
+        let timestep = self.meter.settings().timestep;
+        let all = u128::from(steps.steps) * u128::from(timestep.0);
+        let is_late = self.mode == Mode::Realtime && steps.paced_time > all;
+        is_late.then(|| {
+            let (limit, mean) = (timestep.microseconds(), steps.time as f64 / 1e6 / steps.steps.max(1) as f64);
+            let behind = (steps.paced_time - all) as f64 / 1e6;
+            Warning::of_network(
+                WarningCode::RealtimeMissed,
+                format!(
+                    "steps take longer than the timestep of {limit:.0} us, {mean:.0} us in the mean: the chip falls \
+                     {behind:.0} us behind its input in {} steps",
+                    steps.steps
+                ),
+            )
+        })
     }
 
     /// Returns the price of a step of the `total` row, under one preset.
@@ -599,20 +627,20 @@ pub fn estimate(case: &EstimateInput<'_>) -> Estimate {
     let steps = case.activity.steps() as f64;
     let some_steps = case.activity.steps() > 0;
 
-    let mut notes = Vec::new();
+    let mut warnings = Vec::new();
+    let mut unknown = |why: &str| warnings.push(Warning::of_network(WarningCode::CostUnknown, why));
     if !some_steps {
-        notes.push("no timestep was run: dynamic power, latency and energy are not known".to_string());
+        unknown("no timestep was run: dynamic power, latency and energy are not known");
     } else if case.time(&lane.whole) == 0 {
-        notes
-            .push("a timestep takes no time under these constants: dynamic power and energy are not known".to_string());
+        unknown("a timestep takes no time under these constants: dynamic power and energy are not known");
     }
     if case.convention == Convention::Published && case.steps_per_sample.is_none() {
-        notes.push(
+        unknown(
             "samples differ in length: the published convention divides by the timesteps of a sample, so its energy is \
-             not known"
-                .to_string(),
+             not known",
         );
     }
+    warnings.extend(case.late_steps(&lane.whole));
 
     let breakdown_pj = some_steps.then(|| {
         let per_step = 1e3 * steps * f64::from(case.copies_counted.max(1));
@@ -632,7 +660,7 @@ pub fn estimate(case: &EstimateInput<'_>) -> Estimate {
         per_timestep_dynamic_uj: spread(|distribution| &distribution.dynamic),
         time_us: some_steps.then(|| [0, 1, 2, 3, 4, 5].map(mean_us)),
         x86_share: case.x86_share(&lane.whole),
-        notes,
+        warnings,
     }
 }
 
@@ -866,7 +894,7 @@ pub(crate) mod tests {
         assert_eq!((found.rows[2].dynamic_mw, found.rows[2].energy_uj, found.rows[2].latency_us), (None, None, None));
         assert!(found.rows[2].static_mw.is_some());
         assert_eq!((found.breakdown_pj, found.per_timestep_uj), (None, None));
-        assert_eq!(found.notes.len(), 1);
+        assert_eq!(found.warnings.len(), 1);
     }
 
     #[test]
@@ -876,7 +904,7 @@ pub(crate) mod tests {
         let found = estimate(&uneven);
         assert_eq!(found.rows[2].energy_uj, None);
         assert!(found.rows[2].total_mw.is_some());
-        assert!(found.notes[0].contains("published convention"));
+        assert!(found.warnings[0].message.contains("published convention"));
     }
 
     proptest! {

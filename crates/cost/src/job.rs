@@ -17,6 +17,16 @@ pub enum Mode {
 
 named_variants!(Mode { Offline = "offline", Realtime = "realtime" });
 
+impl Mode {
+    /// The mode in words.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Mode::Offline => "offline",
+            Mode::Realtime => "real time",
+        }
+    }
+}
+
 /// Definition of "energy per timestep" and "energy-delay product".
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(rename_all = "lowercase")]
@@ -82,3 +92,13 @@ pub enum Accounting {
 }
 
 named_variants!(Accounting { Profiler = "profiler", Rails = "rails" });
+
+impl Accounting {
+    /// What power counts, after "power".
+    pub const fn power_text(self) -> &'static str {
+        match self {
+            Accounting::Profiler => "of the cores and chips in use",
+            Accounting::Rails => "of the board, as a meter shows it",
+        }
+    }
+}

@@ -124,7 +124,9 @@ impl Dense {
         if weights > MOST_WEIGHTS {
             return Err(format!("its matrices would have {weights} weights, more than {MOST_WEIGHTS}"));
         }
-        let order = order(network).ok_or("it is recurrent, so a window cannot be computed layer by layer")?;
+        let order = order(network).ok_or(
+            "a population projects to itself, or to an earlier one, so a window cannot be computed layer by layer",
+        )?;
         let mut inputs = vec![None; network.populations().len()];
         for (id, population) in network.inputs() {
             inputs[id.index()] = population.first_channel().map(|first| (first.0, population.shape.len() as usize));

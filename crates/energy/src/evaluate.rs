@@ -16,7 +16,7 @@ use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
 use nsim_cost::estimate::{ByStatus, Convention, EstimateInput, FigureSource, step_price};
 use nsim_cost::job::{Accounting, DeployedCores};
-use nsim_cost::{Deployment, MeterSettings, StepMeter};
+use nsim_cost::{Deployment, HostWork, MeterSettings, StepMeter};
 use nsim_files::table::three;
 use nsim_ir::hardware::Target;
 use nsim_ir::neurons::Family;
@@ -170,6 +170,7 @@ pub fn evaluate(
     let metered = MeterSettings { distribution: Some((0, price)), ..metered };
     // Copies receive equal samples and decide equally, so only the first's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
+    options.early_exit.map(|rule| EarlyExit::new(rule, &compiled.one)).transpose()?;
     let watched = EarlyExit::recording_only(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;
     let by_status = ByStatus::new(&target.constants()[0], deployment.chips_used)?;
@@ -201,7 +202,9 @@ pub fn evaluate(
     if let Some(job) = measured_job {
         if plan.job().is_none() {
             let is_mapped = plan.mapped_job(&target).is_some();
-            as_in = paper::rows((workload, is_mapped), job, options, &target, work)?;
+            // The job keeps its own host, whatever is asked for here.
+            let of_job = HostWork { steps_per_sample: work.steps_per_sample, ..HostWork::for_target(&target) };
+            as_in = paper::rows((workload, is_mapped), job, options, &target, of_job)?;
             let total = as_in.iter().find(|row| row.unit == "total").cloned();
             rows.extend(total.map(|total| (total, "the measured job, by the same constants".to_string())));
         }
@@ -237,12 +240,13 @@ pub fn evaluate(
     let decision = per_decision(rule, &case, &run.outcomes, right);
     energy.job.clone_from(&plan.shipped);
     energy.early_exit = options.early_exit.map(|rule| early_exit_savings(rule, &case, &run.outcomes, &decision));
-    energy.comparison.per_decision = Some(decision);
+    energy.comparison.per_decision = compiled.one.decides().then_some(decision);
     energy.printed = printed;
-    energy.notes.extend(others.notes);
     energy.accuracy = workload.accuracy(&run.outcomes);
+    energy.undecided = run.outcomes.iter().filter(|outcome| outcome.class().is_none()).count();
     energy.labelled = workload.samples().iter().filter(|sample| sample.label().is_some()).count() as u64;
     energy.detail = workload.detail(&run);
+    energy.detail.warnings.extend(energy.estimate.warnings.iter().cloned().chain(others.warnings));
     energy.expected = Some(workload.expected(&run)?);
     Ok(Evaluation { energy, run, deployment })
 }

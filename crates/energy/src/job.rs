@@ -182,8 +182,7 @@ fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> O
 }
 
 /// Returns the report of a finished run, from its counts and the conditions of the estimate, and
-/// rows of other hardware with their sources. Its notes belong on stderr when the output is for
-/// programs.
+/// rows of other hardware with their sources.
 pub fn report(
     model: &str,
     target: &Target,
@@ -212,6 +211,7 @@ pub fn report(
         accounting: case.accounting,
         accuracy: None,
         labelled: 0,
+        undecided: 0,
         job: None,
         printed: Vec::new(),
         parts: Vec::new(),
@@ -223,7 +223,6 @@ pub fn report(
         detail: Detail::default(),
         expected: None,
         constants: constant_entries(preset),
-        notes: estimate.notes.clone(),
         constant_notes,
         estimate,
     }

@@ -12,6 +12,7 @@ use crate::power::{POWERCAP, PackagePower, Power, PowerMeter};
 use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
 use nsim_cost::job::Mode;
 use nsim_ir::base::units::Picoseconds;
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
@@ -46,13 +47,19 @@ pub struct CopyWorkload<'a> {
     pub timestep: Picoseconds,
 }
 
-/// Rows with their sources, and notes on them.
+/// Rows with their sources, and why others are absent.
 #[derive(Debug, Default)]
 pub struct HardwareRows {
     /// Rows and their sources, in the order of the table.
     pub rows: Vec<(EnergyRow, String)>,
-    /// Reasons for unexpected or absent rows.
-    pub notes: Vec<String>,
+    /// Reasons for absent rows.
+    pub warnings: Vec<Warning>,
+}
+
+impl HardwareRows {
+    fn without(&mut self, reason: String) {
+        self.warnings.push(Warning::of_network(WarningCode::BaselineMissing, reason));
+    }
 }
 
 /// Returns the rows of all requested hardware.
@@ -74,7 +81,7 @@ pub fn rows(
                     let source = "modelled from its peak rate, bandwidth, overhead a layer and power (equation 18)";
                     found.rows.push((row, format!("{source}: {reason}")));
                 } else {
-                    found.notes.push(format!("{reason}; --baseline {ROOFLINE} models it"));
+                    found.without(format!("{reason}; --baseline {ROOFLINE} models it"));
                 }
             }
         }
@@ -99,7 +106,7 @@ pub fn gpu(
     let idle = Duration::from_secs(2);
     let measured = gpu::with_nvml(|name, power| (name, gpu::measure(command, steps, idle, power)));
     match measured.and_then(|(name, measured)| Ok((name, measured?))) {
-        Err(reason) => found.notes.push(format!("no row for --gpu-command: {reason}")),
+        Err(reason) => found.without(format!("no row for --gpu-command: {reason}")),
         Ok((name, measured)) => {
             let figures = figures(measured.us_per_timestep, measured.power, one, mode, true);
             let source = format!(
@@ -136,18 +143,19 @@ fn add_cpu_rows(
     let samples = cpu::first_samples(one.samples, TIMESTEPS);
     let here = Environment::here();
     let mut add = |name: &str, window: bool, (timed, power): (Result<MeasuredTime, String>, Power)| match timed {
-        Err(reason) => found.notes.push(format!("no row for {name}: {reason}")),
+        Err(reason) => found.without(format!("no row for {name}: {reason}")),
         Ok(timed) => {
             // Other programs disturbed the fastest repeat least.
             let figures = figures(timed.fastest, power, one, mode, window);
             let source = format!(
                 "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us \
-                 apart{}; {}",
+                 apart{}{}; {}",
                 timed.repeats,
                 timed.timesteps,
                 timed.us_per_timestep,
                 timed.spread,
                 busy.map_or(String::new(), |load| format!("; {load} of {available} processors were busy before")),
+                if here.profile == "debug" { "; slow, because nsim was built without optimisation" } else { "" },
                 meter.source()
             );
             let row = EnergyRow { busy, ..figures.row(name, convention, one.steps) };
@@ -159,9 +167,6 @@ fn add_cpu_rows(
         Some(program) => {
             add("CPU, by events", false, meter.during(|| cpu::event_driven(program, samples, BUDGET)));
         }
-        None => found.notes.push("no row for CPU, by events: one copy alone could not be mapped".to_string()),
-    }
-    if here.profile == "debug" {
-        found.notes.push("nsim was built without optimisation: its rows of the processor are slow".to_string());
+        None => found.without("no row for CPU, by events: one copy alone could not be mapped".to_string()),
     }
 }

@@ -14,7 +14,7 @@ use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, Project
 use crate::synapses::{SynapseArrays, SynapseList};
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::base::diagnostic::{Diagnostic, Span, collect_all};
-use nsim_ir::base::fixed::{Delay, MessageBits, Payload, ThresholdMantissa};
+use nsim_ir::base::fixed::{Delay, MessageBits, Payload, SignMode, ThresholdMantissa, WeightBits};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{
@@ -425,6 +425,10 @@ impl Lowering<'_> {
         let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
         let firsts = sizes.iter().scan(0, |next, &size| Some(std::mem::replace(next, *next + size)));
         let firsts: Vec<u32> = firsts.collect();
+        // The quantiser refuses other widths.
+        let bits = WeightBits::new(desc.weight_bits);
+        let chosen = || bits.map_or(SignMode::Mixed, |bits| whole.sign_of_weights(bits));
+        let sign = desc.sign.unwrap_or_else(chosen);
         let kinds = match whole {
             ProjectionKind::Sparse { synapses } if sources.len() > 1 => {
                 let mut by_source = vec![Vec::new(); sources.len()];
@@ -454,7 +458,7 @@ impl Lowering<'_> {
                 span,
                 first_source,
                 weight_exp: weight_exp.clone(),
-                sign: desc.sign,
+                sign,
                 weight_bits: weight_bits.clone(),
                 port: desc.port,
                 delay,

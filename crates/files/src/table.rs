@@ -176,13 +176,24 @@ fn cells(csv: &str) -> impl Iterator<Item = Vec<String>> {
     reader.into_records().flatten().map(|record| record.iter().map(str::to_string).collect())
 }
 
-/// CSV without the column of this name.
-pub fn without_column(csv: &str, name: &str) -> String {
+/// CSV with some of its columns.
+pub fn with_columns(csv: &str, is_shown: impl Fn(&str) -> bool) -> String {
     let mut records = cells(csv);
-    let mut header = records.next().unwrap_or_default();
-    let Some(place) = header.iter().position(|heading| heading == name) else { return csv.to_string() };
-    header.remove(place);
-    csv_text(header, records.map(|record| [&record[..place], &record[place + 1..]].concat()))
+    let header = records.next().unwrap_or_default();
+    let shown: Vec<bool> = header.iter().map(|heading| is_shown(heading)).collect();
+    let some = |record: Vec<String>| record.into_iter().zip(&shown).filter(|(_, shown)| **shown).map(|(cell, _)| cell);
+    csv_text(some(header).collect(), records.map(|record| some(record).collect()))
+}
+
+/// CSV as a table of text, without empty columns; whole numbers exact, others with four digits.
+pub fn text_of_csv(csv: &str) -> String {
+    let records = records(csv);
+    let Some((header, rows)) = records.split_first() else { return String::new() };
+    let filled = |column: &usize| rows.iter().any(|row| row.get(*column).is_some_and(|cell| !cell.is_empty()));
+    let places: Vec<usize> = (0..header.len()).filter(filled).collect();
+    let pick = |row: &Vec<String>| places.iter().map(|&at| row.get(at).cloned().unwrap_or_default()).collect();
+    let heads: Vec<&str> = places.iter().map(|&at| header[at].as_str()).collect();
+    table(&heads, &rows.iter().map(pick).collect::<Vec<_>>())
 }
 
 /// The records of CSV, whole numbers exact and other numbers with at most four digits.
@@ -367,7 +378,7 @@ mod tests {
     fn csv_becomes_a_table_for_papers() {
         let csv = "name,power_mw,digest,events\na|b & c,1.23456,ab,1751840\n\"100 %\",2,,3\n";
         assert!(markdown(csv).contains("| 1751840 |"), "counts are exact");
-        let csv = &without_column(&without_column(csv, "digest"), "events");
+        let csv = &with_columns(csv, |name| !["digest", "events"].contains(&name));
         assert_eq!(markdown(csv), "| name | power_mw |\n| --- | --- |\n| a\\|b & c | 1.235 |\n| 100 % | 2 |\n");
         let latex = latex(csv);
         assert!(latex.contains("\\begin{tabular}{lr}") && latex.contains("name & power\\_mw \\\\"), "{latex}");

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
-use crate::base::fixed::{Delay, SignMode};
+use crate::base::fixed::{Delay, SignMode, WeightBits};
 use crate::base::warning::Warning;
 use crate::locate::locate;
 use crate::neurons::{NeuronKind, Port};
@@ -303,6 +303,34 @@ pub enum ProjectionKind {
 }
 
 impl ProjectionKind {
+    /// Calls `f` for every given weight, or for the bounds of random ones.
+    pub fn each_weight(&self, mut f: impl FnMut(f64)) {
+        match self {
+            ProjectionKind::Dense { weights } | ProjectionKind::Conv2d { weights, .. } => weights.reals().for_each(f),
+            ProjectionKind::Sparse { synapses } => synapses.iter().for_each(|synapse| f(synapse.2)),
+            ProjectionKind::SumPool2d { weight, .. } => f(weight.value),
+            ProjectionKind::Random { low, high, .. } => [low, high].into_iter().for_each(|bound| f(bound.value as f64)),
+        }
+    }
+
+    /// The sign mode of weights of this many bits where none is stated: mixed if it changes no
+    /// weight, else that of the only sign, whose steps are half as wide; mixed for both signs.
+    pub fn sign_of_weights(&self, bits: WeightBits) -> SignMode {
+        let step = f64::from(SignMode::Mixed.step(bits));
+        let (mut exact, mut negative, mut positive) = (true, false, false);
+        self.each_weight(|weight| {
+            exact &= weight % step == 0.0;
+            negative |= weight < 0.0;
+            positive |= weight > 0.0;
+        });
+        match (negative, positive) {
+            _ if exact => SignMode::Mixed,
+            (false, true) => SignMode::Excitatory,
+            (true, false) => SignMode::Inhibitory,
+            _ => SignMode::Mixed,
+        }
+    }
+
     /// Whether no two synapses share a weight.
     pub fn has_own_weights(&self) -> bool {
         matches!(self, ProjectionKind::Dense { .. } | ProjectionKind::Sparse { .. })

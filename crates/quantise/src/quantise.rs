@@ -284,7 +284,7 @@ impl Stage<'_> {
                 pinned = Some(here);
             }
             let (low, high) = format.sign.range(format.bits);
-            visit_weights(projection, |weight| {
+            projection.kind.each_weight(|weight| {
                 let limit = if weight < 0.0 { f64::from(low) } else { f64::from(high) };
                 // A weight of the wrong sign for its mode is refused where it is quantised.
                 if weight != 0.0 && limit != 0.0 {
@@ -613,7 +613,6 @@ impl Rounding<'_, '_> {
     }
 }
 
-/// Calls `f(weight)` for every given weight of a projection, or for the bounds of random ones.
 /// The change of a projection's format that holds all its integer weights.
 fn exact_format(projection: &graph::Projection, format: SynapseFormat) -> String {
     let SynapseFormat { exponent, sign, bits, .. } = format;
@@ -631,7 +630,7 @@ fn exact_format(projection: &graph::Projection, format: SynapseFormat) -> String
     ];
     for (sign, bits, factor, words) in changes {
         let (step, (low, high), mut exact) = (f64::from(sign.step(bits)), sign.range(bits), true);
-        visit_weights(projection, |weight| {
+        projection.kind.each_weight(|weight| {
             let scaled = weight * factor;
             exact &= scaled % step == 0.0 && (f64::from(low)..=f64::from(high)).contains(&scaled);
         });
@@ -640,15 +639,6 @@ fn exact_format(projection: &graph::Projection, format: SynapseFormat) -> String
         }
     }
     format!("give multiples of {}", sign.step(bits))
-}
-
-fn visit_weights(projection: &graph::Projection, mut f: impl FnMut(f64)) {
-    match &projection.kind {
-        ProjectionKind::Dense { weights } | ProjectionKind::Conv2d { weights, .. } => weights.reals().for_each(f),
-        ProjectionKind::Sparse { synapses } => synapses.iter().for_each(|synapse| f(synapse.2)),
-        ProjectionKind::SumPool2d { weight, .. } => f(weight.value),
-        ProjectionKind::Random { low, high, .. } => [low, high].into_iter().for_each(|bound| f(bound.value as f64)),
-    }
 }
 
 #[cfg(test)]

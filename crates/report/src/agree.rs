@@ -434,7 +434,7 @@ fn sentence(layer: &LayerLoss) -> String {
         return format!("'{name}' loses almost nothing ({disagreement:.4} of its coincidence).");
     }
     let most = match layer.worst() {
-        Some((cause, back)) => format!("most to {}; without, it loses {back:.3} less", cause.loss_text()),
+        Some((cause, back)) => format!("most to {}; without these it loses {back:.3} less", cause.loss_text()),
         None => "to several causes together; removing any one restores little of it".to_string(),
     };
     format!("'{name}' loses {disagreement:.3} of its coincidence, {most}.")

@@ -8,7 +8,8 @@ use serde_json::{Value, json};
 
 use nsim_compile::Reason;
 use nsim_cost::estimate::{Bound, EnergyRow};
-use nsim_files::table::{csv, percent, table, three, wrapped};
+use nsim_cost::job::{Accounting, Mode};
+use nsim_files::table::{count, csv, percent, table, three, wrapped};
 
 /// Result of the network on one target.
 #[derive(Debug, Clone)]
@@ -74,6 +75,12 @@ pub struct Comparison {
     pub model: String,
     /// Sources of the network's input.
     pub input: Vec<String>,
+    /// Number of its samples.
+    pub samples: u64,
+    /// Pace of the steps.
+    pub mode: Mode,
+    /// What power counts.
+    pub accounting: Accounting,
     /// The seed of the input, if one was used.
     pub seed: Option<u64>,
     /// Fields of all targets and constants that `--set` changes.
@@ -122,9 +129,10 @@ fn row_json(row: &ComparedTarget) -> Value {
 
 /// `nsim.compare/1`.
 pub fn json(found: &Comparison) -> Value {
-    let Comparison { model, input, seed, targets, .. } = found;
+    let Comparison { model, input, samples, mode, accounting, seed, targets, .. } = found;
     let rows: Vec<Value> = targets.iter().map(row_json).collect();
-    json!({ "schema": "nsim.compare/1", "model": model, "input": input, "seed": seed, "targets": rows })
+    json!({ "schema": "nsim.compare/1", "model": model, "input": input, "samples": samples, "mode": mode,
+        "accounting": accounting, "seed": seed, "targets": rows })
 }
 
 /// CSV with a row for each target.
@@ -176,7 +184,9 @@ pub fn text(found: &Comparison) -> String {
         }
     }
     let shown = if found.input.is_empty() { "its scene".to_string() } else { found.input.join(" ") };
-    let mut out = wrapped(&format!("{}, one copy, input {shown}", found.model));
+    let (samples, power) = (count(found.samples, "sample"), found.accounting.power_text());
+    let pace = found.mode.text();
+    let mut out = wrapped(&format!("{}, one copy, {pace}, {samples} of {shown}. Power {power}.", found.model));
     out += &format!("\n{}\n{said}", table(&header, &lines));
     if !found.set.is_empty() {
         out += &wrapped(&format!("--set changes every row: {}", found.set.join(", ")));

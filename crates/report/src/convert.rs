@@ -185,7 +185,9 @@ impl ConvertReport<'_> {
             std::iter::once(number.to_string()).chain(others).collect()
         };
         let rows: Vec<Vec<String>> = (1..).zip(stages).map(cells).collect();
-        out += &format!("\n{}\n", table(&STAGES.map(|(heading, _)| heading), &rows));
+        let calibrated = count(converted.calibration.samples as u64, "calibration sample");
+        let stages_table = table(&STAGES.map(|(heading, _)| heading), &rows);
+        out += &format!("\nstages, on {calibrated}\n{stages_table}\n");
         (1..).zip(stages).for_each(|(number, stage)| out += &wrapped(&format!("{number}: {}", stage.name)));
         out += &format!("\n{}\n", table_of(&converted.layers, &LAYERS));
         for layer in &converted.layers {
@@ -200,7 +202,7 @@ impl ConvertReport<'_> {
                  reset; a target whose neurons subtract runs the network unchanged.",
             );
         }
-        out += &format!("\nremaining gain\n{}\n", table_of(&converted.left, &REMAINING));
+        out += &format!("\nremaining gain, on {calibrated}\n{}\n", table_of(&converted.left, &REMAINING));
         if let Some(tuned) = self.tuned {
             out += &tuned_text(tuned);
         }

@@ -359,15 +359,17 @@ const SHOWN_NAMES: usize = 6;
 
 /// Table of pruned items.
 fn pruned_table(rows: &[PrunedKind<'_>]) -> String {
-    let row = |row: &PrunedKind<'_>| {
-        let part = |PrunedPart { name, count }: &PrunedPart<'_>| format!("{name}: {count}");
-        let mut of: Vec<String> = row.of.iter().take(SHOWN_NAMES).map(part).collect();
+    let mut lines = Vec::new();
+    for row in rows {
+        lines.push(vec![row.kind.replace('_', " "), row.count.to_string(), row.reason.to_string()]);
+        let part =
+            |PrunedPart { name, count }: &PrunedPart<'_>| vec![format!("- {name}"), count.to_string(), String::new()];
+        lines.extend(row.of.iter().take(SHOWN_NAMES).map(part));
         if row.of.len() > SHOWN_NAMES {
-            of.push(format!("and {} more", row.of.len() - SHOWN_NAMES));
+            lines.push(vec![format!("- {} more", row.of.len() - SHOWN_NAMES), String::new(), String::new()]);
         }
-        vec![row.kind.replace('_', " "), row.count.to_string(), of.join(", "), row.reason.to_string()]
-    };
-    nsim_files::table::table(&["pruned", "count", "of", "why"], &rows.iter().map(row).collect::<Vec<_>>())
+    }
+    nsim_files::table::table(&["pruned", "count", "why"], &lines)
 }
 
 /// Columns of a core in CSV.

@@ -171,7 +171,8 @@ impl RunReport<'_> {
         let skipped: u64 = outcomes.iter().map(|outcome| outcome.skipped_steps).sum();
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);
-        let predicted: Vec<Option<u32>> = outcomes.iter().map(Outcome::class).collect();
+        let class = |outcome: &Outcome| outcome.class().filter(|_| self.network.decides());
+        let predicted: Vec<Option<u32>> = outcomes.iter().map(class).collect();
         let labels = self.labels.iter().copied().collect::<Option<Vec<u32>>>();
         RunResult {
             model: &parts.name,
@@ -184,7 +185,7 @@ impl RunReport<'_> {
             timesteps,
             drain: parts.drain,
             decision: parts.decision.name(),
-            undecided: predicted.iter().filter(|class| class.is_none()).count(),
+            undecided: predicted.iter().filter(|class| class.is_none()).count() * usize::from(self.network.decides()),
             predicted,
             labels: labels.filter(|labels| !labels.is_empty()),
             accuracy: accuracy(outcomes, self.labels.iter().copied()),
@@ -262,6 +263,7 @@ impl RunReport<'_> {
         const SHOWN: usize = 12;
         const OUTPUTS: usize = 24;
         let scores = match self.network.parts().decision {
+            ReadOut::Spikes if !self.network.decides() => "messages of outputs",
             ReadOut::Spikes => "spikes of outputs",
             ReadOut::GreatestV => "greatest v of outputs",
             ReadOut::SumOfV => "sum of v of outputs",
@@ -282,6 +284,10 @@ impl RunReport<'_> {
         out += &format!("\n{}", table(&["sample", "label", "predicted", scores], &rows));
         if result.samples > SHOWN {
             out += &format!("{} more; all of them with --format csv or json\n", result.samples - SHOWN);
+        }
+        if !self.network.decides() {
+            let name = &self.network.populations()[self.network.parts().output].name;
+            out += &wrapped(&format!("'{name}' sends values: --probe {name} -o FOLDER stores them."));
         }
         if *undecided > 0 {
             out += &format!("\nundecided {undecided} of {samples}\n");
@@ -306,7 +312,7 @@ impl RunReport<'_> {
         out += &self.neurobench.map_or(String::new(), neurobench_text);
         out += &format!("\n{}", self.detail.populations_text(*steps));
         out += &self.detail.ranks_text();
-        out += &format!("{} s, {} us a timestep\n", three(result.wall_s), three(result.us_per_timestep));
+        out += &format!("simulated in {} s, {} us a timestep\n", three(result.wall_s), three(result.us_per_timestep));
         for file in result.files {
             out += &format!("wrote {file}\n");
         }

@@ -56,7 +56,7 @@ fn to_less(table: &Table<'_>, column: &str) -> Option<f64> {
     let unit = column.rsplit('_').next().unwrap_or_default();
     match column {
         "accuracy" => Some(-1.0),
-        "cores" | "chips" | "spikes" | "synaptic_events" | "used_percent" => Some(1.0),
+        "cores" | "chips" | "spikes" | "synaptic_events" | "messages" | "hops" | "used_percent" => Some(1.0),
         _ => FIGURES.contains(&column).then_some(1.0).filter(|_| ["mw", "us", "uj", "pjs"].contains(&unit)),
     }
 }

@@ -14,6 +14,7 @@ use std::num::NonZeroU32;
 use std::str::FromStr;
 
 use nsim_dynamics as neuron;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::quantised::{Quantised, Reset, Units};
 
 /// Criterion by which a sample is decided.
@@ -135,13 +136,21 @@ pub struct EarlyExit {
 
 impl EarlyExit {
     /// Returns this rule for the output population of a network; decided samples end.
-    pub fn new(rule: Rule, network: &Quantised) -> EarlyExit {
-        EarlyExit { rule, bounds: SpikeBounds::for_output(network), ends: true }
+    ///
+    /// # Errors
+    /// `run.early-exit` where the output decides no class.
+    pub fn new(rule: Rule, network: &Quantised) -> Result<EarlyExit> {
+        if !network.decides() {
+            let name = &network.populations()[network.parts().output].name;
+            let message = format!("'{name}' sends values, which decide no class, so no sample ends early");
+            return Err(Diagnostic::new("run.early-exit", message).help("remove the early exit"));
+        }
+        Ok(EarlyExit { ends: true, ..EarlyExit::recording_only(rule, network) })
     }
 
     /// Returns this rule for the output population of a network; no decided sample ends.
     pub fn recording_only(rule: Rule, network: &Quantised) -> EarlyExit {
-        EarlyExit { ends: false, ..EarlyExit::new(rule, network) }
+        EarlyExit { rule, bounds: SpikeBounds::for_output(network), ends: false }
     }
 }
 

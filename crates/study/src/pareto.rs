@@ -280,7 +280,7 @@ impl<'a> Subject<'a> {
             _ => None,
         };
         let early_exit = match variant {
-            Variant::Early(rule) => Some(EarlyExit::new(rule, network)),
+            Variant::Early(rule) => Some(EarlyExit::new(rule, network)?),
             _ => None,
         };
         let skip = variant != Variant::Fast { skip: false };

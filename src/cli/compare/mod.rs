@@ -13,6 +13,7 @@ use nsim_energy::evaluate::{self, DeploymentPlan};
 use nsim_energy::options::CostOptions;
 use nsim_files as io;
 use nsim_files::warnings::show;
+use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::hardware::Target;
 use nsim_report::compare::{self as report, ComparedTarget, Comparison, Intervals, RefusalReason, TargetCost};
 use nsim_session::error::Error;
@@ -60,13 +61,19 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let targets = targets.collect::<Result<Vec<Target>, Error>>()?;
     let network = args.reading.load(&args.model)?;
     let name = network.file().name.clone();
-    let mut found = Comparison { model: name, input: Vec::new(), seed: None, set: Vec::new(), targets: Vec::new() };
+    let (mode, accounting) = (args.mode, args.accounting);
+    let (input, set, targets_found) = (Vec::new(), Vec::new(), Vec::new());
+    let mut found =
+        Comparison { model: name, input, samples: 0, mode, accounting, seed: None, set, targets: targets_found };
     for (name, target) in args.targets.iter().zip(&targets) {
         let on_target = match priced(args, name, target, &mut found, context) {
             // A diagnostic of mapping reports a feature that a chip lacks.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
-                let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
-                Err(vec![RefusalReason { code: problem.code.to_string(), message: problem.message.clone() + &help }])
+                let reason = |problem: &Diagnostic| {
+                    let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
+                    RefusalReason { code: problem.code.to_string(), message: problem.message.clone() + &help }
+                };
+                Err(std::iter::once(&*problem).chain(problem.others()).map(reason).collect())
             }
             other => other?,
         };
@@ -113,6 +120,7 @@ fn priced(
     })?;
     show("", &evaluated.energy.detail.warnings);
     (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);
+    found.samples = evaluated.energy.samples;
     let x86_share = evaluated.energy.estimate.x86_share;
     let total = evaluated.energy.estimate.rows.into_iter().find(|row| row.unit == "total");
     let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;

@@ -48,11 +48,6 @@ pub fn run(args: &EnergyArgs, context: Context) -> Result<Answer, Error> {
         if paper && energy.early_exit.is_some() {
             tracing::warn!("this format has no early exit; text and JSON have it");
         }
-        // The headline has no notes; a named baseline without a row needs its reason.
-        let named = args.cost.baseline.as_ref().is_some_and(|names| !names.is_empty());
-        if context.format != Format::Text || named && !args.full {
-            energy.notes.iter().for_each(|note| tracing::warn!("{note}"));
-        }
         Ok(Answer::Yes)
     };
     evaluate(&args.cost, args.steps.as_deref(), context, reported)

@@ -160,6 +160,8 @@ pub struct EnergyReport {
     pub constants: Vec<ConstantEntry>,
     /// Counts by population, input and core, and warnings.
     pub detail: Detail,
+    /// Number of samples without a decision.
+    pub undecided: usize,
     /// Cost of a mean step that `nsim map` expects at the firing rates of the run.
     pub expected: Option<Score>,
     /// The published job of the model, if there is one.
@@ -170,8 +172,6 @@ pub struct EnergyReport {
     pub parts: Vec<JobPart>,
     /// Number of copies counted in the run.
     pub copies_counted: u32,
-    /// Unknown facts and reasons, for readers; also on stderr when the output is for programs.
-    pub notes: Vec<String>,
     /// Remarks on the constants: their hardware, absent ones, ones without effect, figures without
     /// an interval.
     pub constant_notes: Vec<String>,
@@ -215,7 +215,7 @@ struct EnergyResult<'r> {
     parts: Vec<Value>,
     constants: &'r [ConstantEntry],
     expected: Option<Score>,
-    notes: Vec<&'r String>,
+    notes: &'r [String],
     low: Bound,
     high: Bound,
     share: Option<StatusShare>,
@@ -323,10 +323,7 @@ impl EnergyReport {
 
     /// Powers of all copies, and a copy's share, by the report's accounting.
     fn job(&self) -> Job {
-        let total_mw = match self.accounting {
-            Accounting::Profiler => self.estimate.job.profiler(),
-            Accounting::Rails => self.estimate.job.rails_running(),
-        };
+        let total_mw = self.estimate.job.total(self.accounting);
         Job { total_mw, share_mw: total_mw.map(|all| all / f64::from(self.deployment.copies.max(1))) }
     }
 
@@ -378,7 +375,7 @@ impl EnergyReport {
             parts: self.parts.iter().map(JobPart::json).collect(),
             constants: &self.constants,
             expected: self.expected,
-            notes: self.notes.iter().chain(&self.constant_notes).collect(),
+            notes: &self.constant_notes,
             low: total.and_then(|row| row.low).unwrap_or_default(),
             high: total.and_then(|row| row.high).unwrap_or_default(),
             share: total.and_then(|row| row.share),
@@ -497,7 +494,7 @@ impl EnergyReport {
         let (copies, chips) = (count(*copies, "copy"), count(*chips_used, "chip"));
         let cores = count(*cores_used, "neuron core");
         let x86 = if *x86_cores > 0 { count(*x86_cores, "x86 core") } else { "no x86 core".to_string() };
-        let mode = if self.mode == Mode::Offline { "offline" } else { "real time" };
+        let mode = self.mode.text();
         let (model, target) = (&self.model, &self.target);
         let mut out = wrapped(&format!("{model} on {target}: {copies} on {chips} ({cores}, {x86}), {mode}"));
         let shown = self.input.first().map_or("", String::as_str);
@@ -511,16 +508,19 @@ impl EnergyReport {
         let samples = match self.accuracy {
             Some(share) => {
                 let right = (share * self.labelled as f64).round();
-                format!("{right} of {} right", count(self.labelled, "sample"))
+                let undecided = match self.undecided {
+                    0 => String::new(),
+                    some => format!(", {some} undecided"),
+                };
+                format!("{right} of {} right{undecided}", count(self.labelled, "sample"))
             }
             None => count(self.samples, "sample"),
         };
         let power = match self.accounting {
-            Accounting::Profiler if self.hardware().starts_with("loihi") => "Power as Intel's profiler counts it.",
-            Accounting::Profiler => "Power of the cores and chips in use.",
-            Accounting::Rails => "Power of the board, as a meter shows it.",
+            Accounting::Profiler if self.hardware().starts_with("loihi") => "as Intel's profiler counts it",
+            accounting => accounting.power_text(),
         };
-        out += &wrapped(&format!("{samples} ({shown}). {power}"));
+        out += &wrapped(&format!("{samples} ({shown}). Power {power}."));
         out
     }
 
@@ -578,7 +578,8 @@ impl EnergyReport {
         if *copies > 1 {
             let Job { total_mw, share_mw } = self.job();
             let [all, share] = [total_mw, share_mw].map(|power| power.map_or_else(unknown, three));
-            said.push(format!("Rows are for one x86 core and one copy; all copies draw {all} mW, {share} each."));
+            let x86 = if self.deployment.x86_cores > 0 { "one x86 core and " } else { "" };
+            said.push(format!("Rows are for {x86}one copy; all copies draw {all} mW, {share} each."));
         }
         if let Some(job) = job.filter(|_| self.deployment.name != "paper") {
             let (own, theirs) = (each(*cores_used, *copies), each(job.deployment.value.cores_used, job.copies.value));
@@ -670,7 +671,7 @@ impl EnergyReport {
     fn sample_text(&self) -> String {
         let Some(SampleCost { steps, time_us, energy_uj, cores_uj }) = self.sample() else { return String::new() };
         let steps = if steps.fract() == 0.0 { format!("{steps}") } else { format!("{} (mean)", three(steps)) };
-        let cores = cores_uj.map_or(String::new(), |uj| format!("; neuron cores alone: {} uJ", readable(uj)));
+        let cores = cores_uj.map_or(String::new(), |uj| format!("; of it the neuron cores alone: {} uJ", readable(uj)));
         let steps = if steps == "1" { "1 step".to_string() } else { format!("{steps} steps") };
         wrapped(&format!("A sample of {steps}: {} ms, {} uJ{cores}.", readable(time_us / 1e3), readable(energy_uj)))
     }
@@ -769,9 +770,6 @@ impl EnergyReport {
             out += &wrapped(&format!("The paper's job: {}. {}", job.source, job.notes));
         }
         out.push_str(&self.sources());
-        for note in &self.notes {
-            out += &wrapped(&format!("Note: {note}"));
-        }
         out
     }
 
@@ -783,7 +781,7 @@ impl EnergyReport {
         for (name, share) in columns.into_iter().chain([("total power", row.share), ("latency", row.shares.latency_us)])
         {
             let Some(StatusShare { published, fitted, assumed }) = share else { continue };
-            let cells = [published, fitted, assumed].map(|share| format!("{:.0} %", 100.0 * share));
+            let cells = [published, fitted, assumed].map(|share| format!("{:.0} %", (100.0 * share).round() + 0.0));
             rows.push([name.to_string()].into_iter().chain(cells).collect());
         }
         if rows.is_empty() {
@@ -806,7 +804,8 @@ impl EnergyReport {
         let _ = writeln!(out, "{}", table(&["Dynamic energy of the neuron cores", "pJ per timestep", "Share"], &rows));
         if let Some(times) = self.estimate.time_us {
             let listed: Vec<String> = times.iter().map(|(name, us)| format!("{name} {}", three(*us))).collect();
-            out += &wrapped(&format!("Work of a timestep, mean in us: {}.", listed.join(", ")));
+            let overlap = "The cores' part is what remains after injection, during which they work.";
+            out += &wrapped(&format!("Work of a timestep, mean in us: {}. {overlap}", listed.join(", ")));
             if let Some(share) = self.estimate.x86_share {
                 out += &wrapped(&format!("Time of x86 cores for input: {} of a step.", percent(share)));
             }

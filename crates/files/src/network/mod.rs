@@ -265,8 +265,8 @@ pub struct ProjectionDesc {
     pub kind: ProjectionKind,
     /// Weight exponent; nsim chooses an absent one, 0 with an integer threshold.
     pub weight_exp: Option<i64>,
-    /// Sign mode.
-    pub sign: SignMode,
+    /// Sign mode; where it is absent, the weights choose it.
+    pub sign: Option<SignMode>,
     /// Bits of a weight.
     pub weight_bits: i64,
     /// Delay field.
@@ -285,7 +285,7 @@ impl ProjectionDesc {
             to: to.to_string(),
             kind,
             weight_exp: None,
-            sign: SignMode::Mixed,
+            sign: None,
             weight_bits: 8,
             delay: 0,
             weight_scale: None,

@@ -223,7 +223,7 @@ macro_rules! written {
                 Ok(ProjectionDesc {
                     from,
                     weight_exp,
-                    sign: sign.unwrap_or(usual.sign),
+                    sign,
                     weight_bits: weight_bits.unwrap_or(usual.weight_bits),
                     delay: delay.unwrap_or(usual.delay),
                     weight_scale,

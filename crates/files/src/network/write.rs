@@ -12,7 +12,6 @@ use super::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, Pro
 use crate::mapping::pretty;
 use crate::{text, write};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
-use nsim_ir::base::fixed::SignMode;
 use nsim_ir::tensor::{ArrayRef, Numbers, Tensor};
 
 /// The longest list of numbers in the text; longer lists are written to another file.
@@ -113,7 +112,7 @@ impl Serialize for ProjectionDesc {
             }
         }
         given(&mut fields, "weight_exp", self.weight_exp)?;
-        given(&mut fields, "sign", (self.sign != SignMode::Mixed).then_some(self.sign))?;
+        given(&mut fields, "sign", self.sign)?;
         given(&mut fields, "weight_bits", (self.weight_bits != 8).then_some(self.weight_bits))?;
         given(&mut fields, "delay", (self.delay != 0).then_some(self.delay))?;
         given(&mut fields, "weight_scale", self.weight_scale)?;

@@ -215,7 +215,7 @@ fn projection(
             2.0 / scale
         )));
     }
-    let (weight_exp, sign) = (encoded.exponent(), encoded.sign);
+    let (weight_exp, sign) = (encoded.exponent(), encoded.sign.stated());
     let weights = ProjectionKind::Dense(tensor(shape.to_vec(), encoded.weights));
     Ok((ProjectionDesc { weight_exp, sign, ..ProjectionDesc::new("", layer, weights) }, line))
 }

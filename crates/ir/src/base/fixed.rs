@@ -204,6 +204,11 @@ impl Refractory {
 }
 
 impl SignMode {
+    /// The mode that a file states; none for the mixed one, which the weights of its format choose.
+    pub fn stated(self) -> Option<SignMode> {
+        (self != SignMode::Mixed).then_some(self)
+    }
+
     /// The least step between two weights: `2^(8 - (bits - mixed))` (`docs/semantics.md`, weights).
     pub const fn step(self, bits: WeightBits) -> i16 {
         let mixed = if matches!(self, SignMode::Mixed) { 1 } else { 0 };

@@ -65,6 +65,14 @@ pub enum WarningCode {
     LongTimestep = "long-timestep",
     /// The potential of an output that spikes decides.
     DecisionByPotential = "decision-by-potential",
+    /// Pruning made a list of the synapses of a convolution.
+    ConvolutionListed = "convolution-listed",
+    /// Other hardware has no row for this network.
+    BaselineMissing = "baseline-missing",
+    /// A run has no dynamic power, or no energy.
+    CostUnknown = "cost-unknown",
+    /// Steps take longer than their timestep in real time.
+    RealtimeMissed = "realtime-missed",
 }
 }
 

@@ -609,6 +609,13 @@ impl Quantised {
         Output { first, count: output.shape.len(), decision, start_step: start_step.max(least) }
     }
 
+    /// Whether the output decides a class: values that it sends do not, unless the model names
+    /// classes.
+    pub fn decides(&self) -> bool {
+        let output = &self.parts.populations[self.parts.output];
+        self.parts.decision != ReadOut::Spikes || output.message.bits() == 0 || !self.parts.classes.is_empty()
+    }
+
     /// Populations in the order of the file.
     pub fn populations(&self) -> &IdVec<PopulationId, Population> {
         &self.parts.populations

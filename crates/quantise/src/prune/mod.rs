@@ -38,6 +38,7 @@ use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId};
+use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::graph::Shape;
 use nsim_ir::pruned::{Kind, Row};
 use nsim_ir::quantised::connectivity::Connectivity;
@@ -303,21 +304,37 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
         populations.push(Population { shape, units, ..population.clone() });
         kept.push((!all).then_some(indices));
     }
+    let mut warnings = before.warnings.clone();
     let projections = before.projections.iter().filter_map(|projection| {
         let connectivity = thinned(network, projection, survey, tally)?;
+        let is_listed = matches!(projection.connectivity, Connectivity::Conv2d { .. } | Connectivity::SumPool2d { .. })
+            && connectivity != projection.connectivity;
+        warnings.extend(is_listed.then(|| listed(network, projection, &connectivity)));
         Some(Projection { connectivity, ..projection.clone() })
     });
+    let projections = projections.collect();
     let parts = Parts {
-        projections: projections.collect(),
+        projections,
         populations,
         children: before.children.clone(),
         name: before.name.clone(),
         classes: before.classes.clone(),
         notes: before.notes.clone(),
-        warnings: before.warnings.clone(),
+        warnings,
         ..*before
     };
     (parts, kept)
+}
+
+/// Warning of a convolution that is no kernel any more.
+fn listed(network: &Quantised, projection: &Projection, left: &Connectivity) -> Warning {
+    let message = format!(
+        "--prune lists the {} synapses of the convolution {} one by one, which can take more cores than its kernel: \
+         compare nsim map without --prune",
+        left.count(0),
+        projection.name
+    );
+    Warning::of_population(WarningCode::ConvolutionListed, &network.populations()[projection.target].name, message)
 }
 
 /// The remaining synapses of a projection, `None` when there is none; unchanged when none is

@@ -66,7 +66,7 @@ pub fn hardware(result: &Value) -> Option<String> {
     let copies = count(result["copies"].as_u64().unwrap_or_default(), "copy");
     let mode = if result["mode"] == "realtime" { "real time" } else { words(&result["mode"]) };
     let (subject, deployment) = (subject(result), words(&result["deployment"]));
-    let title = format!("{subject}: a timestep, {copies} ({deployment}), {mode}; lines: intervals");
+    let title = format!("{subject}: a timestep of one copy, {copies} ({deployment}), {mode}; lines: intervals");
     totals.iter().any(|row| number(&row["energy_uj"]).is_some()).then(|| plot::panels(&title, &names, &columns))
 }
 

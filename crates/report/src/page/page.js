@@ -432,7 +432,7 @@
   }
   // Text on the class of the first sample, and on the accuracy.
   function decision() {
-    const said = sample ? `The network assigns class ${className(sample.predicted)} to the first sample${sample.label === null ? "" : `, whose class is ${className(sample.label)}`}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.` : "";
+    const said = sample && sample.decides ? `The network assigns class ${className(sample.predicted)} to the first sample${sample.label === null ? "" : `, whose class is ${className(sample.label)}`}${sample.decided_at === null ? "" : `, decided after timestep ${sample.decided_at}`}.` : "";
     return `${said}${isNumber(result.accuracy) ? ` It is right in ${number(100 * result.accuracy)} % of ${plural(result.samples, "sample")}.` : ""}`;
   }
   function hardwareSection() {
@@ -513,7 +513,8 @@
     const sumOf = (of, key, field) => ((of[key] || []).length ? sum(of[key].map((row) => row[field] || 0)) : null);
     const ofCores = (of) => (of.breakdown_pj_per_timestep ? sum(Object.values(of.breakdown_pj_per_timestep)) / 1e3 : null);
     const lines = [
-      ["energy of a timestep (µJ)", ta.energy_uj, tb.energy_uj], ["of that, events of the neuron cores (nJ)", ofCores(a), ofCores(b)], ["time of a timestep (µs)", ta.latency_us, tb.latency_us], ["power (mW)", ta.total_mw, tb.total_mw],
+      ["energy of a timestep of one copy (µJ)", ta.energy_uj, tb.energy_uj], ["of that, events of the neuron cores (nJ)", ofCores(a), ofCores(b)], ["time of a timestep (µs)", ta.latency_us, tb.latency_us], ["power of one copy (mW)", ta.total_mw, tb.total_mw],
+      ["power of all copies (mW)", a.job?.total_mw, b.job?.total_mw],
       ["energy-delay product (nJ s)", ta.edp_pjs / 1e3, tb.edp_pjs / 1e3], ["cores", a.cores_used, b.cores_used], ["chips", a.chips_used, b.chips_used],
       ["timesteps", a.timesteps, b.timesteps], ["spikes of compartments", sumOf(a, "populations", "spikes"), sumOf(b, "populations", "spikes")],
       ["synaptic events", sumOf(a, "cores", "synaptic_events") ?? activity(a).synaptic_events, sumOf(b, "cores", "synaptic_events") ?? activity(b).synaptic_events],

@@ -58,6 +58,7 @@ pub fn json(network: &Quantised, timeline: &Timeline, watched: &[Traced], sample
         "steps_a_point": group,
         "label": sample.label(),
         "predicted": outcome.class(),
+        "decides": network.decides(),
         "decided_at": outcome.decided_at,
         "curves": curves,
         "potentials": potentials,

@@ -290,6 +290,9 @@ impl Runner {
             String::new(),
             or_empty(ends.map(|(low, _)| low)),
             or_empty(ends.map(|(_, high)| high)),
+            (activity.messages() / copies_run).to_string(),
+            (activity.hops().total_links() / copies_run).to_string(),
+            or_empty(estimate.job.total(job.accounting)),
         ])
     }
 }

@@ -58,7 +58,7 @@ fn first_wrong(cells: &Cells) -> Option<&'static str> {
         "digest" => cell.len() == 64 && cell.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f')),
         // Samples without labels have no accuracy, those without steps no costs.
         "accuracy" | "accuracy_low" | "accuracy_high" | "static_mw" | "dynamic_mw" | "total_mw" | "latency_us"
-        | "energy_uj" | "edp_pjs" | "neuron_dynamic_uj" => cell.is_empty() || is_number(cell),
+        | "energy_uj" | "edp_pjs" | "neuron_dynamic_uj" | "job_mw" => cell.is_empty() || is_number(cell),
         _ => cell.parse().is_ok_and(|number: u64| number.to_string() == *cell),
     };
     FIGURES.into_iter().zip(cells).find(|&one| !is_right(one)).map(|(name, _)| name)

@@ -21,7 +21,7 @@ use nsim_ir::spanned::parse;
 use nsim_train::convert::copies::DEFAULT_COPIES;
 
 /// The columns after the varied values.
-pub const FIGURES: [&str; 22] = [
+pub const FIGURES: [&str; 25] = [
     "error",
     "fits",
     "cores",
@@ -44,6 +44,9 @@ pub const FIGURES: [&str; 22] = [
     "reason",
     "accuracy_low",
     "accuracy_high",
+    "messages",
+    "hops",
+    "job_mw",
 ];
 
 /// The last column, where a front is requested.

@@ -110,7 +110,7 @@ pub fn model(graph: &Graph, network: &Quantised, provenance: String) -> Result<N
         model.projections.push(ProjectionDesc {
             delay: projection.delay.get().into(),
             weight_exp: Some(projection.format.exponent.get().into()).filter(|&exponent: &i64| exponent != 0),
-            sign: projection.format.sign,
+            sign: projection.format.sign.stated(),
             weight_bits: projection.format.bits.get().into(),
             ..ProjectionDesc::new(&source.name, &target.name, kind)
         });

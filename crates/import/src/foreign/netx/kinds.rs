@@ -9,7 +9,6 @@ use crate::foreign::imported::integrator;
 use crate::foreign::window::{MOST_LISTED, Sliding};
 use nsim_files::network::{ProjectionKind, padding_after, tensor};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::fixed::SignMode;
 use nsim_ir::neurons::Port;
 
 impl Reader<'_> {
@@ -209,6 +208,6 @@ impl Reader<'_> {
         ));
         self.push(&name, vec![outputs], Some(integrator(4096.0, 0.0).into()));
         let synapses = (0..source.units()).map(|unit| (unit, unit / size, 2.0)).collect();
-        self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), None, SignMode::Mixed)
+        self.connect(layer, &source, &name, ProjectionKind::Sparse(synapses), None, None)
     }
 }

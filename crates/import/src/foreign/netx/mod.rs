@@ -210,7 +210,7 @@ impl Reader<'_> {
             }
         };
         self.push("layer0", shape, Some(neurons));
-        let own = ProjectionDesc { sign: SignMode::Excitatory, ..ProjectionDesc::new("input", "layer0", kind) };
+        let own = ProjectionDesc { sign: Some(SignMode::Excitatory), ..ProjectionDesc::new("input", "layer0", kind) };
         self.model.projections.push(own);
     }
 

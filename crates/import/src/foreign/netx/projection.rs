@@ -64,7 +64,7 @@ impl Reader<'_> {
         self.layers.push(line);
         let exponent = encoded.exponent();
         let kind = kind(encoded.weights);
-        self.connect(layer, source, to, kind, exponent, encoded.sign)
+        self.connect(layer, source, to, kind, exponent, encoded.sign.stated())
     }
 
     /// Adds a projection, or one for each delay of its sources or synapses.
@@ -75,7 +75,7 @@ impl Reader<'_> {
         to: &str,
         kind: ProjectionKind,
         weight_exp: Option<i64>,
-        sign: SignMode,
+        sign: Option<SignMode>,
     ) -> Result<()> {
         let first = source.delays.first().copied().unwrap_or(0);
         let mut projection =

@@ -193,18 +193,17 @@ impl NodeReader<'_> {
         let steps = tau.map(|tau| dt / tau);
         if self.options.decay() == DecayRule::Exponential {
             if let Some(&tau) = tau.values().iter().find(|&&tau| dt > tau) {
+                let short = format!("{:.4e}", tau / dt).parse().unwrap_or(tau / dt);
                 self.long.get_or_insert(format!(
-                    "node '{name}': a timestep of {} ms is longer than its '{key}' of {} ms, so one step keeps {:.2} % of \
-                     the state; nsim.from_torch reads networks of Norse and snnTorch",
-                    dt * 1e3,
-                    format!("{:.4e}", tau * 1e3).parse().unwrap_or(tau * 1e3),
+                    "node '{name}': its '{key}' is {short} timesteps, so one step keeps {:.2} % of the state; \
+                     nsim.from_torch reads networks of Norse and snnTorch",
                     100.0 * (-dt / tau).exp()
                 ));
             }
             return Ok(Share { share: steps.map(|steps| -(-steps).exp_m1()), steps });
         }
         if !all(&steps, |steps| steps <= 1.0 + 1e-6) {
-            let message = format!("node '{name}': a timestep of {} ms is longer than its '{key}'", dt * 1e3);
+            let message = format!("node '{name}': a timestep of {} ms is longer than its '{key}'", self.dt * 1e3);
             return Err(wrong_option(message).help(
                 "give a shorter timestep with --dt MS; time constants in the file are in seconds. For tools whose states \
                  decay by exp(-dt / tau), give --decay exponential",
