@@ -148,6 +148,66 @@ fn the_total_of_one_copy_is_its_job_and_more_hardware_never_draws_less() {
     }
 }
 
+/// Times of measured boards, bounds of constants, accountings, and the row without a host.
+#[test]
+fn loihi_2_is_priced_as_its_boards_were_measured() {
+    let folder = tempfile::tempdir().unwrap();
+    let cells = |kind: &str, weights: &str| {
+        format!(
+            "Network(name: \"pair\", timestep_ms: 1.0, kinds: [Kind(name: \"Own\", state: [(name: \"v\", bits: 24, \
+             overflow: Clip)], update: [\"v = v + in\"], spikes: \"v > 100\", reset: [\"v = 0\"])], populations: [Input(name: \
+             \"in\", shape: [40]), {kind}], projections: [Dense(from: [\"in\"], to: \"a\", weights: \
+             [{weights}, {weights}])], output: \"a\")"
+        )
+    };
+    let weights = format!("{:?}", [2; 40]);
+    write(folder.path(), "own.ron", &cells("Own(name: \"a\", shape: [2])", &weights));
+    write(folder.path(), "lif.ron", &cells("Loihi(name: \"a\", shape: [2], du: 4096, dv: 0, vth_mant: 100)", &weights));
+    write(folder.path(), "silent.csv", "# steps: 100\ntimestep,channel\n");
+    let energy = |line: &str| crate::common::command::object(folder.path(), &format!("energy {line} --baseline"), 0);
+    let total = |of: &Value| of["rows"].as_array().unwrap().iter().find(|row| row["unit"] == "total").unwrap().clone();
+    let bounded =
+        |row: &Value, key: &str| [&row["low"][key], &row[key], &row["high"][key]].map(|x| x.as_f64().unwrap());
+    // No turn in a step without input: the barrier, and two neurons of either kind.
+    for (model, each) in [("lif", [0.00059, 0.003, 0.004]), ("own", [0.020, 0.028, 0.035])] {
+        let row = total(&energy(&format!("{model}.ron --target oheo-gulch --input silent.csv")));
+        for (found, (barrier, each)) in
+            bounded(&row, "latency_us").into_iter().zip([1.16, 1.16, 1.17].into_iter().zip(each))
+        {
+            assert!((found - barrier - 2.0 * each).abs() < 1e-6, "{model}: {row}");
+        }
+    }
+    // Dynamic energy reaches 60 times its own constants.
+    let row = total(&energy(
+        "lif.ron --target oheo-gulch --input silent.csv --set constants.core_static_power=0 --host none",
+    ));
+    let [low, figure, high] = bounded(&row, "energy_uj");
+    assert!((low / figure - 1.0).abs() < 1e-6 && (high / figure - 60.0).abs() < 1e-3, "{row}");
+    // The two accountings of boards; no source prints the whole unit of a Loihi 1.
+    let power =
+        |line: &str| total(&energy(&format!("lif.ron --input silent.csv --host none {line}")))["static_mw"].clone();
+    assert_eq!(power("--target oheo-gulch --accounting rails"), 233.9);
+    assert_eq!(power("--target kapoho-point --accounting unit"), 8.0 * 270.4);
+    let (code, _, stderr) = said(&["energy", "--accounting", "unit", "--baseline"]);
+    assert!(code == 2 && stderr.contains("have no unit_power"), "{stderr}");
+    // Where injection is most of a step, the second row is that of the job without a host.
+    for target in ["oheo-gulch --host stream", "loihi1-chip"] {
+        let model = if target.starts_with("loihi1") { "slip-tactile" } else { "lif.ron" };
+        let input =
+            if model == "lif.ron" { "--input scene:noise?samples=1&steps=50&rate=0.5" } else { "--samples 0..1" };
+        let with = energy(&format!("{model} {input} --target {target}"));
+        let target = target.split(' ').next().unwrap();
+        let without = energy(&format!("{model} {input} --target {target} --host none"));
+        let (row, alone) = (&with["inputs_on_chip"], total(&without));
+        for key in ["latency_us", "energy_uj", "total_mw", "low", "high"] {
+            assert_eq!(row[key], alone[key], "{target} {key}");
+        }
+        assert!(
+            without["inputs_on_chip"].is_null() && total(&with)["latency_us"].as_f64() > row["latency_us"].as_f64()
+        );
+    }
+}
+
 /// The job that is priced is the one that was typed: relays, hosts, resets, samples.
 #[test]
 fn deployments_and_hosts_are_priced_as_typed() {

@@ -328,5 +328,20 @@ fn messages_of_chips_and_constants_name_what_to_write() {
     write(folder.path(), "tern.ron", &CHIP.replace("limits: (", "neuron_kinds: [Loihi, Microcode], limits: ("));
     let noise = "scene:noise?samples=1&steps=5";
     let priced = object(&["energy", &kind, "--target", &board, "--input", noise, "--baseline"], 0);
-    assert!(priced["notes"].to_string().contains("The program of a microcode kind has no cost of its own"), "{priced}");
+    let notes = priced["notes"].to_string();
+    assert!(notes.contains("An update of Own has 4 instructions and costs 4/12 of a visited compartment"), "{priced}");
+    // 2 neurons of 2 pJ a visit, and of 2 pJ each if active; or as the kind states it.
+    let text = std::fs::read_to_string(&kind).unwrap().replace("update:", "time: \"5ns\", energy: \"12pJ\", update:");
+    let stated = write(folder.path(), "stated.ron", &text);
+    let energy = |model: &str, more: &[&str]| {
+        let line = ["energy", model, "--target", &board, "--input", noise, "--baseline"];
+        let priced = object(&[&line[..], more].concat(), 0);
+        let time = priced["time_us_per_timestep"]["slowest_core"].as_f64().unwrap();
+        (priced["breakdown_pj_per_timestep"]["compartment"].as_f64().unwrap(), time, priced["notes"].to_string())
+    };
+    let (pj, us, notes) = energy(&stated, &[]);
+    assert!((pj - 24.0).abs() < 1e-9 && notes.contains("costs 12 pJ and 5 ns, as the model states"), "{pj}: {notes}");
+    assert!(us > 0.01, "{us}");
+    let doubled = energy(&kind, &["--set", "constants.compartment_energy=4pJ"]).0 - energy(&kind, &[]).0;
+    assert!((doubled - 2.0 * 2.0 * 4.0 / 12.0).abs() < 1e-2, "{doubled}");
 }

@@ -162,12 +162,13 @@ fn nothing_is_fitted_to_the_real_time_table() {
 /// constants state, and the page.
 #[test]
 fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() {
-    let workloads = nsim::energy::published::workload::shipped().unwrap();
+    let mut workloads = nsim::energy::published::workload::shipped().unwrap();
+    workloads.retain(|file| io::target::load_target(&file.target.value).unwrap().chip().name == "loihi1");
     let constants = io::target::load_constants("loihi1-evidence").unwrap();
     let target = |name: &str| Ok(io::target::load_target(name)?);
     let rows = rows(&workloads, &constants, target, || ()).unwrap();
     let mut fresh = "| Work | Power and energy | Time |\n|---|---|---|\n".to_string();
-    let (powers, times) = (factors_by_work(&rows, false), factors_by_work(&rows, true));
+    let (powers, times) = (factors_by_work(&rows, "loihi1", false), factors_by_work(&rows, "loihi1", true));
     let works: std::collections::BTreeSet<&&str> = powers.keys().chain(times.keys()).collect();
     let cell = |factor: Option<&f64>| factor.map_or("-".to_string(), |factor| format!("{factor:.2}"));
     for work in works {
@@ -212,6 +213,40 @@ fn works_are_predicted_without_their_own_findings_as_far_as_the_constants_say() 
     }
     assert_eq!(errors, stated, "mapping/constants/loihi1-evidence.ron: errors");
     hold_block("docs/energy.md", "published", &fresh);
+}
+
+/// Steps of Loihi 2 boards without their authors' findings: works whose layout is known within a
+/// factor of 1.6, and all but PilotNet's within the bounds of the constants; and the page.
+#[test]
+fn steps_of_loihi_2_are_within_the_bounds_of_its_constants() {
+    let mut workloads = nsim::energy::published::workload::shipped().unwrap();
+    workloads.retain(|file| io::target::load_target(&file.target.value).unwrap().chip().name == "loihi2");
+    let constants = io::target::load_constants("loihi1-evidence").unwrap();
+    let rows = rows(&workloads, &constants, |name: &str| Ok(io::target::load_target(name)?), || ()).unwrap();
+    let times = factors_by_work(&rows, "loihi2", true);
+    assert!(times.len() == 3 && times.values().all(|factor| *factor <= 1.6), "{times:?}");
+    let is_known = |row: &&PublishedRow| row.work != "PilotNet LIF";
+    for row in rows.iter().filter(is_known) {
+        let (low, high) = row.interval.unwrap();
+        let rounding = if row.work.starts_with("OzU") { 0.03 } else { 0.0 };
+        let inside = low <= row.published + rounding && row.published - rounding <= high;
+        assert!(inside, "{} {}: {} in {low} to {high}", row.workload, row.quantity.name(), row.published);
+        if row.work == "OzU WTA" && row.quantity == Quantity::StepTime && !row.left_out {
+            assert!((row.predicted / row.published - 1.0).abs() <= 0.15, "{}: {}", row.workload, row.predicted);
+        }
+    }
+    let mut fresh = "| Work | Workloads | Factor of its steps | Within bounds |\n|---|---|---|---|\n".to_string();
+    let works: std::collections::BTreeSet<&str> = rows.iter().map(|row| row.work.as_str()).collect();
+    for work in works {
+        let of_work = rows.iter().filter(|row| row.work == work && row.left_out && row.quantity == Quantity::StepTime);
+        let steps: Vec<&PublishedRow> = of_work.collect();
+        let factor = times.get(work).map_or("not judged".to_string(), |factor| format!("{factor:.2}"));
+        let is_within = |row: &&&PublishedRow| {
+            row.interval.is_some_and(|(low, high)| low <= row.published && row.published <= high)
+        };
+        fresh += &format!("| {work} | {} | {factor} | {} |\n", steps.len(), steps.iter().filter(is_within).count());
+    }
+    hold_block("docs/loihi2.md", "loihi2", &fresh);
 }
 
 /// Decisions and costs of early exits of shipped networks, in the results of the paper's tables and

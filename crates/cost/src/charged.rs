@@ -15,6 +15,7 @@ pub fn is_charged(case: &EstimateInput<'_>, constant: &str) -> bool {
     let (sum, hops, deployment) = (case.activity.sum(), case.activity.hops(), case.deployment);
     let timing = &case.meter.settings().timing;
     let (rails, x86) = (case.accounting == Accounting::Rails, deployment.x86_cores > 0);
+    let profiler = case.accounting == Accounting::Profiler;
     // (21) has no term for routes and buffers.
     let follows = case.meter.tables()[case.preset].step == StepForm::Sum;
     let links = hops.total_links() > 0;
@@ -22,6 +23,7 @@ pub fn is_charged(case: &EstimateInput<'_>, constant: &str) -> bool {
         "synapse_dense_energy" | "synapse_dense_time" => sum.events_dense > 0,
         "synapse_sparse_energy" | "synapse_sparse_time" => sum.events_sparse > 0,
         "dendrite_energy" | "compartment_energy" | "compartment_time" => sum.visited > 0,
+        "microcode_time" => sum.microcode > 0,
         "compartment_active_energy" | "compartment_active_time" => sum.active > 0,
         "spike_energy" | "spike_time" => sum.spikes > 0,
         "axon_out_energy" | "axon_out_time" => sum.messages_out > 0,
@@ -41,14 +43,16 @@ pub fn is_charged(case: &EstimateInput<'_>, constant: &str) -> bool {
         "turn_time" => timing.turn,
         "chip_hop_time" => timing.chip_hops > 0,
         "reset_word_time" => timing.reset.count > 0,
-        "core_static_power" => !rails,
-        "x86_static_ratio" => !rails && x86,
-        "x86_clock_power" => x86,
-        "x86_active_power" => !rails && x86,
-        "x86_injecting_share" => !rails && x86 && deployment.host != Host::None,
+        "core_static_power" => profiler,
+        "x86_static_ratio" => profiler && x86,
+        "x86_clock_power" => x86 && (profiler || rails),
+        "x86_active_power" => profiler && x86,
+        "x86_injecting_share" => profiler && x86 && deployment.host != Host::None,
+        "core_rails_power" => !profiler,
+        "unit_power" => case.accounting == Accounting::Unit,
         "chip_boot_power" => rails,
         "x86_on_power" => rails && x86,
-        "x86_rails_power" => rails && deployment.x86_at_work() > 0,
+        "x86_rails_power" => !profiler && deployment.x86_at_work() > 0,
         _ => true,
     }
 }

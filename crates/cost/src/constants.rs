@@ -6,7 +6,7 @@
 
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::units::{Femtojoules, Nanowatts, Picoseconds};
-use nsim_ir::hardware::constants::{Constant, Constants, Status, StepForm, Unit, for_each_constant};
+use nsim_ir::hardware::constants::{Constant, Constants, Status, StepForm, TurnRule, Unit, for_each_constant};
 
 /// A ratio in thousandths.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
@@ -55,8 +55,16 @@ macro_rules! cost_table {
             name: String,
             /// How the time of a step follows from its parts.
             pub step: StepForm,
-            /// Barrier times by tiles in use, ascending and not empty.
+            /// Steps in which x86 cores take their turn.
+            pub turn: TurnRule,
+            /// Whether prices of updates that a model states count.
+            pub stated: bool,
+            /// Whether the time of a program is by its instructions: the preset has none of its own.
+            pub by_instructions: bool,
+            /// Barrier times by parts in use, ascending and not empty.
             barrier: Vec<(u64, Picoseconds)>,
+            /// Whether these parts are cores, not tiles.
+            by_cores: bool,
             $(#[doc = concat!("[`Constants::", stringify!($field), "`]")] pub $field: integer!($unit),)*
         }
 
@@ -69,7 +77,7 @@ macro_rules! cost_table {
             pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
                 let preset = constants.name.as_str();
                 let barrier = constants.barrier.iter();
-                let barrier = barrier.map(|entry| Ok((entry.tiles, scaled(preset, "barrier", &entry.time)?.into())));
+                let barrier = barrier.map(|entry| Ok((entry.parts().0, scaled(preset, "barrier", &entry.time)?.into())));
                 let barrier = barrier.collect::<Result<Vec<_>, Diagnostic>>()?;
                 if barrier.is_empty() || barrier.windows(2).any(|pair| pair[0].0 >= pair[1].0) {
                     return Err(Diagnostic::new(
@@ -79,7 +87,11 @@ macro_rules! cost_table {
                     ));
                 }
                 $(let $field = scaled(preset, stringify!($field), &constants.$field)?.into();)*
-                Ok(CostTable { name: constants.name.clone(), step: constants.step, barrier, $($field,)* })
+                let by_cores = constants.barrier.iter().any(|entry| entry.cores > 0);
+                let by_instructions = constants.microcode_time.status == Status::NotGiven;
+                let (name, Constants { step, turn, .. }) = (constants.name.clone(), constants);
+                let (step, turn, stated) = (*step, *turn, true);
+                Ok(CostTable { name, step, turn, stated, by_instructions, barrier, by_cores, $($field,)* })
             }
         }
     };
@@ -109,9 +121,22 @@ impl CostTable {
                     own.value = 0.0.into();
                 }
             }
-            CostTable::new(&kept)
+            // What a model states has no source.
+            Ok(CostTable { stated: status == Status::Assumed, ..CostTable::new(&kept)? })
         };
         Ok([only(Status::Published)?, only(Status::Calibrated)?, only(Status::Assumed)?])
+    }
+
+    /// Returns the corners of a preset's bounds: least energies and powers with greatest times, then
+    /// greatest energies and powers with least times. `None` where no constant has bounds.
+    ///
+    /// # Errors
+    /// As [`CostTable::new`].
+    pub fn corners(constants: &Constants) -> Result<Option<[CostTable; 2]>, Diagnostic> {
+        if !constants.is_bounded() {
+            return Ok(None);
+        }
+        Ok(Some([corner(constants, true)?, corner(constants, false)?]))
     }
 
     /// The preset's name.
@@ -127,9 +152,11 @@ impl CostTable {
         }
     }
 
-    /// Equation (10): the time of a barrier over `tiles` tiles, linear between the preset's entries
-    /// (rounded down to a picosecond), constant before the first and after the last.
-    pub fn barrier(&self, tiles: u64) -> Picoseconds {
+    /// Equation (10): the time of a barrier over the tiles or cores in use of a chip, linear between
+    /// the preset's entries (rounded down to a picosecond), constant before the first and after the
+    /// last.
+    pub fn barrier(&self, tiles: u64, cores: u64) -> Picoseconds {
+        let tiles = if self.by_cores { cores } else { tiles };
         let after = self.barrier.partition_point(|&(at, _)| at < tiles);
         match (after.checked_sub(1).map(|i| self.barrier[i]), self.barrier.get(after).copied()) {
             (None, Some((_, time))) | (Some((_, time)), None) => time,
@@ -142,6 +169,46 @@ impl CostTable {
             (None, None) => Picoseconds::default(),
         }
     }
+}
+
+/// A preset at a corner of its bounds: with `slow`, times are greatest and all else is least.
+fn corner(constants: &Constants, slow: bool) -> Result<CostTable, Diagnostic> {
+    let mut made = constants.clone();
+    for (name, constant) in constants.list() {
+        if let Some(own) = made.get_mut(name) {
+            own.value = at_end(constant, constant.bounds, slow).into();
+        }
+    }
+    for entry in &mut made.barrier {
+        let bounds = entry.time.bounds.or(constants.barrier_bounds);
+        entry.time.value = at_end(&entry.time, bounds, slow).into();
+    }
+    let mut table = CostTable::new(&made)?;
+    if constants.barrier_bounds.is_some() {
+        table.barrier = stepped(&table.barrier, slow);
+    }
+    Ok(table)
+}
+
+/// The end of a constant's bounds at a corner; its value where it has none.
+fn at_end(constant: &Constant, bounds: Option<(f64, f64)>, slow: bool) -> f64 {
+    let is_time = matches!(constant.unit, Unit::ns | Unit::us);
+    bounds.map_or(constant.value.value, |(low, high)| if slow == is_time { high } else { low })
+}
+
+/// Entries of a barrier such that it takes the time of the next entry between two (`up`), or of the
+/// last: no source has a time between them.
+fn stepped(entries: &[(u64, Picoseconds)], up: bool) -> Vec<(u64, Picoseconds)> {
+    let mut all = entries.first().copied().into_iter().collect::<Vec<_>>();
+    for pair in entries.windows(2) {
+        let [(first, of_first), (second, of_second)] = [pair[0], pair[1]];
+        let edge = if up { (first + 1, of_second) } else { (second - 1, of_first) };
+        if first < edge.0 && edge.0 < second {
+            all.push(edge);
+        }
+        all.push((second, of_second));
+    }
+    all
 }
 
 /// A constant in the least unit of its kind, rounded to it: pJ in fJ, ns and us in ps, mW in nW.
@@ -241,14 +308,39 @@ pub(crate) mod tests {
     #[test]
     fn barriers_are_interpolated_between_entries_and_constant_beyond() {
         let davies = table("davies2018");
-        let at = |tiles| davies.barrier(tiles).0;
+        let at = |tiles| davies.barrier(tiles, 0).0;
         assert_eq!((at(0), at(1), at(32), at(1 << 40)), (113_000, 113_000, 465_000, 465_000));
         // 113 ns + 352 ns * 1/31 = 124.354... ns
         assert_eq!(at(2), 124_354);
-        assert_eq!(table("sanafe-calibrated").barrier(3), Picoseconds(1_200_000));
+        assert_eq!(table("sanafe-calibrated").barrier(3, 0), Picoseconds(1_200_000));
         for tiles in 0..30_000 {
             assert!(at(tiles) <= at(tiles + 1));
         }
+    }
+
+    #[test]
+    fn a_barrier_by_cores_is_bounded_by_the_entries_around() {
+        let preset = preset("loihi2-modelled");
+        let at = |constants: &Constants, cores: u64| {
+            let [slow, fast] = CostTable::corners(constants).unwrap().unwrap();
+            [CostTable::new(constants).unwrap(), fast, slow].map(|table| table.barrier(1, cores).0 / 1_000)
+        };
+        for (cores, times) in [
+            (1, [1_160, 1_160, 1_170]),
+            (2, [1_160, 1_160, 1_170]),
+            (3, [1_366, 1_160, 1_810]),
+            (5, [1_780, 1_750, 1_810]),
+            (69, [1_780, 1_750, 1_810]),
+            (70, [1_780, 1_750, 10_000]),
+            (128, [1_780, 1_750, 10_000]),
+        ] {
+            assert_eq!(at(&preset, cores), times, "{cores} cores");
+        }
+        // What only a group measured is then the nearest other barrier, within the widest bounds.
+        assert_eq!(at(&preset.without("NECOTIS"), 2), [1_780, 200, 10_000]);
+        assert_eq!(at(&preset.without("OzU-CAST"), 69), [1_160, 200, 10_000]);
+        assert_eq!(preset.without("OzU-CAST").microcode_time.value.value, 26.4);
+        assert!(CostTable::corners(&super::tests::preset("loihi1-evidence")).unwrap().is_none());
     }
 
     #[test]

@@ -63,6 +63,8 @@ pub struct Deployment {
     pub cores_used: u64,
     /// Tiles with a core in use, on the chip with most of them; they take part in its barrier.
     pub tiles_used: u64,
+    /// Cores in use of the chip with most of them.
+    pub chip_cores: u64,
     /// Chips with a core in use.
     pub chips_used: u64,
     /// Hops between chips of the barrier.
@@ -173,6 +175,7 @@ impl Deployment {
             copies,
             cores_used,
             tiles_used: fullest.tiles,
+            chip_cores: fullest.cores,
             chips_used,
             chip_hops: chip_hops(chips_used, (target.chips_x(), target.chips() / target.chips_x())),
             board_chips: target.chips().into(),
@@ -212,6 +215,7 @@ impl Deployment {
         Timing {
             transport,
             tiles_used: self.tiles_used,
+            chip_cores: self.chip_cores,
             chip_hops: self.chip_hops,
             turn: self.takes_turns(),
             streams: if self.host == Host::Stream { self.streams } else { 0 },

@@ -194,7 +194,7 @@ pub struct ByStatus {
     /// `None` for the slowest core, which `core` splits by constant.
     time: [Option<Status>; 6],
     /// The statuses of [`CORE_TIMES`].
-    core: [Status; 7],
+    core: [Status; 8],
 }
 
 impl ByStatus {
@@ -227,6 +227,11 @@ pub struct EstimateInput<'a> {
     pub meter: &'a StepMeter,
     /// The preset of the figures, an index into the meter's tables.
     pub preset: usize,
+    /// Whether the steps are those without a host ([`crate::MeterSettings::without_host`]).
+    pub without_host: bool,
+    /// The corners of the preset's bounds, indices into the meter's tables, as
+    /// [`CostTable::corners`]; they bound figures in place of errors.
+    pub corners: Option<[usize; 2]>,
     /// The name of the hardware in the rows.
     pub hardware: &'a str,
     /// Errors of such predictions; empty where they are unknown.
@@ -254,6 +259,8 @@ impl<'a> EstimateInput<'a> {
             activity,
             meter,
             preset: 0,
+            without_host: false,
+            corners: None,
             hardware: "chip",
             errors: &[],
             by_status: None,
@@ -309,6 +316,10 @@ pub struct JobPower {
     pub x86_on: f64,
     /// Power that x86 cores add while they work, as the rails show it.
     pub x86_at_work: f64,
+    /// Power that neuron cores in use add while they run, as the rails show it.
+    pub core_rails: f64,
+    /// Power of the whole unit while nothing runs.
+    pub unit: f64,
 }
 
 impl JobPower {
@@ -322,6 +333,7 @@ impl JobPower {
         match accounting {
             Accounting::Profiler => self.profiler(),
             Accounting::Rails => self.rails_running(),
+            Accounting::Unit => self.unit_running(),
         }
     }
 
@@ -337,7 +349,17 @@ impl JobPower {
 
     /// Power of the whole board while the program runs.
     pub fn rails_running(&self) -> Option<f64> {
-        Some(self.rails_idle() + self.x86_at_work + self.core_dynamic?)
+        Some(self.rails_idle() + self.at_work()?)
+    }
+
+    /// Power that all cores add while the program runs, as the rails show it.
+    fn at_work(&self) -> Option<f64> {
+        Some(self.x86_at_work + self.core_rails + self.core_dynamic?)
+    }
+
+    /// Power of the whole unit while the program runs.
+    pub fn unit_running(&self) -> Option<f64> {
+        Some(self.unit + self.at_work()?)
     }
 }
 
@@ -371,6 +393,8 @@ pub fn job_power(table: &CostTable, deployment: &Deployment, events_fj: f64, ste
             + deployment.board_chips as f64 * table.chip_static_power.milliwatts(),
         x86_on: deployment.x86_cores as f64 * table.x86_on_power.milliwatts(),
         x86_at_work: deployment.x86_at_work() as f64 * table.x86_rails_power.milliwatts(),
+        core_rails: deployment.cores_used as f64 * table.core_rails_power.milliwatts(),
+        unit: deployment.board_chips as f64 * table.unit_power.milliwatts(),
     }
 }
 
@@ -412,8 +436,9 @@ pub fn step_price(
             let of_x86 = (power.x86_static + power.x86_clock + injecting) / x86;
             (1.0 / counted, resetting / x86, of_x86 + power.core_static / copies)
         }
-        Accounting::Rails => {
-            (f64::from(deployment.copies.max(1)) / counted, 0.0, power.rails_idle() + power.x86_at_work)
+        Accounting::Rails | Accounting::Unit => {
+            let idle = if accounting == Accounting::Unit { power.unit } else { power.rails_idle() };
+            (f64::from(deployment.copies.max(1)) / counted, 0.0, idle + power.x86_at_work + power.core_rails)
         }
     };
     StepPrice { events, step_fj, always_mw, paced: mode == Mode::Realtime }
@@ -514,6 +539,10 @@ impl EstimateInput<'_> {
                     row("total", (loaded, running), latency_us, simulated),
                 ]
             }
+            Accounting::Unit => vec![
+                row("idle", (job.unit, Some(0.0)), None, modelled),
+                row("total", (job.unit, job.at_work()), latency_us, simulated),
+            ],
         }
     }
 
@@ -521,7 +550,44 @@ impl EstimateInput<'_> {
         self.errors.iter().find(|error| error.class == class).map(|error| error.within_80)
     }
 
-    /// Sets the intervals of the rows.
+    /// The steps under a table of the meter.
+    fn lane(&self, table: usize) -> &'_ Lane {
+        let tables = if self.without_host { self.meter.tables().len() } else { 0 };
+        &self.meter.lanes()[tables + table]
+    }
+
+    /// Sets the intervals of the rows from the corners of the preset's bounds.
+    fn corner_bounds(&self, rows: &mut [EnergyRow], [slow, fast]: [usize; 2]) {
+        let per_step = |time: u128| time as f64 / 1e6 / self.activity.steps().max(1) as f64;
+        let free = |table: usize| per_step(self.lane(table).whole.time);
+        let latency_us = per_step(self.time(&self.lane(self.preset).whole));
+        // What the work of a step may take longer is added to a paced step, as in `bounds`.
+        let longest = latency_us + free(slow) - free(self.preset);
+        let shortest = per_step(self.time(&self.lane(fast).whole)).min(latency_us);
+        let corner = |table: usize, us: f64| {
+            let time = (us * 1e6 * self.activity.steps() as f64).round() as u128;
+            let deployment_copies = f64::from(self.deployment.copies.max(1)) / f64::from(self.copies_counted.max(1));
+            let costs = &self.meter.tables()[table];
+            let events = energy(self.activity, costs).total().0 as f64 * deployment_copies;
+            self.rows(&job_power(costs, self.deployment, events, self.activity.steps(), time), (us > 0.0).then_some(us))
+        };
+        // Energy is least with the least powers, energies and times; power with the greatest times.
+        let ends = [(slow, longest, shortest), (fast, shortest, longest)].map(|(table, of_power, of_energy)| {
+            let bound = |(power, energy): (EnergyRow, EnergyRow)| Bound {
+                total_mw: power.total_mw,
+                latency_us: energy.latency_us,
+                energy_uj: energy.energy_uj,
+                edp_pjs: energy.edp_pjs,
+            };
+            corner(table, of_power).into_iter().zip(corner(table, of_energy)).map(bound).collect::<Vec<_>>()
+        });
+        let [lows, highs] = ends;
+        for ((row, low), high) in rows.iter_mut().zip(lows).zip(highs) {
+            (row.low, row.high) = (Some(low), Some(high));
+        }
+    }
+
+    /// Sets the intervals of the rows from the errors of classes.
     fn bounds(&self, rows: &mut [EnergyRow], lane: &Lane) {
         let free_us = lane.whole.time as f64 / 1e6 / lane.whole.steps.max(1) as f64;
         let latency_us = self.latency_us(&lane.whole).unwrap_or(free_us);
@@ -548,7 +614,7 @@ impl EstimateInput<'_> {
             Accounting::Profiler => {
                 vec![log_factor(&[x86_static, x86]), log_factor(&[core_static, cores]), log_factor(&[both, x86, cores])]
             }
-            Accounting::Rails => {
+            Accounting::Rails | Accounting::Unit => {
                 let class =
                     |row: &EnergyRow| if row.unit == "x86" { FigureClass::X86Rails } else { FigureClass::Rails };
                 rows.iter().map(|row| self.within(class(row)).map(f64::ln)).collect()
@@ -616,10 +682,13 @@ impl EstimateInput<'_> {
 /// When the meter lacks the preset or the activity's steps: a mistake of the caller.
 pub fn estimate(case: &EstimateInput<'_>) -> Estimate {
     assert_eq!(case.meter.steps(), case.activity.steps(), "the meter has seen the whole run");
-    let (table, lane) = (&case.meter.tables()[case.preset], &case.meter.lanes()[case.preset]);
+    let (table, lane) = (&case.meter.tables()[case.preset], case.lane(case.preset));
     let job = case.job(table, &lane.whole);
     let mut rows = case.rows(&job, case.latency_us(&lane.whole));
-    case.bounds(&mut rows, lane);
+    match case.corners {
+        Some(corners) => case.corner_bounds(&mut rows, corners),
+        None => case.bounds(&mut rows, lane),
+    }
     if let Some(by_status) = case.by_status {
         case.add_shares(&mut rows, by_status, lane);
     }
@@ -839,6 +908,7 @@ pub(crate) mod tests {
             active: 10,
             spikes: 10,
             messages_out: 10,
+            ..CoreCounts::default()
         };
         busy.hops.local = 10;
         let deployment = Deployment { copies: 2, cores_used: 4, tiles_used: 1, ..on_one_chip() };

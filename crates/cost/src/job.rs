@@ -89,9 +89,11 @@ pub enum Accounting {
     Profiler,
     /// Power of the rails of the whole board, as a power meter shows it.
     Rails,
+    /// Power of the whole unit: its board or boards, and the computer that feeds them.
+    Unit,
 }
 
-named_variants!(Accounting { Profiler = "profiler", Rails = "rails" });
+named_variants!(Accounting { Profiler = "profiler", Rails = "rails", Unit = "unit" });
 
 impl Accounting {
     /// What power counts, after "power".
@@ -99,6 +101,7 @@ impl Accounting {
         match self {
             Accounting::Profiler => "of the cores and chips in use",
             Accounting::Rails => "of the board, as a meter shows it",
+            Accounting::Unit => "of the whole unit, its host side included",
         }
     }
 }

@@ -98,7 +98,7 @@ pub struct StepMeter {
     slowest: Vec<u64>,
     /// Time of the slowest core of each step by constant, as [`core_time_by_constant`], in ps,
     /// under the first preset.
-    core_time: [u128; 7],
+    core_time: [u128; 8],
     /// The time of the last step under the first preset.
     last_time: StepTime,
     /// Memory of each step that is metered in parallel.
@@ -108,7 +108,7 @@ pub struct StepMeter {
 /// The conditions under which steps are metered.
 #[derive(Debug)]
 pub struct MeterSettings {
-    /// Presets, one a lane.
+    /// Presets, one a lane; then as many lanes without a host, if requested.
     pub tables: Vec<CostTable>,
     /// The routes of the program's messages.
     pub routes: Arc<MessageRoutes>,
@@ -116,6 +116,8 @@ pub struct MeterSettings {
     pub timing: Timing,
     /// Length of a timestep of the model.
     pub timestep: Picoseconds,
+    /// Timing without a host, under which steps are metered a second time.
+    pub without_host: Option<Timing>,
     /// The preset (an index into `tables`) and price of the distribution of a step's energy.
     pub distribution: Option<(usize, StepPrice)>,
 }
@@ -123,7 +125,15 @@ pub struct MeterSettings {
 impl MeterSettings {
     /// Returns settings for sums only.
     pub fn new(tables: Vec<CostTable>, timing: Timing, routes: Arc<MessageRoutes>, timestep: Picoseconds) -> Self {
-        MeterSettings { tables, timing, routes, timestep, distribution: None }
+        MeterSettings { tables, timing, routes, timestep, without_host: None, distribution: None }
+    }
+}
+
+impl MeterSettings {
+    /// The times of a step, a lane each.
+    fn step_times(&self, step: &StepActivity, memory: &mut QueueMemory) -> Vec<StepTime> {
+        let timings = [Some(self.timing), self.without_host].into_iter().flatten();
+        timings.flat_map(|timing| self.routes.step_times(step, &self.tables, timing, memory)).collect()
     }
 }
 
@@ -137,14 +147,15 @@ impl StepMeter {
     /// A meter for these presets.
     pub fn new(settings: impl Into<Arc<MeterSettings>>) -> Self {
         let settings = settings.into();
-        let lanes = vec![Lane::default(); settings.tables.len()];
+        let timings = 1 + usize::from(settings.without_host.is_some());
+        let lanes = vec![Lane::default(); timings * settings.tables.len()];
         StepMeter {
             settings,
             lanes,
             distribution: Distribution::default(),
             hops: HopCounts::default(),
             slowest: Vec::new(),
-            core_time: [0; 7],
+            core_time: [0; 8],
             last_time: StepTime::default(),
             memory: Vec::new(),
         }
@@ -158,8 +169,7 @@ impl StepMeter {
     /// Adds a timestep that occurred `times` times; `decided`: its sample was decided before.
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         self.memory.resize_with(self.memory.len().max(1), QueueMemory::default);
-        let MeterSettings { tables, timing, routes, .. } = &*self.settings;
-        let step_times = routes.step_times(step, tables, *timing, &mut self.memory[0]);
+        let step_times = self.settings.step_times(step, &mut self.memory[0]);
         self.add_timed((step, times, decided), &step_times);
     }
 
@@ -167,9 +177,9 @@ impl StepMeter {
     /// step in its own memory.
     pub fn add_all(&mut self, steps: &[(StepActivity, u32, bool)]) {
         self.memory.resize_with(self.memory.len().max(steps.len()), QueueMemory::default);
-        let MeterSettings { tables, timing, routes, .. } = &*self.settings;
+        let settings = &*self.settings;
         let timed = steps.par_iter().zip(&mut self.memory);
-        let timed = timed.map(|((step, ..), memory)| routes.step_times(step, tables, *timing, memory));
+        let timed = timed.map(|((step, ..), memory)| settings.step_times(step, memory));
         for ((step, times, decided), step_times) in steps.iter().zip(timed.collect::<Vec<_>>()) {
             self.add_timed((step, *times, *decided), &step_times);
         }
@@ -190,7 +200,9 @@ impl StepMeter {
                 }
             }
         }
-        for (number, ((lane, table), time)) in self.lanes.iter_mut().zip(tables).zip(step_times).enumerate() {
+        for (number, ((lane, table), time)) in
+            self.lanes.iter_mut().zip(tables.iter().cycle()).zip(step_times).enumerate()
+        {
             let energy = energy_of_counts(sum, hops, table).total();
             lane.whole.add(energy, time, *timestep, times.into());
             if !decided {
@@ -239,7 +251,7 @@ impl StepMeter {
         self.hops
     }
 
-    /// The steps under each preset, in the presets' order.
+    /// The steps under each preset, in the presets' order; then without a host, if requested.
     pub fn lanes(&self) -> &[Lane] {
         &self.lanes
     }
@@ -248,7 +260,7 @@ impl StepMeter {
     /// where no core takes time.
     ///
     /// [`CORE_TIMES`]: crate::model::CORE_TIMES
-    pub fn core_time_shares(&self) -> [f64; 7] {
+    pub fn core_time_shares(&self) -> [f64; 8] {
         let all = self.core_time.iter().sum::<u128>().max(1);
         self.core_time.map(|own| own as f64 / all as f64)
     }

@@ -10,6 +10,7 @@ use crate::constants::CostTable;
 use nsim_ir::activity::{Activity, CoreCounts, HopCounts, StepActivity};
 use nsim_ir::base::units::{Femtojoules, Picoseconds};
 use nsim_ir::hardware::constants::StepForm;
+use nsim_ir::microcode::COMPARTMENT_INSTRUCTIONS;
 use nsim_ir::placement::Route;
 
 /// Dynamic energy of the neuron cores and their mesh, by part.
@@ -72,8 +73,8 @@ pub fn energy(activity: &Activity, table: &CostTable) -> Breakdown {
 pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> Breakdown {
     Breakdown {
         synapse: table.synapse_dense_energy * sum.events_dense + table.synapse_sparse_energy * sum.events_sparse,
-        dendrite: table.dendrite_energy * sum.visited,
-        compartment: table.compartment_energy * sum.visited + table.compartment_active_energy * sum.active,
+        dendrite: table.dendrite_energy * (sum.visited - sum.stated),
+        compartment: visit_energy(&sum, table) + table.compartment_active_energy * (sum.active - sum.stated_active),
         spike: table.spike_energy * sum.spikes,
         axon_out: table.axon_out_energy * sum.messages_out,
         axon_in: table.axon_in_energy * sum.messages_in,
@@ -82,6 +83,20 @@ pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> 
             + table.hop_ns_energy * hops.north_south
             + table.hop_chip_energy * hops.chip,
     }
+}
+
+/// A constant of a visited compartment for the programs that models state, by their instructions. An
+/// instruction's part is rounded once, so that sums over steps and cores are exact.
+fn of_programs(constant: u128, counts: &CoreCounts) -> u128 {
+    let parts = u128::from(COMPARTMENT_INSTRUCTIONS);
+    (constant + parts / 2) / parts * u128::from(counts.instructions)
+}
+
+/// Energy of visited compartments, where a model states one by that.
+fn visit_energy(counts: &CoreCounts, table: &CostTable) -> Femtojoules {
+    let usual = counts.visited.saturating_sub(counts.microcode + counts.stated);
+    let stated = if table.stated { counts.stated_energy.into() } else { 0 };
+    Femtojoules((table.compartment_energy * usual).0 + of_programs(table.compartment_energy.0, counts) + stated)
 }
 
 /// The time of a step by part; parts are sequential.
@@ -124,7 +139,7 @@ impl StepTime {
 }
 
 /// The constants of a core's time, in the order of [`core_time_by_constant`].
-pub const CORE_TIMES: [&str; 7] = [
+pub const CORE_TIMES: [&str; 8] = [
     "axon_in_time",
     "synapse_dense_time",
     "synapse_sparse_time",
@@ -132,23 +147,40 @@ pub const CORE_TIMES: [&str; 7] = [
     "compartment_active_time",
     "spike_time",
     "axon_out_time",
+    "microcode_time",
 ];
 
 /// The terms of a core's time, in the order of [`CORE_TIMES`].
-fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 7] {
+fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 8] {
+    let [updates, microcode] = update_terms(core, table);
     [
         (table.axon_in_time, core.messages_in),
         (table.synapse_dense_time, core.events_dense),
         (table.synapse_sparse_time, core.events_sparse),
-        (table.compartment_time, core.visited),
-        (table.compartment_active_time, core.active),
+        updates,
+        (table.compartment_active_time, core.active - core.stated_active),
         (table.spike_time, core.spikes),
         (table.axon_out_time, core.messages_out),
+        microcode,
     ]
 }
 
+/// The terms of updates, by the kinds of the neurons ([`CoreCounts::of_visit`]): of kinds that the
+/// chip has, a pass each; and of programs that models state, each the preset's time of a program,
+/// a compartment's by its instructions where it has none, or the time that its model states.
+pub fn update_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 2] {
+    let passes = (core.visited + core.second_passes).saturating_sub(core.microcode + core.stated);
+    let programs = match table.by_instructions {
+        true => of_programs(table.compartment_time.0.into(), core),
+        false => u128::from(table.microcode_time.0) * u128::from(core.microcode),
+    };
+    let stated = if table.stated { core.stated_time } else { 0 };
+    let programs = u64::try_from(programs).unwrap_or(u64::MAX).saturating_add(stated);
+    [(table.compartment_time, passes), (Picoseconds(programs), 1)]
+}
+
 /// Indices of the terms for axon reads, synapses and dendrites.
-const CORE_GROUPS: [Range<usize>; 3] = [0..1, 1..3, 3..7];
+const CORE_GROUPS: [Range<usize>; 3] = [0..1, 1..3, 3..8];
 
 /// Time of one core's delivery and update in a step: the sum of its terms (9), or the greatest of
 /// its terms in (21).
@@ -162,7 +194,7 @@ pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
 }
 
 /// [`core_time`], split by constant in the order of [`CORE_TIMES`].
-pub fn core_time_by_constant(core: &CoreCounts, table: &CostTable) -> [Picoseconds; 7] {
+pub fn core_time_by_constant(core: &CoreCounts, table: &CostTable) -> [Picoseconds; 8] {
     let terms = core_terms(core, table);
     let counted = match table.step {
         StepForm::Sum => 0..terms.len(),
@@ -240,6 +272,29 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn own_kinds_cost_what_they_state_or_their_instructions() {
+        let table = table("sanafe-calibrated");
+        // Of 5 visits one states its price, and one has 30 instructions; the former is active.
+        let own = CoreCounts {
+            microcode: 1,
+            instructions: 30,
+            stated: 1,
+            stated_active: 1,
+            stated_energy: 12_000,
+            stated_time: 5_000,
+            visited: 5,
+            active: 2,
+            ..Default::default()
+        };
+        let energy = energy_of_counts(own, HopCounts::default(), &table).compartment;
+        assert_eq!(energy, Femtojoules(3 * 51_200 + 4_267 * 30 + 12_000 + 21_600));
+        assert_eq!(core_time(&own, &table), Picoseconds(3 * 6_000 + 6_000 * 30 / 12 + 5_000 + 3_700));
+        let usual = CoreCounts { microcode: 2, instructions: 24, visited: 5, active: 2, ..Default::default() };
+        let plain = CoreCounts { visited: 5, active: 2, ..Default::default() };
+        assert_eq!(core_time(&usual, &table), core_time(&plain, &table));
+    }
+
+    #[test]
     fn constants_that_the_presets_leave_at_zero_are_charged_too() {
         let mut constants = preset("davies2018");
         constants.dendrite_energy.value = 1.5.into();
@@ -299,6 +354,19 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn programs_take_their_own_time_and_second_passes_a_visit_each() {
+        let core =
+            CoreCounts { visited: 10, microcode: 4, instructions: 48, second_passes: 3, ..CoreCounts::default() };
+        assert_eq!(core_time(&core, &table("loihi2-modelled")), Picoseconds(9 * 3_000 + 4 * 28_000));
+        // Without a time of its own a program of twelve instructions takes a compartment's.
+        assert_eq!(core_time(&core, &table("sanafe-calibrated")), Picoseconds(13 * 6_000));
+        for (name, of_silent) in [("loihi2-modelled", 0), ("sanafe-calibrated", 1_899_000)] {
+            let turn = |spikes| timing(Transport::Analytic).host_and_barrier(spikes, &table(name)).turn.0;
+            assert_eq!((turn(0), turn(1)), (of_silent, 1_899_000), "{name}");
+        }
+    }
+
+    #[test]
     fn a_silent_step_moves_nothing_and_a_message_within_a_tile_takes_the_local_time() {
         let davies = table("davies2018");
         let mut step = StepActivity::new(1);
@@ -334,6 +402,13 @@ pub(crate) mod tests {
                     active: active.min(visited),
                     spikes: spikes.min(active).min(visited),
                     messages_out: sent,
+                    microcode: active.min(visited) / 2,
+                    second_passes: spikes.min(visited) / 2,
+                    stated: visited / 3,
+                    stated_active: active.min(visited) / 3,
+                    instructions: dense,
+                    stated_energy: sparse,
+                    stated_time: spikes,
                 };
             }
             for (east_west, north_south, chip) in routes {

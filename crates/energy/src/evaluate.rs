@@ -3,6 +3,7 @@
 //! Input: a [`Workload`], a [`DeploymentPlan`] of its deployment, [`CostOptions`]. Output:
 //! [`Evaluation`]. A plan comes first, because a published job gives the number of its copies.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 use crate::baseline::{Baseline, NetworkShape};
@@ -14,14 +15,15 @@ use crate::published::scenario::{ScenarioFile, shipped_for};
 use crate::report::table::{EnergyReport, JobPart};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
-use nsim_cost::estimate::{ByStatus, Convention, EstimateInput, FigureSource, step_price};
+use nsim_cost::estimate::{ByStatus, Convention, EnergyRow, EstimateInput, FigureSource, estimate, step_price};
 use nsim_cost::job::{Accounting, DeployedCores};
-use nsim_cost::{Deployment, HostWork, MeterSettings, StepMeter};
+use nsim_cost::{CostTable, Deployment, Host, HostWork, MeterSettings, StepMeter};
 use nsim_files::table::three;
 use nsim_ir::hardware::Target;
-use nsim_ir::neurons::Family;
+use nsim_ir::hardware::constants::{Constant, Status};
+use nsim_ir::microcode::{COMPARTMENT_INSTRUCTIONS, UpdatePrice};
 use nsim_ir::program::Program;
-use nsim_ir::quantised::{Neuron, Quantised};
+use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::spikes::Sample;
 use nsim_session::decision::{EarlyExit, Rule};
 use nsim_session::error::Error;
@@ -133,6 +135,34 @@ impl DeploymentPlan {
     }
 }
 
+/// Whether the injection of the inputs takes as long as the barrier. Where it does not, injection is
+/// less than half of a step.
+fn may_be_half_of_a_step(
+    workload: &Workload<'_>,
+    deployment: &Deployment,
+    options: &CostOptions,
+    table: &CostTable,
+) -> bool {
+    let samples = workload.samples();
+    let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
+    let spikes = samples.iter().map(|sample| sample.spikes() as u64).sum::<u64>() * u64::from(workload.copies);
+    let times = deployment.timing(options.transport, workload.copies).host_and_barrier(spikes, table);
+    times.injection.0 > 0 && times.injection.0 / steps.max(1) >= times.barrier.0
+}
+
+/// The job's row with inputs already on the chip, where injection is more than half of a step.
+fn inputs_on_chip(case: &EstimateInput<'_>, without_host: &Deployment) -> Option<EnergyRow> {
+    let total = |case: &EstimateInput<'_>| {
+        let found = estimate(case);
+        Some((found.rows.into_iter().find(|row| row.unit == "total")?, found.time_us?[0].1))
+    };
+    let (row, injection_us) = total(case)?;
+    if injection_us <= row.latency_us? / 2.0 {
+        return None;
+    }
+    Some(total(&EstimateInput { without_host: true, deployment: without_host, ..*case })?.0)
+}
+
 /// A finished run and its report.
 #[derive(Debug)]
 pub struct Evaluation {
@@ -142,6 +172,33 @@ pub struct Evaluation {
     pub run: Run<StepMeter>,
     /// The numbers of cores of its cost.
     pub deployment: Deployment,
+}
+
+/// Remark on the price of an update of each kind that the model declares; `time` is the preset's
+/// time of a program.
+fn kind_notes(network: &Quantised, time: &Constant) -> BTreeSet<String> {
+    let kinds = network.populations().iter().map(Population::kind);
+    let note = |(name, price): (&str, UpdatePrice)| match price {
+        UpdatePrice::Stated { energy, time } => {
+            let [energy, time] = [energy, time].map(|thousandths| thousandths as f64 / 1e3);
+            format!("An update of {name} costs {energy} pJ and {time} ns, as the model states.")
+        }
+        UpdatePrice::Instructions(instructions) => {
+            let share = format!("{instructions}/{COMPARTMENT_INSTRUCTIONS} of a visited compartment");
+            let cost = match (time.status, time.bounds) {
+                (Status::NotGiven, _) => format!("has {instructions} instructions and costs {share}"),
+                (_, bounds) => {
+                    let bounds = bounds.map_or(String::new(), |(low, high)| format!(" ({low} to {high})"));
+                    format!(
+                        "takes {} ns{bounds}, regardless of its program, and the energy of {share}",
+                        time.value.value
+                    )
+                }
+            };
+            format!("An update of {name} {cost} (time: \"5ns\", energy: \"12pJ\" in its Kind state a price).")
+        }
+    };
+    kinds.filter_map(|kind| Some((kind.name(), kind.own_price()?))).map(note).collect()
 }
 
 /// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its
@@ -165,19 +222,29 @@ pub fn evaluate(
     let copies = plan.copies(workload.copies);
     let deployment = plan.source.deployment(compiled, &target, copies, work)?;
     options.check_x86(&deployment, &target)?;
+    let preset = &target.constants()[0];
+    options.check_accounting(&target)?;
     let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
-    let metered = workload.metered(vec![table], &deployment, options.transport);
-    let metered = MeterSettings { distribution: Some((0, price)), ..metered };
+    let corners = if target.is_measured_by(preset) { CostTable::corners(preset)? } else { None };
+    let without_host = plan.source.deployment(compiled, &target, copies, HostWork { host: Host::None, ..work })?;
+    let may_be_half = may_be_half_of_a_step(workload, &deployment, options, &table);
+    let tables = std::iter::once(table).chain(corners.iter().flatten().cloned()).collect();
+    let metered = MeterSettings {
+        distribution: Some((0, price)),
+        without_host: may_be_half.then(|| without_host.timing(options.transport, workload.copies)),
+        ..workload.metered(tables, &deployment, options.transport)
+    };
     // Copies receive equal samples and decide equally, so only the first's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     options.early_exit.map(|rule| EarlyExit::new(rule, &compiled.one)).transpose()?;
     let watched = EarlyExit::recording_only(rule, &compiled.one);
     let run = simulate(metered, Some(watched))?;
-    let by_status = ByStatus::new(&target.constants()[0], deployment.chips_used)?;
+    let by_status = ByStatus::new(preset, deployment.chips_used)?;
     let case = EstimateInput {
         copies_counted: workload.copies,
         hardware: target.chip().hardware(),
-        errors: target.errors(&target.constants()[0]),
+        errors: target.errors(preset),
+        corners: corners.map(|_| [1, 2]),
         by_status: Some(&by_status),
         mode,
         accounting,
@@ -227,11 +294,8 @@ pub fn evaluate(
         let parts = own.zip(as_printed(unit)?).map(|(here, (printed, _))| JobPart { here, printed });
         energy.parts.extend(parts);
     }
-    let of_model = |neuron: &Neuron| neuron.kind.family() == Family::MICROCODE;
-    if compiled.one.populations().iter().any(|population| population.any_neuron(of_model)) {
-        let said = "The program of a microcode kind has no cost of its own: each compartment has the usual cost.";
-        energy.constant_notes.push(said.to_string());
-    }
+    energy.constant_notes.extend(kind_notes(&compiled.one, &preset.microcode_time));
+    energy.inputs_on_chip = may_be_half.then(|| inputs_on_chip(&case, &without_host)).flatten();
     energy.constant_notes.extend(plan.relays_note(&target));
     energy.seed = workload.seed;
     energy.input.clone_from(&workload.origin);

@@ -75,6 +75,8 @@ pub fn constant_notes(target: &Target, case: &EstimateInput<'_>, total: &EnergyR
         .list()
         .into_iter()
         .filter(|(name, constant)| constant.status == Status::NotGiven && is_charged(case, name))
+        // Microcode neurons then take the time of any compartment; Loihi 1's rails show no core.
+        .filter(|(name, _)| !Constants::ADDED.contains(name))
         // Leakage is given by core or by chip.
         .filter(|(name, _)| *name != "chip_static_power" || preset.core_static_power.value.value == 0.0);
     let absent: Vec<&str> = absent.map(|(name, _)| name).collect();
@@ -207,11 +209,12 @@ pub fn report(
         input: Vec::new(),
         samples,
         timesteps: case.activity.steps(),
-        level: case.errors.iter().all(|error| error.works > 0).then_some(LEVEL),
+        level: (case.corners.is_none() && case.errors.iter().all(|error| error.works > 0)).then_some(LEVEL),
         accounting: case.accounting,
         accuracy: None,
         labelled: 0,
         undecided: 0,
+        inputs_on_chip: None,
         job: None,
         printed: Vec::new(),
         parts: Vec::new(),

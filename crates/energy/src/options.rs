@@ -15,6 +15,7 @@ use nsim_files::shipped::{BASELINES, CONSTANTS, Shipped};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::hardware::Target;
+use nsim_ir::hardware::constants::Status;
 use nsim_ir::locate::root_name;
 use nsim_ir::mapping::MappingFile;
 use nsim_ir::quantised::Quantised;
@@ -77,6 +78,22 @@ impl CostOptions {
                 Err(Error::Usage(message))
             }
         }
+    }
+
+    /// Checks that a target has the power that the accounting reports.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for the whole unit of a board of which no source prints it.
+    pub(super) fn check_accounting(&self, target: &Target) -> Result<(), Error> {
+        let preset = &target.constants()[0];
+        if self.accounting != Accounting::Unit || preset.unit_power.status != Status::NotGiven {
+            return Ok(());
+        }
+        Err(Error::Usage(format!(
+            "--accounting unit: constants {} have no unit_power, the power of a whole {}; use rails or profiler",
+            preset.name,
+            target.name()
+        )))
     }
 
     /// Returns the work of the x86 cores of a target.

@@ -221,7 +221,7 @@ impl Export<'_> {
             self.compiled.target,
             table.name(),
             table.link_buffer,
-            seconds(table.barrier(self.tiles_used)),
+            seconds(table.barrier(self.tiles_used, self.compiled.program.cores().len() as u64)),
         );
         let ports = self.ports();
         let mut number = 0;

@@ -34,7 +34,8 @@ fn paper() -> Deployment {
 /// Counts of these steps, and their meter.
 fn run(steps: &[StepActivity], tables: Vec<CostTable>, tiles_used: u64, compiled: &Mapping) -> (Activity, StepMeter) {
     let (transport, reset, sent) = (Transport::Analytic, Words::NONE, Words::NONE);
-    let timing = Timing { transport, tiles_used, chip_hops: 0, turn: true, streams: 1, copies: 1, reset, sent };
+    let timing =
+        Timing { transport, tiles_used, chip_cores: 1, chip_hops: 0, turn: true, streams: 1, copies: 1, reset, sent };
     let routes = Arc::new(MessageRoutes::of_program(&compiled.program));
     let (mut activity, mut meter) = (Activity::new(1), StepMeter::new(MeterSettings::new(tables, timing, routes, MS)));
     for step in steps {
@@ -65,6 +66,7 @@ fn steps() -> Vec<StepActivity> {
             active: n.min(62),
             spikes: n.min(7),
             messages_out: 3 * n,
+            ..CoreCounts::default()
         };
         step.hops.local = 3 * n;
         step

@@ -223,6 +223,7 @@ pub fn constants(constants: &mut Constants) -> Result<()> {
         constant.value = number.into();
         (constant.source, constant.status) = ("given on the command line".to_string(), Status::Assumed);
         constant.findings.clear();
+        constant.bounds = None;
         constants.borrowed.retain(|name| *name != path);
         constants
             .stated_in

@@ -142,6 +142,13 @@ pub const WORKLOADS: &[Shipped] = shipped!(
     "nmnist",
     "nmnist-auto",
     "pilotnet-lif",
+    "balafrej-pair",
+    "qp-pipg",
+    "ozu-ns-lif",
+    "ozu-ss-lif",
+    "ozu-ns-izhikevich",
+    "ozu-ss-izhikevich",
+    "nxtf-paper-mnist",
 );
 
 /// Shipped rows of other hardware.

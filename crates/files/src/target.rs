@@ -146,6 +146,7 @@ fn on_base(source: &SourceText, origin: Origin, changes: TargetChanges, base: &T
         chips_x: changes.chips_x.unwrap_or_else(|| base.chips_x().into()),
         chips_y: changes.chips_y.unwrap_or_else(|| base.chips_y().into()),
         constants: Vec::new(),
+        unit_power: None,
     };
     let target = Target::new(&file, source, chip, constants).map_err(|problem| problem.or_in_file(source.path()))?;
     Ok(if is_changed { target.changed() } else { target })

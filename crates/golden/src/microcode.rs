@@ -186,7 +186,8 @@ mod tests {
             let message = (spikes.is_none() || self.below(2) == 0).then(|| format!("wrap({}, 32)", self.expression(2)));
             let reset = vec![format!("y = {}", self.expression(2)), format!("w = {}", self.expression(1))];
             let name = format!("Random{number}");
-            Declaration { name, state, parameters: parameters.to_vec(), temporaries, update, spikes, message, reset }
+            let (parameters, time, energy) = (parameters.to_vec(), None, None);
+            Declaration { name, state, parameters, temporaries, update, spikes, message, reset, time, energy }
         }
     }
 

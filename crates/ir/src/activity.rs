@@ -10,6 +10,8 @@ use std::ops::AddAssign;
 use serde::{Deserialize, Serialize};
 
 use crate::base::id::{ChannelId, CompartmentId, CoreId, IdVec};
+use crate::microcode::UpdatePrice;
+use crate::neurons::NeuronKind;
 use crate::placement::Route;
 
 /// Adds counts field by field, and multiplies them.
@@ -32,7 +34,10 @@ macro_rules! counts {
 }
 
 counts!(Totals: spikes_in, spikes, synaptic_events, compartment_updates, active_updates);
-counts!(CoreCounts: messages_in, events_dense, events_sparse, visited, active, spikes, messages_out);
+counts!(
+    CoreCounts: messages_in, events_dense, events_sparse, visited, active, spikes, messages_out, microcode,
+    second_passes, instructions, stated, stated_active, stated_energy, stated_time
+);
 counts!(HopCounts: local, east_west, north_south, chip);
 
 /// Sums over a network, which every engine can count.
@@ -105,9 +110,52 @@ pub struct CoreCounts {
     pub spikes: u64,
     /// Messages sent.
     pub messages_out: u64,
+    /// Updates by programs of models whose price is not stated.
+    #[serde(default)]
+    pub microcode: u64,
+    /// Second passes of updates.
+    #[serde(default)]
+    pub second_passes: u64,
+    /// Instructions of the updates in `microcode`.
+    #[serde(default)]
+    pub instructions: u64,
+    /// Updates whose price the model states.
+    #[serde(default)]
+    pub stated: u64,
+    /// Those of `active` whose price the model states.
+    #[serde(default)]
+    pub stated_active: u64,
+    /// Energy of updates as models state it, fJ.
+    #[serde(default)]
+    pub stated_energy: u64,
+    /// Time of updates as models state it, ps.
+    #[serde(default)]
+    pub stated_time: u64,
 }
 
 impl CoreCounts {
+    /// Counts of the visit to a compartment of this kind, by which its cost follows: programs that
+    /// models state are counted as such, and a sigma-delta neuron takes two passes.
+    pub fn of_visit(kind: NeuronKind) -> CoreCounts {
+        let second_passes = u64::from(kind == NeuronKind::SigmaDelta);
+        let counts = CoreCounts { visited: 1, second_passes, ..CoreCounts::default() };
+        match kind.own_price() {
+            None => counts,
+            Some(UpdatePrice::Instructions(instructions)) => {
+                CoreCounts { microcode: 1, instructions: instructions.into(), ..counts }
+            }
+            Some(UpdatePrice::Stated { energy, time }) => {
+                CoreCounts { stated: 1, stated_energy: energy, stated_time: time, ..counts }
+            }
+        }
+    }
+
+    /// Adds updates that were not idle; `stated`: their price is the model's.
+    pub fn add_active(&mut self, updates: u64, stated: bool) {
+        self.active += updates;
+        self.stated_active += if stated { updates } else { 0 };
+    }
+
     /// Synaptic events of all lists.
     pub fn synaptic_events(&self) -> u64 {
         self.events_dense + self.events_sparse

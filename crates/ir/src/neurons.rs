@@ -18,7 +18,7 @@ use crate::base::fixed::{
 };
 use crate::base::names::named_variants;
 use crate::locate::locate;
-use crate::microcode::{Declaration, Microcode, Problem};
+use crate::microcode::{Declaration, Microcode, Problem, UpdatePrice};
 use crate::spanned::{parse_at, raw, refuse};
 
 /// A kind of neuron with integer state.
@@ -647,6 +647,21 @@ impl MicrocodeKind {
     /// Its name.
     pub const fn name(self) -> &'static str {
         self.0.code.name()
+    }
+}
+
+impl NeuronKind {
+    /// Cost of an update of a kind that a model declares; `None`: a compartment's.
+    pub fn own_price(self) -> Option<UpdatePrice> {
+        match self {
+            NeuronKind::Microcode(kind) => Some(kind.code().price()),
+            _ => None,
+        }
+    }
+
+    /// Whether a model states the cost of an update.
+    pub fn has_stated_price(self) -> bool {
+        matches!(self.own_price(), Some(UpdatePrice::Stated { .. }))
     }
 }
 

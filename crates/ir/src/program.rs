@@ -20,6 +20,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize, Serializer};
 
+use crate::activity::CoreCounts;
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
@@ -273,6 +274,19 @@ impl CoreClass {
     /// A class of cores whose tables another process stores.
     pub fn without_tables(compartments: Vec<Compartment>) -> Self {
         CoreClass { compartments, formats: Vec::new(), inputs: InputTable::default() }
+    }
+
+    /// Counts of a visit to each compartment.
+    pub fn visit(&self) -> CoreCounts {
+        let mut sum = CoreCounts::default();
+        self.compartments.iter().for_each(|compartment| sum += CoreCounts::of_visit(compartment.neuron.kind));
+        sum
+    }
+
+    /// Counts of a step in which no neuron is idle, without messages.
+    pub fn updates(&self) -> CoreCounts {
+        let visit = self.visit();
+        CoreCounts { active: visit.visited, stated_active: visit.stated, ..visit }
     }
 
     /// The error of a synapse to a missing sum; every synapse must have an existing target.

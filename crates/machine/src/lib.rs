@@ -347,8 +347,8 @@ impl Machine {
         if self.settings.per_step {
             self.last.clear();
             image.tally().add_visits(1, &mut self.last);
-            for &(core, count) in self.shards.iter().flat_map(|state| &state.active) {
-                self.last.cores[core].active += u64::from(count);
+            for &(core, count, stated) in self.shards.iter().flat_map(|state| &state.active) {
+                self.last.cores[core].add_active(count.into(), stated);
             }
             image.tally().add_step((channels, &self.spikes), left, &mut self.last);
         }

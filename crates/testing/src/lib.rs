@@ -62,6 +62,7 @@ pub fn target(chips_x: u32, chips_y: u32, limits: Limits) -> Target {
         chips_x: chips_x.into(),
         chips_y: chips_y.into(),
         constants: Vec::new(),
+        unit_power: None,
     };
     Target::new(&file, &SourceText::new("test.ron", ""), chip, shipped.constants().to_vec()).unwrap()
 }

@@ -50,7 +50,7 @@ pub struct Args {
     /// cores]
     #[arg(long, value_parser = one_of(&Host::ALL, Host::name))]
     host: Option<Host>,
-    /// Power that Intel's profiler attributes to the program, or of the whole board
+    /// Power that Intel's profiler attributes to the program, of the whole board, or of the whole unit
     #[arg(long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
     accounting: Accounting,
 }
@@ -66,7 +66,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let mut found =
         Comparison { model: name, input, samples: 0, mode, accounting, seed: None, set, targets: targets_found };
     for (name, target) in args.targets.iter().zip(&targets) {
-        let on_target = match priced(args, name, target, &mut found, context) {
+        let on_target = match priced(args, name, &mut found, context) {
             // A diagnostic of mapping reports a feature that a chip lacks.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
                 let reason = |problem: &Diagnostic| {
@@ -92,7 +92,6 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 fn priced(
     args: &Args,
     name: &str,
-    target: &Target,
     found: &mut Comparison,
     context: Context,
 ) -> Result<Result<TargetCost, Vec<RefusalReason>>, Error> {
@@ -124,12 +123,8 @@ fn priced(
     let x86_share = evaluated.energy.estimate.x86_share;
     let total = evaluated.energy.estimate.rows.into_iter().find(|row| row.unit == "total");
     let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
-    let errors = target.constants().first().map_or(&[][..], |preset| target.errors(preset));
-    let intervals = match errors {
-        [] => None,
-        errors if errors.iter().all(|error| error.works == 0) => Some(Intervals::Constants),
-        _ => Some(Intervals::Works),
-    };
+    let of_level = if evaluated.energy.level.is_some() { Intervals::Works } else { Intervals::Constants };
+    let intervals = row.low.map(|_| of_level);
     let (chips_used, cores_used) = (evaluated.deployment.chips_used, evaluated.deployment.cores_used);
     let constant_notes = evaluated.energy.constant_notes;
     Ok(Ok(TargetCost { chips_used, cores_used, row, intervals, constant_notes, x86_share }))

@@ -87,7 +87,8 @@ pub struct CostArgs {
     /// Preset of constants: one that the target names (its first when omitted), or a file
     #[arg(help_heading = "Cost model", long, value_name = "PRESET|FILE")]
     pub constants: Option<String>,
-    /// Power to report: the job's by Intel's profiler, or the whole board's by a power meter
+    /// Power to report: the job's by Intel's profiler, the board's rails by a power meter, or the
+    /// whole unit's with its host side
     #[arg(
         help_heading = "Cost model", long, default_value = "profiler",
         value_parser = one_of(&Accounting::ALL, Accounting::name)

@@ -44,21 +44,27 @@ const OWN: &str = "here";
 /// Constants of presets. A constant of its preset has the origin `own`, else the preset's name.
 fn constants_table(presets: &[Constants], own: Option<&str>) -> FindingsTable {
     let mut rows = Vec::new();
+    let bounded = presets.iter().any(Constants::is_bounded);
     for preset in presets {
         let mut add = |field: &str, name: String, constant: &Constant| {
-            let Constant { value, unit, status, source, findings: _ } = constant;
+            let Constant { value, unit, bounds, status, source, findings: _ } = constant;
             let stated = preset.stated_in.get(field).map_or(own.unwrap_or(&preset.name), String::as_str);
             let from = (*status != Status::NotGiven).then_some(stated);
-            rows.push(json!([preset.name, name, value.value, unit, status, source, from]));
+            let (low, high) = bounds.unzip();
+            let row = [json!(preset.name), json!(name), json!(value.value), json!(unit), json!(status), json!(source)];
+            let ends = [json!(from), json!(low), json!(high)];
+            rows.push(Value::from_iter(row.into_iter().chain(ends.into_iter().take(if bounded { 3 } else { 1 }))));
         };
-        for (name, constant) in preset.list() {
+        for (name, constant) in preset.listed() {
             add(name, name.to_string(), constant);
         }
         for entry in &preset.barrier {
-            add(BARRIER, format!("barrier, {} tiles", entry.tiles), &entry.time);
+            let (number, parts) = entry.parts();
+            add(BARRIER, format!("barrier, {number} {parts}"), &entry.time);
         }
     }
-    let columns = &["preset", "name", "value", "unit", "status", "source", "from"];
+    let columns = &["preset", "name", "value", "unit", "status", "source", "from", "low", "high"];
+    let columns = &columns[..if bounded { 9 } else { 7 }];
     FindingsTable { rows_in_text: usize::MAX, ..FindingsTable::new("constants", columns, rows) }
 }
 
@@ -66,7 +72,7 @@ fn constants_table(presets: &[Constants], own: Option<&str>) -> FindingsTable {
 fn preset_summary(preset: &Constants) -> String {
     let mut counts: BTreeMap<Status, usize> = BTreeMap::new();
     let barriers = preset.barrier.iter().map(|entry| &entry.time);
-    for constant in preset.list().into_iter().map(|(_, constant)| constant).chain(barriers) {
+    for constant in preset.listed().map(|(_, constant)| constant).chain(barriers) {
         *counts.entry(constant.status).or_default() += 1;
     }
     let counts: Vec<String> = counts.iter().map(|(status, count)| format!("{count} {}", status.name())).collect();

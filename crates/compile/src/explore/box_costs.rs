@@ -6,7 +6,7 @@
 
 use crate::explore::cost_estimate::{Score, score_of};
 use crate::explore::traffic::{self, Traffic};
-use nsim_ir::activity::StepActivity;
+use nsim_ir::activity::{CoreCounts, StepActivity};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::firing_rates::RATE_STEPS;
@@ -57,8 +57,9 @@ impl<'a> PlacedBoxes<'a> {
                 counts.events_sparse += arriving.sparse * rates[arriving.source];
             }
             let steps = used.usage[Resource::Compartments] * RATE_STEPS as u64;
-            counts.visited += steps;
-            counts.active += steps;
+            let kind = network.populations()[boxes.layer[core]].kind();
+            *counts += CoreCounts::of_visit(kind).times(steps);
+            counts.add_active(steps, kind.has_stated_price());
             counts.spikes += used.usage[Resource::Compartments] * rates[boxes.layer[core]];
         }
         for (id, population) in network.inputs() {

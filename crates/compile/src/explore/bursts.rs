@@ -11,7 +11,7 @@ use nsim_cost::deployment::{Deployment, HostWork};
 use nsim_cost::transport::{MessageRoutes, QueueMemory, Transport};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::id::CompartmentId;
+use nsim_ir::base::id::{CompartmentId, CoreId, Id};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
@@ -66,9 +66,8 @@ pub fn simulated_us(
     let tables = [first_constants(target)?];
     let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
     let mut step = StepActivity::new(program.cores().len());
-    for (counts, image) in step.cores.as_mut_slice().iter_mut().zip(program.cores()) {
-        let compartments = image.ids.len() as u64;
-        (counts.visited, counts.active) = (compartments, compartments);
+    for (core, counts) in step.cores.iter_mut().enumerate() {
+        *counts = program.class_of(CoreId::new(core)).updates();
     }
     let spikes = |&id: &u32| rng::unit(SEED, id.into(), 0) < chance;
     step.fired = (0..program.compartments()).filter(spikes).map(CompartmentId).collect();

@@ -75,8 +75,8 @@ pub fn score_of(
     let timing = deployment.timing(Transport::Analytic, copies);
     let slowest = activity.cores.iter().map(|core| core_time(core, &table)).max().unwrap_or_default();
     // Turn and barrier belong to one step, spikes to all steps that rates count.
-    let once = timing.host_and_barrier(0, &table);
-    let injection = timing.host_and_barrier(activity.spikes_in, &table).injection.microseconds();
+    let once = timing.host_and_barrier(activity.spikes_in, &table);
+    let injection = once.injection.microseconds();
     let route = route_time(activity.longest, &table);
     let fixed: f64 = [route, once.barrier, once.turn].map(Picoseconds::microseconds).iter().sum();
     // Messages of a step wait at the busiest link, or at the busiest of the slower links between
@@ -124,9 +124,7 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
                     sum.add_routes(program.mesh().route(image.site, sites[message.core.index()]), rate);
                 }
             }
-            let steps = image.ids.len() as u64 * RATE_STEPS as u64;
-            sum.cores[core].visited += steps;
-            sum.cores[core].active += steps;
+            sum.cores[core] += program.class_of(core).updates().times(RATE_STEPS as u64);
         }
         sum
     };

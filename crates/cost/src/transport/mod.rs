@@ -14,7 +14,7 @@ use crate::model::{StepTime, core_time, route_time, times};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::base::units::Picoseconds;
-use nsim_ir::hardware::constants::StepForm;
+use nsim_ir::hardware::constants::{StepForm, TurnRule};
 
 use self::queue::Queue;
 
@@ -61,9 +61,11 @@ pub struct Timing {
     pub transport: Transport,
     /// Tiles in the barrier of the fullest chip.
     pub tiles_used: u64,
+    /// Cores in the barrier of the fullest chip.
+    pub chip_cores: u64,
     /// Hops between chips of the barrier.
     pub chip_hops: u64,
-    /// Whether x86 cores take a turn in each step.
+    /// Whether x86 cores take turns, in the steps of [`TurnRule`].
     pub turn: bool,
     /// Streams of input spikes that are injected into one chip; 0: spikes take no time.
     pub streams: u64,
@@ -84,17 +86,18 @@ impl Timing {
         Picoseconds(spikes.0.saturating_add(sent.0))
     }
 
-    /// Equation (10): the barrier over the tiles of a chip, then between chips.
+    /// Equation (10): the barrier over the parts of a chip, then between chips.
     fn barrier(&self, table: &CostTable) -> Picoseconds {
         let between = times(&[(table.chip_hop_time, self.chip_hops)]);
-        Picoseconds(table.barrier(self.tiles_used).0.saturating_add(between.0))
+        Picoseconds(table.barrier(self.tiles_used, self.chip_cores).0.saturating_add(between.0))
     }
 
     /// Returns the parts of a step's time for host and barrier; cores and messages have 0.
     pub fn host_and_barrier(&self, spikes_in: u64, table: &CostTable) -> StepTime {
+        let has_turn = self.turn && (table.turn == TurnRule::EachStep || spikes_in + self.sent.count > 0);
         StepTime {
             injection: self.injection(spikes_in, table),
-            turn: if self.turn { table.turn_time } else { Picoseconds(0) },
+            turn: if has_turn { table.turn_time } else { Picoseconds(0) },
             barrier: self.barrier(table),
             reset: self.reset.time(table.reset_word_time),
             ..StepTime::default()
@@ -183,7 +186,7 @@ pub(crate) mod tests {
     /// Timing with a barrier of one tile, and one copy.
     pub(crate) fn timing(transport: Transport) -> Timing {
         let (reset, sent) = (Words::NONE, Words::NONE);
-        Timing { transport, tiles_used: 1, chip_hops: 0, turn: true, streams: 1, copies: 1, reset, sent }
+        Timing { transport, tiles_used: 1, chip_cores: 1, chip_hops: 0, turn: true, streams: 1, copies: 1, reset, sent }
     }
 
     /// The routes of a program of two cores without messages.

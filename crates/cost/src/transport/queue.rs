@@ -13,7 +13,7 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::constants::CostTable;
-use crate::model::{route_time, times};
+use crate::model::{route_time, times, update_terms};
 use crate::transport::routes::{Message, MessageRoutes, Region};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::id::{ChannelId, CoreId, Id};
@@ -188,7 +188,8 @@ impl<'w> Queue<'w> {
         // Visits are in slot order, each with the mean time of a visit on its core.
         visits.clear();
         visits.extend(step.cores.iter().map(|core| {
-            times(&[(table.compartment_time, core.visited), (table.compartment_active_time, core.active)]).0
+            let [updates, microcode] = update_terms(core, table);
+            times(&[updates, microcode, (table.compartment_active_time, core.active - core.stated_active)]).0
         }));
         fired.clear();
         fired.extend(step.fired.iter().map(|c| (routes.seats[c.index()], c.index())));

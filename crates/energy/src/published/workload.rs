@@ -245,6 +245,26 @@ pub struct LayerCores {
     /// consecutive compartments.
     #[serde(default)]
     pub stripes: bool,
+    /// Whether the source does not print the fullest core: an even cut is predicted, and the upper
+    /// bound has all compartments but one a core on the first.
+    #[serde(default)]
+    pub uneven: bool,
+}
+
+/// A network of a family: its name after the family's, and what differs.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorkloadCase {
+    /// Its name.
+    pub name: String,
+    /// Compartments of every layer.
+    pub neurons: u32,
+    /// Cores in use, and of the first part of the layout.
+    pub cores: u32,
+    /// Synapses of a source of random projections.
+    pub fan_out: u32,
+    /// The figures' values, in the order of `figures`.
+    pub published: Vec<f64>,
 }
 
 /// The unit to which a printed figure refers.
@@ -308,6 +328,15 @@ pub struct WorkloadFile {
     pub active_share: Between,
     /// Cores of each layer, as the source printed or placed them.
     pub layout: Vec<LayerCores>,
+    /// Whether its neurons are programs that the authors wrote.
+    #[serde(default)]
+    pub microcode: bool,
+    /// Whether activity and layout are known well enough to judge the model by its figures.
+    #[serde(default = "judges")]
+    pub judges: bool,
+    /// The networks of a family, each a workload of its own; without any, the file is one.
+    #[serde(default)]
+    pub cases: Vec<WorkloadCase>,
     /// Hardware in use.
     pub deployment: WorkloadDeployment,
     /// Work of the host.
@@ -319,6 +348,11 @@ pub struct WorkloadFile {
     pub paced_us: Option<f64>,
     /// The figures.
     pub figures: Vec<PublishedFigure>,
+}
+
+/// Most workloads judge the model.
+fn judges() -> bool {
+    true
 }
 
 /// A share of 1: every step.
@@ -362,7 +396,39 @@ fn is_ordered(range: Between) -> bool {
 /// # Errors
 /// As [`workload`].
 pub fn shipped() -> Result<Vec<WorkloadFile>> {
-    shipped::WORKLOADS.iter().map(|file| workload(&file.source())).collect()
+    let families = shipped::WORKLOADS.iter().map(|file| Ok(cases(workload(&file.source())?)));
+    Ok(families.collect::<Result<Vec<_>>>()?.concat())
+}
+
+/// The networks of a family.
+fn cases(family: WorkloadFile) -> Vec<WorkloadFile> {
+    if family.cases.is_empty() {
+        return vec![family];
+    }
+    family.cases.iter().map(|case| one_of(&family, case)).collect()
+}
+
+/// A network of a family.
+fn one_of(family: &WorkloadFile, case: &WorkloadCase) -> WorkloadFile {
+    let mut file = WorkloadFile { name: format!("{}-{}", family.name, case.name), ..family.clone() };
+    for population in &mut file.populations {
+        if let WorkloadPopulation::Layer { shape, .. } = population {
+            *shape = vec![case.neurons];
+        }
+    }
+    for projection in &mut file.projections {
+        if let WorkloadProjection::Random { fan_out, .. } = projection {
+            *fan_out = case.fan_out;
+        }
+    }
+    if let Some(part) = file.layout.first_mut() {
+        part.cores = case.cores;
+    }
+    file.deployment.cores_used = case.cores.into();
+    for (figure, published) in file.figures.iter_mut().zip(&case.published) {
+        figure.published = (*published).into();
+    }
+    file
 }
 
 /// Parses and checks a workload.
@@ -397,6 +463,9 @@ pub fn workload(source: &SourceText) -> Result<WorkloadFile> {
                 return wrong("workload.population", format!("there is no population {end}"));
             }
         }
+    }
+    if let Some(case) = file.cases.iter().find(|case| case.published.len() != file.figures.len() || case.neurons == 0) {
+        return wrong("workload.figure", format!("{}: a case has neurons, and a value for each figure", case.name));
     }
     if let Some(figure) = file.figures.iter().find(|figure| !figure.published.value.is_finite()) {
         let problem = Diagnostic::new("workload.figure", "a figure is a finite number");

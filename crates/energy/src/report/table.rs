@@ -89,12 +89,21 @@ pub struct ConstantEntry {
     pub source: String,
     /// Its status: published, calibrated, assumed or not given.
     pub status: Status,
+    /// The least value that its sources leave open.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub low: Option<f64>,
+    /// The greatest value that its sources leave open.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub high: Option<f64>,
 }
 
 /// The constants of a preset, barriers last.
 pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
-    let barriers = constants.barrier.iter().map(|entry| (format!("barrier_time_{}_tiles", entry.tiles), &entry.time));
-    let singles = constants.list().into_iter().map(|(name, constant)| (name.to_string(), constant));
+    let barriers = constants.barrier.iter().map(|entry| {
+        let (number, parts) = entry.parts();
+        (format!("barrier_time_{number}_{parts}"), &entry.time)
+    });
+    let singles = constants.listed().map(|(name, constant)| (name.to_string(), constant));
     singles
         .chain(barriers)
         .map(|(name, constant)| ConstantEntry {
@@ -103,6 +112,8 @@ pub fn constant_entries(constants: &Constants) -> Vec<ConstantEntry> {
             unit: constant.unit,
             source: constant.source.clone(),
             status: constant.status,
+            low: constant.bounds.map(|bounds| bounds.0),
+            high: constant.bounds.map(|bounds| bounds.1),
         })
         .collect()
 }
@@ -146,6 +157,8 @@ pub struct EnergyReport {
     pub estimate: Estimate,
     /// Rows of other hardware and of published jobs, with their sources.
     pub baselines: Vec<(EnergyRow, String)>,
+    /// The job's row with inputs already on the chip, where injection is more than half of a step.
+    pub inputs_on_chip: Option<EnergyRow>,
     /// The level of the intervals; `None` where they bound modelled constants.
     pub level: Option<f64>,
     /// The accounting of power.
@@ -196,6 +209,8 @@ struct EnergyResult<'r> {
     timesteps: u64,
     accuracy: Option<f64>,
     rows: Vec<&'r EnergyRow>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    inputs_on_chip: Option<&'r EnergyRow>,
     cores_used: u64,
     tiles_used: u64,
     chips_used: u64,
@@ -354,6 +369,7 @@ impl EnergyReport {
             timesteps: self.timesteps,
             accuracy: self.accuracy,
             rows: self.rows().collect(),
+            inputs_on_chip: self.inputs_on_chip.as_ref(),
             cores_used: self.deployment.cores_used,
             tiles_used: self.deployment.tiles_used,
             chips_used: self.deployment.chips_used,
@@ -471,13 +487,18 @@ impl EnergyReport {
                     lines.push((name, self.cells(printed), String::new()));
                 }
             }
+            let of_interval = if self.level.is_some() { "  80 % interval" } else { "  model's bounds" };
             if (row.source == FigureSource::Simulated && (every_interval || !is_part) || at_work)
                 && let Some(mut interval) = self.interval(row)
             {
                 // Time and energy belong to the whole, not to a part.
                 interval[3..].iter_mut().filter(|_| is_part).for_each(String::clear);
-                let name = if self.level.is_some() { "  80 % interval" } else { "  model's bounds" };
-                lines.push((name.to_string(), interval, String::new()));
+                lines.push((of_interval.to_string(), interval, String::new()));
+            }
+            if let Some(alone) = self.inputs_on_chip.as_ref().filter(|_| own && row.unit == "total") {
+                lines.push(("inputs on chip".to_string(), self.cells(alone), alone.source.name().to_string()));
+                let interval = self.interval(alone);
+                lines.extend(interval.map(|interval| (of_interval.to_string(), interval, String::new())));
             }
         }
         lines
@@ -560,6 +581,11 @@ impl EnergyReport {
     /// Remarks below the table, at most seven.
     fn table_notes(&self) -> Vec<String> {
         let Deployment { cores_used, copies, board_chips, chips_used, .. } = &self.deployment;
+        if self.accounting == Accounting::Unit {
+            let chips = count(*board_chips, "chip");
+            let said = format!("The unit's power is of all {chips} with their boards and host; cores add to it.");
+            return std::iter::once(said).chain(self.dominant_text()).collect();
+        }
         if self.accounting == Accounting::Rails {
             let unused = board_chips - chips_used.min(board_chips);
             let unused = (unused > 0).then(|| {
@@ -644,7 +670,8 @@ impl EnergyReport {
         };
         let free = if self.mode == Mode::Realtime { "A step's work takes" } else { "A step takes" };
         let share = (100.0 * most / all).floor();
-        Some(format!("{free} {} us, {share} % of it for {what}.", three(all)))
+        let without = if self.inputs_on_chip.is_some() { " Inputs on chip: --host none." } else { "" };
+        Some(format!("{free} {} us, {share} % of it for {what}.{without}", three(all)))
     }
 
     /// Text on injection: the input spikes of a step, and the constants' time of one.

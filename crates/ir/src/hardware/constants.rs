@@ -169,6 +169,16 @@ pub enum StepForm {
     Greatest,
 }
 
+/// Steps in which the process of the x86 cores takes its turn.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+pub enum TurnRule {
+    /// Every step.
+    #[default]
+    EachStep,
+    /// Steps with input from the host.
+    WithInput,
+}
+
 /// A number with its origin.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -177,11 +187,15 @@ pub struct Constant {
     pub value: Spanned<f64>,
     /// Its unit.
     pub unit: Unit,
+    /// The least and the greatest value that its sources leave open, in `unit`.
+    #[serde(default)]
+    pub bounds: Option<(f64, f64)>,
     /// Paper and table, or repository and file.
     pub source: String,
     /// Confidence in it.
     pub status: Status,
-    /// The values by each group of authors, if `value` is their median (as of [`median`]).
+    /// The values by each group of authors: `value` is their median (as of [`median`]), or one of
+    /// them that the others confirm.
     #[serde(default)]
     pub findings: Vec<Finding>,
 }
@@ -189,7 +203,7 @@ pub struct Constant {
 impl Constant {
     fn not_given(unit: Unit) -> Self {
         let source = "not given by this preset".to_string();
-        Constant { value: 0.0.into(), unit, source, status: Status::NotGiven, findings: Vec::new() }
+        Constant { value: 0.0.into(), unit, bounds: None, source, status: Status::NotGiven, findings: Vec::new() }
     }
 
     /// The median of the findings of all groups but this one; `None` when there are none.
@@ -229,14 +243,26 @@ pub fn median(mut values: Vec<f64>) -> Option<f64> {
     }
 }
 
-/// Time of a barrier over `tiles` tiles in use; between entries it is interpolated linearly.
+/// Time of a barrier over tiles or cores in use of a chip; between entries it is interpolated
+/// linearly.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct BarrierTime {
-    /// Tiles in use.
+    /// Tiles in use; 0 in presets whose barrier goes by cores.
+    #[serde(default)]
     pub tiles: u64,
+    /// Cores in use; 0 in presets whose barrier goes by tiles.
+    #[serde(default)]
+    pub cores: u64,
     /// The time.
     pub time: Constant,
+}
+
+impl BarrierTime {
+    /// Number and name of the parts.
+    pub fn parts(&self) -> (u64, &'static str) {
+        if self.cores > 0 { (self.cores, "cores") } else { (self.tiles, "tiles") }
+    }
 }
 
 /// A figure of a source that no count of a run multiplies, stored for the record.
@@ -290,6 +316,8 @@ macro_rules! for_each_constant {
             compartment_time: ns,
             /// Additional time of a compartment that is not idle, ns.
             compartment_active_time: ns,
+            /// Time of a neuron whose program the model states, in place of `compartment_time`, ns.
+            microcode_time: ns = "Constant::no_time",
             /// Additional time of a compartment that spikes, ns.
             spike_time: ns = "Constant::no_time",
             /// Time of a message sent, ns.
@@ -337,6 +365,10 @@ macro_rules! for_each_constant {
             x86_on_power: mW = "Constant::no_power",
             /// Power that an x86 core at work adds, from the rails, mW.
             x86_rails_power: mW = "Constant::no_power",
+            /// Power that a neuron core in use adds while it runs, from the rails, mW.
+            core_rails_power: mW = "Constant::no_power",
+            /// Power of the whole unit with its host side while nothing runs, mW a chip on the board.
+            unit_power: mW = "Constant::no_power",
         }
     };
 }
@@ -362,7 +394,13 @@ macro_rules! constants {
             /// Rule for the time of a step.
             #[serde(default)]
             pub step: StepForm,
-            /// Barrier times by tiles in use, ascending.
+            /// Steps in which x86 cores take their turn.
+            #[serde(default)]
+            pub turn: TurnRule,
+            /// Bounds in us of barriers over numbers of parts that nobody measured.
+            #[serde(default)]
+            pub barrier_bounds: Option<(f64, f64)>,
+            /// Barrier times by tiles or cores in use, ascending.
             pub barrier: Vec<BarrierTime>,
             /// Figures of these sources that enter no sum.
             #[serde(default)]
@@ -393,6 +431,10 @@ macro_rules! constants {
             pub errors: Option<Vec<ClassError>>,
             /// Rule for the time of a step, where it differs from the base's.
             pub step: Option<StepForm>,
+            /// Steps in which x86 cores take their turn, where they differ from the base's.
+            pub turn: Option<TurnRule>,
+            /// Bounds in us of barriers over numbers of parts that nobody measured.
+            pub barrier_bounds: Option<(f64, f64)>,
             /// Barrier times, in place of the base's.
             pub barrier: Option<Vec<BarrierTime>>,
             $($(#[$doc])* pub $field: Option<Constant>,)*
@@ -432,6 +474,8 @@ macro_rules! constants {
                     }
                 })*
                 made.step = self.step.unwrap_or(made.step);
+                made.turn = self.turn.unwrap_or(made.turn);
+                made.barrier_bounds = self.barrier_bounds.or(made.barrier_bounds);
                 if made.hardware != base.hardware {
                     made.errors.clear();
                 }
@@ -441,6 +485,35 @@ macro_rules! constants {
         }
 
         impl Constants {
+            /// Whether bounds of the constants themselves bound figures, in place of errors.
+            pub fn is_bounded(&self) -> bool {
+                let barriers = self.barrier.iter().map(|entry| &entry.time);
+                self.list().into_iter().map(|(_, one)| one).chain(barriers).any(|one| one.bounds.is_some())
+            }
+
+            /// Returns the preset without the findings of a group of authors. A constant that only they
+            /// found stays; a barrier that only they measured takes the time of the nearest other.
+            #[must_use]
+            pub fn without(&self, group: &str) -> Constants {
+                let mut others = self.clone();
+                for (name, constant) in self.list() {
+                    if let (Some(own), Some(value)) = (others.get_mut(name), constant.without(group)) {
+                        own.value = value.into();
+                    }
+                }
+                let is_theirs = |entry: &BarrierTime| {
+                    !entry.time.findings.is_empty() && entry.time.without(group).is_none()
+                };
+                for entry in others.barrier.iter_mut().filter(|entry| is_theirs(entry)) {
+                    let parts = entry.parts().0;
+                    let measured = self.barrier.iter().filter(|other| !is_theirs(other));
+                    if let Some(nearest) = measured.min_by_key(|other| other.parts().0.abs_diff(parts)) {
+                        entry.time = Constant { bounds: None, ..nearest.time.clone() };
+                    }
+                }
+                others
+            }
+
             /// Drops the errors of these classes, when the constants behind them change.
             pub fn forget_errors(&mut self, classes: &[FigureClass]) {
                 self.errors.retain(|error| !classes.contains(&error.class));
@@ -449,12 +522,24 @@ macro_rules! constants {
             /// The names of all single-valued constants, in a fixed order.
             pub const NAMES: &'static [&'static str] = &[$(stringify!($field)),*];
 
+            /// Constants that only presets of Loihi 2 state. Tables list them where they are given:
+            /// elsewhere nothing is charged for them.
+            pub const ADDED: [&'static str; 3] = ["microcode_time", "core_rails_power", "unit_power"];
+
             /// A single-valued constant by its name, mutable.
             pub fn get_mut(&mut self, name: &str) -> Option<&mut Constant> {
                 match name {
                     $(stringify!($field) => Some(&mut self.$field),)*
                     _ => None,
                 }
+            }
+
+            /// Name and constant of every field that tables list, in a fixed order.
+            pub fn listed(&self) -> impl Iterator<Item = (&'static str, &Constant)> {
+                let is_listed = |(name, one): &(&str, &Constant)| {
+                    one.status != Status::NotGiven || !Constants::ADDED.contains(name)
+                };
+                self.list().into_iter().filter(is_listed)
             }
 
             /// Name and constant of every single-valued field, in a fixed order.
@@ -473,8 +558,9 @@ macro_rules! constants {
                     return Err(Diagnostic::new("target.barrier", "the barrier times are missing"));
                 }
                 for pair in self.barrier.windows(2) {
-                    if pair[0].tiles >= pair[1].tiles {
-                        return Err(Diagnostic::new("target.barrier", "barrier times are not in ascending order of tiles")
+                    let [(first, name), (second, other)] = [pair[0].parts(), pair[1].parts()];
+                    if first >= second || name != other {
+                        return Err(Diagnostic::new("target.barrier", "barrier times are not in ascending order of tiles, or of cores")
                             .at(source, pair[1].time.value.span));
                     }
                 }
@@ -501,7 +587,7 @@ pub fn classes_of(constant: &str) -> &'static [FigureClass] {
         "x86_clock_power" => &[X86Dynamic, Rails],
         "x86_active_power" | "x86_injecting_share" => &[X86Dynamic],
         "x86_rails_power" => &[X86Rails, Rails],
-        "chip_boot_power" | "x86_on_power" => &[Rails],
+        "chip_boot_power" | "x86_on_power" | "core_rails_power" | "unit_power" => &[Rails],
         name if name.ends_with("_energy") => &[CoreEnergy, CoreDynamic, Rails],
         // A power is an energy over a time, so it depends on both.
         _ => &[Time, CoreDynamic],
@@ -527,7 +613,13 @@ fn check_constant(source: &SourceText, name: &str, constant: &Constant, unit: Un
     if !(0.0..=1e9).contains(&value) {
         return Err(wrong("target.constant", format!("{name} {value} is outside 0..=1e9")));
     }
-    Ok(())
+    match constant.bounds {
+        Some((low, high)) if !(0.0 <= low && low <= value && value <= high && high <= 1e9) => {
+            let message = format!("{name} {value} is outside its bounds {low} to {high}, which are within 0..=1e9");
+            Err(wrong("target.constant", message).help("state bounds: (low, high) around the value"))
+        }
+        _ => Ok(()),
+    }
 }
 
 #[cfg(test)]

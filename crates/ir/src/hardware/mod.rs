@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 
-use self::constants::{ClassError, Constants, Status};
+use self::constants::{ClassError, Constant, Constants, Status};
 use super::neurons::{Family, NeuronKind};
 use super::resource::{LimitChanges, Limits, Resource};
 use super::spanned::Spanned;
@@ -180,6 +180,9 @@ pub struct TargetFile {
     pub chips_y: Spanned<u32>,
     /// Presets of constants; the first is the default.
     pub constants: Vec<Spanned<String>>,
+    /// [`Constants::unit_power`] of this board, in place of the presets'.
+    #[serde(default)]
+    pub unit_power: Option<Constant>,
 }
 
 /// A target file that states only differences from a base target.
@@ -306,7 +309,7 @@ impl Target {
     ///
     /// # Errors
     /// A diagnostic when a size is 0 or too large, or no preset is given.
-    pub fn new(file: &TargetFile, source: &SourceText, chip: Chip, constants: Vec<Constants>) -> Result<Self> {
+    pub fn new(file: &TargetFile, source: &SourceText, chip: Chip, mut constants: Vec<Constants>) -> Result<Self> {
         let wrong = |message: String| Diagnostic::new("target.size", message);
         for (what, side) in [("chips_x", &file.chips_x), ("chips_y", &file.chips_y)] {
             if !(1..=128).contains(&side.value) {
@@ -320,6 +323,12 @@ impl Target {
             return Err(
                 wrong(format!("the board has {cores} cores, the limit is {MOST_CORES}")).at(source, file.chips_x.span)
             );
+        }
+        if let Some(power) = &file.unit_power {
+            for preset in &mut constants {
+                preset.unit_power = power.clone();
+                preset.check(source)?;
+            }
         }
         if constants.is_empty() {
             return Err(

@@ -22,6 +22,7 @@ use serde::{Deserialize, Serialize};
 
 pub use tree::{Assignment, Expression, Interval, Node, Operation, Problem, Variable};
 
+use crate::hardware::constants::Unit;
 use text::{Parser, Scope};
 use tree::{MOST_TEMPORARIES, is_name};
 
@@ -104,7 +105,34 @@ pub struct Declaration {
     /// Assignments after sending, in order.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub reset: Vec<String>,
+    /// Time of an update of a neuron, such as `5ns`; with `energy`, or by its instructions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub time: Option<String>,
+    /// Energy of an update of a neuron, such as `12pJ`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub energy: Option<String>,
 }
+
+/// Cost of an update of a neuron, idle or not.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum UpdatePrice {
+    /// As the declaration states it, in place of the constants of a compartment.
+    Stated {
+        /// Energy in fJ.
+        energy: u64,
+        /// Time in ps.
+        time: u64,
+    },
+    /// The constants of a visited compartment, by this number of instructions over
+    /// [`COMPARTMENT_INSTRUCTIONS`].
+    Instructions(u32),
+}
+
+/// Instructions of a compartment of Loihi 1, stated as a kind: two decays, three sums, a threshold,
+/// a reset and the sending.
+pub const COMPARTMENT_INSTRUCTIONS: u32 = 12;
+/// The greatest stated energy in pJ and time in ns: sums over a run fit 64 bits.
+const MOST_PRICE: f64 = 1e5;
 
 /// The checked rule of a neuron kind.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -116,6 +144,7 @@ pub struct Microcode {
     sends: Expression,
     message: Option<Expression>,
     reset: Vec<Assignment>,
+    stated: Option<UpdatePrice>,
 }
 
 impl Microcode {
@@ -181,7 +210,8 @@ impl Microcode {
         };
         let reset = assignments("reset", &declaration.reset, &mut scope)?;
         let (temporaries, ports) = (scope.temporaries(), scope.ports);
-        let code = Microcode { declaration, temporaries, ports, update, sends, message, reset };
+        let stated = stated_price(&declaration)?;
+        let code = Microcode { declaration, temporaries, ports, update, sends, message, reset, stated };
         match code.instructions() {
             0..=MOST_INSTRUCTIONS => Ok(code),
             count => {
@@ -240,11 +270,37 @@ impl Microcode {
         &self.reset
     }
 
+    /// Cost of an update: stated, or by its instructions.
+    pub fn price(&self) -> UpdatePrice {
+        self.stated.unwrap_or(UpdatePrice::Instructions(self.instructions()))
+    }
+
     /// Number of instructions: operations, assignments of a number or a name, and one for sending.
     pub fn instructions(&self) -> u32 {
         let assigned = self.update.iter().chain(&self.reset).map(|assignment| assignment.value.operations().max(1));
         let message = self.declaration.spikes.as_ref().and(self.message.as_ref());
         assigned.sum::<u32>() + self.sends.operations() + message.map_or(0, Expression::operations) + 1
+    }
+}
+
+/// The price that a declaration states.
+fn stated_price(declaration: &Declaration) -> Result<Option<UpdatePrice>, Problem> {
+    let thousandths = |path: &str, typed: &str, unit: Unit| {
+        let wrong = |message: String| Problem::new(path, message);
+        let value = unit.parsed(typed).map_err(wrong)?;
+        if !(0.0..=MOST_PRICE).contains(&value) {
+            return Err(wrong(format!("{typed} is outside 0..={MOST_PRICE} {}", unit.suffix())));
+        }
+        Ok((value * 1e3).round() as u64)
+    };
+    match (&declaration.time, &declaration.energy) {
+        (Some(time), Some(energy)) => Ok(Some(UpdatePrice::Stated {
+            energy: thousandths("energy", energy, Unit::pJ)?,
+            time: thousandths("time", time, Unit::ns)?,
+        })),
+        (None, None) => Ok(None),
+        (Some(_), None) => Err(Problem::new("time", "an update has a time and no energy: add energy: \"12pJ\"")),
+        (None, Some(_)) => Err(Problem::new("energy", "an update has an energy and no time: add time: \"5ns\"")),
     }
 }
 

@@ -15,6 +15,8 @@ fn kind(update: &str, spikes: Option<&str>, message: Option<&str>, reset: &[&str
         spikes: spikes.map(str::to_string),
         message: message.map(str::to_string),
         reset: reset.iter().map(ToString::to_string).collect(),
+        time: None,
+        energy: None,
     };
     Microcode::new(declaration, 8)
 }
@@ -76,6 +78,32 @@ fn a_kind_has_at_most_2048_instructions() {
     assert_eq!(sums(15).unwrap().instructions(), 2048);
     let problem = sums(16).unwrap_err();
     assert!(problem.message.contains("2049 instructions, more than 2048"), "{}", problem.message);
+}
+
+#[test]
+fn an_update_costs_what_is_stated_or_its_instructions() {
+    let declared =
+        kind("u = tz(u * (4096 - k), 12) + in | v = tz(v * (4096 - dv), 12) + u + 7", Some("v > 9"), None, &["v = 0"]);
+    let compartment = declared.unwrap();
+    assert_eq!(compartment.price(), UpdatePrice::Instructions(COMPARTMENT_INSTRUCTIONS));
+    let price = |time: Option<&str>, energy: Option<&str>| {
+        let [time, energy] = [time, energy].map(|text| text.map(str::to_string));
+        Microcode::new(Declaration { time, energy, ..compartment.declaration().clone() }, 8).map(|code| code.price())
+    };
+    let stated = UpdatePrice::Stated { energy: 12_000, time: 5_000 };
+    assert_eq!(price(Some("5ns"), Some("12pJ")).unwrap(), stated);
+    assert_eq!(price(Some("0.005us"), Some("0.012nJ")).unwrap(), stated);
+    for (time, energy, path, says) in [
+        (Some("5ns"), None, "time", "no energy"),
+        (None, Some("12pJ"), "energy", "no time"),
+        (Some("5"), Some("12pJ"), "time", "no unit"),
+        (Some("5pJ"), Some("12pJ"), "time", "pJ is not a valid unit"),
+        (Some("5ns"), Some("-1pJ"), "energy", "outside 0..=100000 pJ"),
+        (Some("1s"), Some("12pJ"), "time", ""),
+    ] {
+        let problem = price(time, energy).unwrap_err();
+        assert!(problem.path == path && problem.message.contains(says), "{problem:?}");
+    }
 }
 
 /// Small intervals are tested by every pair of values.

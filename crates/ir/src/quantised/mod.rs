@@ -194,6 +194,11 @@ impl Population {
         self.neurons().and_then(|neurons| neurons.values().first()).map_or(Stack::UNUSED, |neuron| neuron.stack)
     }
 
+    /// The kind of its neurons, a compartment of Loihi 1 for inputs.
+    pub fn kind(&self) -> NeuronKind {
+        self.neurons().and_then(|neurons| neurons.values().first()).map_or(NeuronKind::Loihi, |neuron| neuron.kind)
+    }
+
     /// Whether `is_so` is true of any compartment.
     pub fn any_neuron(&self, is_so: impl Fn(&Neuron) -> bool) -> bool {
         self.neurons().is_some_and(|neurons| neurons.any(is_so))

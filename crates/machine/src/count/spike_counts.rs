@@ -116,7 +116,7 @@ impl SpikeCounts {
         image.tally().add_visits(self.steps, &mut sum);
         for (state, shard) in shards.iter_mut().zip(&image.shards) {
             for (count, block) in state.take_active(shard).into_iter().zip(&shard.blocks) {
-                sum.cores[block.core].active += count;
+                sum.cores[block.core].add_active(count, block.stated);
             }
         }
         let mut activity = Activity::new(image.program().cores().len());

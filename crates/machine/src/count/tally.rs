@@ -18,7 +18,7 @@ use self_cell::self_cell;
 
 use crate::count::effects::{Effect, Events};
 use crate::deliver::prefetch::prefetch;
-use nsim_ir::activity::{HopCounts, StepActivity};
+use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec};
 use nsim_ir::placement::{MeshPosition, Route};
@@ -85,6 +85,8 @@ pub struct Tally<'p> {
     longest_delay: u32,
     receivers: IdVec<CoreId, Receiver>,
     classes: IdVec<CoreId, &'p CoreClass>,
+    /// Counts of a visit to all compartments of a core of each class.
+    visits: IdVec<ClassId, CoreCounts>,
     /// Distinct effects of lists; the last marks lists that have to be read.
     effects: Vec<Effect>,
     /// Bits of a message that hold its core.
@@ -131,6 +133,7 @@ impl<'p> Tally<'p> {
             longest_delay: delays.max().unwrap_or(0).into(),
             receivers: program.cores().iter().map(receiver).collect(),
             classes: program.cores().iter().map(|image| &classes[image.class]).collect(),
+            visits: classes.iter().map(CoreClass::visit).collect(),
             of_lists: of_classes.par_iter().flat_map_iter(|lists| lists.iter().map(number)).collect(),
             effects,
             core_bits,
@@ -177,6 +180,7 @@ impl<'p> Tally<'p> {
     pub fn bytes(&self) -> usize {
         size_of_val(self.receivers.as_slice())
             + size_of_val(self.classes.as_slice())
+            + size_of_val(self.visits.as_slice())
             + size_of_val(self.effects.as_slice())
             + size_of_val(self.of_lists.as_slice())
             + self.stored.as_ref().map_or(0, |StoredMessages { messages, crossed }| {
@@ -392,7 +396,7 @@ impl<'p> Tally<'p> {
     pub fn add_visits(&self, steps: u64, sum: &mut StepActivity) {
         let cores = self.program.cores().enumerate().zip(sum.cores.iter_mut());
         for ((_, image), counts) in cores.filter(|((core, _), _)| self.program.is_local(*core)) {
-            counts.visited += image.ids.len() as u64 * steps;
+            *counts += self.visits[image.class].times(steps);
         }
     }
 }

@@ -339,7 +339,8 @@ impl Image {
                     }
                 };
                 let starts = of_block.iter().map(|&f| self.fields[f as usize].start_step).min().unwrap_or(0);
-                blocks.push(CoreBlock { start: lane, length: length as u32, core, fields, starts, sums: list });
+                let (stated, length_u32) = (of(slot).neuron.kind.has_stated_price(), length as u32);
+                blocks.push(CoreBlock { start: lane, length: length_u32, core, fields, starts, sums: list, stated });
                 for (lane, id) in (lane..).zip(&ids[slot..slot + length]) {
                     self.lanes[id.index()] = lane;
                 }

@@ -68,6 +68,8 @@ pub(crate) struct CoreBlock {
     pub starts: u32,
     /// Index of the list of sums of compartments whose state is words.
     pub sums: u32,
+    /// Whether the model states the price of an update of its kind.
+    pub stated: bool,
 }
 
 /// Adjacent core blocks of a skip block that are updated together.

@@ -106,8 +106,9 @@ pub(crate) struct CompartmentState {
     pub payloads: Vec<i32>,
     /// Number of spikes of each lane since the counts were last taken.
     pub fired: Vec<u32>,
-    /// Number of active compartments of a core in the last step, by core block, if listed.
-    pub active: Vec<(CoreId, u32)>,
+    /// Number of active compartments of a core in the last step, by core block, if listed, and
+    /// whether their model states the price of an update.
+    pub active: Vec<(CoreId, u32, bool)>,
     /// Number of compartments that were not idle in the last step.
     pub active_now: u64,
     /// Number of active compartments by core block since it was last taken, without the steps that
@@ -555,7 +556,7 @@ impl CompartmentState {
                 let active = (effects.moved >> (block.start - start) & ones(block.length as usize)).count_ones();
                 *sum += u64::from(active);
                 if input.list_active && active > 0 {
-                    self.active.push((block.core, active));
+                    self.active.push((block.core, active, block.stated));
                 }
             }
         }

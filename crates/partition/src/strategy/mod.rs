@@ -410,7 +410,7 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<FilledCores>, search: Search<'
     let events = filler.fan_in.events_into(filler.network, search.rates);
     let inputs: u64 = (0..filler.network.channels()).map(|channel| search.rates.rate_of(channel)).sum();
     let steps = RATE_STEPS as u64;
-    let others_us = (table.turn_time.microseconds() + table.barrier(1).microseconds()) * steps as f64;
+    let others_us = (table.turn_time.microseconds() + table.barrier(1, 1).microseconds()) * steps as f64;
     let injection_us = table.injection_time.microseconds() * inputs as f64;
     let length = |members: &Members, times: u64| {
         let of_core = |held: &Vec<CompartmentId>| {

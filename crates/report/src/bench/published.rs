@@ -30,8 +30,7 @@ fn rows_table<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
 }
 
 /// Keys of a figure in CSV.
-const KEYS: &str =
-    "work,workload,chip,quantity,kind,unit,published,predicted,low,high,left_out,accounting,source,first_hand,cause";
+const KEYS: &str = "work,workload,chip,quantity,kind,unit,published,predicted,low,high,left_out,judged,accounting,source,first_hand,cause";
 
 /// `nsim.bench/1`.
 pub fn json(rows: &[PublishedRow]) -> Value {
@@ -48,6 +47,7 @@ pub fn json(rows: &[PublishedRow]) -> Value {
             "low": row.interval.map(|interval| interval.0),
             "high": row.interval.map(|interval| interval.1),
             "left_out": row.left_out,
+            "judged": row.judged,
             "first_hand": row.first_hand,
             "accounting": row.quantity.accounting(),
             "activity": row.activity,
@@ -68,27 +68,29 @@ fn rows_with_omission(rows: &[PublishedRow], left_out: bool) -> impl Iterator<It
     rows.iter().filter(move |row| row.left_out == left_out)
 }
 
+/// Chips with rows that exclude a work's own results, in order.
+fn chips(rows: &[PublishedRow]) -> Vec<&str> {
+    let mut chips: Vec<&str> = Vec::new();
+    for row in rows_with_omission(rows, true) {
+        if !chips.contains(&row.chip.as_str()) {
+            chips.push(&row.chip);
+        }
+    }
+    chips
+}
+
 /// The result as text.
 pub fn text(rows: &[PublishedRow]) -> String {
     let mut out = String::new();
-    if rows_with_omission(rows, true).next().is_some() {
-        out += &format!(
-            "predicted without results of a work's own authors\n\n{}",
-            rows_table(rows_with_omission(rows, true))
-        );
+    let chips = chips(rows);
+    for chip in &chips {
+        let of_chip = rows_table(rows_with_omission(rows, true).filter(|row| row.chip == *chip));
+        let gap = if out.is_empty() { "" } else { "\n" };
+        out += &format!("{gap}on {chip}, predicted without results of a work's own authors\n\n{of_chip}");
     }
     let second_hand = || rows.iter().filter(|row| !row.first_hand);
     if second_hand().next().is_some() {
         out += &format!("\npublished values known second-hand\n\n{}", rows_table(second_hand()));
-    }
-    // Chips without rows that judge the model.
-    let is_modelled = |chip: &str| rows.iter().all(|row| row.chip != chip || row.first_hand && !row.left_out);
-    let mut chips: Vec<&str> = rows.iter().map(|row| row.chip.as_str()).filter(|chip| is_modelled(chip)).collect();
-    chips.dedup();
-    for chip in chips {
-        let of_chip = rows_table(rows.iter().filter(|row| row.chip == chip));
-        let gap = if out.is_empty() { "" } else { "\n" };
-        out += &format!("{gap}on {chip}, by modelled constants; not in the averages\n\n{of_chip}");
     }
     let without: Vec<&PublishedRow> = rows_with_omission(rows, true).filter(|row| row.interval.is_none()).collect();
     if without.iter().any(|row| row.quantity.class().is_some()) {
@@ -96,8 +98,9 @@ pub fn text(rows: &[PublishedRow]) -> String {
     } else if !without.is_empty() {
         out += "\n-: no interval, because too few works print such figures\n";
     }
-    for (time, name) in [(false, "power and energy"), (true, "time")] {
-        let by_work = factors_by_work(rows, time);
+    let kinds = [(false, "power and energy"), (true, "time")];
+    for (chip, (time, name)) in chips.iter().flat_map(|chip| kinds.map(|kind| (chip, kind))) {
+        let by_work = factors_by_work(rows, chip, time);
         let (Some(mean), Some(worst)) =
             (geometric_mean(by_work.values().copied()), by_work.values().copied().reduce(f64::max))
         else {
@@ -105,7 +108,7 @@ pub fn text(rows: &[PublishedRow]) -> String {
         };
         out.push('\n');
         out += &wrapped(&format!(
-            "{name}, median factor of each of {} works: mean {mean:.2}, worst {worst:.2}",
+            "{name} on {chip}, median factor of each of {} works: mean {mean:.2}, worst {worst:.2}",
             by_work.len()
         ));
         let works = by_work.iter().map(|(work, factor)| format!("{work} {factor:.2}")).collect::<Vec<_>>();
@@ -161,6 +164,7 @@ mod tests {
             predicted: 10.0,
             interval: Some((5.0, 20.0)),
             left_out,
+            judged: left_out,
             first_hand: true,
             activity: Status::Assumed,
             assumed: vec!["rates".to_string()],
@@ -177,11 +181,16 @@ mod tests {
     }
 
     #[test]
-    fn a_chip_that_judges_nothing_has_a_table_of_its_own() {
-        let other = PublishedRow { chip: "d".to_string(), workload: "other".to_string(), ..row(false, 80.0) };
-        let text = text(&[row(false, 8.0), row(true, 8.0), other]);
-        let (_, rest) = text.split_once("on d, by modelled constants; not in the averages").unwrap();
-        assert!(rest.contains("other") && rest.contains("mean 1.25, worst 1.25"), "{text}");
+    fn a_row_that_judges_nothing_is_in_the_table_of_its_chip_and_in_no_average() {
+        let other = PublishedRow { chip: "d".to_string(), workload: "other".to_string(), ..row(true, 80.0) };
+        let unknown = PublishedRow { judged: false, ..other.clone() };
+        let text = text(&[row(false, 8.0), row(true, 8.0), PublishedRow { published: 10.0, ..other }, unknown]);
+        let (_, rest) = text.split_once("on d, predicted without results of a work's own authors").unwrap();
+        assert!(rest.contains("time on c, median factor of each of 1 works: mean 1.25, worst 1.25"), "{text}");
+        assert!(
+            rest.contains("80") && rest.contains("time on d, median factor of each of 1 works: mean 1.00"),
+            "{text}"
+        );
     }
 
     #[test]
@@ -189,7 +198,7 @@ mod tests {
         let rows = [row(false, 8.0), row(true, 8.0), row(true, 40.0)];
         let text = text(&rows);
         // 1.25 and 4: their median is 2.24.
-        assert!(text.contains("time, median factor of each of 1 works: mean 2.24, worst 2.24"), "{text}");
+        assert!(text.contains("time on c, median factor of each of 1 works: mean 2.24, worst 2.24"), "{text}");
         assert!(text.contains("w-1, step time: slow host") && text.contains("w-1 assumes: rates"), "{text}");
     }
 }

@@ -39,6 +39,8 @@ pub struct PublishedRow {
     pub interval: Option<(f64, f64)>,
     /// Whether the findings of the work's own authors were excluded.
     pub left_out: bool,
+    /// Whether it counts in the averages of its chip.
+    pub judged: bool,
     /// Whether the figure was read where it was first printed.
     pub first_hand: bool,
     /// Whether firing rates are published.
@@ -58,20 +60,10 @@ impl PublishedRow {
     }
 }
 
-/// Constants without the findings of a group of authors.
-fn without(constants: &Constants, group: &str) -> Constants {
-    let mut others = constants.clone();
-    for (name, constant) in constants.list() {
-        if let (Some(own), Some(value)) = (others.get_mut(name), constant.without(group)) {
-            own.value = value.into();
-        }
-    }
-    others
-}
-
 /// Rows of these workloads, in order: each figure by all findings, then without the findings of its
-/// authors. The second row judges the model. Figures known second-hand have no second row. Nor have
-/// figures of hardware other than the constants'; the first preset of their target predicts them.
+/// authors. The second row judges the model, where activity and layout are known. Figures known
+/// second-hand have no second row. The first preset of their target predicts figures of hardware
+/// other than the constants'.
 ///
 /// # Errors
 /// [`Error`] where a workload cannot be compiled or run.
@@ -85,9 +77,12 @@ pub fn rows(
     for file in workloads {
         let target = target(&file.target.value)?;
         let chip = target.chip();
-        let is_judged = file.first_hand && chip.hardware() == constants.hardware;
         let constants = if chip.hardware() == constants.hardware { constants } else { &target.constants()[0] };
-        let tables = [CostTable::new(constants)?, CostTable::new(&without(constants, &file.group))?];
+        let others = constants.without(&file.group);
+        let mut tables = vec![CostTable::new(constants)?, CostTable::new(&others)?];
+        for corners in [CostTable::corners(constants)?, CostTable::corners(&others)?] {
+            tables.extend(corners.into_iter().flatten());
+        }
         let figures = |choice: RateChoice| predict(file, &target, choice, &tables);
         let values = figures(|rate| rate.value)?;
         // A published rate has no range.
@@ -95,7 +90,7 @@ pub fn rows(
             Status::Published => None,
             _ => Some([figures(|rate| rate.low)?, figures(|rate| rate.high)?]),
         };
-        let ways = if is_judged { 2 } else { 1 };
+        let ways = if file.first_hand { 2 } else { 1 };
         for (which, left_out) in [false, true].into_iter().take(ways).enumerate() {
             for (number, figure) in file.figures.iter().enumerate() {
                 let predicted = values[which][number];
@@ -103,13 +98,21 @@ pub fn rows(
                 let class = figure.quantity.class();
                 let error = class.and_then(|class| constants.errors.iter().find(|error| error.class == class));
                 // A rate and the model are wrong independently: their factors add up in squares.
-                let interval = error.map(|error| {
+                let of_rates = error.map(|error| {
                     let model = error.within_80.ln();
                     let reach = |end: f64| model.hypot((end / predicted).ln()).exp();
                     (
                         predicted / reach(at(0).min(at(1)).min(predicted)),
                         predicted * reach(at(0).max(at(1)).max(predicted)),
                     )
+                });
+                // Figures at the corners of the constants' bounds, at all rates.
+                let corners = [2 + 2 * which, 3 + 2 * which].into_iter().filter(|&corner| corner < tables.len());
+                let all = std::iter::once(&values).chain(ends.iter().flatten());
+                let at_corners = all.flat_map(|values| corners.clone().map(move |corner| values[corner][number]));
+                let interval = at_corners.fold(of_rates, |interval: Option<(f64, f64)>, figure| {
+                    let (low, high) = interval.unwrap_or((predicted, predicted));
+                    Some((low.min(figure), high.max(figure)))
                 });
                 rows.push(PublishedRow {
                     work: file.work.clone(),
@@ -120,6 +123,7 @@ pub fn rows(
                     predicted,
                     interval,
                     left_out,
+                    judged: left_out && file.judges,
                     first_hand: file.first_hand,
                     activity: file.activity,
                     assumed: file.assumed.clone(),
@@ -133,10 +137,11 @@ pub fn rows(
     Ok(rows)
 }
 
-/// Median factor of each work's figures of time, or of other kinds, without its own findings.
-pub fn factors_by_work(rows: &[PublishedRow], time: bool) -> BTreeMap<&str, f64> {
+/// Median factor of each work's figures of time, or of other kinds, without its own findings, on a
+/// chip.
+pub fn factors_by_work<'r>(rows: &'r [PublishedRow], chip: &str, time: bool) -> BTreeMap<&'r str, f64> {
     let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
-    let counted = |row: &&PublishedRow| row.left_out;
+    let counted = |row: &&PublishedRow| row.judged && row.chip == chip;
     for row in rows.iter().filter(counted).filter(|row| (row.quantity.kind() == FigureKind::Time) == time) {
         by_work.entry(&row.work).or_default().push(row.factor());
     }

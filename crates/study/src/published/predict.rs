@@ -14,7 +14,7 @@ use nsim_cost::job::{DeployedCores, Mode};
 use nsim_cost::meter::Lane;
 use nsim_cost::transport::Words;
 use nsim_cost::{CostTable, Deployment, HostWork, MessageRoutes, MeterSettings, StepMeter, Transport};
-use nsim_energy::published::workload::{Per, PublishedFigure, Quantity, WorkloadFile};
+use nsim_energy::published::workload::{Between, Per, PublishedFigure, Quantity, WorkloadFile};
 use nsim_ir::activity::Activity;
 use nsim_ir::base::id::{CompartmentId, CoreId, IdVec};
 use nsim_ir::base::units::Picoseconds;
@@ -34,8 +34,10 @@ fn failed(file: &WorkloadFile, problem: impl std::fmt::Display) -> Error {
     Error::Fault(format!("{}: {problem}", file.name))
 }
 
-/// The compartments of each core of one copy: each part of the layout fills its cores evenly.
-fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<CompartmentId>> {
+/// The compartments of each core of one copy: each part of the layout fills its cores evenly, or as
+/// unevenly as an upper bound asks.
+fn members(file: &WorkloadFile, choice: RateChoice, network: &Quantised) -> IdVec<CoreId, Vec<CompartmentId>> {
+    let is_fullest = choice(Between { value: 0.0, low: 0.0, high: 1.0 }) > 0.0;
     let mut cores = Vec::new();
     for part in &file.layout {
         let of_layer = |name: &str| {
@@ -54,16 +56,25 @@ fn members(file: &WorkloadFile, network: &Quantised) -> IdVec<CoreId, Vec<Compar
         };
         let all: Vec<CompartmentId> = part.layers.iter().flat_map(|name| of_layer(&name.value)).collect();
         let (units, count) = (all.len() as u64, u64::from(part.cores).min(all.len() as u64));
-        let cut = |core: u64| (core * units / count.max(1)) as usize;
+        let cut = |core: u64| match part.uneven && is_fullest {
+            true => {
+                if core == 0 {
+                    0
+                } else {
+                    (units - count + core) as usize
+                }
+            }
+            false => (core * units / count.max(1)) as usize,
+        };
         cores.extend((0..count).map(|core| all[cut(core)..cut(core + 1)].to_vec()));
     }
     cores.into()
 }
 
 /// Maps one copy onto the cores of its layout, in the order of the file.
-fn mapped(file: &WorkloadFile, network: Quantised, target: &Target) -> Result<Mapping, Error> {
+fn mapped(file: &WorkloadFile, choice: RateChoice, network: Quantised, target: &Target) -> Result<Mapping, Error> {
     let failed = |error: CompileError| failed(file, format!("does not compile: {error}"));
-    let members = members(file, &network);
+    let members = members(file, choice, &network);
     let mesh = Mesh::for_target(target);
     let sites: Option<IdVec<CoreId, Site>> = (0..members.len() as u32).map(|core| mesh.site(core)).collect();
     let sites = sites.ok_or_else(|| failed(CompileError::fault("more cores than the target has")))?;
@@ -150,7 +161,7 @@ pub fn predict(
     tables: &[CostTable],
 ) -> Result<Vec<Vec<f64>>, Error> {
     let (network, sample) = build(file, choice).map_err(|error| failed(file, error))?;
-    let compiled = mapped(file, network, target)?;
+    let compiled = mapped(file, choice, network, target)?;
     let deployment = deployment(file, target);
     let timestep = Picoseconds((file.paced_us.unwrap_or(0.0) * 1e6).round() as u64);
     // Biases keep every compartment active; the cost is linear in the share of active steps.
@@ -159,6 +170,9 @@ pub fn predict(
         let mut table = table.clone();
         table.compartment_active_energy.0 = (table.compartment_active_energy.0 as f64 * share).round() as u128;
         table.compartment_active_time.0 = (table.compartment_active_time.0 as f64 * share).round() as u64;
+        if file.microcode {
+            table.compartment_time = table.microcode_time;
+        }
         table
     };
     let timing = deployment.timing(Transport::default(), 1);
