@@ -35,6 +35,7 @@ EXAMPLES:
   nsim map model.ron --target loihi1-chip           on one chip, or every reason why not
   nsim map --copies 32                              32 copies, each on a chip of its own
   nsim map --copies 32 --deployment packed -o packed.ron   on as few cores as they fit; save the mapping
+  nsim map mnist.ron --cores-of h1=50,h2=64          cores of 50 and 64 neurons, as a board's log has them
   nsim map --mapping packed.ron                     check and use a saved mapping
   nsim map --prune static                           without parts that cannot change an output, which are listed
   nsim map wide.ron --relays                        with relays that forward spikes where output axons are too few
@@ -93,7 +94,7 @@ pub struct MapArgs {
     #[arg(help_heading = "Mapping", long, value_name = "SOURCE")]
     pub profile: Vec<String>,
     /// Compare several mappings and draw cores, energy and step time, with the Pareto front
-    #[arg(long, value_name = FILE, conflicts_with = "mapping")]
+    #[arg(long, value_name = FILE, conflicts_with_all = ["mapping", "cores_of"])]
     pub pareto: Option<PathBuf>,
     /// Draw the cores on their chips, their contents, and the traffic of the links
     #[arg(long, visible_alias = "svg", value_name = FILE)]
@@ -151,6 +152,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     if let Err(reasons) = &mapped
         && settings.saved.is_none()
         && !in_boxes
+        && args.job.cores_of.is_empty()
     {
         let file = network.file();
         let weight_bits: Vec<_> = file.projections.iter().map(|p| (p.to.clone(), p.weight_bits)).collect();

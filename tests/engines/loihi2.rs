@@ -586,7 +586,7 @@ fn a_recorded_sigma_delta_network_answers_bit_for_bit() {
     let board = load_target("oheo-gulch").unwrap();
     let compiled = compile(network.clone(), &board, &Options::default()).unwrap();
     // It fits one chip within every limit, by the compiler's count and by the checker's.
-    let used = nsim::check::verify::used(&compiled.program, &board).unwrap();
+    let used = nsim::check::memory::used(&compiled.program, &network, &board).unwrap();
     assert!(used.len() <= 128 && used.len() == compiled.partition.cores(), "{} cores", used.len());
     for used in compiled.partition.usage().iter().chain(&used) {
         assert_eq!(used.excesses(board.limits()).next(), None);

@@ -258,7 +258,10 @@ fn a_timestep_beyond_a_time_constant_that_decays_exponentially_is_told() {
     };
     assert_eq!(assumed(1.0), None);
     let warned = assumed(6.0).unwrap();
-    assert!(["its 'tau_syn' is 0.66667 timesteps", "nsim.from_torch"].iter().all(|word| warned.contains(word)), "{warned}");
+    assert!(
+        ["its 'tau_syn' is 0.66667 timesteps", "nsim.from_torch"].iter().all(|word| warned.contains(word)),
+        "{warned}"
+    );
     assert!(!warned.contains("tau_mem"), "{warned}");
 }
 

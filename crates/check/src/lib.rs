@@ -3,6 +3,7 @@
 //! the list of a network's synapses. `nsim_golden` has its own version of that list.
 
 pub mod equivalence;
+pub mod memory;
 pub mod relays;
 mod shifts;
 pub mod verify;

@@ -26,6 +26,8 @@
 //!
 //! The tables of a class are checked once, for its first core.
 //!
+//! Words that depend on the network are not counted here but in [`crate::memory`].
+//!
 //! [`crate::equivalence`] compares the program's synapses with the network's.
 
 use std::collections::{BTreeSet, HashMap};
@@ -241,9 +243,16 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
 /// # Errors
 /// A message about the first core that differs.
 pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result<(), String> {
+    // Words that both count from the same compartments are equal.
+    let is_exact = |resource: Resource| match resource {
+        Resource::NeuronWords | Resource::AxonMapWords | Resource::Groups => true,
+        Resource::AxonsIn | Resource::SynapseWords => partition.limits().counts_kernels(),
+        _ => false,
+    };
+    let is_held = |counted: u64, used: u64, exact: bool| used == counted || used < counted && !exact;
     let holds = |(counted, used): (&CoreUsage, &CoreUsage)| {
         counted.synapses == used.synapses
-            && Resource::ALL.into_iter().all(|resource| used[resource] <= counted[resource])
+            && Resource::ALL.into_iter().all(|one| is_held(counted[one], used[one], is_exact(one)))
     };
     if partition.usage().len() != used.len() {
         return Err(format!("{} cores were counted, but the program has {}", partition.usage().len(), used.len()));
@@ -464,7 +473,11 @@ fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<Cor
     }
     let stored = if limits.is_limited(Resource::StoredSynapses) { stored_synapses(program, core) } else { 0 };
     let usage = usage_of(class, longest, words_of(&class.inputs, &of_lists, &in_table));
-    Ok(usage.with(Resource::StoredSynapses, stored))
+    let usage = usage.with(Resource::StoredSynapses, stored);
+    Ok(match limits.counts_kernels() {
+        true => usage.with(Resource::AxonsIn, 0).with(Resource::SynapseWords, 0),
+        false => usage,
+    })
 }
 
 /// Number of synapses that a core stores where the compartments of a channel share their weights. A
@@ -562,8 +575,8 @@ fn usage_of(class: &CoreClass, longest: Delay, (words, widest): (u64, u32)) -> C
         Resource::CompartmentProfiles => profiles.len() as u64,
         Resource::ThresholdProfiles => thresholds.len() as u64,
         Resource::Accumulators => u64::from(compartments) * u64::from(delay_slots(longest)),
-        // This depends on the populations of the compartments.
-        Resource::StoredSynapses => 0,
+        // These depend on the populations of the compartments.
+        Resource::StoredSynapses | Resource::NeuronWords | Resource::AxonMapWords | Resource::Groups => 0,
     };
     CoreUsage { synapses: class.inputs.count(), of: PerResource::from_fn(of) }
 }

@@ -13,9 +13,9 @@ use crate::mapping_file;
 use crate::mapping_file::pruned::plan;
 use crate::place::ranks::assign;
 use crate::place::{self, anneal};
-use nsim_check::{equivalence, relays, verify};
+use nsim_check::{equivalence, memory, relays, verify};
 use nsim_ir::base::diagnostic::{Diagnostic, collect_all};
-use nsim_ir::base::id::{CoreId, IdVec};
+use nsim_ir::base::id::{CoreId, IdVec, PopulationId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
@@ -63,6 +63,7 @@ pub struct Front {
     clock: Clock,
     relays: Option<AddedRelays>,
     cuts: bool,
+    stated: Vec<(PopulationId, u32)>,
 }
 
 /// Relays that were added to a network.
@@ -85,13 +86,41 @@ impl From<Quantised> for Front {
 impl Front {
     /// Returns a network in integers, with the seconds of the stages that made it.
     pub fn measured(one: Quantised, seconds: Vec<(&'static str, f64)>) -> Self {
-        Front { one, clock: Clock(seconds), relays: None, cuts: false }
+        Front { one, clock: Clock(seconds), relays: None, cuts: false, stated: Vec::new() }
     }
 
     /// The network, to be cut into boxes at any size.
     #[must_use]
     pub fn cut(self) -> Self {
         Front { cuts: true, ..self }
+    }
+
+    /// The network, with compartments of a core stated by names of populations.
+    ///
+    /// # Errors
+    /// [`CompileError::Input`] when a population does not exist, is an input or is named twice.
+    pub fn with_cores_of(mut self, stated: &[(String, u32)]) -> Result<Front> {
+        for (name, each) in stated {
+            let populations = self.one.populations();
+            let found = populations.enumerate().find(|(_, population)| population.name == *name);
+            let held = found.filter(|(_, population)| population.first_compartment().is_some()).map(|(id, _)| id);
+            let Some(id) = held.filter(|id| !self.stated.iter().any(|(stated, _)| stated == id)) else {
+                let with_cores = populations.iter().filter(|one| one.first_compartment().is_some());
+                let names: Vec<&str> = with_cores.map(|one| one.name.as_str()).collect();
+                let what = if held.is_some() { "is named twice" } else { "is no population with compartments" };
+                let message = format!("--cores-of {name}={each}: {name} {what}");
+                return Err(Diagnostic::new("map.cores-of", message)
+                    .help(format!("name {} once", names.join(", ")))
+                    .into());
+            };
+            self.stated.push((id, *each));
+        }
+        Ok(self)
+    }
+
+    /// Whether compartments of a core are stated.
+    pub fn has_stated(&self) -> bool {
+        !self.stated.is_empty()
     }
 
     /// Whether `copies` copies of it are cut into boxes.
@@ -199,8 +228,13 @@ impl Front {
     /// # Errors
     /// [`CompileError`].
     pub fn partition(self, target: &Target, options: &Options, rates: &Rates) -> Result<Partitioned> {
-        let search = strategy::Search::new(options, rates);
+        let stated = self.stated.clone();
+        let search = strategy::Search { stated: &stated, ..strategy::Search::new(options, rates) };
         let in_boxes = self.in_boxes(options.copies);
+        if in_boxes && self.has_stated() {
+            let message = "--cores-of: a network of this size is cut into boxes by nsim alone";
+            return Err(Diagnostic::new("map.cores-of", message).help("remove --cores-of").into());
+        }
         let target = &*counted_in_boxes(in_boxes, &self.one, target);
         let (front, all) = self.copied(target, options, search)?;
         let Front { one, mut clock, .. } = front;
@@ -448,7 +482,7 @@ impl Unchecked {
         let mut clock = Clock(std::mem::take(&mut mapping.seconds));
         let Mapping { quantised: network, partition, program, options, .. } = &mapping;
         let target = &*mapping.counted_on(target);
-        let used = clock.stage("verify", || verify::used(program, target)).map_err(CompileError::fault)?;
+        let used = clock.stage("verify", || memory::used(program, network, target)).map_err(CompileError::fault)?;
         if program.local_rank().is_none() {
             verify::confirm(partition, &used).map_err(CompileError::Fault)?;
         }

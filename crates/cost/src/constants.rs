@@ -320,7 +320,7 @@ pub(crate) mod tests {
 
     #[test]
     fn a_barrier_by_cores_is_bounded_by_the_entries_around() {
-        let preset = preset("loihi2-modelled");
+        let modelled = preset("loihi2-modelled");
         let at = |constants: &Constants, cores: u64| {
             let [slow, fast] = CostTable::corners(constants).unwrap().unwrap();
             [CostTable::new(constants).unwrap(), fast, slow].map(|table| table.barrier(1, cores).0 / 1_000)
@@ -334,13 +334,13 @@ pub(crate) mod tests {
             (70, [1_780, 1_750, 10_000]),
             (128, [1_780, 1_750, 10_000]),
         ] {
-            assert_eq!(at(&preset, cores), times, "{cores} cores");
+            assert_eq!(at(&modelled, cores), times, "{cores} cores");
         }
         // What only a group measured is then the nearest other barrier, within the widest bounds.
-        assert_eq!(at(&preset.without("NECOTIS"), 2), [1_780, 200, 10_000]);
-        assert_eq!(at(&preset.without("OzU-CAST"), 69), [1_160, 200, 10_000]);
-        assert_eq!(preset.without("OzU-CAST").microcode_time.value.value, 26.4);
-        assert!(CostTable::corners(&super::tests::preset("loihi1-evidence")).unwrap().is_none());
+        assert_eq!(at(&modelled.without("NECOTIS"), 2), [1_780, 200, 10_000]);
+        assert_eq!(at(&modelled.without("OzU-CAST"), 69), [1_160, 200, 10_000]);
+        assert_eq!(modelled.without("OzU-CAST").microcode_time.value.value, 26.4);
+        assert!(CostTable::corners(&preset("loihi1-evidence")).unwrap().is_none());
     }
 
     #[test]

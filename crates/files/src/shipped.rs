@@ -96,7 +96,7 @@ pub const TRAININGS: &[Shipped] = shipped!(
 );
 /// Shipped targets.
 pub const TARGETS: &[Shipped] = shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs", "oheo-gulch",
-        "kapoho-point", "hala-point");
+        "oheo-gulch-2022", "kapoho-point", "hala-point");
 /// Shipped chips.
 pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "loihi2", "tiny");
 /// Shipped presets of constants.

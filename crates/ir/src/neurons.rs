@@ -582,6 +582,12 @@ impl<'de> Deserialize<'de> for Family {
     }
 }
 
+impl Serialize for Family {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_unit_variant("Family", 0, self.0)
+    }
+}
+
 /// Serialised as its name, or as the declaration from a model file.
 impl Serialize for NeuronKind {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {

@@ -156,6 +156,11 @@ impl Partition {
         Ok(self)
     }
 
+    /// The limits that every core keeps.
+    pub fn limits(&self) -> &Limits {
+        &self.limits
+    }
+
     /// Number of cores.
     pub fn cores(&self) -> usize {
         self.members.len()

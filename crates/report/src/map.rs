@@ -4,6 +4,7 @@
 //! [`MapResult`], which becomes the object `nsim.map/1`, a table of cores or text. The object of a
 //! network that does not fit has the same keys; unknown values are null.
 
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use serde::{Serialize, Serializer};
@@ -15,13 +16,14 @@ use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
 use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, Strategy, Tightest, place};
-use nsim_files::table::{Column, cell, count, csv, csv_text, shell_lines, table_of, three, wrapped};
-use nsim_ir::base::id::{CoreId, PopulationId};
+use nsim_files::table::{Column, cell, count, csv, csv_text, shell_lines, table, table_of, three, wrapped};
+use nsim_ir::base::id::{CompartmentId, CoreId, PopulationId};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::placement::Site;
 use nsim_ir::pruned::Row as PrunedRow;
+use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Limits, Resource};
 
 /// A request for a mapping, with its pruning, remedies, relays and candidates.
@@ -123,6 +125,8 @@ struct CoreUse<'a> {
     axons_out: u64,
     synapses: u64,
     synapse_words: u64,
+    #[serde(serialize_with = "object")]
+    populations: Vec<(&'a str, u64)>,
     #[serde(skip_serializing_if = "Option::is_none")]
     stored_synapses: Option<u64>,
     #[serde(skip_serializing_if = "Vec::is_empty", serialize_with = "object")]
@@ -228,7 +232,8 @@ impl<'a> MapResult<'a> {
             let own = columns.iter().map(|column| cell(&row[*column]));
             own.chain(core.pools.iter().map(|(_, need)| need.to_string())).collect()
         };
-        let pools = self.limits.pools.iter().map(|pool| pool.name.as_str());
+        let none = CoreUsage::default();
+        let pools = pools_of(&none, self.limits).into_iter().map(|(name, _)| name);
         let header = columns.iter().copied().chain(pools).map(str::to_string).collect();
         csv_text(header, self.cores.iter().map(cells))
     }
@@ -272,6 +277,7 @@ impl<'a> MapResult<'a> {
                 ));
                 text.push('\n');
                 text += &table_of(&tightest(compiled, self.board), &TIGHTEST_COLUMNS);
+                text += &words_table(&self.cores, self.limits);
                 let _ = writeln!(
                     text,
                     "use of each core: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
@@ -369,14 +375,79 @@ fn pruned_table(rows: &[PrunedKind<'_>]) -> String {
             lines.push(vec![format!("- {} more", row.of.len() - SHOWN_NAMES), String::new(), String::new()]);
         }
     }
-    nsim_files::table::table(&["pruned", "count", "why"], &lines)
+    table(&["pruned", "count", "why"], &lines)
 }
 
 /// Columns of a core in CSV.
 const CORE_COLUMNS: &str = "core,chip,x,y,compartments,axons_in,axons_out,synapses,synapse_words";
 
+/// Words of a core of Loihi 2: key in JSON, name in the table that Intel's compiler prints, and the
+/// resource; `None` for axon memory, of which no rule is known and which is not counted.
+const WORDS: [(&str, &str, Option<Resource>); 6] = [
+    ("axons_in_words", "AxonIn", Some(Resource::AxonsIn)),
+    ("groups", "NeuronGr", Some(Resource::Groups)),
+    ("neuron_words", "Neurons", Some(Resource::NeuronWords)),
+    ("synapse_words", "Synapses", Some(Resource::SynapseWords)),
+    ("axon_map_words", "AxonMap", Some(Resource::AxonMapWords)),
+    ("axon_memory_words", "AxonMem", None),
+];
+
+/// Words of a core by name where the limits count them, then the use of each pool.
+fn pools_of<'a>(used: &CoreUsage, limits: &'a Limits) -> Vec<(&'a str, u64)> {
+    let words = if limits.counts_kernels() { &WORDS[..] } else { &[] };
+    let words = words.iter().map(|&(name, _, resource)| (name, resource.map_or(0, |resource| used[resource])));
+    words.chain(limits.pools.iter().map(|pool| (pool.name.as_str(), pool.need(&used.of)))).collect()
+}
+
+/// Most rows of the table of words.
+const SHOWN_CORES: usize = 16;
+
+/// Words of the cores, those with equal words together, under the names that Intel's compiler
+/// prints; nothing where no words are counted.
+fn words_table(cores: &[CoreUse<'_>], limits: &Limits) -> String {
+    if !limits.counts_kernels() {
+        return String::new();
+    }
+    let mut alike: Vec<(&CoreUse<'_>, u64)> = Vec::new();
+    for core in cores {
+        let same = |one: &&CoreUse<'_>| one.pools == core.pools && one.populations == core.populations;
+        match alike.iter_mut().find(|(one, _)| same(one)) {
+            Some((_, number)) => *number += 1,
+            None => alike.push((core, 1)),
+        }
+    }
+    let intel = |name: &str| WORDS.iter().find(|word| word.0 == name).map_or("Total", |word| word.1);
+    let row = |(core, number): &(&CoreUse<'_>, u64)| {
+        let held: Vec<String> = core.populations.iter().map(|(name, count)| format!("{name}: {count}")).collect();
+        let words = core.pools.iter().map(|(_, need)| need.to_string());
+        std::iter::once(held.join(", ")).chain(words).chain([number.to_string()]).collect()
+    };
+    let names = cores.first().map_or(&[][..], |core| &core.pools).iter().map(|(name, _)| *name);
+    let heading: Vec<&str> = std::iter::once("on a core").chain(names.clone().map(intel)).chain(["cores"]).collect();
+    let rows: Vec<Vec<String>> = alike.iter().take(SHOWN_CORES).map(row).collect();
+    let more = match alike.len().saturating_sub(SHOWN_CORES) {
+        0 => String::new(),
+        more => format!("and {more} more kinds of cores\n"),
+    };
+    let ours: Vec<String> = names.map(|name| format!("{} {name}", intel(name))).collect();
+    format!(
+        "\nwords of 64 bits, as Intel's compiler prints them\n{}{more}{}",
+        table(&heading, &rows),
+        wrapped(&format!("in JSON and CSV: {}", ours.join(", ")))
+    )
+}
+
+/// Populations of a core's compartments, all copies of one together, and their numbers.
+fn populations_of<'a>(network: &'a Quantised, held: &[CompartmentId]) -> Vec<(&'a str, u64)> {
+    let mut of: BTreeMap<PopulationId, u64> = BTreeMap::new();
+    for id in held {
+        *of.entry(network.population_of(CompartmentId(id.0 % network.compartments())).0).or_default() += 1;
+    }
+    of.into_iter().map(|(id, count)| (network.populations()[id].name.as_str(), count)).collect()
+}
+
 /// Use of each core.
-fn core_uses<'a>(mapping: &Mapping, limits: &'a Limits) -> Vec<CoreUse<'a>> {
+fn core_uses<'a>(mapping: &'a Mapping, limits: &'a Limits) -> Vec<CoreUse<'a>> {
     let row = |(core, used): (CoreId, &CoreUsage)| {
         let Site { chip, x, y, .. } = mapping.placement.site(core);
         CoreUse {
@@ -389,8 +460,9 @@ fn core_uses<'a>(mapping: &Mapping, limits: &'a Limits) -> Vec<CoreUse<'a>> {
             axons_out: used[Resource::AxonsOut],
             synapses: used.synapses,
             synapse_words: used[Resource::SynapseWords],
+            populations: populations_of(&mapping.one, &mapping.partition.members()[core]),
             stored_synapses: limits.is_limited(Resource::StoredSynapses).then(|| used[Resource::StoredSynapses]),
-            pools: limits.pools.iter().map(|pool| (pool.name.as_str(), pool.need(&used.of))).collect(),
+            pools: pools_of(used, limits),
         }
     };
     mapping.partition.usage().enumerate().map(row).collect()
@@ -468,7 +540,7 @@ mod tests {
         assert_eq!((&fits["checked_how"], &fits["checked_share"]), (&json!("classes"), &json!(1.0)));
         let core = json!({
             "core": 2, "chip": 0, "x": 0, "y": 0, "compartments": 62, "axons_in": 3366, "axons_out": 60,
-            "synapses": 39_420, "synapse_words": 7_452,
+            "synapses": 39_420, "synapse_words": 7_452, "populations": {"touch": 50, "sight": 10, "out": 2},
         });
         assert_eq!(fits["cores"][2], core);
         let of_traffic = "cut_spikes_per_step,hops_per_step,hops_multicast_per_step,mean_link_load,max_link_load,\

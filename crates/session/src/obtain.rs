@@ -81,6 +81,8 @@ pub struct Request<'a> {
     pub probed: &'a [&'a str],
     /// Whether to add relays where there are too few output axons.
     pub relays: bool,
+    /// Compartments of a core, by population.
+    pub cores_of: &'a [(String, u32)],
 }
 
 impl<'a> Request<'a> {
@@ -98,6 +100,7 @@ impl<'a> Request<'a> {
             prune: &[],
             probed: &[],
             relays: false,
+            cores_of: &[],
         }
     }
 
@@ -265,7 +268,7 @@ pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings)
     if saved.is_none() && !request.prunes() {
         shapes::check(network, &target, options.copies)?;
     }
-    let front = request.front()?;
+    let front = request.front()?.with_cores_of(request.cores_of)?;
     let front = if request.relays { front.relay(&target)? } else { front };
     let saved = saved.zip(mapping).map(|(file, path)| (file, path.to_path_buf(), request.model.to_string()));
     Ok((front, MappingSettings { target, options, saved }))

@@ -18,6 +18,15 @@ use nsim_session::obtain::{EngineKind, Integers, Job, Request, TargetChoice, obt
 use nsim_train::convert::copies;
 use nsim_train::convert::prepare::integers;
 
+/// Parses a population and the compartments of a core of it.
+fn cores_of(typed: &str) -> Result<(String, u32), String> {
+    let parsed = typed.rsplit_once('=').and_then(|(name, each)| Some((name, each.parse().ok()?)));
+    match parsed {
+        Some((name, each @ 1..)) if !name.is_empty() => Ok((name.to_string(), each)),
+        _ => Err("is not POPULATION=N with N neurons a core, at least 1".to_string()),
+    }
+}
+
 /// Options of a new mapping, for every command that maps a network.
 #[derive(Debug, Clone, clap::Args)]
 pub struct MappingArgs {
@@ -57,6 +66,12 @@ pub struct JobArgs {
     /// A mapping saved by `nsim map -o`
     #[arg(help_heading = "Mapping", long, value_name = "MAPPING.ron")]
     pub mapping: Option<PathBuf>,
+    /// Neurons a core, by population, such as from the log of a board; the last core takes the rest
+    #[arg(
+        help_heading = "Mapping", long, value_name = "POP=N,..", value_delimiter = ',', value_parser = cores_of,
+        conflicts_with = "mapping"
+    )]
+    pub cores_of: Vec<(String, u32)>,
     #[command(flatten)]
     pub anew: MappingArgs,
     /// Placement of copies of the model.
@@ -75,6 +90,7 @@ impl JobArgs {
             reading: ReadingArgs::default(),
             target: None,
             mapping: None,
+            cores_of: Vec::new(),
             anew: MappingArgs::default(),
             placement: CopyPlacement::default(),
             needs_scene: false,
@@ -89,6 +105,7 @@ impl JobArgs {
             options: Options { placement: self.placement, share: ranks::share(), ..Options::default() },
             prune: &self.anew.prune,
             relays: self.anew.relays,
+            cores_of: &self.cores_of,
             ..Request::new(&self.model, network, integers)
         }
     }

@@ -18,7 +18,8 @@ use crate::common::compare::small_cores;
 use crate::common::random::{self, Draw};
 use crate::common::unsearched;
 use nsim::check::equivalence::{Difference, check_copies};
-use nsim::check::verify::{Violation, used, verify};
+use nsim::check::memory;
+use nsim::check::verify::{Violation, verify};
 use nsim::compile::{DEFAULT_RATE, Front, Mapping, Options, compile, map};
 use nsim::ir::base::fixed::Delay;
 use nsim::ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
@@ -142,7 +143,7 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
     let check = |program: &Program| check_copies(&network, program, copies).map(drop);
     assert_eq!((verify(&program, target), check(&program)), (Ok(()), Ok(())), "seed {seed}");
     // A limit one below the program's need is too small.
-    let counted = used(&program, target).unwrap();
+    let counted = memory::used(&program, &network, target).unwrap();
     for resource in Resource::ALL {
         let most = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().map(|used| used[resource]).max().unwrap();
         let need = most(&counted);
@@ -150,7 +151,7 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
         assert!(need == most(partition.usage()) || resource == Resource::StoredSynapses, "seed {seed}: {resource:?}");
         let Some(less) = need.checked_sub(1) else { continue };
         let tight = target.clone().with_limits(target.limits().clone().with(resource, less as u32));
-        let found = verify(&program, &tight);
+        let found = memory::used(&program, &network, &tight);
         assert!(matches!(&found, Err(Violation::Excess { capacity, .. }) if *capacity == resource), "{found:?}");
     }
     // A chip without a kind, and one with messages a bit too narrow, do not suffice either.

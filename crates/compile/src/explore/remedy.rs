@@ -33,6 +33,8 @@ use nsim_quantise::prune::{Plan, prune};
 const MOST_SYNAPSES: u64 = 10_000_000;
 /// Most synapses of a network for which one larger board is tried.
 const MOST_ON_BOARD: u64 = 30_000_000;
+/// Most compartments of a copy of a network for which any change is tried.
+const MOST_COMPARTMENTS: u32 = 1 << 18;
 /// Weight bits that are tried.
 const BITS: [u32; 3] = [6, 5, 4];
 /// Factors for the limit that fills the cores of a mapping.
@@ -79,7 +81,7 @@ pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) 
     let Refused { one, target, options, reasons, .. } = refused;
     let synapses = one.synapses().saturating_mul(u64::from(options.copies));
     let few = synapses <= MOST_SYNAPSES;
-    if synapses > MOST_ON_BOARD {
+    if synapses > MOST_ON_BOARD || one.compartments() > MOST_COMPARTMENTS {
         return Vec::new();
     }
     let quick = Options { effort: Effort::Work(0), objective: Objective::Cores, place: false, ..*options };

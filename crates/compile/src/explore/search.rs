@@ -59,7 +59,9 @@ const PARTITIONING: f64 = 0.7;
 /// The target with a core's limits divided; words stay enough for the known need of a compartment.
 fn divided(target: &Target, divisor: u32, words: u32) -> Target {
     let limits = target.limits();
-    let words = (limits[Resource::SynapseWords] / divisor).max(limits[Resource::SynapseWordsPerAxon]).max(words);
+    let per_axon = Resource::SynapseWordsPerAxon;
+    let list = if limits.is_limited(per_axon) { limits[per_axon] } else { 0 };
+    let words = (limits[Resource::SynapseWords] / divisor).max(list).max(words);
     let compartments = (limits[Resource::Compartments] / divisor).max(1);
     let divided = limits.clone().with(Resource::Compartments, compartments).with(Resource::SynapseWords, words);
     target.clone().with_limits(divided)
@@ -139,7 +141,7 @@ pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> R
     if let Some(spread) = spread(&front, target, options, rates, one)? {
         return spread.emit(target, options)?.check(target);
     }
-    if options.objective == Objective::Cores {
+    if options.objective == Objective::Cores || front.has_stated() {
         return match options.effort {
             Effort::Work(_) => compile::map(front, target, options, rates),
             Effort::Within { end, .. } => by_the_clock(front, target, options, rates, end),

@@ -14,6 +14,7 @@ use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 
 use super::table::{PerResource, Resource, resources};
+use crate::neurons::{Family, NeuronKind};
 
 /// How synapse words are counted (`docs/formats.md`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
@@ -22,6 +23,35 @@ pub enum Packing {
     Nengo,
     /// Intel NxTF.
     Nxtf,
+    /// Intel's compiler for Loihi 2: a list for each input axon, kernels once a core.
+    Kernels {
+        /// Bits of a synapse besides its weight.
+        synapse_bits: u32,
+        /// Bits of a list besides its synapses.
+        list_bits: u32,
+    },
+}
+
+/// Words of a neuron, by its kind.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct NeuronSizes {
+    /// Kinds of which a neuron takes one word.
+    pub one_word: Vec<Family>,
+    /// Words of a neuron of any other kind, besides its state.
+    pub program: u32,
+    /// Words for each word of its state.
+    pub state_word: u32,
+}
+
+impl NeuronSizes {
+    /// Words of a neuron of this kind, at least 1.
+    pub fn of(&self, kind: NeuronKind) -> u32 {
+        match self.one_word.contains(&kind.family()) {
+            true => 1,
+            false => (self.program + self.state_word * kind.table().state.len() as u32).max(1),
+        }
+    }
 }
 
 /// Rule that counts output axons. A population axon of a core serves the sources at one position
@@ -47,13 +77,14 @@ macro_rules! define_limits {
     ($($(#[$doc:meta])* $resource:ident, $name:ident: $code:literal, $heading:expr, $noun:literal, $advice:expr;)*) => {
         impl Limits {
             /// The names of all limits, as files write them.
-            pub const NAMES: [&str; Resource::COUNT + 5] = [
+            pub const NAMES: [&str; Resource::COUNT + 6] = [
                 $(stringify!($name),)*
                 "axon_out_slots",
                 "axon_out_slots_off_chip",
                 "output_axons",
                 "synapses_per_entry",
                 "packing",
+                "neuron_sizes",
             ];
         }
 
@@ -68,6 +99,8 @@ macro_rules! define_limits {
             output_axons: OutputAxons,
             synapses_per_entry: Option<u32>,
             packing: Option<Packing>,
+            #[serde(default, skip_serializing_if = "is_default")]
+            neuron_sizes: NeuronSizes,
             #[serde(default, skip_serializing_if = "Vec::is_empty")]
             unlimited: Vec<Resource>,
             #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -89,6 +122,8 @@ macro_rules! define_limits {
             pub synapses_per_entry: Option<u32>,
             /// Rule that counts synapse words.
             pub packing: Option<Packing>,
+            /// Words of a neuron by its kind.
+            pub neuron_sizes: Option<NeuronSizes>,
             /// Limits of pools by their names.
             #[serde(default, deserialize_with = "by_name")]
             pub pools: BTreeMap<String, u64>,
@@ -119,6 +154,7 @@ macro_rules! define_limits {
                 limits.output_axons = self.output_axons.unwrap_or(limits.output_axons);
                 limits.synapses_per_entry = self.synapses_per_entry.unwrap_or(limits.synapses_per_entry);
                 limits.packing = self.packing.unwrap_or(limits.packing);
+                limits.neuron_sizes = self.neuron_sizes.clone().unwrap_or(limits.neuron_sizes);
                 limits
             }
 
@@ -131,6 +167,7 @@ macro_rules! define_limits {
                     ("output_axons", self.output_axons.is_some()),
                     ("synapses_per_entry", self.synapses_per_entry.is_some()),
                     ("packing", self.packing.is_some()),
+                    ("neuron_sizes", self.neuron_sizes.is_some()),
                 ];
                 changed.contains(&(name, true)) || self.pools.contains_key(name)
             }
@@ -151,10 +188,14 @@ macro_rules! define_limits {
                     output_axons: limits.output_axons,
                     synapses_per_entry: Some(limits.synapses_per_entry),
                     packing: Some(limits.packing),
+                    neuron_sizes: limits.neuron_sizes,
                     unlimited: Resource::ALL
                         .into_iter()
                         .filter(|&resource| limits.most[resource] == UNLIMITED)
-                        .filter(|one| !OPTIONAL.contains(one) || limits.most[Resource::SynapseWords] == UNLIMITED)
+                        .filter(|one| match one {
+                            Resource::StoredSynapses => limits.most[Resource::SynapseWords] == UNLIMITED,
+                            one => !OPTIONAL.contains(one),
+                        })
                         .collect(),
                     pools: limits.pools.into_iter().map(Arc::unwrap_or_clone).collect(),
                 }
@@ -165,8 +206,9 @@ macro_rules! define_limits {
 
 resources!(define_limits);
 
-/// Resources that need no limit: Loihi 1 limits synapse words instead.
-const OPTIONAL: [Resource; 1] = [Resource::StoredSynapses];
+/// Resources that need no limit, because few chips have them.
+const OPTIONAL: [Resource; 4] =
+    [Resource::StoredSynapses, Resource::NeuronWords, Resource::AxonMapWords, Resource::Groups];
 
 /// A capacity that several resources of a core share freely, such as a memory.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
@@ -344,9 +386,16 @@ pub struct Limits {
     pub synapses_per_entry: u32,
     /// Rule that counts synapse words.
     pub packing: Packing,
+    /// Words of a neuron by its kind.
+    pub neuron_sizes: NeuronSizes,
 }
 
 impl Limits {
+    /// Whether words are counted as Intel's compiler for Loihi 2 does.
+    pub fn counts_kernels(&self) -> bool {
+        matches!(self.packing, Packing::Kernels { .. })
+    }
+
     /// Returns these limits with another limit of one resource.
     #[must_use]
     pub fn with(mut self, resource: Resource, limit: u32) -> Self {
@@ -388,6 +437,10 @@ impl IndexMut<Resource> for Limits {
 }
 
 const UNLIMITED: u32 = u32::MAX;
+
+fn is_default(sizes: &NeuronSizes) -> bool {
+    *sizes == NeuronSizes::default()
+}
 
 fn not_given() -> u32 {
     UNLIMITED
@@ -451,9 +504,18 @@ impl TryFrom<LimitsInFile> for Limits {
             let help = "synapses have no limit; give one, a pool that they draw on, or name it in `unlimited`";
             return Err(format!("missing field `stored_synapses`: {help}"));
         }
-        let LimitsInFile { output_axons, pools, .. } = file;
+        let LimitsInFile { output_axons, pools, neuron_sizes, .. } = file;
         let pools = pools.into_iter().map(Arc::new).collect();
-        Ok(Limits { most, pools, axon_out_slots, axon_out_slots_off_chip, output_axons, synapses_per_entry, packing })
+        Ok(Limits {
+            most,
+            pools,
+            axon_out_slots,
+            axon_out_slots_off_chip,
+            output_axons,
+            synapses_per_entry,
+            packing,
+            neuron_sizes,
+        })
     }
 }
 
@@ -464,7 +526,9 @@ mod tests {
 
     const OWN: &str = "(compartments: 16, axons_in: 64, axons_out: 64, axon_out_slots: 1, axon_out_slots_off_chip: 2, \
         axons_out_per_compartment: 8, synapse_words: 256, synapse_words_per_axon: 8, synapses_per_entry: 64, \
-        synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, stored_synapses: 99, packing: Nengo)";
+        synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, stored_synapses: 99, \
+        neuron_words: 16, axon_map_words: 16, groups: 4, neuron_sizes: (one_word: [Loihi], program: 1, state_word: 1), \
+        packing: Nengo)";
 
     fn limits(text: &str) -> Result<Limits, String> {
         options().from_str(text).map_err(|error| error.to_string())
@@ -500,6 +564,14 @@ mod tests {
         assert_eq!((memory.name(), memory.code(), need, limit), ("memory", "map.pool", 1004, 1000));
         assert_eq!(memory.noun(), "bytes of the memory of its core");
         assert_eq!(memory.advice(), "use less of the resources that draw on it (axons_in, synapse_words)");
+    }
+
+    #[test]
+    fn kinds_without_a_word_of_their_own_take_words_by_their_state() {
+        let sizes = limits(OWN).unwrap().neuron_sizes;
+        let kinds = [NeuronKind::Loihi, NeuronKind::Rf, NeuronKind::Alif, NeuronKind::GradedVec];
+        assert_eq!(kinds.map(|kind| sizes.of(kind)), [1, 3, 5, 1]);
+        assert_eq!(kinds.map(|kind| NeuronSizes::default().of(kind)), [1; 4]);
     }
 
     #[test]

@@ -6,5 +6,5 @@
 mod limits;
 mod table;
 
-pub use self::limits::{Capacity, LimitChanges, Limits, OutputAxons, Packing, Pool};
+pub use self::limits::{Capacity, LimitChanges, Limits, NeuronSizes, OutputAxons, Packing, Pool};
 pub use self::table::{PerResource, Resource};

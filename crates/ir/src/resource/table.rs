@@ -76,6 +76,16 @@ macro_rules! resources {
             StoredSynapses, stored_synapses: "map.stored-synapses", Some("stored synapses"),
                 "stored synapses of its core",
                 "use fewer synapses, or prune weights to 0, as zeros take no memory";
+            /// Number of words of neuron memory, by [`NeuronSizes`](super::NeuronSizes).
+            NeuronWords, neuron_words: "map.neuron-words", Some("neuron words"), "neuron words of its core",
+                "use a kind of neuron with fewer words of state, or fewer neurons";
+            /// Number of entries of the axon map: one for each position of a convolution, whose
+            /// channels share it, and one for each compartment of any other population.
+            AxonMapWords, axon_map_words: "map.axon-map-words", Some("axon map"), "axon map words of its core",
+                "use fewer neurons, or a convolution, whose channels share a word";
+            /// Number of groups: the populations that have compartments on the core.
+            Groups, groups: "map.groups", Some("groups"), "neuron groups of its core",
+                "join small populations into one";
         }
     };
 }

@@ -14,12 +14,13 @@ use std::sync::Arc;
 
 use crate::resources::axon_sharing::{self, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
-use crate::resources::formats::{Formats, by_channel};
+use crate::resources::formats::{CoreWords, Formats, Lists, are_counted, by_channel, weight_bits};
 use crate::resources::packing::{Group, Widths};
 use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{Id, PopulationId};
 use nsim_ir::graph::Window;
+use nsim_ir::neurons::NeuronKind;
 use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
@@ -43,6 +44,8 @@ pub struct Incoming {
     /// Most synapses that a core stores for one channel of the targets. Weights of 0 are included
     /// where all sources reach all targets.
     pub stored: u64,
+    /// Bits of its weights.
+    pub weight_bits: u32,
     /// Index of its format among the network's formats.
     pub format: u16,
     /// Its delay.
@@ -59,6 +62,8 @@ pub struct Layer {
     /// Whether compartments are in the order of channels. They are where each channel receives
     /// input from its own channel only.
     pub by_channel: bool,
+    /// The kind of its neurons.
+    pub kind: Option<NeuronKind>,
     /// Whether two projections come from one population. Its lists then combine both, which is not
     /// counted here.
     pub joined: bool,
@@ -97,6 +102,7 @@ impl Layer {
                 from: network.populations()[source].first_compartment().map(|_| shape_of(source).len()),
                 uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
                 stored: by_channel(projection).into_iter().max().unwrap_or(window.source.0.into()),
+                weight_bits: weight_bits(projection),
                 format: formats.by_projection()[id.index()],
                 delay: projection.delay,
             });
@@ -104,7 +110,8 @@ impl Layer {
         let own =
             |incoming: &Incoming| incoming.window.groups == incoming.window.source.0 && incoming.window.groups > 1;
         let by_channel = !incoming.is_empty() && incoming.iter().all(own);
-        Some(Layer { shape, incoming, by_channel, joined })
+        let kind = network.populations()[population].neuron_kind();
+        Some(Layer { shape, incoming, by_channel, kind, joined })
     }
 
     /// Use of a core that holds the middle box, whose windows are whole, for boxes of this size.
@@ -339,8 +346,41 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
         let each: u64 = reaching.iter().map(|&i| layer.incoming[i].stored).sum();
         totals.stored = u64::from(channels.size) * each;
     }
+    if are_counted(limits) {
+        totals.words = words_of(layer, limits, parts);
+    }
     totals.synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
     BoxUse { usage: totals.usage(limits), arriving: arriving.into(), members }
+}
+
+/// Words of a core that holds the box of these channels, rows and columns.
+fn words_of(layer: &Layer, limits: &Limits, (channels, rows, columns): (&Channels, &Side, &Side)) -> CoreWords {
+    let (lists, positions) = (Lists::new(limits), u64::from(rows.size) * u64::from(columns.size));
+    let compartments = u64::from(channels.size) * positions;
+    let is_window = layer.incoming.iter().any(|incoming| !incoming.all_to_all);
+    let mut words = CoreWords {
+        neurons: compartments * layer.kind.map_or(0, |kind| limits.neuron_sizes.of(kind).into()),
+        axon_map: if is_window { positions } else { compartments },
+        groups: 1,
+        ..CoreWords::default()
+    };
+    for (i, Incoming { window, all_to_all, weight_bits, .. }) in layer.incoming.iter().enumerate() {
+        let covered = |side: &Side| side.fields[i].iter().map(|(_, sources)| sources).sum::<u64>();
+        words.axons_in += match all_to_all {
+            true => u64::from(window.source.0),
+            false => covered(rows) * covered(columns),
+        };
+        for &(reached, sources) in &channels.reached[i] {
+            words.synapses += match all_to_all {
+                true => sources * lists.of_axon(reached.into(), *weight_bits),
+                false => {
+                    let kernel = u64::from(window.kernel.0) * u64::from(window.kernel.1);
+                    sources * kernel * lists.of_row(reached.into(), *weight_bits)
+                }
+            };
+        }
+    }
+    words
 }
 
 /// The classes of the positions with a pair of fields, and whether their axons are pop32 axons.

@@ -24,7 +24,11 @@
 //!   mantissas;
 //! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse
 //!   into the core;
-//! - stored synapses: as [`stored`](crate::resources::formats) counts them.
+//! - stored synapses: as [`stored`](crate::resources::formats) counts them;
+//! - neuron words, axon map words and groups; and, with [`Packing::Kernels`], input axons and
+//!   synapse words: as [`formats`](crate::resources::formats) counts them.
+//!
+//! [`Packing::Kernels`]: nsim_ir::resource::Packing::Kernels
 //!
 //! `nsim_check::verify` counts again from finished tables and shares none of this, packing
 //! included.
@@ -32,7 +36,7 @@
 use std::collections::BTreeSet;
 
 use crate::resources::axon_sharing::{self, PlaceClass};
-use crate::resources::formats::Formats;
+use crate::resources::formats::{CoreWords, Formats};
 use crate::resources::packing::{self, Compression, Group, LISTS, Widths};
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, ThresholdMantissa};
 use nsim_ir::neurons::{ParameterRow, Stack};
@@ -200,6 +204,8 @@ pub struct CoreTotals {
     pub threshold_profiles: u32,
     /// Stored synapses ([`stored`](crate::resources::formats)), where they are limited.
     pub stored: u64,
+    /// Words, where the limits count them.
+    pub words: CoreWords,
 }
 
 impl CoreTotals {
@@ -214,6 +220,7 @@ impl CoreTotals {
             compartment_profiles: 0,
             threshold_profiles: 0,
             stored: 0,
+            words: CoreWords::default(),
         }
     }
 
@@ -229,6 +236,11 @@ impl CoreTotals {
         let lists = self.lists[usize::from(self.stores_runs(limits))];
         let used = |resource| match resource {
             Resource::Compartments => u64::from(self.compartments),
+            // A program numbers the sources of a core even where few words hold their synapses.
+            Resource::AxonsIn if limits.counts_kernels() && lists.axons <= axon_sharing::MOST_NUMBERED => {
+                self.words.axons_in
+            }
+            Resource::SynapseWords if limits.counts_kernels() => self.words.synapses,
             Resource::AxonsIn => lists.axons,
             // These depend on the cores of targets.
             Resource::AxonsOut | Resource::AxonsOutPerCompartment => 0,
@@ -241,6 +253,9 @@ impl CoreTotals {
                 u64::from(self.compartments) * u64::from(packing::delay_slots(self.longest_delay))
             }
             Resource::StoredSynapses => self.stored,
+            Resource::NeuronWords => self.words.neurons,
+            Resource::AxonMapWords => self.words.axon_map,
+            Resource::Groups => self.words.groups,
         };
         CoreUsage { synapses: self.synapses, of: PerResource::from_fn(used) }
     }

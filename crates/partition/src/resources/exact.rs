@@ -6,8 +6,9 @@
 
 use crate::resources::axon_sharing::{self, EqualPlace, EqualPlaces, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
+use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::{self, FanOut, MembersOfCores, SharedPlaces};
-use crate::resources::formats::{Formats, StoredSynapses};
+use crate::resources::formats::{CoreWords, Formats, HeldWords, NetworkWords, StoredSynapses};
 use crate::resources::packing::{Group, LISTS, Widths};
 use crate::resources::sorted_synapses::{self, Key};
 use nsim_dynamics::synapses::Enumerate;
@@ -102,6 +103,8 @@ pub fn uses(
     let profiles = profiles(network, seats, members.len());
     let formats = Formats::for_network(network);
     let stored = limits.is_limited(Resource::StoredSynapses).then(|| StoredSynapses::for_network(network));
+    let words = NetworkWords::new(network, limits);
+    let listed = words.as_ref().filter(|words| words.any_listed()).map(|_| FanIn::new(network));
     sorted_synapses::by_core(network, &formats, seats, members.len(), (|_| true, &wanted), |core, keys| {
         if !wanted(core) {
             return CoreUse::default();
@@ -114,8 +117,25 @@ pub fn uses(
         totals.synapses = keys.len() as u64;
         (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
         totals.stored = stored.as_ref().map_or(0, |stored| stored.of_core(network, held));
+        totals.words =
+            words.as_ref().map_or_else(Default::default, |words| words_of(words, network, listed.as_ref(), held));
         CoreUse { usage: totals.usage(limits), shared: lists.members(limits) }
     })
+}
+
+/// Words of a core of these compartments; listed synapses are counted by the index of the network.
+fn words_of(words: &NetworkWords, network: &Quantised, listed: Option<&FanIn>, held: &[CompartmentId]) -> CoreWords {
+    let mut core = HeldWords::default();
+    for &id in held {
+        let (population, index) = network.population_of(id);
+        core.add(words, population, index);
+        if let Some(listed) = listed {
+            listed.for_each_into(population, index, |source, projection, _, _| {
+                core.add_listed(words, (population, projection), source);
+            });
+        }
+    }
+    core.words
 }
 
 /// The profiles of each core.

@@ -13,7 +13,7 @@ use std::sync::{Arc, OnceLock};
 
 use rayon::prelude::*;
 
-use crate::resources::formats::StoredSynapses;
+use crate::resources::formats::{NetworkWords, StoredSynapses};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
 use nsim_ir::firing_rates::Rates;
@@ -161,6 +161,7 @@ pub struct FanIn {
     incoming: IdVec<PopulationId, Incoming>,
     projections: IdVec<ProjectionId, (u32, Backwards)>,
     stored: OnceLock<StoredSynapses>,
+    words: OnceLock<Option<NetworkWords>>,
 }
 
 impl FanIn {
@@ -217,13 +218,18 @@ impl FanIn {
             Incoming { all, whole, gathered }
         };
         let incoming = network.populations().enumerate().map(&mut incoming).collect();
-        FanIn { incoming, projections, stored: OnceLock::new() }
+        FanIn { incoming, projections, stored: OnceLock::new(), words: OnceLock::new() }
     }
 
     /// The stored synapses of this index's network, counted once; `None` where they are unlimited.
     pub fn stored(&self, network: &Quantised, limits: &Limits) -> Option<&StoredSynapses> {
         let limited = limits.is_limited(Resource::StoredSynapses);
         limited.then(|| self.stored.get_or_init(|| StoredSynapses::for_network(network)))
+    }
+
+    /// This index's network in words, made once; `None` where the limits count none.
+    pub fn words(&self, network: &Quantised, limits: &Limits) -> Option<&NetworkWords> {
+        self.words.get_or_init(|| NetworkWords::new(network, limits)).as_ref()
     }
 
     /// Calls `f(source, projection, part, bundle)` for every synapse into a compartment of a

@@ -18,7 +18,7 @@ use crate::resources::axon_sharing::{self, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, FormatCounts, Profiles};
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::ALONE;
-use crate::resources::formats::{Formats, Kernels, StoredSynapses};
+use crate::resources::formats::{Formats, HeldWords, Kernels, NetworkWords, StoredSynapses};
 use crate::resources::packing::{self, Compression, Group, LISTS, MOST_SLOTS, Widths, stored};
 use nsim_ir::base::fixed::{Delay, WeightBits};
 use nsim_ir::base::id::{CompartmentId, PopulationId};
@@ -209,6 +209,9 @@ pub struct Filling<'a> {
     /// Stored synapses of compartments, if that resource is limited.
     stored: Option<&'a StoredSynapses>,
     kernels: Kernels,
+    /// The network in words, if the limits count them, and the words so far.
+    words: Option<&'a NetworkWords>,
+    held_words: HeldWords,
     /// The first slot that each place reaches.
     begins: HashMap<u32, u16>,
     /// Whether shared lists are counted where the core exceeds a limit without them.
@@ -245,6 +248,8 @@ impl<'a> Filling<'a> {
             together: HashSet::new(),
             stored: fan_in.stored(network, limits),
             kernels: Kernels::new(),
+            words: fan_in.words(network, limits),
+            held_words: HeldWords::default(),
             begins: HashMap::new(),
             shares: places.are_required(),
             places,
@@ -265,6 +270,7 @@ impl<'a> Filling<'a> {
         self.begins.clear();
         self.together.clear();
         self.kernels.clear();
+        self.held_words = HeldWords::default();
         self.shares = self.places.are_required();
         (self.shortened, self.used) = (false, None);
         std::mem::take(&mut self.members)
@@ -332,6 +338,9 @@ impl<'a> Filling<'a> {
         self.members.push(newcomer.id);
         let fan_in = self.fan_in;
         fan_in.for_each_into(newcomer.population, newcomer.index, |source, projection, part, bundle| {
+            if let Some(words) = self.words {
+                self.held_words.add_listed(words, (newcomer.population, projection), source);
+            }
             let projection = projection.0 as usize;
             self.totals.longest_delay = self.totals.longest_delay.max(self.delays[projection]);
             self.synapse((source, bundle), projection, part, slot);
@@ -344,6 +353,10 @@ impl<'a> Filling<'a> {
         self.profiles.insert(&newcomer.neuron);
         if let Some(stored) = self.stored {
             self.totals.stored += stored.added(newcomer.population, newcomer.index, &mut self.kernels);
+        }
+        if let Some(words) = self.words {
+            self.held_words.add(words, newcomer.population, newcomer.index);
+            self.totals.words = self.held_words.words;
         }
         if newcomer.together == ALONE || self.together.insert(newcomer.together) {
             self.slots_out += u64::from(newcomer.slots_out);

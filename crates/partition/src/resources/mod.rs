@@ -3,6 +3,7 @@
 //! | count | file |
 //! |---|---|
 //! | use of a core, from its totals | `counter`, `packing`, `formats` |
+//! | stored synapses, words of a core of Loihi 2 | `formats` |
 //! | the totals of a finished partition | `exact`, from the order of `sorted_synapses` |
 //! | the totals while a core is filled | `incremental` |
 //! | the totals of a box of a layer | `closed_form`, `receptive_field`, `even_draws` |

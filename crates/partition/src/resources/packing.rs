@@ -81,7 +81,7 @@ pub fn delay_slots(longest: Delay) -> u32 {
 /// Most synapses of an entry.
 pub fn per_entry(limits: &Limits) -> u32 {
     match limits.packing {
-        Packing::Nengo => limits.synapses_per_entry,
+        Packing::Nengo | Packing::Kernels { .. } => limits.synapses_per_entry,
         Packing::Nxtf => limits.synapses_per_entry.min(NXTF_PER_ENTRY),
     }
 }

@@ -73,6 +73,13 @@ impl WindowAxis {
         })
     }
 
+    /// Source positions that the window of a target position covers, ascending.
+    pub fn covered(self, target: u32) -> impl Iterator<Item = u32> {
+        let at = move |k: u64| (u64::from(target) * self.stride + k * self.dilation).checked_sub(self.padding);
+        let sources = (0..self.kernel).filter_map(at);
+        sources.filter(move |&source| source < u64::from(self.source)).map(|source| source as u32)
+    }
+
     /// Source positions that may reach a part of the targets.
     fn under(self, part: &Range<u32>) -> Range<u32> {
         let first = (u64::from(part.start) * self.stride).saturating_sub(self.padding);

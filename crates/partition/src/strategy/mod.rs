@@ -20,6 +20,8 @@
 //! strategy is worse than the one above. Where neurons have several compartments, all use the order
 //! of the file, neuron by neuron. Copies of a network are one copy's partition repeated, so that no
 //! copy shares a core with another, unless filling all of them together takes fewer cores.
+//!
+//! A user may state the compartments of a core ([`Search::stated`]).
 
 pub mod box_fan_out;
 pub mod boxes;
@@ -46,16 +48,19 @@ use crate::resources::even_draws;
 use crate::resources::exact::{usage, uses, with_fan_out};
 use crate::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::resources::incremental::Filling;
+use crate::resources::packing::MOST_SLOTS;
+use crate::resources::receptive_field::WindowAxis;
 use crate::strategy::copies::CopyGroups;
 use crate::strategy::hyper::{Groups, Hypergraph, State};
 use crate::strategy::levels::Levels;
 use crate::strategy::members::{Members, row_of_chips};
 use crate::strategy::order::{Chips, FilledCores, Filler, Indices, Segment, file_order};
-use crate::strategy::tiles::Rank;
+use crate::strategy::tiles::{Rank, cell, is_spatial, to_and_fro};
 use nsim_cost::constants::CostTable;
 use nsim_cost::model::core_time;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::activity::CoreCounts;
+use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::{RATE_STEPS, Rates};
@@ -82,6 +87,8 @@ pub struct Search<'a> {
     pub most_synapses: Option<u64>,
     /// Whether to warn that cores were saved at the price of longer steps.
     pub explains: bool,
+    /// Compartments of a core that the user states, by population; empty where nsim decides.
+    pub stated: &'a [(PopulationId, u32)],
 }
 
 impl<'a> Search<'a> {
@@ -90,7 +97,7 @@ impl<'a> Search<'a> {
         let (work, end) = (options.effort.work(WORK_PER_SECOND), options.effort.end());
         let explains = options.objective == Objective::Cores && work > 0;
         let Options { strategy, copies, most_synapses, .. } = *options;
-        Search { strategy, rates, work, end, copies, most_synapses, explains }
+        Search { strategy, rates, work, end, copies, most_synapses, explains, stated: &[] }
     }
 }
 
@@ -104,6 +111,8 @@ const EVEN_SYNAPSES: u64 = 1 << 18;
 const MOST_LONGER: f64 = 1.1;
 /// Most synapses of a network whose tiles are also tried with fewer words.
 const FEW_SYNAPSES: u64 = 1 << 23;
+/// Most compartments of a network of which a copy is mapped to find all reasons against it.
+const FEW_COMPARTMENTS: u64 = 1 << 17;
 /// Spikes of a busy step, relative to the mean, at which networks over space are compared too.
 const BURST: u64 = 10;
 /// Most rounds that make tiles smaller because their output axons do not fit.
@@ -127,16 +136,18 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, in_boxes: bo
     let (limits, compartments) = (target.limits(), u64::from(one.compartments()));
     let (all, room) =
         (compartments * u64::from(copies), u64::from(target.cores()) * u64::from(limits[Resource::Compartments]));
+    let few = compartments <= FEW_COMPARTMENTS;
     let too_many = (all > room).then(|| Reason::of_compartments(target, limits, copies, all));
-    if in_boxes {
-        return too_many.map_or(Ok(()), |reason| Err(reason.into()));
-    }
     let bound = too_many.or_else(|| {
         let cores = least_cores(one, copies, limits);
-        (cores > u64::from(target.cores()) && copies > 1).then(|| Reason::of_cores(target, copies, cores))
+        // A single copy that is mapped quickly gives better reasons than a bound.
+        (cores > u64::from(target.cores()) && (copies > 1 || !few)).then(|| Reason::of_cores(target, copies, cores))
     });
+    if in_boxes {
+        return bound.map_or(Ok(()), |reason| Err(reason.into()));
+    }
     // The needs of a compartment are found by mapping one copy, unless that would take long.
-    let quick = one.synapses() <= FEW_SYNAPSES || bound.is_some() && compartments <= room;
+    let quick = few && (one.synapses() <= FEW_SYNAPSES || bound.is_some() && compartments <= room);
     let mut reasons = match bound {
         Some(bound) => vec![bound],
         None => even_draws::reasons(one, target, copies, false),
@@ -165,7 +176,10 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, in_boxes: bo
 pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Search<'_>) -> Result<Partition> {
     let copies = (all.compartments() / one.compartments().max(1)).max(1);
     let filler = Filler::new(one, target);
-    let found = searched(&filler, search, Chips::Row)?;
+    let found = match search.stated {
+        [] => searched(&filler, search, Chips::Row)?,
+        stated => stated_cores(&filler, stated)?,
+    };
     if copies > 1 {
         return partition_copies(&filler, found.members, (all, copies), target, search);
     }
@@ -175,7 +189,84 @@ pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Sear
         let of_each = counted(all, found, target).map_or_else(|_| BTreeMap::new(), |all| uses(&all));
         return Err(Reason::of_mapping(target, copies, cores, of_each).into());
     }
-    counted(all, found, target).map_err(CompileError::fault)
+    counted(all, found, target).map_err(|error| unfit(error, search))
+}
+
+/// The cores of a network, of which these populations have stated numbers of compartments. A core
+/// has compartments of one stated population, and the last core takes the rest. Populations over
+/// space are cut position by position with all their channels: into the fewest equal rectangles of
+/// this number of compartments, else into runs of positions. All others have cores of their own.
+///
+/// # Errors
+/// [`DoesNotFit`](crate::error::CompileError::DoesNotFit) when a core has no slots for so many, or another population does
+/// not fit; [`Input`](crate::error::CompileError::Input) when neurons have several compartments.
+fn stated_cores(filler: &Filler<'_>, stated: &[(PopulationId, u32)]) -> Result<FilledCores> {
+    let (network, limits) = (filler.network, filler.target.limits());
+    if !network.parts().children.is_empty() {
+        let message = "--cores-of cannot cut neurons of several compartments";
+        return Err(Diagnostic::new("map.cores-of", message).help("remove --cores-of").into());
+    }
+    let mut members = Members::new();
+    for (id, population) in network.populations().enumerate() {
+        let (Some(first), Some(&(_, each))) =
+            (population.first_compartment(), stated.iter().find(|(stated, _)| *stated == id))
+        else {
+            continue;
+        };
+        for held in stated_cut(network, id, each) {
+            let most = limits[Resource::Compartments].min(MOST_SLOTS);
+            if held.len() as u64 > u64::from(most) {
+                let core = CoreId::new(members.len());
+                return Err(Reason::of_core(core, Resource::Compartments.into(), held.len() as u64, most.into()).into());
+            }
+            members.push(held.into_iter().map(|index| CompartmentId(first.0 + index)).collect());
+        }
+    }
+    let is_stated = |id: PopulationId| stated.iter().any(|(stated, _)| *stated == id);
+    let spatial: IdVec<PopulationId, bool> =
+        network.populations().ids().map(|id| is_spatial(network, id) && !is_stated(id)).collect();
+    let tiles =
+        if spatial.iter().any(|&spatial| spatial) { tiled(filler, &spatial, Chips::Row, None) } else { Vec::new() };
+    let others = file_order(network).into_iter().filter(|one| !is_stated(one.population) && !spatial[one.population]);
+    let order: Vec<_> = tiles.into_iter().chain(others).collect();
+    if !order.is_empty() {
+        for held in &filler.fill_members(&order, true)? {
+            members.push(held.clone());
+        }
+    }
+    Ok(uncounted(members))
+}
+
+/// Indices of a population's compartments, core by core.
+fn stated_cut(network: &Quantised, id: PopulationId, each: u32) -> Vec<Vec<u32>> {
+    let shape = network.populations()[id].shape;
+    let in_runs = |indices: &[u32], each: u32| -> Vec<Vec<u32>> {
+        indices.chunks(each.max(1) as usize).map(<[u32]>::to_vec).collect()
+    };
+    let Some((channels, height, width)) = shape.volume().filter(|_| is_spatial(network, id)) else {
+        return in_runs(&(0..shape.len()).collect::<Vec<_>>(), each);
+    };
+    let positions = each / channels.max(1);
+    let parts = |rows: u32| (height.div_ceil(rows), width.div_ceil(positions / rows));
+    let fits = |rows: &u32| positions.is_multiple_of(*rows) && positions / rows <= width;
+    let rows = (1..=height.min(positions)).filter(fits).min_by_key(|&rows| parts(rows).0 * parts(rows).1);
+    match rows.filter(|_| each.is_multiple_of(channels)) {
+        Some(rows) => {
+            let (size, (of_rows, of_columns)) = ((channels, rows, positions / rows), parts(rows));
+            to_and_fro((1, of_rows, of_columns)).map(|at| cell((channels, height, width), size, at, false)).collect()
+        }
+        None => in_runs(&cell((channels, height, width), (channels, height, width), (0, 0, 0), false), each),
+    }
+}
+
+/// The reason for which stated cores exceed a limit; cores that nsim filled never do.
+fn unfit(error: PartitionError, search: Search<'_>) -> CompileError {
+    match error {
+        PartitionError::Excess { core, capacity, need, limit } if !search.stated.is_empty() => {
+            Reason::of_core(core, capacity, need, limit).into()
+        }
+        error => CompileError::fault(error),
+    }
 }
 
 /// Returns a partition of copies of a network, where `members` are the cores of one copy.
@@ -193,11 +284,12 @@ fn partition_copies(
     let fits = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().all(|used| used.excesses(limits).next().is_none());
     let mut groups = CopyGroups::repeated(one, members, copies);
     let mut usage = counted_once(&groups)?;
-    if !fits(&usage) {
+    let is_free = search.stated.is_empty();
+    if is_free && !fits(&usage) {
         groups = CopyGroups::repeated(one, searched(filler, search, Chips::Apart)?.members, copies);
         usage = counted_once(&groups)?;
     }
-    if groups.cores() as u64 > least_cores(one, copies, limits) {
+    if is_free && groups.cores() as u64 > least_cores(one, copies, limits) {
         let filled = [true, false].map(|keep_whole| CopyGroups::filled(one, copies, target, keep_whole));
         let fewer = filled.into_iter().flatten().min_by_key(|filled| filled.cores);
         if let Some(fewer) = fewer.filter(|fewer| fewer.cores < groups.cores()) {
@@ -217,7 +309,7 @@ fn partition_copies(
     }
     let members = groups.members();
     on_board((one, copies), (&members, &usage), target)?;
-    Partition::new(all.compartments(), members, usage, limits).map_err(CompileError::fault)
+    Partition::new(all.compartments(), members, usage, limits).map_err(|error| unfit(error, search))
 }
 
 /// Refuses copies that take more cores than the target has.
@@ -258,7 +350,7 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fil
         return sequential();
     }
     let spatial: IdVec<PopulationId, bool> =
-        network.populations().ids().map(|population| tiles::is_spatial(network, population)).collect();
+        network.populations().ids().map(|population| is_spatial(network, population)).collect();
     let mut fixed = vec![false; network.compartments() as usize];
     for (_, population) in network.populations().enumerate().filter(|&(id, _)| spatial[id]) {
         let Some(first) = population.first_compartment() else { continue };
@@ -600,26 +692,57 @@ fn within_cores(labels: &[Option<u32>], core_of: &[u32]) -> Vec<Option<u32>> {
     labels.iter().zip(core_of).map(of).collect()
 }
 
+/// Whether each source of a population has a synapse.
+fn active_sources(one: &Quantised, id: PopulationId) -> Vec<bool> {
+    let shape = one.populations()[id].shape;
+    let mut active = vec![false; shape.len() as usize];
+    for projection in one.outgoing(id).iter().map(|&p| &one.projections()[p]) {
+        match (&projection.connectivity, projection.connectivity.window()) {
+            (_, Some(window)) => {
+                let along = |axis: WindowAxis, length: u32| -> Vec<bool> {
+                    (0..length).map(|source| axis.reached(source).next().is_some()).collect()
+                };
+                let rows = along(WindowAxis::rows(&window), window.source.1);
+                let columns = along(WindowAxis::columns(&window), window.source.2);
+                let positions = rows.iter().flat_map(|row| columns.iter().map(move |column| *row && *column));
+                active.iter_mut().zip(positions.collect::<Vec<_>>().iter().cycle()).for_each(|(all, one)| *all |= one);
+            }
+            (Connectivity::Random { fan_out: 0, .. }, None) => {}
+            (connectivity @ Connectivity::Sparse { .. }, None) => {
+                active.iter_mut().zip(0..).for_each(|(active, source)| *active |= connectivity.count_from(source) > 0);
+            }
+            _ => active.fill(projection.connectivity.count(1) > 0),
+        }
+    }
+    active
+}
+
 /// Lower bound on the cores of any partition, from the resources that copies cannot share.
 fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
     let places = Places::for_network(one, limits);
-    let active: u64 = one
-        .populations()
-        .enumerate()
-        .map(|(id, population)| {
-            let outgoing = one.outgoing(id);
-            let active = |&index: &u32| {
-                outgoing.iter().any(|&p| match &one.projections()[p].connectivity {
-                    Connectivity::Random { fan_out, .. } => *fan_out > 0,
-                    connectivity => connectivity.count_from(index) > 0,
-                })
-            };
-            // Sources at one place may share an input axon.
-            let positions = places.positions(one, id).unwrap_or(population.shape.len());
-            (0..population.shape.len()).filter(active).count().min(positions as usize) as u64
-        })
-        .sum();
-    let (copies, compartments) = (u64::from(copies), u64::from(one.compartments()));
-    let by_compartments = (compartments * copies).div_ceil(u64::from(limits[Resource::Compartments]));
-    by_compartments.max((active * copies).div_ceil(u64::from(limits[Resource::AxonsIn])))
+    let (mut sources, mut neuron_words, mut synapse_bits) = (0, 0, 0);
+    for (id, population) in one.populations().enumerate() {
+        // Sources at one place may share an input axon.
+        let positions = places.positions(one, id).unwrap_or(population.shape.len());
+        let active = active_sources(one, id).into_iter().filter(|&active| active).count();
+        sources += active.min(positions as usize) as u64;
+        let words = population.neuron_kind().map_or(0, |kind| limits.neuron_sizes.of(kind));
+        neuron_words += u64::from(population.shape.len()) * u64::from(words);
+        // Lists of sources that have places, and kernels, may be shared.
+        for &id in one.outgoing(id).iter().filter(|_| !places.contain(one, id)) {
+            let bits = u64::from(one.projections()[id].format.bits.get());
+            synapse_bits += if limits.counts_kernels() { 0 } else { one.synapses_of(id) * bits };
+        }
+    }
+    let words = synapse_bits / u64::from(u64::BITS);
+    let needs = [
+        (Resource::Compartments, u64::from(one.compartments())),
+        (Resource::AxonsIn, sources),
+        (Resource::NeuronWords, neuron_words),
+        (Resource::SynapseWords, words),
+    ];
+    let cores = |(resource, need): (Resource, u64)| {
+        need.saturating_mul(copies.into()).div_ceil(u64::from(limits[resource]).max(1))
+    };
+    needs.into_iter().map(cores).max().unwrap_or(0)
 }

@@ -23,7 +23,7 @@ use std::collections::BTreeSet;
 
 use crate::resources::axon_sharing::Places;
 use crate::resources::closed_form::{Incoming, Layer, middle, middle_of, part};
-use crate::resources::formats::Formats;
+use crate::resources::formats::{Formats, Lists, rows};
 use crate::resources::incremental::{Filling, Newcomer};
 use crate::resources::packing::MOST_SLOTS;
 use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
@@ -101,6 +101,16 @@ fn reached(axis: WindowAxis, length: u32, size: u32) -> (u64, u64) {
     (all, distinct.iter().map(|field| field.len() as u64).sum())
 }
 
+/// Synapse words of `channels` channels of one group, where a core stores kernels once.
+fn kernel_words(layer: &Layer, limits: &Limits, channels: u32) -> u64 {
+    let lists = Lists::new(limits);
+    let of = |Incoming { window, all_to_all, weight_bits, .. }: &Incoming| match all_to_all {
+        true => u64::from(window.source.0) * lists.of_axon(channels.into(), *weight_bits),
+        false => rows(window) * lists.of_row(channels.min(window.target.0 / window.groups).into(), *weight_bits),
+    };
+    layer.incoming.iter().map(of).sum()
+}
+
 /// A grid of tiles: its cores, the messages of one spike of every source, and the size of a tile.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Grid {
@@ -126,6 +136,7 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
         cuts.map(|(parts, size)| (parts, size, reached(size))).collect()
     };
     let (rows, columns) = (along(h, WindowAxis::rows), along(w, WindowAxis::columns));
+    let neuron_words = layer.kind.map_or(0, |kind| u64::from(limits.neuron_sizes.of(kind)));
     let mut grids = Vec::new();
     for (nc, tc) in cuts(c) {
         for &(nh, th, ref of_rows) in &rows {
@@ -166,8 +177,13 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                     let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
                     bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
+                let synapses = match limits.counts_kernels() {
+                    true => 64 * kernel_words(layer, limits, tc),
+                    false => bits,
+                };
                 if axons <= u64::from(limits[Resource::AxonsIn])
-                    && bits <= 64 * u64::from(limits[Resource::SynapseWords])
+                    && synapses <= 64 * u64::from(limits[Resource::SynapseWords])
+                    && size * neuron_words <= u64::from(limits[Resource::NeuronWords])
                 {
                     grids.push(Grid { cores, messages: tiles * sources, size: (tc, th, tw) });
                 }
