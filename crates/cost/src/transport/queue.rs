@@ -258,15 +258,17 @@ impl<'w> Queue<'w> {
         let beyond = along.saturating_sub(u128::from(links) * u128::from(table.link_buffer) * u128::from(MESSAGE));
         let leaves = now.saturating_add((beyond * mean / u128::from(MESSAGE)) as u64);
         let congested = quotient(along * mean / u128::from(MESSAGE), links) as u64;
-        // Each link passes messages sequentially; a sender's own link is as fast as the sender.
-        let mut at = leaves;
+        // Each link passes messages sequentially, in the order of this function's calls. A stalled
+        // message takes its turn at `now`: one at `leaves` would block those that leave before it.
+        // A sender's own link is as fast as the sender.
+        let mut at = now;
         for links in path {
             for (free, &between) in free[links.clone()].iter_mut().zip(&region.between[links]) {
                 at = at.max(*free);
                 *free = at + if between { table.link_chip_time.0 } else { table.link_time.0 };
             }
         }
-        let waited = at - leaves;
+        let waited = at.saturating_sub(leaves);
         let way = (route_time(route, table).0 + waited).max(congested);
         let received = done[to].max(leaves.saturating_add(way));
         done[to] = received.saturating_add(message.handling);
@@ -346,7 +348,7 @@ fn quotient(dividend: u128, divisor: u64) -> u128 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::constants::tests::table;
+    use crate::constants::tests::{preset, table};
     use crate::transport::tests::{routes, step};
     use nsim_ir::base::rng;
 
@@ -369,6 +371,24 @@ mod tests {
         let QueueMemory { occupied, leaving, free, done, under_way, .. } = &memory;
         assert!([occupied, leaving, free, done].iter().all(|numbers| numbers.iter().all(|&number| number == 0)));
         assert!(under_way.is_empty());
+    }
+
+    #[test]
+    fn a_stalled_message_does_not_block_its_links() {
+        let mut constants = preset("sanafe-calibrated");
+        constants.link_buffer.value = 1.0.into();
+        let table = CostTable::new(&constants).unwrap();
+        let routes = routes(&[(0, 0), (1, 0), (0, 0), (1, 0)], &[], &[]);
+        let mut memory = QueueMemory::default();
+        let mut queue = Queue::new(&routes, &routes.regions[0], &table, &mut memory);
+        let handling = 776_000;
+        let left: Vec<u64> = (0..8).map(|_| queue.send(0, 0, Ready { after: 0, to: 1, handling }).0).collect();
+        // Seven before the last have a third of a message on each of two links, where two fit.
+        assert!(left[7].abs_diff(handling * 8 / 3) < 10, "{left:?}");
+        // Another core's message over the same link: eight thirds before it, where two fit.
+        let (left, done) = queue.send(0, 2, Ready { after: 0, to: 3, handling: 0 });
+        assert!(left.abs_diff(handling * 2 / 3) < 10, "{left}");
+        assert!(done.abs_diff(handling * 2) < 10, "{done}");
     }
 
     #[test]
