@@ -89,6 +89,7 @@ fn compare(compiled: &Mapping, target: &Target, samples: &[&Sample], expected: &
         routes: metered.routes.clone(),
         timing,
         timestep: Picoseconds::from_milliseconds(1.0),
+        without_host: None,
         distribution: None,
     };
     let run = metered.run(settings, samples, RunSettings::new(&SampleSettings::new(program.output()))).unwrap();

@@ -115,6 +115,7 @@ impl Case {
                 routes: metered.routes.clone(),
                 timing: deployment.timing(Transport::Queued, self.copies),
                 timestep: Picoseconds::from_milliseconds(1.0),
+                without_host: None,
                 distribution: None,
             };
             let early_exit = Some(match rule {

@@ -207,6 +207,7 @@ fn one_group_of_cores_stands_for_all_that_are_alike() {
                 timing: deployment.timing(transport, copies),
                 routes: routes.clone(),
                 timestep: Picoseconds(1_000_000),
+                without_host: None,
                 distribution: None,
             };
             let keep = SampleSettings::new(compiled.program.output());

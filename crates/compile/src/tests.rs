@@ -146,9 +146,16 @@ fn drawn_limits(seed: u64) -> Limits {
         Resource::ThresholdProfiles => draw(8, 1, 2),
         Resource::Accumulators => draw(9, 8, 100),
         Resource::StoredSynapses if seed.is_multiple_of(2) => draw(11, 150, 800),
-        Resource::StoredSynapses => u32::MAX,
+        Resource::NeuronWords if seed.is_multiple_of(3) => draw(12, 20, 60),
+        Resource::AxonMapWords if seed.is_multiple_of(3) => draw(13, 20, 60),
+        Resource::Groups if seed.is_multiple_of(3) => draw(14, 1, 4),
+        Resource::StoredSynapses | Resource::NeuronWords | Resource::AxonMapWords | Resource::Groups => u32::MAX,
     };
-    let packing = if draw(10, 0, 1) == 0 { Packing::Nengo } else { Packing::Nxtf };
+    let packing = match draw(10, 0, 2) {
+        0 => Packing::Nengo,
+        1 => Packing::Nxtf,
+        _ => Packing::Kernels { synapse_bits: 12, list_bits: 8 },
+    };
     Limits { most: PerResource::from_fn(of), packing, ..limits() }
 }
 
