@@ -18,9 +18,10 @@ fn a_row_is_what_energy_says_of_that_target() {
     let here = folder.path();
     write(here, "m.ron", MODEL);
     let relays = " --relays --set target.limits.axons_in=2";
-    for options in ["", " --host none", " --accounting rails", " --mode realtime", relays, " --prune static"] {
+    for options in ["", " --host none", " --accounting rails", " --mode realtime", " --prune static"] {
         rows_are_those_of_energy(here, ["loihi1-chip", "oheo-gulch"], options);
     }
+    rows_are_those_of_energy(here, ["loihi1-chip", "nahuku-32"], relays);
     // 130 cores are on two chips, hence two x86 cores.
     let wide = format!(
         "Network(name: \"small\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [3]),

@@ -35,7 +35,7 @@ pub fn used(program: &Program, network: &Quantised, target: &Target) -> Result<I
     let mut count = Count { program, network, held: IdVec::new(), used: &mut used };
     count.held = network.populations().ids().map(|id| count.held_of(id)).collect();
     for (id, population) in network.populations().enumerate() {
-        let each = population.neuron_kind().map_or(0, |kind| limits.neuron_sizes.of(kind));
+        let each = population.neuron_kind().map_or(0, |kind| limits.neuron_sizes.words_of(kind));
         count.neurons(id, each.into());
     }
     if let Packing::Kernels { synapse_bits, list_bits } = limits.packing {

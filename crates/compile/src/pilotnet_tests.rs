@@ -167,7 +167,7 @@ fn words_are_counted_again_by_the_checker_and_differ_where_the_program_does() {
     let tight = limits.clone().with(Resource::SynapseFormats, 64).with(Resource::NeuronWords, 40);
     let tight = board.clone().with_limits(tight);
     let mut checked = 0;
-    for seed in 0..40 {
+    for seed in 0..80 {
         // Mapping compares both counts.
         checked += mapped(random_network(seed), &tight).map_or(0, |found| found.partition.cores());
     }

@@ -318,7 +318,7 @@ impl Front {
     }
 }
 
-/// Refuses neurons and messages that the target does not support, all of them at once.
+/// Refuses neurons and messages that the target does not support, all of them together.
 fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
     let of = |population| [has_messages(population, target), has_kind(population, target)];
     collect_all(network.populations().iter().flat_map(of))?;

@@ -330,7 +330,7 @@ mod tests {
             "Dense(from: [\"a\"], to: \"out\", weights: [[2, 2, 2], [2, 2, 2]]), \
              Dense(from: [\"out\"], to: \"out\", weights: [[0, 2], [2, 0]])",
         );
-        assert!(Dense::new(&network).unwrap_err().contains("recurrent"));
+        assert!(Dense::new(&network).unwrap_err().contains("projects to itself"));
     }
 
     #[test]

@@ -397,7 +397,7 @@ macro_rules! constants {
             /// Steps in which x86 cores take their turn.
             #[serde(default)]
             pub turn: TurnRule,
-            /// Bounds in us of barriers over numbers of parts that nobody measured.
+            /// Bounds in us of barriers over numbers of parts without a measurement.
             #[serde(default)]
             pub barrier_bounds: Option<(f64, f64)>,
             /// Barrier times by tiles or cores in use, ascending.
@@ -433,7 +433,7 @@ macro_rules! constants {
             pub step: Option<StepForm>,
             /// Steps in which x86 cores take their turn, where they differ from the base's.
             pub turn: Option<TurnRule>,
-            /// Bounds in us of barriers over numbers of parts that nobody measured.
+            /// Bounds in us of barriers over numbers of parts without a measurement.
             pub barrier_bounds: Option<(f64, f64)>,
             /// Barrier times, in place of the base's.
             pub barrier: Option<Vec<BarrierTime>>,

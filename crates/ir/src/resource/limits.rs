@@ -46,7 +46,7 @@ pub struct NeuronSizes {
 
 impl NeuronSizes {
     /// Words of a neuron of this kind, at least 1.
-    pub fn of(&self, kind: NeuronKind) -> u32 {
+    pub fn words_of(&self, kind: NeuronKind) -> u32 {
         match self.one_word.contains(&kind.family()) {
             true => 1,
             false => (self.program + self.state_word * kind.table().state.len() as u32).max(1),
@@ -570,8 +570,8 @@ mod tests {
     fn kinds_without_a_word_of_their_own_take_words_by_their_state() {
         let sizes = limits(OWN).unwrap().neuron_sizes;
         let kinds = [NeuronKind::Loihi, NeuronKind::Rf, NeuronKind::Alif, NeuronKind::GradedVec];
-        assert_eq!(kinds.map(|kind| sizes.of(kind)), [1, 3, 5, 1]);
-        assert_eq!(kinds.map(|kind| NeuronSizes::default().of(kind)), [1; 4]);
+        assert_eq!(kinds.map(|kind| sizes.words_of(kind)), [1, 3, 5, 1]);
+        assert_eq!(kinds.map(|kind| NeuronSizes::default().words_of(kind)), [1; 4]);
     }
 
     #[test]

@@ -359,7 +359,7 @@ fn words_of(layer: &Layer, limits: &Limits, (channels, rows, columns): (&Channel
     let compartments = u64::from(channels.size) * positions;
     let is_window = layer.incoming.iter().any(|incoming| !incoming.all_to_all);
     let mut words = CoreWords {
-        neurons: compartments * layer.kind.map_or(0, |kind| limits.neuron_sizes.of(kind).into()),
+        neurons: compartments * layer.kind.map_or(0, |kind| limits.neuron_sizes.words_of(kind).into()),
         axon_map: if is_window { positions } else { compartments },
         groups: 1,
         ..CoreWords::default()

@@ -285,7 +285,7 @@ impl NetworkWords {
             any_listed |= incoming.iter().any(|(_, incoming)| matches!(incoming.stored, Stored::Listed));
             populations.push(OfPopulation {
                 positions: population.shape.positions().max(1),
-                neuron_words: population.neuron_kind().map_or(0, |kind| limits.neuron_sizes.of(kind).into()),
+                neuron_words: population.neuron_kind().map_or(0, |kind| limits.neuron_sizes.words_of(kind).into()),
                 by_position: incoming.iter().any(|(_, incoming)| matches!(incoming.stored, Stored::Kernel(_))),
                 incoming,
             });

@@ -198,7 +198,7 @@ pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Sear
 /// this number of compartments, else into runs of positions. All others have cores of their own.
 ///
 /// # Errors
-/// [`DoesNotFit`](crate::error::CompileError::DoesNotFit) when a core has no slots for so many, or another population does
+/// [`DoesNotFit`](crate::error::CompileError::DoesNotFit) when a core has no slots for them, or another population does
 /// not fit; [`Input`](crate::error::CompileError::Input) when neurons have several compartments.
 fn stated_cores(filler: &Filler<'_>, stated: &[(PopulationId, u32)]) -> Result<FilledCores> {
     let (network, limits) = (filler.network, filler.target.limits());
@@ -726,7 +726,7 @@ fn least_cores(one: &Quantised, copies: u32, limits: &Limits) -> u64 {
         let positions = places.positions(one, id).unwrap_or(population.shape.len());
         let active = active_sources(one, id).into_iter().filter(|&active| active).count();
         sources += active.min(positions as usize) as u64;
-        let words = population.neuron_kind().map_or(0, |kind| limits.neuron_sizes.of(kind));
+        let words = population.neuron_kind().map_or(0, |kind| limits.neuron_sizes.words_of(kind));
         neuron_words += u64::from(population.shape.len()) * u64::from(words);
         // Lists of sources that have places, and kernels, may be shared.
         for &id in one.outgoing(id).iter().filter(|_| !places.contain(one, id)) {

@@ -136,7 +136,7 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
         cuts.map(|(parts, size)| (parts, size, reached(size))).collect()
     };
     let (rows, columns) = (along(h, WindowAxis::rows), along(w, WindowAxis::columns));
-    let neuron_words = layer.kind.map_or(0, |kind| u64::from(limits.neuron_sizes.of(kind)));
+    let neuron_words = layer.kind.map_or(0, |kind| u64::from(limits.neuron_sizes.words_of(kind)));
     let mut grids = Vec::new();
     for (nc, tc) in cuts(c) {
         for &(nh, th, ref of_rows) in &rows {
