@@ -8,7 +8,7 @@ currents have no memory, so that voltages agree bit for bit, and inputs have del
 same step. Prints a line a network and ends with status 1 when spikes or
 dynamic energy differ, or the time of the run by more than 3 %. nsim has no host here, as SANA-FE has none.
 
-SANA-FE's `detailed` schedule orders messages by the addresses of their objects on the heap where times are equal, so that a
+SANA-FE's `detailed` schedule orders the messages of one spike by the addresses of their receiving cores on the heap, so that a
 second run in the same process may give another time. So each run has a process of its own, and two are held to be equal.
 
 SANA-FE has no chips: over several of them, a link between chips passes messages as fast here as any other, and barriers take no
@@ -177,7 +177,9 @@ def main():
     networks = int(sys.argv[3]) if len(sys.argv) > 3 else 30
     several = int(sys.argv[4]) if len(sys.argv) > 4 else 10
     found = []
-    for name, index in [("one", n) for n in range(networks)] + [("several", n) for n in range(several)]:
+    # In these two, long stalls of some senders meet messages of others.
+    stalled = [18, 43][: several // 5]
+    for name, index in [("one", n) for n in range(networks)] + [("several", n) for n in [*range(several), *stalled]]:
         off, line = compare(program, os.path.join(folder, f"{name}-{index}"), index, name == "several")
         print(line, flush=True)
         found.append(off)
@@ -185,7 +187,7 @@ def main():
     for name in ("energy", "queued", "analytic", "again"):
         every = sorted(abs(off[name]) for off in found)
         summary.append(f"{name} {100 * every[len(every) // 2]:.2g} % in the median, {100 * every[-1]:.2g} % at most")
-    print(f"{networks} networks on one chip, {several} over several: " + "; ".join(summary))
+    print(f"{networks} networks on one chip, {len(found) - networks} over several: " + "; ".join(summary))
     sys.exit(any(abs(off["energy"]) > 1e-9 or abs(off[DEFAULT]) > 0.03 for off in found))
 
 
