@@ -83,6 +83,8 @@ class Sweeps(unittest.TestCase):
         long = "Sweep(model: \"vtsnn-slip\", samples: \"0..2\", grid: [(paths: [\"populations.out.vth_mant\"], from: 1, to: 3000, step: 1)])"
         script = f"""
 import os, signal, threading, time, nsim
+# A shell ignores it in its background.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 mapping = nsim.load("vtsnn-slip").map()
 for call in [lambda: mapping.run("scene:slip?samples=20000&seed=1"), lambda: nsim.sweep('{long}')]:
     threading.Timer(1, os.kill, (os.getpid(), signal.SIGINT)).start()
