@@ -1,4 +1,5 @@
-//! What changes a model, or rests on an assumption, is in the text, in JSON, on pages and in Python.
+//! What changes a model, or rests on an assumption, is in the text, in JSON, on pages and in
+//! Python.
 //!
 //! Each reader of models and of recordings has a case, and each code of a warning is made by one.
 
@@ -173,8 +174,9 @@ fn codes(folder: &Path, line: &str) -> BTreeSet<String> {
 /// Warnings that no page has, because `nsim report` has no option of these readers.
 const WITHOUT_PAGE: [WarningCode; 2] = [WarningCode::DecisionByPotential, WarningCode::LayerOrder];
 
-/// Each code is made by a case, in the text, in JSON and on a page. The cases stay in a folder, where
-/// `python/tests/test_warnings.py` makes them again, and prints a list of the codes and places.
+/// Each code is made by a case, in the text, in JSON and on a page. The cases stay in a folder,
+/// where `python/tests/test_warnings.py` makes them again, and prints a list of the codes and
+/// places.
 #[test]
 fn a_warning_is_in_text_json_and_page_alike_and_each_code_is_made() {
     use WarningCode::*;

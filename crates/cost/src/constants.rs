@@ -59,7 +59,8 @@ macro_rules! cost_table {
             pub turn: TurnRule,
             /// Whether prices of updates that a model states count.
             pub stated: bool,
-            /// Whether the time of a program is by its instructions: the preset has none of its own.
+            /// Whether the time of a program is by its instructions: the preset has none of its
+            /// own.
             pub by_instructions: bool,
             /// Barrier times by parts in use, ascending and not empty.
             barrier: Vec<(u64, Picoseconds)>,
@@ -127,8 +128,8 @@ impl CostTable {
         Ok([only(Status::Published)?, only(Status::Calibrated)?, only(Status::Assumed)?])
     }
 
-    /// Returns the corners of a preset's bounds: least energies and powers with greatest times, then
-    /// greatest energies and powers with least times. `None` where no constant has bounds.
+    /// Returns the corners of a preset's bounds: least energies and powers with greatest times,
+    /// then greatest energies and powers with least times. `None` where no constant has bounds.
     ///
     /// # Errors
     /// As [`CostTable::new`].
@@ -152,9 +153,9 @@ impl CostTable {
         }
     }
 
-    /// Equation (10): the time of a barrier over the tiles or cores in use of a chip, linear between
-    /// the preset's entries (rounded down to a picosecond), constant before the first and after the
-    /// last.
+    /// Equation (10): the time of a barrier over the tiles or cores in use of a chip, linear
+    /// between the preset's entries (rounded down to a picosecond), constant before the first and
+    /// after the last.
     pub fn barrier(&self, tiles: u64, cores: u64) -> Picoseconds {
         let tiles = if self.by_cores { cores } else { tiles };
         let after = self.barrier.partition_point(|&(at, _)| at < tiles);

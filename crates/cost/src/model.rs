@@ -85,8 +85,8 @@ pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> 
     }
 }
 
-/// A constant of a visited compartment for the programs that models state, by their instructions. An
-/// instruction's part is rounded once, so that sums over steps and cores are exact.
+/// A constant of a visited compartment for the programs that models state, by their instructions.
+/// An instruction's part is rounded once, so that sums over steps and cores are exact.
 fn of_programs(constant: u128, counts: &CoreCounts) -> u128 {
     let parts = u128::from(COMPARTMENT_INSTRUCTIONS);
     (constant + parts / 2) / parts * u128::from(counts.instructions)

@@ -135,8 +135,8 @@ impl DeploymentPlan {
     }
 }
 
-/// Whether the injection of the inputs takes as long as the barrier. Where it does not, injection is
-/// less than half of a step.
+/// Whether the injection of the inputs takes as long as the barrier. Where it does not, injection
+/// is less than half of a step.
 fn may_be_half_of_a_step(
     workload: &Workload<'_>,
     deployment: &Deployment,
@@ -236,8 +236,10 @@ pub fn evaluate(
     };
     // Copies receive equal samples and decide equally, so only the first's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
-    options.early_exit.map(|rule| EarlyExit::new(rule, &compiled.one)).transpose()?;
-    let watched = EarlyExit::recording_only(rule, &compiled.one);
+    let watched = match options.early_exit {
+        Some(rule) => EarlyExit { ends: false, ..EarlyExit::new(rule, &compiled.one)? },
+        None => EarlyExit::recording_only(rule, &compiled.one),
+    };
     let run = simulate(metered, Some(watched))?;
     let by_status = ByStatus::new(preset, deployment.chips_used)?;
     let case = EstimateInput {

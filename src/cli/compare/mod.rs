@@ -50,7 +50,8 @@ pub struct Args {
     /// cores]
     #[arg(long, value_parser = one_of(&Host::ALL, Host::name))]
     host: Option<Host>,
-    /// Power that Intel's profiler attributes to the program, of the whole board, or of the whole unit
+    /// Power that Intel's profiler attributes to the program, of the whole board, or of the whole
+    /// unit
     #[arg(long, default_value = "profiler", value_parser = one_of(&Accounting::ALL, Accounting::name))]
     accounting: Accounting,
 }

@@ -367,7 +367,8 @@ macro_rules! for_each_constant {
             x86_rails_power: mW = "Constant::no_power",
             /// Power that a neuron core in use adds while it runs, from the rails, mW.
             core_rails_power: mW = "Constant::no_power",
-            /// Power of the whole unit with its host side while nothing runs, mW a chip on the board.
+            /// Power of the whole unit with its host side while nothing runs, mW a chip on the
+            /// board.
             unit_power: mW = "Constant::no_power",
         }
     };
@@ -491,8 +492,9 @@ macro_rules! constants {
                 self.list().into_iter().map(|(_, one)| one).chain(barriers).any(|one| one.bounds.is_some())
             }
 
-            /// Returns the preset without the findings of a group of authors. A constant that only they
-            /// found stays; a barrier that only they measured takes the time of the nearest other.
+            /// Returns the preset without the findings of a group of authors. A constant that only
+            /// they found stays; a barrier that only they measured takes the time of the nearest
+            /// other.
             #[must_use]
             pub fn without(&self, group: &str) -> Constants {
                 let mut others = self.clone();

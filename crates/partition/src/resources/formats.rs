@@ -13,10 +13,11 @@
 //! The words of a core, as Intel's compiler for Loihi 2 counts them ([`Packing::Kernels`]), are
 //! [`CoreWords`]:
 //!
-//! - synapses, where a weight has w bits ([`weight_bits`]): an input axon has a list of its n targets on the core, of
-//!   `ceil((n (w + synapse_bits) + list_bits) / 64)` words. A convolution has a row for each
-//!   position of its kernel and each input channel. A row has a block for each power of two of the n
-//!   channels on the core, of `ceil((p w + list_bits) / 64)` words. Rows are stored once;
+//! - synapses, where a weight has w bits ([`weight_bits`]): an input axon has a list of its n
+//!   targets on the core, of `ceil((n (w + synapse_bits) + list_bits) / 64)` words. A convolution
+//!   has a row for each position of its kernel and each input channel. A row has a block for each
+//!   power of two of the n channels on the core, of `ceil((p w + list_bits) / 64)` words. Rows are
+//!   stored once;
 //! - input axons: one for each source, and one for each source position of a convolution;
 //! - neurons: by kind ([`NeuronSizes`]);
 //! - axon map: one for each position of a convolution, one for any other compartment;

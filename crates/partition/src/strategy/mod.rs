@@ -198,8 +198,9 @@ pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Sear
 /// this number of compartments, else into runs of positions. All others have cores of their own.
 ///
 /// # Errors
-/// [`DoesNotFit`](crate::error::CompileError::DoesNotFit) when a core has no slots for them, or another population does
-/// not fit; [`Input`](crate::error::CompileError::Input) when neurons have several compartments.
+/// [`DoesNotFit`](crate::error::CompileError::DoesNotFit) when a core has no slots for them, or
+/// another population does not fit; [`Input`](crate::error::CompileError::Input) when neurons have
+/// several compartments.
 fn stated_cores(filler: &Filler<'_>, stated: &[(PopulationId, u32)]) -> Result<FilledCores> {
     let (network, limits) = (filler.network, filler.target.limits());
     if !network.parts().children.is_empty() {
