@@ -1,6 +1,7 @@
 //! `nsim sweep`: its rows equal the results of single commands, and an interruption at any moment
 //! changes nothing.
 
+use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
@@ -187,6 +188,41 @@ fn threads_shards_and_kills_change_nothing() {
     assert!(warned.contains("no front: neither less nor more of populations.out.vth_mant"), "{warned}");
     assert!(std::fs::read_to_string(folder.join("p.svg")).unwrap().contains("energy (uJ a timestep)"));
     assert!(!std::fs::read_to_string(folder.join("p.csv")).unwrap().contains("front"), "no threshold is better");
+}
+
+#[test]
+fn a_journal_is_not_continued_with_changed_weights() {
+    let folder = tempfile::tempdir().unwrap();
+    let folder = folder.path();
+    let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
+    for name in ["slip-tactile.ron", "slip-tactile.safetensors"] {
+        std::fs::copy(models.join(name), folder.join(name)).unwrap();
+    }
+    let text =
+        r#"Sweep(model: "slip-tactile.ron", grid: [(paths: ["populations.touch.dv"], from: 100, to: 4000, step: 10)])"#;
+    std::fs::write(folder.join("s.ron"), text).unwrap();
+    let mut child = Command::new(assert_cmd::cargo::cargo_bin("nsim"))
+        .current_dir(folder)
+        .args(["sweep", "s.ron", "-o", "t.csv"])
+        .stderr(Stdio::null())
+        .stdout(Stdio::null())
+        .spawn()
+        .unwrap();
+    let lines = || std::fs::read_to_string(folder.join("t.csv.journal")).unwrap_or_default().lines().count();
+    while lines() < 3 {
+        assert!(child.try_wait().unwrap().is_none(), "the sweep ended without a journal");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    child.kill().unwrap();
+    child.wait().unwrap();
+    let (stored, weights) = (lines(), folder.join("slip-tactile.safetensors"));
+    let mut bytes = std::fs::read(&weights).unwrap();
+    let last = bytes.len() - 1;
+    bytes[last] ^= 1;
+    std::fs::write(&weights, bytes).unwrap();
+    let (status, _, error) = said(folder, "sweep s.ron -o t.csv");
+    assert!(status == 3 && error.contains("this is the journal of another sweep"), "{error}");
+    assert_eq!(lines(), stored);
 }
 
 #[test]
