@@ -1,6 +1,6 @@
 //! The pages of `nsim report`, opened by a browser without a network.
 //!
-//! Chromium draws every section of five pages. A pointer moves over each chart, each zoom is set,
+//! Chromium draws every section of six pages. A pointer moves over each chart, each zoom is set,
 //! each button of choices is pressed, and the page's errors and network loads are collected.
 //! Without Chromium that test prints `skipped`; the text of a page is still tested.
 
@@ -49,8 +49,16 @@ fn convolutions() -> String {
     )
 }
 
-/// Four pages: the shipped network with 32 copies, a trained one next to its integers, convolutions
-/// from another format, and 1,024 copies.
+/// Sigma-delta neurons whose output decides no class.
+const VALUES: &str = "Network(name: \"values\", timestep_ms: 1.0, target: \"oheo-gulch\",
+    populations: [Input(name: \"in\", shape: [4]),
+        SigmaDelta(name: \"h\", shape: [3], vth_mant: 4, bias_mant: 0, spike_exp: 0, state_exp: 0),
+        SigmaDelta(name: \"out\", shape: [2], vth_mant: 4, bias_mant: 0, spike_exp: 0, state_exp: 0)],
+    projections: [Dense(from: [\"in\"], to: \"h\", weights: [[4, 8, 2, 6], [2, 2, 4, 8], [8, 2, -4, 2]]),
+        Dense(from: [\"h\"], to: \"out\", weights: [[4, 8, 2], [2, -6, 4]])], output: \"out\")";
+
+/// Five pages: the shipped network with 32 copies, a trained one next to its integers, convolutions
+/// from another format, 1,024 copies, and a network of values.
 fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
     let slip = page(folder, "slip.html", &["vtsnn-slip", "--samples", "0..6", "--baseline", "rtx-2080-ti"]);
     let trained = page(folder, "trained.html", &["vtsnn-slip-srm", "--samples", "0..4", "--baseline"]);
@@ -60,7 +68,9 @@ fn pages(folder: &Path) -> Vec<(&'static str, PathBuf)> {
     let conv = page(folder, "conv.html", &["conv.nir", "--input", noise, "--baseline"]);
     let many = ["vtsnn-slip", "--copies", "1024", "--target", "pohoiki-springs", "--samples", "0..2", "--baseline"];
     let many = page(folder, "many.html", &many);
-    vec![("slip", slip), ("trained", trained), ("conv", conv), ("many", many)]
+    std::fs::write(folder.join("values.ron"), VALUES).unwrap();
+    let values = page(folder, "values.html", &["values.ron", "--input", noise, "--baseline"]);
+    vec![("slip", slip), ("trained", trained), ("conv", conv), ("many", many), ("values", values)]
 }
 
 /// A chain of this many populations.
@@ -110,6 +120,37 @@ fn of_many_populations_some_are_drawn_and_the_page_says_so() {
     let document = String::from_utf8_lossy(&output.stdout);
     assert!(document.contains("data-drawn=\"all\""), "not drawn");
     assert!(document.contains("The chart has 40 of 3\u{2009}001 populations"));
+}
+
+#[test]
+fn a_page_of_values_has_the_messages_of_its_outputs() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    std::fs::write(here.join("values.ron"), VALUES).unwrap();
+    let noise = "scene:noise?samples=1&steps=40&seed=2&rate=0.3";
+    let data = data(&page(here, "values.html", &["values.ron", "--input", noise, "--baseline"]));
+    let sample = &data["sample"];
+    assert_eq!(
+        (&sample["decides"], &sample["of_messages"], &data["confusion"]),
+        (&false.into(), &true.into(), &Value::Null)
+    );
+    let probes =
+        ["run", "values.ron", "--input", noise, "--probe", "out.message", "--probe-format", "csv", "-o", "traces"];
+    succeeds(here, &probes);
+    let name = std::fs::read_dir(here.join("traces")).unwrap().next().unwrap().unwrap().path();
+    let text = std::fs::read_to_string(name).unwrap();
+    let mut values = vec![vec![0; 40]; 2];
+    for line in text.lines().skip(1) {
+        let row: Vec<i64> = line.split(',').map(|cell| cell.parse().unwrap()).collect();
+        values[row[2] as usize][row[1] as usize] = row[3];
+    }
+    for (index, values) in values.iter().enumerate() {
+        let drawn = sample["potentials"].as_array().unwrap().iter().find(|one| one["name"] == format!("out[{index}]"));
+        assert_eq!(drawn.unwrap()["largest"], serde_json::json!(values), "{text}");
+        assert!(values.iter().any(|&value| value != 0), "{text}");
+    }
+    let values: Vec<&Value> = sample["rasters"].as_array().unwrap().iter().map(|one| &one["values"]).collect();
+    assert_eq!(values, [&false, &true, &true]);
 }
 
 #[test]
@@ -317,7 +358,7 @@ fn a_browser_draws_every_section_without_an_error_or_a_network() {
             "two" => vec!["compared", "origin"],
             _ => {
                 let agreement = ["agreement"].into_iter().filter(|_| compared);
-                let classes = ["classes"].into_iter().filter(|_| name != "conv");
+                let classes = ["classes"].into_iter().filter(|_| !matches!(name, "conv" | "values"));
                 common.into_iter().chain(agreement).chain(classes).chain(["origin"]).collect()
             }
         };

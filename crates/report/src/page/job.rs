@@ -29,9 +29,9 @@ use nsim_train::convert::staged::is_real;
 
 /// Greatest number of samples on which the trained and the deployed network are compared.
 const COMPARED: usize = 40;
-/// Compartments of a population, except the output, whose potentials are drawn, at most.
+/// Compartments of a population, except the output, whose potentials or messages are drawn, at most.
 const WATCHED_OF_EACH: usize = 3;
-/// Greatest number of compartments whose potentials are drawn.
+/// Greatest number of compartments whose potentials or messages are drawn.
 const WATCHED: usize = 12;
 /// A network with more synapses is not compared with its trained form.
 const MOST_COMPARED: u64 = 4_000_000;
@@ -53,23 +53,26 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Tran
         ..Sections::default()
     };
     if let (Some(first), Some(outcome)) = (samples.first(), run.outcomes.first()) {
-        let (ids, watched) = watched(network, &run.counts);
+        // Values that the outputs send are the result of a network that decides no class.
+        let quantity = if network.decides() { Quantity::Potential } else { Quantity::Message };
+        let (ids, watched) = watched(network, quantity, &run.counts);
         let tables = run.meter.tables()[..1].to_vec();
         let settings = workload.metered(tables, deployment, transport);
-        let timeline = workload.timeline(settings, first, (&ids, Quantity::Potential))?;
-        sections.sample = sample::json(network, &timeline, &watched, first, outcome);
+        let timeline = workload.timeline(settings, first, (&ids, quantity))?;
+        sections.sample = sample::json(network, &timeline, (quantity, &watched), first, outcome);
     }
     Ok(sections)
 }
 
-/// The trained network and its integers, from its file, if it has real numbers and is small enough
-/// to be compared.
+/// The trained network and its integers, from its file, if it has real numbers, neurons that run in
+/// them, and is small enough to be compared.
 ///
 /// # Errors
 /// As [`real_and_integers`].
 pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<(Graph, Quantised)>, Error> {
     let both = real_and_integers(file)?;
-    Ok(Some(both).filter(|(graph, _)| is_real(graph) && workload.compiled.one.synapses() <= MOST_COMPARED))
+    let few = workload.compiled.one.synapses() <= MOST_COMPARED;
+    Ok(Some(both).filter(|(graph, _)| is_real(graph) && graph.has_real_form().is_ok() && few))
 }
 
 /// Number of samples on which the trained and the deployed network are compared.
@@ -98,12 +101,12 @@ pub fn agreement(
     Ok(report.json())
 }
 
-/// The compartments whose potentials are drawn: the most active ones of the output, then of each
-/// other population.
-fn watched(network: &Quantised, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Traced>) {
+/// The compartments whose potentials or messages are drawn: the most active ones of the output, then
+/// of each other population.
+fn watched(network: &Quantised, quantity: Quantity, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Traced>) {
     let output = network.parts().output;
     let others = network.populations().ids().filter(|&id| id != output);
     let of_output = WATCHED_OF_EACH.max(network.parts().classes.len().min(6));
     let wanted = std::iter::once((output, None, of_output)).chain(others.map(|id| (id, None, WATCHED_OF_EACH)));
-    traced(network, wanted, Quantity::Potential, |id| counts.compartments[id], WATCHED)
+    traced(network, wanted, quantity, |id| counts.compartments[id], WATCHED)
 }

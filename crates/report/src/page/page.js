@@ -338,7 +338,7 @@
     const outputName = data.network.output;
     const heights = shown.map((raster) => Math.max(46, Math.min(170, 30 + 2.2 * Math.min(raster.units, 400 / 1))));
     const output = shown.find((raster) => raster.name === outputName);
-    const counted = output && output.every === 1 && output.units <= 24;
+    const counted = sample.decides && sample.by_spikes && output && output.every === 1 && output.units <= 24;
     const all = heights.concat(counted ? [150] : []);
     let top = 34;
     const grids = all.map((height) => { const grid = { left: 92, right: 24, top, height }; top += height + 26; return grid; });
@@ -361,7 +361,8 @@
       }
     }
     const reduced = shown.filter((raster) => raster.every > 1 || raster.cut).map((raster) => `${raster.name}: ${raster.every > 1 ? `one unit in ${raster.every}` : "all units"}${raster.cut ? ", the first spikes only" : ""}`);
-    chart(part, `A mark is a spike${counted ? "; below, the spikes of each output so far" : ""}.${reduced.length ? ` Reduced: ${reduced.join("; ")}.` : ""}`, top + 40, {
+    const values = shown.filter((raster) => raster.values).map((raster) => raster.name);
+    chart(part, `A mark is a spike${values.length ? `, of ${values.join(", ")} a message with a value` : ""}${counted ? "; below, the spikes of each output so far" : ""}.${reduced.length ? ` Reduced: ${reduced.join("; ")}.` : ""}`, top + 40, {
       tooltip: { trigger: "item", formatter: (at) => (at.seriesType === "scatter" ? `${escape(at.seriesName)}, unit ${at.value[1]}<br>timestep ${at.value[0]}` : `${escape(at.seriesName)}: ${at.value[1]} at ${at.value[0]}`) },
       toolbox, legend: counted ? { top: 4, left: 92, data: series.filter((one) => one.type === "line").map((one) => one.name) } : undefined,
       grid: grids, xAxis, yAxis, series, dataZoom: zoom(),
@@ -370,12 +371,14 @@
   function potentialsSection() {
     if (!sample || !sample.potentials.length) return;
     const group = sample.steps_a_point;
-    const part = section("potentials", "Potentials", `The voltage of the outputs and of the most active compartments of each population in the first sample, after the update and the reset of each timestep; a dashed line is a threshold.${group > 1 ? ` A point is the largest of ${group} timesteps.` : ""}`);
+    const messages = sample.of_messages;
+    const words = messages ? "The values that the outputs and the most active compartments of each population sent in the first sample; 0 where none was sent." : "The voltage of the outputs and of the most active compartments of each population in the first sample, after the update and the reset of each timestep; a dashed line is a threshold.";
+    const part = section("potentials", messages ? "Messages" : "Potentials", `${words}${group > 1 ? ` A point is the largest of ${group} timesteps.` : ""}`);
     const height = 84;
     let top = 26;
     const grids = sample.potentials.map(() => { const grid = { left: 120, right: 24, top, height: height - 18 }; top += height; return grid; });
     const last = grids.length - 1;
-    chart(part, "Voltage over timesteps", top + 56, {
+    chart(part, messages ? "Values over timesteps" : "Voltage over timesteps", top + 56, {
       tooltip: { trigger: "axis", axisPointer: { type: "line" }, valueFormatter: (x) => number(x) }, toolbox, axisPointer: { link: [{ xAxisIndex: "all" }] },
       grid: grids, dataZoom: zoom(),
       xAxis: grids.map((_, index) => ({ gridIndex: index, type: "value", min: 0, max: sample.steps, axisLabel: { show: index === last }, axisTick: { show: index === last }, splitLine: { show: false }, ...(index === last ? axisName("timestep", 24) : {}) })),
