@@ -116,6 +116,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     let weights = args.output.as_deref().map(job::weights_path);
     let on_stdout = args.output.as_deref().is_some_and(io::text::is_standard_stream);
     refuse_if(on_stdout, "-o -: a trained model has weights, which need a file next to it")?;
+    if args.output.is_none() {
+        tracing::warn!("the trained network is not written: add -o MODEL.ron");
+    }
     let taken = output::check_files(args.output.iter().chain(&weights).chain(&args.log), None, context)?;
     let data = {
         let _busy = output::spinner("reading or making samples");

@@ -172,26 +172,27 @@ impl Reason {
     pub fn of_mapping(target: &Target, copies: u32, cores: u64, of_each: BTreeMap<PopulationId, Tightest>) -> Self {
         let most = of_each.into_values().max_by_key(|one| one.cores);
         let taken = Some(most.map_or(MappingUse::Uncounted, |most| MappingUse::Tightest(Box::new(most))));
-        let bound = Reason::of_cores(target, copies, cores);
-        let help = bound.help.replacen("with at least", "of", 1);
-        Reason { taken, help, ..bound }
+        let help = larger(copies, &format!("a target of {cores} cores"));
+        Reason { taken, help, ..Reason::of_cores(target, copies, cores) }
     }
 
     /// Any mapping needs more cores than the target has.
     pub fn of_cores(target: &Target, copies: u32, need: u64) -> Self {
-        Reason::new(Capacity::Cores, need, u64::from(target.cores()), larger(copies, need))
+        Reason::new(Capacity::Cores, need, u64::from(target.cores()), larger(copies, MORE_CORES))
     }
 
     /// More compartments are needed than the whole target has.
     pub fn of_compartments(target: &Target, limits: &Limits, copies: u32, need: u64) -> Self {
         let limit = u64::from(target.cores()) * u64::from(limits[Resource::Compartments]);
-        let cores = need.div_ceil(u64::from(limits[Resource::Compartments]));
-        Reason::new(Resource::Compartments.into(), need, limit, larger(copies, cores))
+        Reason::new(Resource::Compartments.into(), need, limit, larger(copies, MORE_CORES))
     }
 }
 
-fn larger(copies: u32, cores: u64) -> String {
-    let other =
-        if copies > 1 { format!("map fewer than {copies} copies") } else { "use a smaller network".to_string() };
-    format!("choose a target with at least {cores} cores, or {other}")
+/// The target to choose where only a bound on the number of cores is known: a target of that size
+/// may be too small.
+const MORE_CORES: &str = "a target with more cores";
+
+fn larger(copies: u32, target: &str) -> String {
+    let other = if copies > 1 { "map fewer copies" } else { "use a smaller network" };
+    format!("choose {target}, or {other}")
 }
