@@ -246,6 +246,8 @@ struct Survey {
     fires: IdVec<CompartmentId, bool>,
     /// New index of each compartment in its population; `None` when it is pruned.
     place: IdVec<CompartmentId, Option<u32>>,
+    /// Whether no compartment of a population is pruned.
+    complete: IdVec<PopulationId, bool>,
 }
 
 impl Survey {
@@ -257,12 +259,13 @@ impl Survey {
         whole: &IdVec<PopulationId, bool>,
         tally: &mut Tally,
     ) -> Survey {
-        let mut place = IdVec::new();
+        let (mut place, mut complete) = (IdVec::new(), IdVec::new());
         for (id, population) in network.populations().enumerate() {
             match &population.units {
                 Units::Input(first) => {
                     let dead = (0..population.shape.len()).filter(|index| dead[ChannelId(first.0 + index)]);
                     tally.add(Kind::DeadInput, &population.name, dead.count() as u64);
+                    complete.push(true);
                 }
                 Units::Compartments { first, .. } => {
                     let (mut next, mut silent, mut unreachable) = (0, 0, 0);
@@ -273,12 +276,13 @@ impl Survey {
                         silent += u64::from(!stays && !fires[compartment]);
                         unreachable += u64::from(!stays && fires[compartment]);
                     }
+                    complete.push(next == population.shape.len());
                     tally.add(Kind::SilentCompartment, &population.name, silent);
                     tally.add(Kind::UnreachableCompartment, &population.name, unreachable);
                 }
             }
         }
-        Survey { dead, fires, place }
+        Survey { dead, fires, place, complete }
     }
 }
 
@@ -366,7 +370,7 @@ fn thinned(network: &Quantised, projection: &Projection, survey: &Survey, tally:
     if left == 0 {
         return None;
     }
-    let complete = (0..source.shape.len()).all(stays) && (0..target.shape.len()).all(|index| place(index).is_some());
+    let complete = survey.complete[projection.source] && survey.complete[projection.target];
     if zero + loose == 0 && complete {
         return Some(projection.connectivity.clone());
     }
