@@ -245,7 +245,7 @@ fn command(line: &[OsString], asked: Format) -> ExitCode {
         }
     };
     log::start(cli.verbose, cli.quiet, matches!(cli.command, Command::Run(_)));
-    if let Err(message) = nsim_machine::update::width::check() {
+    if let Err(message) = nsim_machine::lanes::width::check() {
         return diagnostics::report(&Error::Usage(message), cli.format);
     }
     // `--set` of a training names fields of the training file.

@@ -164,28 +164,53 @@ fn crates_are_few_and_none_is_large() {
     hold("a crate has at most 13,000 lines", large.map(|(name, lines)| format!("{name}: {lines} lines")));
 }
 
-#[test]
-fn no_file_depends_on_itself() {
-    let mut wrong = Vec::new();
-    for (name, sources) in &*CRATES {
-        let edges = sources.graph();
-        let mut graph = DiGraph::<usize, ()>::new();
-        let nodes: Vec<_> = (0..edges.len()).map(|file| graph.add_node(file)).collect();
-        for (from, to) in edges.iter().enumerate().flat_map(|(from, edges)| edges.keys().map(move |to| (from, *to))) {
-            graph.add_edge(nodes[from], nodes[to], ());
-        }
-        for component in tarjan_scc(&graph).into_iter().filter(|component| component.len() > 1) {
-            let cycle: BTreeSet<usize> = component.into_iter().map(|node| graph[node]).collect();
-            wrong.push(format!("{name}: a cycle of {} files:", cycle.len()));
-            for &from in &cycle {
-                for (to, names) in edges[from].iter().filter(|(to, _)| cycle.contains(to)) {
-                    let [from, to] = [from, *to].map(|file| &sources.files[file].path);
-                    wrong.push(format!("  {from} -> {to}: {}", names.join(", ")));
-                }
-            }
+/// Cycles among groups of a crate's files, and the paths in the code that make them. A file without
+/// a group is omitted.
+fn cycles(sources: &Sources, group: fn(&SourceFile) -> Option<&str>) -> Vec<String> {
+    let mut edges: BTreeMap<(&str, &str), Vec<String>> = BTreeMap::new();
+    for (from, targets) in sources.files.iter().zip(sources.graph()) {
+        for (target, names) in targets {
+            let Some((from, to)) = group(from).zip(group(&sources.files[target])).filter(|(from, to)| from != to)
+            else {
+                continue;
+            };
+            edges.entry((from, to)).or_default().extend(names);
         }
     }
-    assert!(wrong.is_empty(), "files depend on each other without cycles:\n{}", wrong.join("\n"));
+    let names: BTreeSet<&str> = edges.keys().flat_map(|&(from, to)| [from, to]).collect();
+    let mut graph = DiGraph::<&str, ()>::new();
+    let nodes: BTreeMap<&str, _> = names.into_iter().map(|name| (name, graph.add_node(name))).collect();
+    for (from, to) in edges.keys() {
+        graph.add_edge(nodes[from], nodes[to], ());
+    }
+    let components = tarjan_scc(&graph).into_iter().filter(|component| component.len() > 1);
+    let components: Vec<Vec<&str>> =
+        components.map(|component| component.into_iter().map(|node| graph[node]).collect()).collect();
+    let in_cycle = |from, to| components.iter().any(|cycle| cycle.contains(&from) && cycle.contains(&to));
+    let wrong = edges.into_iter().filter(|((from, to), _)| in_cycle(*from, *to));
+    wrong.map(|((from, to), names)| format!("  {from} -> {to}: {}", names.join(", "))).collect()
+}
+
+/// Prints the cycles of all crates.
+fn no_cycles(rule: &str, group: fn(&SourceFile) -> Option<&str>) {
+    hold(
+        rule,
+        CRATES.iter().flat_map(|(name, sources)| {
+            let wrong = cycles(sources, group);
+            (!wrong.is_empty()).then(|| format!("{name}:\n{}", wrong.join("\n")))
+        }),
+    );
+}
+
+#[test]
+fn no_file_depends_on_itself() {
+    no_cycles("files depend on each other without cycles", |file| Some(&file.path));
+}
+
+/// The root, `lib.rs`, uses all of them and re-exports some.
+#[test]
+fn no_folder_of_a_crate_depends_on_itself() {
+    no_cycles("folders of a crate depend on each other without cycles", |file| file.module.first().map(String::as_str));
 }
 
 #[test]

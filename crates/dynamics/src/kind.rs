@@ -57,7 +57,7 @@ pub struct Fields {
     pub start_step: u32,
     /// The step from which periodic resets are counted.
     pub resets_from: u32,
-    /// Whether the machine's vector form (`machine::update::kernel`) computes the same updates.
+    /// Whether the machine's vector form (`machine::lanes::kernel`) computes the same updates.
     pub vectors: bool,
 }
 

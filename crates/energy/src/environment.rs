@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use nsim_machine::update::width;
+use nsim_machine::lanes::width;
 
 /// The machine and program on which a measured time depends.
 #[derive(Debug, Clone, PartialEq, Eq, serde::Serialize)]

@@ -4,37 +4,43 @@
 //! spikes, registers, and the counts of the mapped program. A [`Machine`] is the state of one run.
 //! Energy and time are computed from the counts (`cost`).
 //!
+//! Folders from the lowest; each uses only those before it:
+//!
+//! - `store`, `prefetch`, `bits`: memory aligned for the caches, its prefetching, and sets of bits.
+//! - `lanes/`: compartments in lanes, sixteen at a time, and their update.
+//! - `count/`: counts that a spike causes on the chip.
 //! - `layout/`: a program as an image: compartments in lanes, synapses in dense blocks and lists.
 //! - `deliver/`: spikes into the delay ring.
-//! - `update/`: compartments, sixteen at a time; `exchange`: the spikes of all shards in one list.
-//! - `count/`: counts that spikes cause on the chip.
+//! - `update/`: the compartments of a shard; `exchange`: the spikes of all shards in one list.
+//! - `plastic/`: a rule that changes weights; `spike_counts`: the activity of a run.
 //! - `ranks/`: one program run by several processes, each with a machine for its part.
-//! - `plastic/`: synapses whose weights a run may change.
-//! - `store`, `bits`: memory aligned for the caches, and sets of bits.
 
 mod bits;
 pub(crate) mod count;
 pub(crate) mod deliver;
 mod exchange;
+pub mod lanes;
 pub mod layout;
 pub mod plastic;
+mod prefetch;
 pub mod ranks;
+mod spike_counts;
 mod store;
-pub mod update;
+mod update;
 
 use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::count::spike_counts::SpikeCounts;
+use crate::lanes::width;
 pub use crate::layout::image::{Image, ImageError};
 use crate::plastic::learning::Learning;
 use crate::plastic::places::PlasticPlace;
 use crate::ranks::exchange::Exchange;
 use crate::ranks::transport::Ranks;
+use crate::spike_counts::SpikeCounts;
 use crate::update::state::{Phase, ShardState, StepInput};
 use crate::update::step::Step;
-use crate::update::width;
 use nsim_dynamics as neuron;
 use nsim_ir::activity::{Activity, Overflow, StepActivity, Totals};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};

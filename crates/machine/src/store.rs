@@ -9,7 +9,7 @@ use std::ops::{Deref, DerefMut, Range};
 
 use memmap2::MmapMut;
 
-use crate::deliver::prefetch::LINE;
+use crate::prefetch::LINE;
 
 /// Size of a large page.
 const LARGE: usize = 2 << 20;

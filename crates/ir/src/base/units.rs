@@ -3,9 +3,12 @@
 //!
 //! One femtojoule is a thousandth of the least published event energy; one picosecond a hundredth
 //! of the least published time. Sums are exact, so totals do not depend on the order of addition.
+//! [`Unit`] has the units in which a person writes them.
 
 use std::iter::Sum;
 use std::ops::{Add, AddAssign, Mul};
+
+use serde::{Deserialize, Serialize};
 
 macro_rules! quantity {
     ($(#[$doc:meta])* $name:ident($repr:ty)) => {
@@ -85,6 +88,75 @@ impl Nanowatts {
     #[must_use]
     pub fn during(self, time: Picoseconds) -> Femtojoules {
         Femtojoules(u128::from(self.0) * u128::from(time.0) / 1_000_000)
+    }
+}
+
+/// The unit of a constant.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
+#[allow(non_camel_case_types, missing_docs)]
+pub enum Unit {
+    pJ,
+    ns,
+    us,
+    mW,
+    messages,
+    ratio,
+}
+
+/// Units of values on the command line, each with the unit in which such a value is stored, and the
+/// factor to that unit.
+const UNITS: [(&str, Unit, f64); 11] = [
+    ("fJ", Unit::pJ, 1e-3),
+    ("pJ", Unit::pJ, 1.0),
+    ("nJ", Unit::pJ, 1e3),
+    ("uJ", Unit::pJ, 1e6),
+    ("ps", Unit::ns, 1e-3),
+    ("ns", Unit::ns, 1.0),
+    ("us", Unit::ns, 1e3),
+    ("ms", Unit::ns, 1e6),
+    ("uW", Unit::mW, 1e-3),
+    ("mW", Unit::mW, 1.0),
+    ("W", Unit::mW, 1e3),
+];
+
+impl Unit {
+    /// The suffix of a number in this unit.
+    pub fn suffix(self) -> &'static str {
+        match self {
+            Unit::pJ => "pJ",
+            Unit::ns => "ns",
+            Unit::us => "us",
+            Unit::mW => "mW",
+            Unit::messages | Unit::ratio => "",
+        }
+    }
+
+    /// Converts a value such as `0.4us` to this unit. Some constants of time are in ns and others
+    /// in us, so a time without its unit is refused.
+    ///
+    /// # Errors
+    /// A sentence for a text that is no number, or is in a unit of another quantity.
+    pub fn parsed(self, typed: &str) -> Result<f64, String> {
+        let typed = typed.trim();
+        let end = typed.len() - typed.chars().rev().take_while(char::is_ascii_alphabetic).count();
+        let (number, unit) = (typed[..end].trim(), &typed[end..]);
+        let number: f64 = number.parse().map_err(|_| format!("{typed} is not a number"))?;
+        let (measured, each) = match self {
+            Unit::us => (Unit::ns, 1e3),
+            other => (other, 1.0),
+        };
+        if unit.is_empty() {
+            return match measured {
+                Unit::ns => Err(format!("{typed} has no unit, but constants of time are in ns or in us")),
+                _ => Ok(number),
+            };
+        }
+        match UNITS.iter().find(|(name, of, _)| *name == unit && *of == measured) {
+            // Multiplied before it is divided, so that 400 ns is exactly 0.4 us.
+            Some((.., factor)) if *factor >= 1.0 => Ok(number * factor / each),
+            Some((.., factor)) => Ok(number / (1.0 / factor).round() / each),
+            None => Err(format!("{unit} is not a valid unit for a constant in {}", self.suffix())),
+        }
     }
 }
 

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::base::diagnostic::{Diagnostic, Result, SourceText};
 use crate::base::names::named_variants;
+pub use crate::base::units::Unit;
 use crate::spanned::Spanned;
 
 /// Confidence in a constant, the most trusted first.
@@ -34,80 +35,11 @@ named_variants!(Status {
     Published = "published", Calibrated = "calibrated", Assumed = "assumed"; Status::NotGiven => "not given"
 });
 
-/// The unit of a constant.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, Serialize)]
-#[allow(non_camel_case_types, missing_docs)]
-pub enum Unit {
-    pJ,
-    ns,
-    us,
-    mW,
-    messages,
-    ratio,
-}
-
 /// The origin of a value from the command line, in [`Constants::stated_in`].
 pub const SET_OPTION: &str = "--set";
 
 /// The name of the barrier times among constants.
 pub const BARRIER: &str = "barrier";
-
-/// Units of values on the command line, each with the unit in which such a value is stored, and the
-/// factor to that unit.
-const UNITS: [(&str, Unit, f64); 11] = [
-    ("fJ", Unit::pJ, 1e-3),
-    ("pJ", Unit::pJ, 1.0),
-    ("nJ", Unit::pJ, 1e3),
-    ("uJ", Unit::pJ, 1e6),
-    ("ps", Unit::ns, 1e-3),
-    ("ns", Unit::ns, 1.0),
-    ("us", Unit::ns, 1e3),
-    ("ms", Unit::ns, 1e6),
-    ("uW", Unit::mW, 1e-3),
-    ("mW", Unit::mW, 1.0),
-    ("W", Unit::mW, 1e3),
-];
-
-impl Unit {
-    /// The suffix of a number in this unit.
-    pub fn suffix(self) -> &'static str {
-        match self {
-            Unit::pJ => "pJ",
-            Unit::ns => "ns",
-            Unit::us => "us",
-            Unit::mW => "mW",
-            Unit::messages | Unit::ratio => "",
-        }
-    }
-
-    /// Converts a value such as `0.4us` to this unit. Some constants of time are in ns and others
-    /// in us, so a time without its unit is refused.
-    ///
-    /// # Errors
-    /// A sentence for a text that is no number, or is in a unit of another quantity.
-    pub fn parsed(self, typed: &str) -> Result<f64, String> {
-        let typed = typed.trim();
-        let end = typed.len() - typed.chars().rev().take_while(char::is_ascii_alphabetic).count();
-        let (number, unit) = (typed[..end].trim(), &typed[end..]);
-        let number: f64 = number.parse().map_err(|_| format!("{typed} is not a number"))?;
-        let (measured, each) = match self {
-            Unit::us => (Unit::ns, 1e3),
-            other => (other, 1.0),
-        };
-        if unit.is_empty() {
-            return match measured {
-                Unit::ns => Err(format!("{typed} has no unit, but constants of time are in ns or in us")),
-                _ => Ok(number),
-            };
-        }
-        match UNITS.iter().find(|(name, of, _)| *name == unit && *of == measured) {
-            // Multiplied before it is divided, so that 400 ns is exactly 0.4 us.
-            Some((.., factor)) if *factor >= 1.0 => Ok(number * factor / each),
-            Some((.., factor)) => Ok(number / (1.0 / factor).round() / each),
-            None => Err(format!("{unit} is not a valid unit for a constant in {}", self.suffix())),
-        }
-    }
-}
 
 /// The value of a constant by one group of authors.
 #[derive(Debug, Clone, PartialEq, Deserialize)]

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 
 pub use tree::{Assignment, Expression, Interval, Node, Operation, Problem, Variable};
 
-use crate::hardware::constants::Unit;
+use crate::base::units::Unit;
 use text::{Parser, Scope};
 use tree::{MOST_TEMPORARIES, is_name};
 

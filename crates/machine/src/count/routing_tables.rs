@@ -7,7 +7,7 @@
 //! with three misses in caches and page tables. Input axons are numbered by source, so the messages
 //! of neighbouring sources to one core select adjacent lists.
 
-use crate::deliver::prefetch::prefetch;
+use crate::prefetch::prefetch;
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::program::{AxonTarget, CoreClass, CoreFormat, InputTable, Messages, Program, Synapse};
 

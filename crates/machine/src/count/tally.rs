@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use self_cell::self_cell;
 
 use crate::count::effects::{Effect, Events};
-use crate::deliver::prefetch::prefetch;
+use crate::prefetch::prefetch;
 use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec};

@@ -4,7 +4,7 @@
 //! are small enough, and in 64 afterwards: weight times payload has up to 47 bits. The payload is a
 //! type, so that delivery of binary spikes has no multiplication and no look-up.
 
-use crate::update::kernel::{LANES, Sum};
+use crate::lanes::kernel::{LANES, Sum};
 
 /// A sum to which spikes with this payload can add.
 pub(crate) trait Accumulate<P>: Sum {

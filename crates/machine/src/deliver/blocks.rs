@@ -2,8 +2,8 @@
 
 use crate::deliver::accumulate::{Accumulate, add_weights};
 use crate::deliver::delay_ring::DelayRing;
+use crate::lanes::kernel::{LANES, Sum};
 use crate::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
-use crate::update::kernel::{LANES, Sum};
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {

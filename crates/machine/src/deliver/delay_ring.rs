@@ -3,11 +3,11 @@
 use std::ops::Range;
 
 use crate::bits::ones;
+use crate::lanes::kernel::{LANES, Sum};
 use crate::layout::lists::ADDRESSED;
 use crate::layout::shard::SKIP_BLOCK;
 use crate::layout::weight_rows::RowPlace;
 use crate::store::Aligned;
-use crate::update::kernel::{LANES, Sum};
 
 /// Arrivals of the coming steps, one slot a step.
 #[derive(Debug)]

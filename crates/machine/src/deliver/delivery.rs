@@ -7,9 +7,9 @@ use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::DelayRing;
 use crate::deliver::lists::with_list;
 use crate::deliver::rows::RowDelivery;
+use crate::lanes::kernel::Sum;
 use crate::layout::fan_out::FanOuts;
 use crate::layout::shard::SKIP_BLOCK;
-use crate::update::kernel::Sum;
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {
@@ -63,10 +63,10 @@ impl<S: Sum> DelayRing<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::kernel::LANES;
     use crate::layout::dense_blocks::{DenseBlock, LaneRange};
     use crate::layout::flatten::Flattened;
     use crate::layout::lists::{LaneWeight, ListForm};
-    use crate::update::kernel::LANES;
     use nsim_ir::base::id::{ChannelId, Id};
     use nsim_ir::base::rng;
 

@@ -2,9 +2,9 @@
 
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::DelayRing;
+use crate::lanes::kernel::Sum;
 use crate::layout::lists::{ADDRESSED, ListForm, ListTable};
 use crate::layout::shard::SKIP_BLOCK;
-use crate::update::kernel::Sum;
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {

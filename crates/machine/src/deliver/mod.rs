@@ -5,7 +5,6 @@
 //! - `plastic`: the loop over synapses whose weights are state.
 //! - `accumulate`: the contribution of one spike, the weight or weight times payload.
 //! - `delay_ring`: the sums of arrivals.
-//! - `prefetch`: prefetching of the cache lines of lists.
 
 pub(crate) mod accumulate;
 pub(crate) mod blocks;
@@ -13,5 +12,4 @@ pub(crate) mod delay_ring;
 pub(crate) mod delivery;
 pub(crate) mod lists;
 pub(crate) mod plastic;
-pub(crate) mod prefetch;
 pub(crate) mod rows;

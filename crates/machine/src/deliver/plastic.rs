@@ -2,8 +2,8 @@
 
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::DelayRing;
-use crate::plastic::synapses::PlasticSynapses;
-use crate::update::kernel::Sum;
+use crate::lanes::kernel::Sum;
+use crate::layout::plastic::PlasticSynapses;
 use nsim_ir::spikes::Spike;
 
 impl<S: Sum> DelayRing<S> {

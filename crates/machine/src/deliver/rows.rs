@@ -9,10 +9,10 @@
 //! are added. Otherwise each row is added separately.
 
 use crate::deliver::accumulate::{Accumulate, add_weights};
-use crate::deliver::prefetch::prefetch;
+use crate::lanes::kernel::LANES;
 use crate::layout::shard::SKIP_BLOCK;
 use crate::layout::weight_rows::{RowPlace, RowTable, Stencil, UNCHECKED_ROWS};
-use crate::update::kernel::LANES;
+use crate::prefetch::prefetch;
 use nsim_ir::spikes::Spike;
 
 /// Least average number of spikes of a group for which they are added together.
@@ -253,8 +253,8 @@ fn enqueue_rows<P: Spike>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::kernel::Sum;
     use crate::layout::weight_rows::table;
-    use crate::update::kernel::Sum;
     use nsim_ir::base::id::{ChannelId, Id};
     use nsim_ir::base::rng;
     use nsim_ir::spikes::GradedSpike;

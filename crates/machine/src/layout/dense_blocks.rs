@@ -7,9 +7,9 @@
 
 use std::ops::Range;
 
+use crate::lanes::kernel::LANES;
 use crate::layout::planner::PlannedBlock;
 use crate::store::Aligned;
-use crate::update::kernel::LANES;
 use nsim_ir::spikes::Spike;
 
 /// Consecutive lanes for which each source of a dense block has weights.

@@ -11,8 +11,8 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::count::routing_tables::RoutingTables;
+use crate::lanes::sums::Sums;
 use crate::layout::lists::{LaneWeight, ListBuilder};
-use crate::layout::sums::Sums;
 use crate::layout::weight_rows::{AxonRow, ProgramRows, RowBuilder, RowPlace};
 use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::id::Id;
@@ -192,8 +192,8 @@ impl<'a> Flattener<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::lanes::lane_order::LaneOrder;
     use crate::layout::image::Image;
-    use crate::layout::lane_order::LaneOrder;
     use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
     use nsim_ir::base::csr::Csr;
     use nsim_ir::base::fixed::{Delay, SignMode, WeightBits, WeightExponent};

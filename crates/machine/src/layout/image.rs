@@ -11,17 +11,17 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::count::residual::Residual;
 use crate::count::tally::{ProgramTally, Tally};
+use crate::lanes::kernel::{BlockParameters, LANES};
+use crate::lanes::lane_order::LaneOrder;
+use crate::lanes::sums::{Sums, stride};
 use crate::layout::delivery_cost::DeliveryParts;
 use crate::layout::fan_out::FanOuts;
 use crate::layout::flatten::Flattener;
-use crate::layout::lane_order::LaneOrder;
+use crate::layout::plastic::PlasticSynapses;
+use crate::layout::residual::Residual;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
-use crate::layout::sums::{Sums, stride};
 use crate::layout::weight_rows::{ProgramRows, WeightRows};
-use crate::plastic::synapses::PlasticSynapses;
-use crate::update::kernel::{BlockParameters, LANES};
 use nsim_dynamics as neuron;
 use nsim_dynamics::Fields;
 use nsim_dynamics::kinds::Updater;

@@ -10,7 +10,7 @@
 
 use std::ops::Range;
 
-use crate::deliver::prefetch::{LINE, prefetch};
+use crate::prefetch::{LINE, prefetch};
 use crate::store::Store;
 use nsim_ir::spikes::Spike;
 

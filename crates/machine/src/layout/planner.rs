@@ -6,9 +6,9 @@
 //! many zeros. But a chunk takes the memory of eight listed synapses or more. So blocks with many
 //! zeros do not pay in networks that fit no cache.
 
+use crate::lanes::kernel::LANES;
 use crate::layout::delivery_cost::DELIVERY_COST as COST;
 use crate::layout::padded_runs::{Packing, RunForm};
-use crate::update::kernel::LANES;
 
 /// Bytes of a synapse in a list.
 const LISTED: usize = Packing::SYNAPSE;

@@ -9,9 +9,9 @@
 
 use std::sync::Arc;
 
+use crate::lanes::sums::Sum;
 use crate::layout::fan_out::FanOuts;
-use crate::layout::sums::Sum;
-use crate::plastic::synapses::PlasticSynapses;
+use crate::layout::plastic::PlasticSynapses;
 use nsim_dynamics::kinds::{CHUNK, Updater};
 use nsim_ir::base::id::{CompartmentId, CoreId};
 

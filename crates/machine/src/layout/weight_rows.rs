@@ -16,11 +16,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::deliver::prefetch::prefetch;
+use crate::lanes::kernel::LANES;
+use crate::lanes::lane_order::LaneOrder;
 use crate::layout::delivery_cost::DELIVERY_COST as COST;
-use crate::layout::lane_order::LaneOrder;
 use crate::layout::padded_runs::{Packing, RunForm};
-use crate::update::kernel::LANES;
+use crate::prefetch::prefetch;
 use nsim_dynamics::arithmetic::units;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::id::{ClassId, CoreId, Id};

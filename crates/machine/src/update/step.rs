@@ -7,9 +7,9 @@
 
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::DelayRing;
+use crate::lanes::kernel::{Portable, Sum, Vectors};
 use crate::layout::image::Image;
 use crate::layout::shard::Shard;
-use crate::update::kernel::{Portable, Sum, Vectors};
 use crate::update::state::{CompartmentState, Rings, ShardState, StepInput};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
 use nsim_ir::spikes::{GradedSpike, Spike};

@@ -9,7 +9,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::layout::lane_order::LaneOrder;
+use crate::lanes::lane_order::LaneOrder;
 use nsim_dynamics::arithmetic::sum_shift;
 use nsim_dynamics::kinds::MOST_LANES;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id};

@@ -451,7 +451,7 @@ mod tests {
     #[test]
     fn sixteen_lanes_are_sixteen_compartments() {
         let (mut spikes, mut overflows) = (0, 0);
-        let narrower = crate::update::width::halved();
+        let narrower = crate::lanes::width::halved();
         if !matches!(pulp::Arch::new(), pulp::Arch::V4(_)) {
             // The harness hides the output of `println!` of a test that passes.
             let mut seen = std::io::stderr();

@@ -8,7 +8,7 @@
 //! summed and compared when forms are made. Here a run stores mantissas, which could not be
 //! recovered after scaling by a negative exponent.
 
-use crate::layout::sums::Sums;
+use crate::lanes::sums::Sums;
 use nsim_dynamics::arithmetic::scaled;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::WEIGHT_SHIFT;

@@ -8,7 +8,7 @@
 use pulp::cast;
 use pulp::x86::V4;
 
-use crate::update::kernel::{BlockParameters, Chunks, Effect, HOLD_BASE, LANES, Sum, Vectors};
+use crate::lanes::kernel::{BlockParameters, Chunks, Effect, HOLD_BASE, LANES, Sum, Vectors};
 use nsim_ir::base::fixed::{UV_BITS, WEIGHT_SHIFT};
 
 #[cfg(target_arch = "x86_64")]
