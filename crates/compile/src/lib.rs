@@ -15,11 +15,12 @@ mod pilotnet_tests;
 pub mod place;
 #[cfg(test)]
 mod prune_tests;
+pub mod spread;
 pub mod stages;
 #[cfg(test)]
 mod tests;
 
-use crate::place::spread::spread;
+use crate::spread::spread;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;

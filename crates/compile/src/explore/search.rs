@@ -17,7 +17,7 @@ use crate::explore::choice::{Bursts, Candidate, Choice, MappedCandidate, ScoredC
 use crate::explore::cost_estimate::{Score, score_at};
 use crate::mapping::Mapping;
 use crate::mapping_file::file_of_boxes;
-use crate::place::spread::spread;
+use crate::spread::spread;
 use crate::stages::{Front, Unchecked};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;

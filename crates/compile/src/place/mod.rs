@@ -22,7 +22,6 @@ pub mod anneal;
 pub mod link_loads;
 pub mod nets;
 pub mod ranks;
-pub mod spread;
 
 use std::collections::BTreeMap;
 

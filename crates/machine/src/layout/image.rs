@@ -27,9 +27,9 @@ use nsim_dynamics::Fields;
 use nsim_dynamics::kinds::Updater;
 use nsim_dynamics::{arithmetic, kinds};
 use nsim_ir::arithmetic::Semantics;
-use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use nsim_ir::neurons::ParameterRow;
-use nsim_ir::program::{CoreClass, Program};
+use nsim_ir::program::{Compartment, CoreClass, CoreImage, Parts, Program};
 use nsim_ir::quantised::connectivity::SeparateSum;
 use nsim_ir::quantised::{Neuron, Reset};
 use nsim_ir::spikes::Message;
@@ -253,102 +253,67 @@ impl Image {
 
     /// Lays compartments out in lanes over all shards and returns their blocks.
     fn lay_out(&mut self, sums: &Sums) -> Vec<CoreBlock> {
-        let parts = self.program.parts();
-        let mut known = HashMap::new();
-        let (mut blocks, mut lane) = (Vec::new(), 0u32);
+        let program = Arc::clone(&self.program);
+        let order = LaneOrder::new(&program);
+        let (mut known, mut blocks, mut lane) = (HashMap::new(), Vec::new(), 0u32);
         // Parameters and population of the last block, if it is updated as vectors.
-        let mut last: Option<(u32, usize)> = None;
-        let order = LaneOrder::new(&self.program);
-        for (core, core_image) in parts.cores.enumerate().filter(|(core, _)| self.program.is_local(*core)) {
-            let slots = order.slots(core);
-            let ids: Vec<CompartmentId> = slots.iter().map(|&slot| core_image.ids[usize::from(slot)]).collect();
-            let field_of: Vec<u32> = slots
-                .iter()
-                .map(|&slot| {
-                    let compartment = parts.classes[core_image.class].compartments[usize::from(slot)];
-                    *known.entry((compartment.neuron, compartment.start_step)).or_insert_with(|| {
-                        let (neuron, start) = (compartment.neuron, compartment.start_step);
-                        let fields = neuron::fields(&neuron, start, parts.semantics, parts.threshold);
-                        self.shared.push(BlockParameters::from(&fields));
-                        self.fields.push(fields);
-                        self.fields.len() as u32 - 1
-                    })
-                })
-                .collect();
-            // Weights of dense blocks are aligned when a population begins with a core block of its
-            // own.
-            let kind_of: Vec<(u32, usize)> =
-                ids.iter().zip(&field_of).map(|(&id, &f)| (f, order.population(id))).collect();
-            let mut slot = 0;
-            while slot < field_of.len() {
+        let mut last_run: Option<(u32, usize)> = None;
+        for (core, CoreImage { class, ids, .. }) in program.cores().enumerate() {
+            if !program.is_local(core) {
+                continue;
+            }
+            let (slots, compartments) = (order.slots(core), &program.classes()[*class].compartments);
+            let ids: Vec<CompartmentId> = slots.iter().map(|&slot| ids[usize::from(slot)]).collect();
+            let field_of: Vec<u32> =
+                slots.iter().map(|&slot| self.field(&compartments[usize::from(slot)], &mut known)).collect();
+            let populations = ids.iter().map(|&id| order.population(id)).collect();
+            let mut at = 0;
+            while at < ids.len() {
+                let members =
+                    CoreLanes { image: self, sums, ids: &ids, field_of: &field_of, populations: &populations };
                 // No padding between cores: it would be a third of a large network.
-                if last != Some(kind_of[slot]) {
+                if last_run != Some(members.run_of(at)) {
                     lane = lane.next_multiple_of(LANES as u32);
                 }
-                let of = |slot: usize| &self.fields[field_of[slot] as usize];
-                let has_words = |slot: usize| !of(slot).neuron.kind.table().registers;
-                let in_neuron = |slot: usize| !of(slot).neuron.stack.is_unused();
-                let (list, length, taken) = if has_words(slot) {
-                    let kind = of(slot).neuron.kind;
-                    let list = sums.list(ids[slot], kind.table().ports);
-                    let count = sums.get(list).len();
-                    lane = lane.next_multiple_of(if count > 1 { SKIP_BLOCK } else { LANES } as u32);
-                    let room = if count > 1 { stride(count) } else { SKIP_BLOCK - lane as usize % SKIP_BLOCK };
-                    let same = |&at: &usize| {
-                        let [own, other] = [at, slot].map(|at| (of(at).neuron.shift, of(at).start_step, kind_of[at].1));
-                        (of(at).neuron.kind, own) == (kind, other)
-                    };
-                    let length = (slot..field_of.len()).take(room).take_while(same).count();
-                    last = None;
-                    (list, length, if count > 1 { SKIP_BLOCK } else { length })
-                } else if in_neuron(slot) {
-                    // A block takes whole neurons: it has more lanes than a neuron has
-                    // compartments.
-                    let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
-                    let left = (slot..field_of.len()).take(room).take_while(|&slot| in_neuron(slot)).count();
-                    let begins = |slot: usize| slot == field_of.len() || of(slot).neuron.stack.pops.is_none();
-                    let length = (1..=left).rev().find(|length| begins(slot + length)).unwrap_or(left);
-                    last = None;
-                    (0, length, length)
-                } else {
-                    let room = SKIP_BLOCK - lane as usize % SKIP_BLOCK;
-                    let alone = |&slot: &usize| !has_words(slot) && !in_neuron(slot);
-                    let left = (slot..field_of.len()).take(room).take_while(alone).count();
-                    let kinds = &kind_of[slot..slot + left];
-                    let run = |from: usize| kinds[from..].iter().take_while(|&&kind| kind == kinds[from]).count();
-                    let long = |from: usize| run(from) == left - from || run(from) >= SHORTEST_RUN;
-                    let alike = long(0);
-                    if !alike && lane % LANES as u32 != 0 {
-                        last = None;
-                        continue;
-                    }
-                    let length = match alike {
-                        true => run(0),
-                        false => (1..left).find(|&from| kinds[from] != kinds[from - 1] && long(from)).unwrap_or(left),
-                    };
-                    let vectors = |f: u32| self.vector(BlockFields::Same(f)).is_some();
-                    last = Some(kinds[0]).filter(|&(f, _)| alike && vectors(f));
-                    (0, length, length)
-                };
-                let of_block = &field_of[slot..slot + length];
-                let fields = match !has_words(slot) && of_block.iter().all(|&f| f == field_of[slot]) {
-                    true => BlockFields::Same(field_of[slot]),
-                    false => {
-                        self.field_of.extend(of_block);
-                        BlockFields::Each((self.field_of.len() - length) as u32)
-                    }
-                };
-                let starts = of_block.iter().map(|&f| self.fields[f as usize].start_step).min().unwrap_or(0);
-                let (stated, length_u32) = (of(slot).neuron.kind.has_stated_price(), length as u32);
-                blocks.push(CoreBlock { start: lane, length: length_u32, core, fields, starts, sums: list, stated });
-                for (lane, id) in (lane..).zip(&ids[slot..slot + length]) {
+                let cut = members.cut(at, lane);
+                let block = &ids[at..at + cut.length];
+                blocks.push(self.core_block(core, &cut, &field_of[at..at + cut.length]));
+                for (lane, id) in (cut.start..).zip(block) {
                     self.lanes[id.index()] = lane;
                 }
-                lane += taken as u32;
-                slot += length;
+                lane = cut.start + cut.lanes as u32;
+                at += cut.length;
+                last_run = cut.run;
             }
         }
         blocks
+    }
+
+    /// The index of a compartment's parameters, which are stored once; `known` has those so far.
+    fn field(&mut self, compartment: &Compartment, known: &mut HashMap<(Neuron, u32), u32>) -> u32 {
+        let &Compartment { neuron, start_step, .. } = compartment;
+        *known.entry((neuron, start_step)).or_insert_with(|| {
+            let Parts { semantics, threshold, .. } = *self.program.parts();
+            let fields = neuron::fields(&neuron, start_step, semantics, threshold);
+            self.shared.push(BlockParameters::from(&fields));
+            self.fields.push(fields);
+            self.fields.len() as u32 - 1
+        })
+    }
+
+    /// The core block of the compartments of a cut.
+    fn core_block(&mut self, core: CoreId, cut: &Cut, field_of: &[u32]) -> CoreBlock {
+        let kind = self.fields[field_of[0] as usize].neuron.kind;
+        let fields = match kind.table().registers && field_of.iter().all(|&field| field == field_of[0]) {
+            true => BlockFields::Same(field_of[0]),
+            false => {
+                self.field_of.extend(field_of);
+                BlockFields::Each((self.field_of.len() - field_of.len()) as u32)
+            }
+        };
+        let starts = field_of.iter().map(|&field| self.fields[field as usize].start_step).min().unwrap_or(0);
+        let (length, stated) = (cut.length as u32, kind.has_stated_price());
+        CoreBlock { start: cut.start, length, core, fields, starts, sums: cut.sums, stated }
     }
 
     /// The parameters of a core block that can be updated as vectors.
@@ -387,85 +352,72 @@ impl Image {
 
     /// Cuts the lanes into shards with about equal numbers of whole skip blocks.
     fn split_into_shards(&mut self, blocks: Vec<CoreBlock>, sums: &Sums, shards: usize) {
-        let skip_blocks = blocks.last().map_or(0, |block| block.start as usize / SKIP_BLOCK + 1);
-        let size = skip_blocks.div_ceil(shards.max(1)).max(1);
-        let (mut current, mut updaters): (Option<(usize, Shard)>, _) = (None, Updaters::new());
-        for mut block in blocks {
-            let skip_block = block.start as usize / SKIP_BLOCK;
-            let shard = skip_block / size;
-            if current.as_ref().is_none_or(|(index, _)| *index != shard) {
-                self.shards.extend(current.take().map(|(_, shard)| shard));
-                self.bases.push((shard * size * SKIP_BLOCK) as u32);
-                current = Some((shard, Shard::default()));
+        self.skip_blocks = blocks.last().map_or(0, |block| block.start as usize / SKIP_BLOCK + 1);
+        let size = self.skip_blocks.div_ceil(shards.max(1)).max(1);
+        let mut updaters = Updaters::new();
+        for of_shard in blocks.chunk_by(|a, b| shard_of(a, size) == shard_of(b, size)) {
+            let base = (shard_of(&of_shard[0], size) * size * SKIP_BLOCK) as u32;
+            let mut shard = Shard::default();
+            for block in of_shard {
+                self.add_block(&mut shard, CoreBlock { start: block.start - base, ..*block }, sums, &mut updaters);
             }
-            let Some((_, shard)) = current.as_mut() else { continue };
-            block.start -= self.bases[self.bases.len() - 1];
-            let vector = self.vector(block.fields);
-            let mask = u64::MAX >> (SKIP_BLOCK as u32 - block.length);
-            let mut end = (block.start + block.length).next_multiple_of(LANES as u32);
-            let words = self.words(&block, sums, &shard.words, &mut updaters);
-            if words.as_ref().is_some_and(|words| words.sums.len() > 1) {
-                end = block.start + SKIP_BLOCK as u32;
-            }
-            let words = words.map(|words| {
-                shard.words.push(words);
-                shard.words.len() as u32 - 1
-            });
-            let begins = shard.skip_blocks.len() <= block.start as usize / SKIP_BLOCK;
-            while shard.skip_blocks.len() <= block.start as usize / SKIP_BLOCK {
-                shard.skip_blocks.push(shard.vector_runs.len() as u32);
-            }
-            let index = shard.blocks.len() as u32;
-            match shard.vector_runs.last_mut() {
-                Some(run) if !begins && vector.is_some() && run.vector == vector => {
-                    run.end += 1;
-                    run.mask |= mask << (block.start - run.start);
-                    run.lanes = end - run.start;
-                }
-                _ => {
-                    let CoreBlock { start, starts, .. } = block;
-                    let lanes = end - start;
-                    shard.vector_runs.push(VectorRun {
-                        first: index,
-                        end: index + 1,
-                        start,
-                        lanes,
-                        starts,
-                        vector,
-                        words,
-                        mask,
-                    });
-                }
-            }
-            shard.blocks.push(block);
+            self.mark_skip_blocks(&mut shard);
+            self.bases.push(base);
+            self.shards.push(shard);
         }
-        self.shards.extend(current.map(|(_, shard)| shard));
-        self.skip_blocks = skip_blocks;
-        for shard in &mut self.shards {
+    }
+
+    /// Adds a core block to a shard, and to its last vector run if it has the same parameters.
+    fn add_block(&self, shard: &mut Shard, block: CoreBlock, sums: &Sums, updaters: &mut Updaters) {
+        let CoreBlock { start, starts, .. } = block;
+        let vector = self.vector(block.fields);
+        let mask = u64::MAX >> (SKIP_BLOCK as u32 - block.length);
+        let mut end = (start + block.length).next_multiple_of(LANES as u32);
+        let words = self.words(&block, sums, &shard.words, updaters);
+        if words.as_ref().is_some_and(|words| words.sums.len() > 1) {
+            end = start + SKIP_BLOCK as u32;
+        }
+        let words = words.map(|words| {
+            shard.words.push(words);
+            shard.words.len() as u32 - 1
+        });
+        let begins = shard.skip_blocks.len() <= start as usize / SKIP_BLOCK;
+        while shard.skip_blocks.len() <= start as usize / SKIP_BLOCK {
             shard.skip_blocks.push(shard.vector_runs.len() as u32);
-            let skip_blocks = shard.skip_blocks.len() - 1;
-            shard.lanes = skip_blocks * SKIP_BLOCK;
-            shard.driven = vec![0; skip_blocks.div_ceil(64)];
-            shard.wakes = vec![0; skip_blocks.div_ceil(64)];
-            for block in &shard.words {
-                let skip_block = block.start as usize / SKIP_BLOCK;
-                // A reset may make an idle compartment active.
-                let marks = if self.reset.is_some() { &mut shard.driven } else { &mut shard.wakes };
-                marks[skip_block / 64] |= u64::from(block.updater.wakes() || self.reset.is_some()) << (skip_block % 64);
+        }
+        let first = shard.blocks.len() as u32;
+        match shard.vector_runs.last_mut() {
+            Some(run) if !begins && vector.is_some() && run.vector == vector => {
+                run.end += 1;
+                run.mask |= mask << (start - run.start);
+                run.lanes = end - run.start;
             }
-            shard.compartments = vec![CompartmentId(0); shard.lanes];
-            for block in &shard.blocks {
-                let lanes = 0..block.length;
-                let driven = match block.fields {
-                    BlockFields::Same(f) => self.fields[f as usize].drives_itself(),
-                    BlockFields::Each(first) => lanes
-                        .into_iter()
-                        .any(|i| self.fields[self.field_of[(first + i) as usize] as usize].drives_itself()),
-                };
-                if driven {
-                    let skip_block = block.start as usize / SKIP_BLOCK;
-                    shard.driven[skip_block / 64] |= 1 << (skip_block % 64);
-                }
+            _ => {
+                let (end, lanes) = (first + 1, end - start);
+                shard.vector_runs.push(VectorRun { first, end, start, lanes, starts, vector, words, mask });
+            }
+        }
+        shard.blocks.push(block);
+    }
+
+    /// Ends a shard: marks its skip blocks that are never idle, or not before the first step.
+    fn mark_skip_blocks(&self, shard: &mut Shard) {
+        shard.skip_blocks.push(shard.vector_runs.len() as u32);
+        let skip_blocks = shard.skip_blocks.len() - 1;
+        shard.lanes = skip_blocks * SKIP_BLOCK;
+        shard.driven = vec![0; skip_blocks.div_ceil(64)];
+        shard.wakes = vec![0; skip_blocks.div_ceil(64)];
+        for block in &shard.words {
+            let skip_block = block.start as usize / SKIP_BLOCK;
+            // A reset may make an idle compartment active.
+            let marks = if self.reset.is_some() { &mut shard.driven } else { &mut shard.wakes };
+            marks[skip_block / 64] |= u64::from(block.updater.wakes() || self.reset.is_some()) << (skip_block % 64);
+        }
+        shard.compartments = vec![CompartmentId(0); shard.lanes];
+        for block in &shard.blocks {
+            if (0..block.length as usize).any(|lane| self.fields_of(*block, lane).drives_itself()) {
+                let skip_block = block.start as usize / SKIP_BLOCK;
+                shard.driven[skip_block / 64] |= 1 << (skip_block % 64);
             }
         }
     }
@@ -559,6 +511,131 @@ impl Image {
         }
         residual
     }
+}
+
+/// The next block of a core's compartments.
+struct Cut {
+    /// Its first lane.
+    start: u32,
+    /// Number of its compartments.
+    length: usize,
+    /// Number of its lanes.
+    lanes: usize,
+    /// Index of the list of sums of compartments whose state is words.
+    sums: u32,
+    /// Parameters and population, if it is updated as vectors.
+    run: Option<(u32, usize)>,
+}
+
+/// The compartments of a core in the order of lanes.
+struct CoreLanes<'a> {
+    image: &'a Image,
+    sums: &'a Sums,
+    ids: &'a [CompartmentId],
+    /// Index of the parameters of each.
+    field_of: &'a [u32],
+    /// Population of each, as [`LaneOrder::population`] numbers them.
+    populations: &'a Vec<usize>,
+}
+
+impl CoreLanes<'_> {
+    fn fields(&self, at: usize) -> &Fields {
+        &self.image.fields[self.field_of[at] as usize]
+    }
+
+    fn has_words(&self, at: usize) -> bool {
+        !self.fields(at).neuron.kind.table().registers
+    }
+
+    /// Whether it is one of several compartments of a neuron.
+    fn is_in_neuron(&self, at: usize) -> bool {
+        !self.fields(at).neuron.stack.is_unused()
+    }
+
+    /// Parameters and population. Weights of dense blocks are aligned when a population begins with
+    /// a core block of its own.
+    fn run_of(&self, at: usize) -> (u32, usize) {
+        (self.field_of[at], self.populations[at])
+    }
+
+    /// The block that begins with a compartment, from this lane on.
+    fn cut(&self, at: usize, lane: u32) -> Cut {
+        if self.has_words(at) {
+            self.cut_words(at, lane)
+        } else if self.is_in_neuron(at) {
+            self.cut_neurons(at, lane)
+        } else {
+            self.cut_registers(at, lane)
+        }
+    }
+
+    /// Compartments of a kind whose state is words.
+    fn cut_words(&self, at: usize, lane: u32) -> Cut {
+        let first = &self.fields(at).neuron;
+        let sums = self.sums.list(self.ids[at], first.kind.table().ports);
+        let count = self.sums.get(sums).len();
+        let start = lane.next_multiple_of(if count > 1 { SKIP_BLOCK } else { LANES } as u32);
+        let room = if count > 1 { stride(count) } else { left_of_skip_block(start) };
+        let (start_step, population) = (self.fields(at).start_step, self.populations[at]);
+        let is_same = |other: &usize| {
+            let Fields { neuron, start_step: other_start, .. } = self.fields(*other);
+            (neuron.kind, neuron.shift) == (first.kind, first.shift)
+                && (*other_start, self.populations[*other]) == (start_step, population)
+        };
+        let length = (at..self.ids.len()).take(room).take_while(is_same).count();
+        Cut { start, length, lanes: if count > 1 { SKIP_BLOCK } else { length }, sums, run: None }
+    }
+
+    /// Whole neurons of several compartments: a block has more lanes than a neuron has
+    /// compartments.
+    fn cut_neurons(&self, at: usize, start: u32) -> Cut {
+        let members = (at..self.ids.len()).take(left_of_skip_block(start));
+        let left = members.take_while(|&other| self.is_in_neuron(other)).count();
+        let begins = |at: usize| at == self.ids.len() || self.fields(at).neuron.stack.pops.is_none();
+        let length = (1..=left).rev().find(|length| begins(at + length)).unwrap_or(left);
+        Cut { start, length, lanes: length, sums: 0, run: None }
+    }
+
+    /// Single compartments with registers: a long run of equal parameters, or all before the next
+    /// one.
+    fn cut_registers(&self, at: usize, start: u32) -> Cut {
+        let members = (at..self.ids.len()).take(left_of_skip_block(start));
+        let left = members.take_while(|&other| !self.has_words(other) && !self.is_in_neuron(other)).count();
+        let runs: Vec<(u32, usize)> = (at..at + left).map(|other| self.run_of(other)).collect();
+        if is_long_run(&runs) {
+            let length = first_run(&runs);
+            let run = Some(runs[0]).filter(|&(field, _)| self.image.vector(BlockFields::Same(field)).is_some());
+            return Cut { start, length, lanes: length, sums: 0, run };
+        }
+        let aligned = start.next_multiple_of(LANES as u32);
+        if start < aligned {
+            return self.cut_registers(at, aligned);
+        }
+        let begins = |&from: &usize| runs[from] != runs[from - 1] && is_long_run(&runs[from..]);
+        let length = (1..left).find(begins).unwrap_or(left);
+        Cut { start, length, lanes: length, sums: 0, run: None }
+    }
+}
+
+/// The shard of a core block, with `size` skip blocks a shard.
+fn shard_of(block: &CoreBlock, size: usize) -> usize {
+    block.start as usize / SKIP_BLOCK / size
+}
+
+/// Number of lanes of a skip block from this one on.
+fn left_of_skip_block(lane: u32) -> usize {
+    SKIP_BLOCK - lane as usize % SKIP_BLOCK
+}
+
+/// Length of the run of equal parameters at the begin.
+fn first_run(runs: &[(u32, usize)]) -> usize {
+    runs.iter().take_while(|&run| *run == runs[0]).count()
+}
+
+/// Whether the run at the begin gets a core block of its own.
+fn is_long_run(runs: &[(u32, usize)]) -> bool {
+    let length = first_run(runs);
+    length == runs.len() || length >= SHORTEST_RUN
 }
 
 /// Payload of each source's messages, channels first; empty if all are binary spikes to registers.
