@@ -6,6 +6,20 @@ use crate::lanes::kernel::{LANES, Sum};
 use crate::layout::dense_blocks::{DenseBlock, DenseBlocks, LaneRange};
 use nsim_ir::spikes::Spike;
 
+/// Spikes that delivery counts.
+pub(crate) struct Counted<'a, P> {
+    pub spikes: &'a [P],
+    /// Counts by source of the spikes that reach narrow dense blocks; empty where none are counted.
+    pub counts: &'a mut [u32],
+}
+
+impl<'a, P> Counted<'a, P> {
+    /// Spikes that are not counted.
+    pub fn not(spikes: &'a [P]) -> Self {
+        Counted { spikes, counts: &mut [] }
+    }
+}
+
 impl<S: Sum> DelayRing<S> {
     /// Delivers spikes, ascending, by the blocks of one delay into the slot of their arrival;
     /// returns the number of synaptic events.
@@ -13,7 +27,7 @@ impl<S: Sum> DelayRing<S> {
     pub(super) fn deliver_dense<const MARK: bool, P: Spike>(
         &mut self,
         dense: &DenseBlocks,
-        (spikes, counts): (&[P], &mut [u32]),
+        Counted { spikes, counts }: Counted<'_, P>,
         slot: usize,
     ) -> u64
     where
@@ -28,11 +42,12 @@ impl<S: Sum> DelayRing<S> {
             rest = &rest[before(rest, block.first)..];
             if let Some(range) = block.narrow() {
                 let counts = counts.get_mut(block.first as usize..block.end as usize).unwrap_or_default();
+                let of_block = Counted { spikes: rest, counts };
                 let delivered = match range.chunks {
-                    1 => self.deliver_narrow::<P, 1>(block, range, weights, (rest, counts), slot),
-                    2 => self.deliver_narrow::<P, 2>(block, range, weights, (rest, counts), slot),
-                    3 => self.deliver_narrow::<P, 3>(block, range, weights, (rest, counts), slot),
-                    _ => self.deliver_narrow::<P, 4>(block, range, weights, (rest, counts), slot),
+                    1 => self.deliver_narrow::<P, 1>(block, range, weights, of_block, slot),
+                    2 => self.deliver_narrow::<P, 2>(block, range, weights, of_block, slot),
+                    3 => self.deliver_narrow::<P, 3>(block, range, weights, of_block, slot),
+                    _ => self.deliver_narrow::<P, 4>(block, range, weights, of_block, slot),
                 };
                 let (spiking, after) = rest.split_at(delivered);
                 rest = after;
@@ -122,7 +137,7 @@ impl<S: Sum> DelayRing<S> {
         block: &DenseBlock,
         range: &LaneRange,
         weights: &[[i16; LANES]],
-        (spikes, counts): (&[P], &mut [u32]),
+        Counted { spikes, counts }: Counted<'_, P>,
         slot: usize,
     ) -> usize
     where

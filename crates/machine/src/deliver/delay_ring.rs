@@ -34,6 +34,15 @@ impl<S: Sum> Clone for DelayRing<S> {
     }
 }
 
+/// The step in which spikes are delivered.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Now {
+    /// Slot of its arrivals.
+    pub slot: usize,
+    /// Number of steps left in the sample, itself included.
+    pub left: u32,
+}
+
 /// The skip blocks of a slot with arrivals.
 pub(crate) struct Arrivals<'a> {
     marks: &'a mut [u8],
@@ -147,8 +156,8 @@ impl<S: Sum> DelayRing<S> {
 
     /// The first lane of the slot of a delay.
     #[inline(always)]
-    pub(super) fn slot(&self, cursor: usize, delay: u8) -> usize {
-        let slot = cursor + usize::from(delay);
+    pub(super) fn slot(&self, now: Now, delay: u8) -> usize {
+        let slot = now.slot + usize::from(delay);
         self.lanes * if slot >= self.slots() { slot - self.slots() } else { slot }
     }
 

@@ -4,7 +4,8 @@
 //! in units of 64, the skip blocks that they lie in, and the number of synaptic events.
 
 use crate::deliver::accumulate::Accumulate;
-use crate::deliver::delay_ring::DelayRing;
+use crate::deliver::blocks::Counted;
+use crate::deliver::delay_ring::{DelayRing, Now};
 use crate::deliver::lists::with_list;
 use crate::deliver::rows::RowDelivery;
 use crate::lanes::kernel::Sum;
@@ -15,14 +16,13 @@ use nsim_ir::spikes::Spike;
 impl<S: Sum> DelayRing<S> {
     /// Delivers spikes of channels or of compartments, ascending if there are dense blocks. With
     /// `MARK` it marks the skip blocks of their targets. Returns the synaptic events that fall
-    /// within `left` steps. Spikes that reach narrow dense blocks are counted in `counts` by
-    /// source, unless it is empty.
+    /// within the sample.
     #[inline(always)]
     pub fn deliver<const MARK: bool, P: Spike>(
         &mut self,
         fan_outs: &FanOuts,
-        (spikes, counts): (&[P], &mut [u32]),
-        (cursor, left): (usize, u32),
+        Counted { spikes, counts }: Counted<'_, P>,
+        now: Now,
         arch: pulp::Arch,
     ) -> u64
     where
@@ -31,15 +31,16 @@ impl<S: Sum> DelayRing<S> {
         self.note_spikes(spikes);
         let mut events = 0;
         for fan_out in &fan_outs.by_delay {
-            let arrives = u32::from(fan_out.delay) < left;
+            let arrives = u32::from(fan_out.delay) < now.left;
             // Arrivals after the end have no effect, but delivery may count spikes of channels.
             if !arrives && counts.is_empty() {
                 continue;
             }
-            let slot = self.slot(cursor, fan_out.delay);
+            let slot = self.slot(now, fan_out.delay);
             let mut synapses = 0;
             if !fan_out.dense.blocks.is_empty() {
-                synapses += self.deliver_dense::<MARK, P>(&fan_out.dense, (spikes, &mut *counts), slot);
+                synapses +=
+                    self.deliver_dense::<MARK, P>(&fan_out.dense, Counted { spikes, counts: &mut *counts }, slot);
             }
             if let Some(table) = &fan_out.rows {
                 let DelayRing { lanes, sums, marks, rows: queue, .. } = self;
@@ -48,12 +49,12 @@ impl<S: Sum> DelayRing<S> {
             }
             events += if arrives { synapses } else { 0 };
         }
-        if let Some(lists) = fan_outs.lists.as_ref().filter(|lists| u32::from(lists.shortest) < left) {
+        if let Some(lists) = fan_outs.lists.as_ref().filter(|lists| u32::from(lists.shortest) < now.left) {
             let some = lists.few.as_ref().map(|few| with_list(few, spikes));
             let spikes = some.as_deref().unwrap_or(spikes);
             events += match size_of::<P::Payload>() {
-                0 => self.deliver_lists::<MARK, P>(lists, spikes, cursor, left),
-                _ => self.deliver_graded_lists::<MARK, P>(lists, spikes, cursor, left),
+                0 => self.deliver_lists::<MARK, P>(lists, spikes, now),
+                _ => self.deliver_graded_lists::<MARK, P>(lists, spikes, now),
             };
         }
         events
@@ -95,17 +96,28 @@ mod tests {
             let [quiet, marking] = &mut rings;
             let events = ids.len() as u64 * synapses;
             let mut counts = vec![0; 300];
-            assert_eq!(quiet.deliver::<false, _>(&fan_outs, (&ids, &mut counts), (1, 2), arch), events);
+            assert_eq!(
+                quiet.deliver::<false, _>(
+                    &fan_outs,
+                    Counted { spikes: &ids, counts: &mut counts },
+                    Now { slot: 1, left: 2 },
+                    arch
+                ),
+                events
+            );
             let is_counted = |source: usize| {
                 let holds = |block: &DenseBlock| block.first as usize <= source && source < block.end as usize;
                 let mut blocks = fan_outs.by_delay.iter().flat_map(|fan_out| &fan_out.dense.blocks);
                 source.is_multiple_of(every) && blocks.any(|block| holds(block) && block.narrow().is_some())
             };
             assert!(counts.iter().enumerate().all(|(source, &count)| count == u32::from(is_counted(source))));
-            assert_eq!(marking.deliver::<true, _>(&fan_outs, (&ids, &mut []), (1, 2), arch), events);
+            assert_eq!(
+                marking.deliver::<true, _>(&fan_outs, Counted::not(&ids), Now { slot: 1, left: 2 }, arch),
+                events
+            );
             // Arrivals after the last step are no events and are not delivered.
             let mut ended = DelayRing::<S>::new(lanes, compact, 2);
-            assert_eq!(ended.deliver::<true, _>(&fan_outs, (&ids, &mut []), (1, 1), arch), 0);
+            assert_eq!(ended.deliver::<true, _>(&fan_outs, Counted::not(&ids), Now { slot: 1, left: 1 }, arch), 0);
             assert!(ended.is_empty() && ended.sums.iter().all(|sum| sum.value() == 0));
             for ring in &rings {
                 assert!(ring.sums[..lanes].iter().map(|sum| sum.value()).eq(sums.iter().copied()));
@@ -141,17 +153,17 @@ mod tests {
             let split = matches!(fan_outs.lists.as_ref().unwrap().synapses, ListForm::Split(_));
             assert_eq!(split, heaviest > 16_384);
             let ids: Vec<ChannelId> = (0..90).step_by(3).map(ChannelId::new).collect();
-            for (cursor, left) in (0..SLOTS).flat_map(|cursor| (0..10).map(move |left| (cursor, left))) {
+            for Now { slot, left } in (0..SLOTS).flat_map(|slot| (0..10).map(move |left| Now { slot, left })) {
                 let mut ring = DelayRing::<i32>::new(lanes, false, SLOTS);
                 let (mut sums, mut events) = (vec![0; lanes * SLOTS], 0);
                 for (delay, lists) in lists.iter().filter(|(delay, _)| u32::from(*delay) < left) {
-                    let first = (cursor + usize::from(*delay)) % SLOTS * lanes;
+                    let first = (slot + usize::from(*delay)) % SLOTS * lanes;
                     for &(lane, weight) in ids.iter().flat_map(|id| &lists[id.index()]) {
                         sums[first + lane as usize] += i32::from(weight);
                         events += 1;
                     }
                 }
-                assert_eq!(ring.deliver::<true, _>(&fan_outs, (&ids, &mut []), (cursor, left), arch), events);
+                assert_eq!(ring.deliver::<true, _>(&fan_outs, Counted::not(&ids), Now { slot, left }, arch), events);
                 assert_eq!(&ring.sums[..lanes * SLOTS], &sums);
                 let reached = |block: &[i32]| u8::from(block.iter().any(|&sum| sum != 0));
                 assert!(sums.chunks(SKIP_BLOCK).map(reached).zip(&ring.marks).all(|(sum, &mark)| sum <= mark));
@@ -159,7 +171,7 @@ mod tests {
                 // The next steps take the marks of their slots, and later ones find none.
                 let (marks, blocks) = (ring.marks.clone(), lanes / SKIP_BLOCK);
                 for step in 0..2 * SLOTS {
-                    let slot = (cursor + step) % SLOTS;
+                    let slot = (slot + step) % SLOTS;
                     let (_, mut arrivals) = ring.take(slot);
                     let words: Vec<u64> = (0..blocks.div_ceil(64)).map(|word| arrivals.take(word)).collect();
                     let is_marked = |block: usize| step < SLOTS && marks[slot * blocks + block] == 1;

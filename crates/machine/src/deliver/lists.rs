@@ -1,7 +1,7 @@
 //! Delivery by lists: synapse by synapse, for any delay.
 
 use crate::deliver::accumulate::Accumulate;
-use crate::deliver::delay_ring::DelayRing;
+use crate::deliver::delay_ring::{DelayRing, Now};
 use crate::lanes::kernel::Sum;
 use crate::layout::lists::{ADDRESSED, ListForm, ListTable};
 use crate::layout::shard::SKIP_BLOCK;
@@ -15,32 +15,25 @@ impl<S: Sum> DelayRing<S> {
         &mut self,
         table: &ListTable,
         spikes: &[P],
-        cursor: usize,
-        left: u32,
+        now: Now,
     ) -> u64
     where
         S: Accumulate<P::Payload>,
     {
-        self.deliver_lists::<MARK, P>(table, spikes, cursor, left)
+        self.deliver_lists::<MARK, P>(table, spikes, now)
     }
 
-    /// Delivers spikes by lists of all delays, for arrivals within `left` steps; returns the number
+    /// Delivers spikes by lists of all delays, for arrivals within the sample; returns the number
     /// of synaptic events.
     #[inline(always)]
-    pub(super) fn deliver_lists<const MARK: bool, P: Spike>(
-        &mut self,
-        table: &ListTable,
-        spikes: &[P],
-        cursor: usize,
-        left: u32,
-    ) -> u64
+    pub(super) fn deliver_lists<const MARK: bool, P: Spike>(&mut self, table: &ListTable, spikes: &[P], now: Now) -> u64
     where
         S: Accumulate<P::Payload>,
     {
-        let (slot, end) = (self.slot(cursor, table.shortest), self.lanes * self.slots());
+        let (slot, end) = (self.slot(now, table.shortest), self.lanes * self.slots());
         // Synapses that arrive after the end come last.
-        let late = u32::from(table.longest) >= left;
-        let below = if late { (left - u32::from(table.shortest)) as usize * self.lanes } else { usize::MAX };
+        let late = u32::from(table.longest) >= now.left;
+        let below = if late { (now.left - u32::from(table.shortest)) as usize * self.lanes } else { usize::MAX };
         let DelayRing { sums, marks, queue, .. } = self;
         let (places, queue) = (&table.places, (below, queue));
         match &table.synapses {

@@ -156,7 +156,7 @@ impl Image {
         image.check_fan_in()?;
         let events = |source| image.tally().events_within(std::iter::once(source), u32::MAX);
         image.has_synapses = (image.channels..image.payloads.len() as u32).map(|source| events(source) > 0).collect();
-        image.split_into_shards(blocks, &sums, shards);
+        image.split_into_shards(&blocks, &sums, shards);
         image.assign_lanes();
         image.connect(&sums)?;
         let plastic = PlasticSynapses::by_shard(program, &image.lanes, &image.bases, &sums);
@@ -351,7 +351,7 @@ impl Image {
     }
 
     /// Cuts the lanes into shards with about equal numbers of whole skip blocks.
-    fn split_into_shards(&mut self, blocks: Vec<CoreBlock>, sums: &Sums, shards: usize) {
+    fn split_into_shards(&mut self, blocks: &[CoreBlock], sums: &Sums, shards: usize) {
         self.skip_blocks = blocks.last().map_or(0, |block| block.start as usize / SKIP_BLOCK + 1);
         let size = self.skip_blocks.div_ceil(shards.max(1)).max(1);
         let mut updaters = Updaters::new();

@@ -8,7 +8,8 @@ use std::ops::Range;
 
 use crate::bits::{UNCHECKED_ONES, ones, write_ones};
 use crate::deliver::accumulate::Accumulate;
-use crate::deliver::delay_ring::{Arrivals, DelayRing};
+use crate::deliver::blocks::Counted;
+use crate::deliver::delay_ring::{Arrivals, DelayRing, Now};
 use crate::lanes::kernel;
 use crate::lanes::kernel::{LANES, Sum, Vectors};
 use crate::lanes::sums::{self, stride};
@@ -35,6 +36,13 @@ pub(crate) enum Phase {
     Deliver,
     /// Delivery of the last spikes, and the update.
     Update,
+}
+
+/// Spikes that a step delivers.
+pub(super) struct Sent<'a, C, N> {
+    pub channels: Counted<'a, C>,
+    /// Spikes of compartments.
+    pub carried: &'a [N],
 }
 
 /// Parameters of one step.
@@ -287,13 +295,13 @@ impl CompartmentState {
         image: &Image,
         shard: &Shard,
         input: StepInput,
-        (channels, channel_counts, carried): (&[C], &mut [u32], &[N]),
+        Sent { channels, carried }: Sent<'_, C, N>,
         vectors: impl Vectors,
     ) where
         S: Sum + Accumulate<C::Payload> + Accumulate<N::Payload>,
     {
-        let cursor = input.step as usize % ring.slots();
-        let at = (cursor, input.remaining);
+        let now = Now { slot: input.step as usize % ring.slots(), left: input.remaining };
+        let spikes_in = channels.spikes;
         if input.phase != Phase::Update {
             self.events_now = 0;
         }
@@ -305,23 +313,23 @@ impl CompartmentState {
             ring.mark_all();
         }
         if unmarked {
-            self.events_now +=
-                ring.deliver::<false, _>(&shard.from_channels, (channels, channel_counts), at, input.arch);
-            self.events_now += ring.deliver::<false, _>(&shard.from_compartments, (carried, &mut []), at, input.arch);
+            self.events_now += ring.deliver::<false, _>(&shard.from_channels, channels, now, input.arch);
+            let carried = Counted::not(carried);
+            self.events_now += ring.deliver::<false, _>(&shard.from_compartments, carried, now, input.arch);
         } else {
-            self.events_now +=
-                ring.deliver::<true, _>(&shard.from_channels, (channels, channel_counts), at, input.arch);
-            self.events_now += ring.deliver::<true, _>(&shard.from_compartments, (carried, &mut []), at, input.arch);
+            self.events_now += ring.deliver::<true, _>(&shard.from_channels, channels, now, input.arch);
+            let carried = Counted::not(carried);
+            self.events_now += ring.deliver::<true, _>(&shard.from_compartments, carried, now, input.arch);
         }
         if !self.plastic.is_empty() {
             let plastic = (&shard.plastic, self.plastic.as_slice());
-            self.events_now += ring.deliver_plastic(plastic, (0, channels), at);
-            self.events_now += ring.deliver_plastic(plastic, (image.channels, carried), at);
+            self.events_now += ring.deliver_plastic(plastic, (0, spikes_in), now);
+            self.events_now += ring.deliver_plastic(plastic, (image.channels, carried), now);
         }
         if input.phase == Phase::Deliver {
             return;
         }
-        self.update(ring.take(cursor), image, shard, input, vectors);
+        self.update(ring.take(now.slot), image, shard, input, vectors);
         self.record_spikes(shard);
     }
 

@@ -6,11 +6,12 @@
 //! compiled for the widest vectors of the processor.
 
 use crate::deliver::accumulate::Accumulate;
+use crate::deliver::blocks::Counted;
 use crate::deliver::delay_ring::DelayRing;
 use crate::lanes::kernel::{Portable, Sum, Vectors};
 use crate::layout::image::Image;
 use crate::layout::shard::Shard;
-use crate::update::state::{CompartmentState, Rings, ShardState, StepInput};
+use crate::update::state::{CompartmentState, Rings, Sent, ShardState, StepInput};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
 use nsim_ir::spikes::{GradedSpike, Spike};
 use pulp::NullaryFnOnce;
@@ -45,19 +46,25 @@ impl Step<'_> {
                 *rings = Rings::Bits64(ring.in_type());
             }
         }
-        let binary = (input.channels, &mut *channel_counts, input.carried);
         let within = (image, shard, *input);
+        let (counts, binary) = (channel_counts, input.carried);
         match (rings, &graded) {
-            (Rings::Bits16(ring), _) => narrow::run(Form { ring, state: &mut *state, within, spikes: binary }, arch),
-            (Rings::Bits32(ring), None) => wide::run(Form { ring, state: &mut *state, within, spikes: binary }, arch),
+            (Rings::Bits16(ring), _) => {
+                let spikes = Sent { channels: Counted { spikes: input.channels, counts }, carried: binary };
+                narrow::run(Form { ring, state: &mut *state, within, spikes }, arch);
+            }
+            (Rings::Bits32(ring), None) => {
+                let spikes = Sent { channels: Counted { spikes: input.channels, counts }, carried: binary };
+                wide::run(Form { ring, state: &mut *state, within, spikes }, arch);
+            }
             (Rings::Bits32(ring), Some((channels, carried))) => {
-                let spikes = (channels.as_slice(), channel_counts, carried.as_slice());
+                let spikes = Sent { channels: Counted { spikes: channels, counts }, carried };
                 graded::run(Form { ring, state: &mut *state, within, spikes }, arch);
             }
             (Rings::Bits64(ring), graded) => {
                 let (channels, carried) = graded.as_ref().map_or((&[][..], &[][..]), |(a, b)| (a, b));
-                let form = Form { ring, state: &mut *state, within, spikes: (channels, channel_counts, carried) };
-                large::run(form);
+                let spikes = Sent { channels: Counted { spikes: channels, counts }, carried };
+                large::run(Form { ring, state: &mut *state, within, spikes });
             }
         }
         if graded.is_some() {
@@ -71,8 +78,7 @@ impl Step<'_> {
 /// A step for one type of sums and of spikes.
 struct Form<'a, S, C, N> {
     ring: &'a mut DelayRing<S>,
-    /// Spikes of channels, number of spikes of each channel, spikes of compartments.
-    spikes: (&'a [C], &'a mut [u32], &'a [N]),
+    spikes: Sent<'a, C, N>,
     state: &'a mut CompartmentState,
     within: (&'a Image, &'a Shard, StepInput<'a>),
 }
