@@ -14,9 +14,15 @@ use crate::microcode::UpdatePrice;
 use crate::neurons::NeuronKind;
 use crate::placement::Route;
 
-/// Adds counts field by field, and multiplies them.
+/// A struct of counts, which are added and multiplied field by field.
 macro_rules! counts {
-    ($counts:ident: $($field:ident),*) => {
+    ($(#[$doc:meta])* pub struct $counts:ident { $($(#[$of:meta])* pub $field:ident: u64,)* }) => {
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
+        pub struct $counts {
+            $($(#[$of])* pub $field: u64,)*
+        }
+
         impl $counts {
             /// Returns these counts multiplied by a factor.
             #[must_use]
@@ -33,28 +39,22 @@ macro_rules! counts {
     };
 }
 
-counts!(Totals: spikes_in, spikes, synaptic_events, compartment_updates, active_updates);
-counts!(
-    CoreCounts: messages_in, events_dense, events_sparse, visited, active, spikes, messages_out, microcode,
-    second_passes, instructions, stated, stated_active, stated_energy, stated_time
-);
-counts!(HopCounts: local, east_west, north_south, chip);
-
-/// Sums over a network, which every engine can count.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
-pub struct Totals {
-    /// Input spikes.
-    pub spikes_in: u64,
-    /// Compartments that fired.
-    pub spikes: u64,
-    /// Synapses reached by spikes, inputs' included; deliveries at or after the sample's end are
-    /// not counted.
-    pub synaptic_events: u64,
-    /// Compartments times steps.
-    pub compartment_updates: u64,
-    /// Compartment updates that were not idle: u, v, the accumulator or the bias was not zero, or a
-    /// refractory period ran.
-    pub active_updates: u64,
+counts! {
+    /// Sums over a network, which every engine can count.
+    pub struct Totals {
+        /// Input spikes.
+        pub spikes_in: u64,
+        /// Compartments that fired.
+        pub spikes: u64,
+        /// Synapses reached by spikes, inputs' included; deliveries at or after the sample's end
+        /// are not counted.
+        pub synaptic_events: u64,
+        /// Compartments times steps.
+        pub compartment_updates: u64,
+        /// Compartment updates that were not idle: u, v, the accumulator or the bias was not zero,
+        /// or a refractory period ran.
+        pub active_updates: u64,
+    }
 }
 
 /// Counts of overflows, by field.
@@ -93,44 +93,45 @@ impl Overflow {
     }
 }
 
-/// Event counts of one core.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
-pub struct CoreCounts {
-    /// Messages received, inputs' included.
-    pub messages_in: u64,
-    /// Synaptic events of dense lists.
-    pub events_dense: u64,
-    /// Synaptic events of sparse lists.
-    pub events_sparse: u64,
-    /// Updates of compartments, idle ones included.
-    pub visited: u64,
-    /// Updates of compartments that were not idle.
-    pub active: u64,
-    /// Compartments that fired.
-    pub spikes: u64,
-    /// Messages sent.
-    pub messages_out: u64,
-    /// Updates by programs of models whose price is not stated.
-    #[serde(default)]
-    pub microcode: u64,
-    /// Second passes of updates.
-    #[serde(default)]
-    pub second_passes: u64,
-    /// Instructions of the updates in `microcode`.
-    #[serde(default)]
-    pub instructions: u64,
-    /// Updates whose price the model states.
-    #[serde(default)]
-    pub stated: u64,
-    /// Those of `active` whose price the model states.
-    #[serde(default)]
-    pub stated_active: u64,
-    /// Energy of updates as models state it, fJ.
-    #[serde(default)]
-    pub stated_energy: u64,
-    /// Time of updates as models state it, ps.
-    #[serde(default)]
-    pub stated_time: u64,
+counts! {
+    /// Event counts of one core.
+    pub struct CoreCounts {
+        /// Messages received, inputs' included.
+        pub messages_in: u64,
+        /// Synaptic events of dense lists.
+        pub events_dense: u64,
+        /// Synaptic events of sparse lists.
+        pub events_sparse: u64,
+        /// Updates of compartments, idle ones included.
+        pub visited: u64,
+        /// Updates of compartments that were not idle.
+        pub active: u64,
+        /// Compartments that fired.
+        pub spikes: u64,
+        /// Messages sent.
+        pub messages_out: u64,
+        /// Updates by programs of models whose price is not stated.
+        #[serde(default)]
+        pub microcode: u64,
+        /// Second passes of updates.
+        #[serde(default)]
+        pub second_passes: u64,
+        /// Instructions of the updates in `microcode`.
+        #[serde(default)]
+        pub instructions: u64,
+        /// Updates whose price the model states.
+        #[serde(default)]
+        pub stated: u64,
+        /// Those of `active` whose price the model states.
+        #[serde(default)]
+        pub stated_active: u64,
+        /// Energy of updates as models state it, fJ.
+        #[serde(default)]
+        pub stated_energy: u64,
+        /// Time of updates as models state it, ps.
+        #[serde(default)]
+        pub stated_time: u64,
+    }
 }
 
 impl CoreCounts {
@@ -162,17 +163,18 @@ impl CoreCounts {
     }
 }
 
-/// Links crossed by messages.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, Serialize)]
-pub struct HopCounts {
-    /// Messages that stayed within a tile.
-    pub local: u64,
-    /// Links crossed east or west.
-    pub east_west: u64,
-    /// Links crossed north or south.
-    pub north_south: u64,
-    /// Links crossed between chips, included in the others.
-    pub chip: u64,
+counts! {
+    /// Links crossed by messages.
+    pub struct HopCounts {
+        /// Messages that stayed within a tile.
+        pub local: u64,
+        /// Links crossed east or west.
+        pub east_west: u64,
+        /// Links crossed north or south.
+        pub north_south: u64,
+        /// Links crossed between chips, included in the others.
+        pub chip: u64,
+    }
 }
 
 impl HopCounts {
