@@ -6,6 +6,7 @@
 pub mod command;
 pub mod compare;
 pub mod drive;
+pub mod fuzzed;
 pub mod random;
 
 pub use nsim_testing::Builder;

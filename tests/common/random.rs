@@ -135,17 +135,16 @@ fn connectivity(draw: &mut Draw, format: SynapseFormat, source: Shape, target: S
 
 /// A network that depends on the seed only.
 pub fn network(seed: u64) -> Quantised {
-    drawn(seed, 1)
+    drawn(&mut Draw::new(seed), 1)
 }
 
 /// A network with neurons of one to three compartments, each with input spikes.
 pub fn joined(seed: u64) -> Quantised {
-    drawn(seed ^ 0x0c41d, 3)
+    drawn(&mut Draw::new(seed ^ 0x0c41d), 3)
 }
 
 /// A network whose neurons have `most` compartments at most.
-fn drawn(seed: u64, most: usize) -> Quantised {
-    let draw = &mut Draw::new(seed);
+pub fn drawn(draw: &mut Draw, most: usize) -> Quantised {
     let semantics = match most {
         1 => draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]),
         _ => Semantics::Hardware,
@@ -236,8 +235,12 @@ fn of_kind(draw: &mut Draw, kind: NeuronKind) -> Neuron {
 /// A random network with populations of any kind, any messages of inputs, and any port of
 /// projections to resonators.
 pub fn mixed(seed: u64) -> Quantised {
-    let draw = &mut Draw::new(seed ^ 0x10_412);
-    let mut parts = network(seed).parts().clone();
+    with_kinds(&network(seed), &mut Draw::new(seed ^ 0x10_412))
+}
+
+/// A network with other kinds, messages and ports.
+pub fn with_kinds(network: &Quantised, draw: &mut Draw) -> Quantised {
+    let mut parts = network.parts().clone();
     parts.semantics = Semantics::Hardware;
     let ids: Vec<PopulationId> = parts.populations.ids().collect();
     let mut kinds: IdVec<PopulationId, NeuronKind> = ids.iter().map(|_| NeuronKind::Loihi).collect();
@@ -300,7 +303,11 @@ pub fn mixed(seed: u64) -> Quantised {
 
 /// A sample for a network: bursts and silences.
 pub fn sample(network: &Quantised, seed: u64) -> Sample {
-    let draw = &mut Draw::new(seed ^ 0x5eed);
+    drawn_sample(network, &mut Draw::new(seed ^ 0x5eed))
+}
+
+/// As [`sample`], from these numbers.
+pub fn drawn_sample(network: &Quantised, draw: &mut Draw) -> Sample {
     let steps = draw.from(1, 90) as u32;
     let mut events = Vec::new();
     let mut percent = 20;
@@ -316,8 +323,11 @@ pub fn sample(network: &Quantised, seed: u64) -> Sample {
 
 /// A random sample with numbers, for a network of [`mixed`], and `silent` steps after it.
 pub fn valued(network: &Quantised, seed: u64, silent: u32) -> Sample {
-    let draw = &mut Draw::new(seed ^ 0x77);
-    let bare = sample(network, seed);
+    with_values(&sample(network, seed), &mut Draw::new(seed ^ 0x77), silent)
+}
+
+/// A sample with numbers, and `silent` steps after it.
+pub fn with_values(bare: &Sample, draw: &mut Draw, silent: u32) -> Sample {
     let events = (0..bare.steps()).flat_map(|t| bare.at(t).iter().map(move |&channel| (t, channel)));
     // Sums of small numbers equal small thresholds by chance.
     let most = draw.one_of(&[2, 3_000]);
@@ -363,7 +373,11 @@ pub fn mapping(network: &Quantised, mesh: &Mesh, seed: u64) -> MappingFile {
 /// paddings, dilations and groups of all kinds, delays, recurrent layers, feedback from the next
 /// layer.
 pub fn convolutional(seed: u64) -> Quantised {
-    let draw = &mut Draw::new(seed ^ 0xc0_4401);
+    drawn_convolutions(&mut Draw::new(seed ^ 0xc0_4401))
+}
+
+/// As [`convolutional`], from these numbers.
+pub fn drawn_convolutions(draw: &mut Draw) -> Quantised {
     let semantics = draw.one_of(&[Semantics::Hardware, Semantics::Hardware, Semantics::Lava, Semantics::Slayer]);
     let mut net = Builder::with(semantics);
     if draw.chance(20) {

@@ -11,6 +11,7 @@ mod common;
 mod compartments;
 mod differential;
 mod early_exit;
+mod fuzzed;
 mod integrate_and_fire;
 mod learning;
 mod loihi2;

@@ -229,22 +229,43 @@ pub fn slip(vision: u32) -> Quantised {
     builder.build()
 }
 
-/// A stream of random numbers from a seed.
+/// A stream of random numbers, from a seed or from the bytes of a fuzzer.
 pub struct Draw {
-    seed: u64,
+    source: Source,
     drawn: u64,
 }
 
+enum Source {
+    Seed(u64),
+    Bytes(Vec<u8>),
+}
+
 impl Draw {
-    /// The stream at its beginning.
+    /// The stream of a seed at its beginning.
     pub fn new(seed: u64) -> Self {
-        Draw { seed, drawn: 0 }
+        Draw { source: Source::Seed(seed), drawn: 0 }
+    }
+
+    /// The stream of these bytes, then the least number of each range.
+    pub fn of_bytes(bytes: &[u8]) -> Self {
+        Draw { source: Source::Bytes(bytes.to_vec()), drawn: 0 }
     }
 
     /// A number in `low..=high`.
     pub fn from(&mut self, low: i64, high: i64) -> i64 {
+        let size = (high - low + 1) as u64;
+        let number = match &self.source {
+            Source::Seed(seed) => rng::below(size, *seed, 0, self.drawn + 1),
+            Source::Bytes(bytes) => {
+                // As few bytes as hold the range, so that a fuzzer changes one number at a time.
+                let width = (64 - (size - 1).leading_zeros()).div_ceil(8) as usize;
+                let taken = bytes.iter().skip(self.drawn as usize).take(width);
+                self.drawn += width.saturating_sub(1) as u64;
+                taken.fold(0, |number, &byte| number << 8 | u64::from(byte)) % size
+            }
+        };
         self.drawn += 1;
-        low + rng::below((high - low + 1) as u64, self.seed, 0, self.drawn) as i64
+        low + number as i64
     }
 
     /// True with this probability.

@@ -1,0 +1,8 @@
+//! Networks of any kinds and options of their mapping.
+
+#![no_main]
+
+#[path = "../../common/mod.rs"]
+mod common;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| common::fuzzed::network(data));
