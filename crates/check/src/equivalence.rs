@@ -141,7 +141,7 @@ fn check_synapses(
     compared: impl Fn(CoreId) -> bool + Sync + Copy,
 ) -> Result<(), Difference> {
     for (id, population) in network.populations().enumerate() {
-        let outgoing: Vec<&Projection> = network.outgoing(id).iter().map(|&p| &network.projections()[p]).collect();
+        let outgoing: Vec<_> = network.targets_of(id).map(|(_, projection, first)| (projection, first)).collect();
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
         let size = population.shape.len();
         let of_piece = synapses_of_piece(program.cores().len());
@@ -154,7 +154,7 @@ fn check_synapses(
                 if sources.clone().all(|index| is_skipped(program, first + index, compared)) {
                     return Ok(());
                 }
-                decoder.enumerate((network, &outgoing), (first, sources.clone()), (program, compared));
+                decoder.enumerate(&outgoing, first, sources.clone(), program, compared);
                 decoder.decode(program, first + sources.start..first + sources.end, compared);
                 match decoder.first_that_differs() {
                     None => Ok(()),
@@ -198,10 +198,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
         (actual.threshold == expected.threshold, "threshold test"),
         (actual.reset == expected.reset, "reset"),
     ];
-    match rules.into_iter().find(|(holds, _)| !holds) {
-        Some((_, what)) => Err(Difference::Frame(what)),
-        None => Ok(()),
-    }
+    rules.into_iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, what)| Err(Difference::Frame(what)))
 }
 
 fn has_equal_messages(network: &Quantised, population: &Population, program: &Program) -> bool {
@@ -319,12 +316,15 @@ struct Decoder {
 }
 
 impl Decoder {
-    /// R(s): the network's synapses to the cores that are compared.
+    /// R(s): the network's synapses to the cores that are compared; `outgoing` has projections with
+    /// their first targets.
     fn enumerate(
         &mut self,
-        (network, outgoing): (&Quantised, &[&Projection]),
-        (first_source, indices): (u32, Range<u32>),
-        (program, compared): (&Program, impl Fn(CoreId) -> bool),
+        outgoing: &[(&Projection, CompartmentId)],
+        first_source: u32,
+        indices: Range<u32>,
+        program: &Program,
+        compared: impl Fn(CoreId) -> bool,
     ) {
         self.expected.clear();
         self.first.clear();
@@ -333,8 +333,7 @@ impl Decoder {
             if is_skipped(program, first_source + index, &compared) {
                 continue;
             }
-            for projection in outgoing {
-                let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
+            for &(projection, first) in outgoing {
                 let wanted = |target| compared(program.seats()[CompartmentId(first.0 + target)].core);
                 let code = SynapseCode::of_format(projection.format);
                 projection.connectivity.for_each_wanted(index, wanted, |target, weight| {

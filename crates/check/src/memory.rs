@@ -40,7 +40,7 @@ pub fn used(program: &Program, network: &Quantised, target: &Target) -> Result<I
     }
     if let Packing::Kernels { synapse_bits, list_bits } = limits.packing {
         for projection in network.projections() {
-            count.synapses(projection, (synapse_bits, list_bits));
+            count.synapses(projection, synapse_bits, list_bits);
         }
         network.populations().ids().for_each(|id| count.axons(id));
     }
@@ -118,7 +118,7 @@ impl Count<'_> {
     }
 
     /// Words of the synapses of a projection.
-    fn synapses(&mut self, projection: &Projection, (synapse_bits, list_bits): (u32, u32)) {
+    fn synapses(&mut self, projection: &Projection, synapse_bits: u32, list_bits: u32) {
         let (weight, list) = (bits_of_weights(projection), u64::from(list_bits));
         let of_list = |targets: u64| words(targets * (weight + u64::from(synapse_bits)) + list);
         let sources = self.network.populations()[projection.source].shape.len();
@@ -169,8 +169,7 @@ impl Count<'_> {
     /// Input axons of a population's sources: one of each source, and of each position that a
     /// kernel reads.
     fn axons(&mut self, id: PopulationId) {
-        let outgoing: Vec<&Projection> =
-            self.network.outgoing(id).iter().map(|&id| &self.network.projections()[id]).collect();
+        let outgoing: Vec<_> = self.network.outgoing(id).iter().map(|&id| &self.network.projections()[id]).collect();
         let population = &self.network.populations()[id];
         let is_dense = |p: &&&Projection| matches!(p.connectivity, Connectivity::Dense { .. });
         let whole: BTreeSet<CoreId> =

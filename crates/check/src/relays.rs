@@ -65,11 +65,14 @@ pub enum Unfaithful {
 /// arrival, less one.
 type ArrivingSynapse = (u32, SynapseFormat, i16, i64);
 
+/// Steps by which the spikes of each population are later.
+type Later = IdVec<PopulationId, u32>;
+
 /// Checks the rule.
 ///
 /// # Errors
 /// The first difference: the frame, then synapses by source, then relays that nothing reaches.
-pub fn check(original: &Quantised, relayed: &Quantised, later: &IdVec<PopulationId, u32>) -> Result<(), Unfaithful> {
+pub fn check(original: &Quantised, relayed: &Quantised, later: &Later) -> Result<(), Unfaithful> {
     check_frame(original, relayed, later)?;
     let relays = original.compartments()..relayed.compartments();
     let reached: Vec<AtomicBool> = relays.clone().map(|_| AtomicBool::new(false)).collect();
@@ -88,7 +91,7 @@ pub fn check(original: &Quantised, relayed: &Quantised, later: &IdVec<Population
     unreached.map_or(Ok(()), |(relay, _)| Err(Unfaithful::Unreached(CompartmentId(relay))))
 }
 
-fn check_frame(original: &Quantised, relayed: &Quantised, later: &IdVec<PopulationId, u32>) -> Result<(), Unfaithful> {
+fn check_frame(original: &Quantised, relayed: &Quantised, later: &Later) -> Result<(), Unfaithful> {
     let (expected, actual) = (original.parts(), relayed.parts());
     let rules = [
         (later.len() == expected.populations.len(), "the list of populations"),
@@ -134,12 +137,7 @@ struct Walk<'a> {
 }
 
 impl Walk<'_> {
-    fn compare(
-        &self,
-        population: PopulationId,
-        sources: Range<u32>,
-        later: &IdVec<PopulationId, u32>,
-    ) -> Result<(), Unfaithful> {
+    fn compare(&self, population: PopulationId, sources: Range<u32>, later: &Later) -> Result<(), Unfaithful> {
         let (mut expected, mut reached): (Vec<ArrivingSynapse>, Vec<ArrivingSynapse>) = (Vec::new(), Vec::new());
         for index in sources {
             expected.clear();

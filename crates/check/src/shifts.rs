@@ -102,9 +102,9 @@ impl Bounds {
     }
 
     /// Whether the sources stay inside the volume, `down` rows and `right` columns further on.
-    fn hold(&self, down: i64, right: i64, (_, height, width): (u32, u32, u32)) -> bool {
+    fn hold(&self, down: i64, right: i64, volume: (u32, u32, u32)) -> bool {
         let inside = |(low, high): (i64, i64), by: i64, size: u32| low + by >= 0 && high + by < i64::from(size);
-        inside(self.rows, down, height) && inside(self.columns, right, width)
+        inside(self.rows, down, volume.1) && inside(self.columns, right, volume.2)
     }
 }
 
@@ -194,8 +194,7 @@ pub fn compared(network: &Quantised, program: &Program, copies: u32) -> IdVec<Co
     for image in program.cores().iter().filter(|image| image.axons_out.cores().iter().any(|&core| is_first(core))) {
         image.ids.iter().zip(image.axons_out.iter()).for_each(|(id, messages)| note(channels + id.0, messages));
     }
-    let bounds =
-        sources.as_slice().par_iter().map(|sources| Bounds::around(network, sources)).collect::<Vec<_>>().into();
+    let bounds = sources.as_slice().par_iter().map(|of| Bounds::around(network, of)).collect::<Vec<_>>().into();
     let shifts = Shifts { network, program, sizes: Sizes::new(network, copies), bounds };
     let all: Vec<CoreId> = program.cores().ids().collect();
     let of = |&core: &CoreId| match is_first(core) {

@@ -65,31 +65,18 @@ pub enum Violation {
     /// The program is for another board.
     #[error("the mesh of the program differs from the target's")]
     Mesh,
-    /// Two cores have one site.
-    #[error("{core} has the same place as another core")]
-    Site {
-        /// The later of the two.
-        core: CoreId,
-    },
+    /// Two cores have one site; the later of them.
+    #[error("{0} has the same place as another core")]
+    Site(CoreId),
     /// Messages of a source do not name each core once, in ascending order.
     #[error("{0} does not name each destination core once, in ascending order")]
     Multicast(String),
-    /// A selected list without synapses, or an unselected list with synapses.
-    #[error("{core}: list {list} is selected without synapses, or has synapses but is not selected")]
-    EmptyAxon {
-        /// The core.
-        core: CoreId,
-        /// The list.
-        list: usize,
-    },
-    /// Population axons that the hardware does not have.
-    #[error("{place}: {what}")]
-    Population {
-        /// The core or the source.
-        place: String,
-        /// The error.
-        what: &'static str,
-    },
+    /// A list of a core that is selected without synapses, or has synapses but is not selected.
+    #[error("{0}: list {1} is selected without synapses, or has synapses but is not selected")]
+    EmptyAxon(CoreId, usize),
+    /// Population axons, of a core or a source, that the hardware does not have.
+    #[error("{0}: {1}")]
+    Population(String, &'static str),
     /// Neurons of a kind that the chip does not have.
     #[error("{core} has {kind} neurons, which the chip does not have")]
     Kind {
@@ -134,32 +121,15 @@ pub enum Violation {
         /// The list.
         list: usize,
     },
-    /// Slots that do not suit the format.
-    #[error("{core}: list {list}: the slots of a group do not suit its format")]
-    Slots {
-        /// The core.
-        core: CoreId,
-        /// The list.
-        list: usize,
-    },
-    /// Delays that do not suit the format.
-    #[error("{core}: list {list}: the delays of a group do not suit its format")]
-    Delay {
-        /// The core.
-        core: CoreId,
-        /// The list.
-        list: usize,
-    },
-    /// A weight that its format does not have.
-    #[error("{core}: list {list}: weight {weight} is not in its format")]
-    Weight {
-        /// The core.
-        core: CoreId,
-        /// The list.
-        list: usize,
-        /// The weight.
-        weight: i16,
-    },
+    /// A list of a core with slots that do not suit their format.
+    #[error("{0}: list {1}: the slots of a group do not suit its format")]
+    Slots(CoreId, usize),
+    /// A list of a core with delays that do not suit their format.
+    #[error("{0}: list {1}: the delays of a group do not suit its format")]
+    Delay(CoreId, usize),
+    /// A list of a core with a weight that its format does not have.
+    #[error("{0}: list {1}: weight {2} is not in its format")]
+    Weight(CoreId, usize, i16),
     /// Use of a resource or a pool beyond its limit.
     #[error("{core} uses {need} {}, the limit is {limit}", capacity.name())]
     Excess {
@@ -193,7 +163,7 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
     }
     let mut taken = BTreeSet::new();
     if let Some(core) = program.cores().ids().find(|&core| !taken.insert(program.cores()[core].site)) {
-        return Err(Violation::Site { core });
+        return Err(Violation::Site(core));
     }
     let limit = chip.message_bits;
     if let Some(wide) = program.parts().graded.iter().find(|graded| graded.message.bits() > limit) {
@@ -211,30 +181,46 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
     };
     let tables = firsts.as_slice().par_iter().map(of_core);
     let tables: IdVec<ClassId, Result<CoreUsage, Violation>> = tables.collect::<Vec<_>>().into();
-    // Cores with equal lists of messages, to cores of equal classes, equally on or off their chip.
-    let (mut known, mut firsts) = (HashMap::new(), Vec::new());
-    let alike = |(core, image): (CoreId, &CoreImage)| {
-        let reached = image.axons_out.cores();
+    let (groups, firsts) = equal_senders(program);
+    let sent: Vec<_> = firsts.par_iter().map(|&core| verify_sent(program, core, populations, limits)).collect();
+    // Threads may finish in any order; the violation of the lowest core is reported.
+    let mut all = IdVec::new();
+    for ((core, image), group) in program.cores().enumerate().zip(groups) {
+        let mut usage = tables[image.class].clone()?;
+        (usage[Resource::AxonsOut], usage[Resource::AxonsOutPerCompartment]) = sent[group].clone()?;
+        if let Some((capacity, need, limit)) = usage.excesses(limits).next() {
+            return Err(Violation::Excess { core, capacity, need, limit });
+        }
+        all.push(usage);
+    }
+    Ok(all)
+}
+
+/// Groups of cores with equal lists of messages, to cores of equal classes, equally on or off their
+/// chip: the group of each core, and the first core of each group.
+fn equal_senders(program: &Program) -> (Vec<usize>, Vec<CoreId>) {
+    let (mut known, mut firsts) = (HashMap::<_, Vec<usize>>::new(), Vec::new());
+    let group = |(core, image): (CoreId, &CoreImage)| {
+        let (reached, lists) = (image.axons_out.cores(), image.axons_out.lists());
         let there = |&to: &CoreId| (program.cores()[to].class, program.cores()[to].site.chip == image.site.chip);
         let alone = (!reached.is_sorted_by(|a, b| a < b)).then_some(core);
-        let key = (Arc::as_ptr(image.axons_out.lists()), reached.iter().map(there).collect::<Vec<_>>(), alone);
-        *known.entry(key).or_insert_with(|| {
+        // Few lists that differ have these axons in common, so few are compared as a whole.
+        let messages = lists.items();
+        let sample: Vec<u16> = messages.iter().step_by(messages.len() / 4 + 1).map(|to| to.axon).collect();
+        let key = (messages.len(), sample, reached.iter().map(there).collect::<Vec<_>>(), alone);
+        let similar = known.entry(key).or_default();
+        let is_equal = |first: &CoreId| {
+            let other = program.cores()[*first].axons_out.lists();
+            Arc::ptr_eq(other, lists) || other == lists
+        };
+        similar.iter().copied().find(|&group| is_equal(&firsts[group])).unwrap_or_else(|| {
             firsts.push(core);
+            similar.push(firsts.len() - 1);
             firsts.len() - 1
         })
     };
-    let alike: Vec<usize> = program.cores().enumerate().map(alike).collect();
-    let sent: Vec<_> = firsts.par_iter().map(|&core| verify_sent(program, core, populations, limits)).collect();
-    // Threads may finish in any order; the violation of the lowest core is reported.
-    let of_core = |((core, image), alike): ((CoreId, &CoreImage), usize)| {
-        let mut usage = tables[image.class].clone()?;
-        (usage[Resource::AxonsOut], usage[Resource::AxonsOutPerCompartment]) = sent[alike].clone()?;
-        match usage.excesses(limits).next() {
-            Some((capacity, need, limit)) => Err(Violation::Excess { core, capacity, need, limit }),
-            None => Ok(usage),
-        }
-    };
-    program.cores().enumerate().zip(alike).map(of_core).collect()
+    let groups = program.cores().enumerate().map(group).collect();
+    (groups, firsts)
 }
 
 /// Checks that cores use exactly the counted synapses, and no more than counted of any resource. By
@@ -294,7 +280,7 @@ fn verify_messages(
     let mut atoms = messages.filter_map(atom);
     match atoms.next() {
         Some(first) if atoms.any(|atom| atom != first) => {
-            Err(Violation::Population { place: name(), what: "its atom differs between cores" })
+            Err(Violation::Population(name(), "its atom differs between cores"))
         }
         _ => Ok(()),
     }
@@ -311,12 +297,12 @@ fn is_long(axon: &PopulationAxon, limits: &Limits) -> bool {
 
 /// Checks population axons; returns whether each list belongs to a table.
 fn verify_populations(core: CoreId, inputs: &InputTable, limits: &Limits) -> Result<Vec<bool>, Violation> {
-    let wrong = |what| Err(Violation::Population { place: core.to_string(), what });
-    let mut in_table = vec![false; inputs.lists.len()];
-    if inputs.populations.is_empty() {
+    let wrong = |what| Err(Violation::Population(core.to_string(), what));
+    let (axons, mut in_table) = (&inputs.populations, vec![false; inputs.lists.len()]);
+    if axons.is_empty() {
         return Ok(in_table);
     }
-    let mut tables: Vec<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
+    let mut tables: Vec<(u32, u16)> = axons.iter().map(|axon| (axon.table, axon.atoms)).collect();
     tables.sort_unstable();
     tables.dedup();
     if tables.windows(2).any(|pair| pair[0].0 + u32::from(pair[0].1) > pair[1].0) {
@@ -326,8 +312,7 @@ fn verify_populations(core: CoreId, inputs: &InputTable, limits: &Limits) -> Res
     if u32::from(atoms) > 1 << ATOM_BITS.1 {
         return wrong("a population axon has more atoms than a message can number");
     }
-    let is_short = |axon: &&PopulationAxon| !is_long(axon, limits);
-    let short = inputs.populations.iter().filter(is_short).count() as u64;
+    let short = axons.iter().filter(|axon| !is_long(axon, limits)).count() as u64;
     let (most_short, most) = match limits.output_axons {
         OutputAxons::PerCompartment => {
             let bits = (ATOM_BITS.0..ATOM_BITS.1).find(|&bits| u32::from(atoms) <= 1 << bits).unwrap_or(ATOM_BITS.1);
@@ -335,13 +320,10 @@ fn verify_populations(core: CoreId, inputs: &InputTable, limits: &Limits) -> Res
         }
         OutputAxons::PerPosition { .. } => (1 << 10, 1 << 12),
     };
-    if short > most_short || inputs.populations.len() as u64 > most {
+    if short > most_short || axons.len() as u64 > most {
         return wrong("there are more population axons than a message can number next to their atoms");
     }
-    if inputs
-        .populations
-        .iter()
-        .any(|axon| !is_long(axon, limits) && !axon.base.is_multiple_of(BASE_STEP) || axon.base >= BASE_END)
+    if axons.iter().any(|axon| !is_long(axon, limits) && !axon.base.is_multiple_of(BASE_STEP) || axon.base >= BASE_END)
     {
         return wrong("a population axon has a base that cannot be stored");
     }
@@ -359,19 +341,19 @@ fn verify_populations(core: CoreId, inputs: &InputTable, limits: &Limits) -> Res
     }
     // A population axon has non-empty lists for exactly its members.
     let mut members = members.into_iter();
-    for (number, axon) in inputs.populations.iter().enumerate() {
+    for (number, axon) in axons.iter().enumerate() {
         for atom in 0..axon.atoms {
             let list = axon.table as usize + usize::from(atom);
             let selected = !inputs.lists.get(list).is_empty();
             if selected && members.next() != Some((number as u16, atom)) {
-                return Err(Violation::EmptyAxon { core, list });
+                return Err(Violation::EmptyAxon(core, list));
             }
         }
     }
     match members.next() {
         Some((axon, atom)) => {
-            let list = inputs.populations[usize::from(axon)].table as usize + usize::from(atom);
-            Err(Violation::EmptyAxon { core, list })
+            let list = axons[usize::from(axon)].table as usize + usize::from(atom);
+            Err(Violation::EmptyAxon(core, list))
         }
         None => Ok(in_table),
     }
@@ -381,8 +363,7 @@ fn verify_populations(core: CoreId, inputs: &InputTable, limits: &Limits) -> Res
 /// times its number of lists.
 fn words_of(inputs: &InputTable, of_lists: &[u32], in_table: &[bool]) -> (u64, u32) {
     let widest = of_lists.iter().copied().max().unwrap_or(0);
-    let discrete =
-        of_lists.iter().zip(in_table).filter(|(_, in_table)| !**in_table).map(|(words, _)| u64::from(*words));
+    let discrete = of_lists.iter().zip(in_table).filter(|(_, shared)| !**shared).map(|(words, _)| u64::from(*words));
     let tables: BTreeSet<(u32, u16)> = inputs.populations.iter().map(|axon| (axon.table, axon.atoms)).collect();
     let of_table = |(table, atoms): (u32, u16)| {
         let lists = &of_lists[table as usize..table as usize + usize::from(atoms)];
@@ -452,7 +433,7 @@ fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<Cor
     let (mut used, mut kinds) = (vec![false; class.formats.len()], Vec::new());
     for (list, synapses) in class.inputs.lists.iter().enumerate() {
         if synapses.is_empty() && !in_table[list] {
-            return Err(Violation::EmptyAxon { core, list });
+            return Err(Violation::EmptyAxon(core, list));
         }
         let mut list_words = 0;
         kinds.clear();
@@ -472,12 +453,9 @@ fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<Cor
         return Err(Violation::Format { core, format, what: "is not used" });
     }
     let stored = if limits.is_limited(Resource::StoredSynapses) { stored_synapses(program, core) } else { 0 };
-    let usage = usage_of(class, longest, words_of(&class.inputs, &of_lists, &in_table));
-    let usage = usage.with(Resource::StoredSynapses, stored);
-    Ok(match limits.counts_kernels() {
-        true => usage.with(Resource::AxonsIn, 0).with(Resource::SynapseWords, 0),
-        false => usage,
-    })
+    let (words, widest) = words_of(&class.inputs, &of_lists, &in_table);
+    let usage = usage_of(class, longest, words, widest).with(Resource::StoredSynapses, stored);
+    Ok(if limits.counts_kernels() { usage.with(Resource::AxonsIn, 0).with(Resource::SynapseWords, 0) } else { usage })
 }
 
 /// Number of synapses that a core stores where the compartments of a channel share their weights. A
@@ -492,13 +470,11 @@ fn stored_synapses(program: &Program, core: CoreId) -> u64 {
         of.map_or(id.0, |of| id.0 - (id.0 - of.first.0) % of.positions)
     };
     let channels: Vec<u32> = image.ids.iter().map(channel).collect();
-    let format =
-        |format: u8| class.formats.iter().position(|f| f.synapse == class.formats[usize::from(format)].synapse);
+    let format = |at: u8| class.formats.iter().position(|f| f.synapse == class.formats[usize::from(at)].synapse);
     let formats: Vec<Option<usize>> = (0..class.formats.len()).map(|at| format(at as u8)).collect();
     let stored = class.inputs.synapses().filter(|synapse| synapse.weight != 0);
-    let weight =
-        |s: Synapse| (channels[usize::from(s.slot)], formats[usize::from(s.format)], s.delay, s.weight, s.slot);
-    let mut weights: Vec<_> = stored.map(weight).collect();
+    let key = |s: Synapse| (channels[usize::from(s.slot)], formats[usize::from(s.format)], s.delay, s.weight, s.slot);
+    let mut weights: Vec<_> = stored.map(key).collect();
     weights.sort_unstable();
     let of_slots = weights.chunk_by(|a, b| (a.0, a.1, a.2, a.3) == (b.0, b.1, b.2, b.3));
     let most = of_slots.map(|weight| weight.chunk_by(|a, b| a.4 == b.4).map(<[_]>::len).max().unwrap_or(0) as u64);
@@ -544,21 +520,21 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
         })
     };
     if !in_order || !format.skip_bits.is_none_or(holds) {
-        return Err(Violation::Slots { core, list });
+        return Err(Violation::Slots(core, list));
     }
     let longest = group.iter().map(|s| s.delay.get()).max().unwrap_or(0);
     if (longest > 0) != (format.delay_bits > 0) || u32::from(longest) >= 1 << format.delay_bits {
-        return Err(Violation::Delay { core, list });
+        return Err(Violation::Delay(core, list));
     }
     let (low, high) = format.synapse.sign.range(format.synapse.bits);
     let step = format.synapse.sign.step(format.synapse.bits);
     match group.iter().find(|s| !(low..=high).contains(&s.weight) || s.weight % step != 0) {
-        Some(synapse) => Err(Violation::Weight { core, list, weight: synapse.weight }),
+        Some(synapse) => Err(Violation::Weight(core, list, synapse.weight)),
         None => Ok(()),
     }
 }
 
-fn usage_of(class: &CoreClass, longest: Delay, (words, widest): (u64, u32)) -> CoreUsage {
+fn usage_of(class: &CoreClass, longest: Delay, words: u64, widest: u32) -> CoreUsage {
     let compartments = class.compartments.len() as u32;
     let profiles = |neuron: &Neuron| (neuron.profile(), neuron.threshold());
     let distinct = class.compartments.iter().map(|c| profiles(&c.neuron));

@@ -67,10 +67,7 @@ impl Layout {
         let delay = if format.delay_bits > 0 { self.delay } else { 0 };
         let each = u32::from(format.synapse.bits.get()) + u32::from(delay) + u32::from(slot);
         // The first slot is stored for runs, and for synapses without slots in a table or in NxTF.
-        let first = match format.index_bits {
-            None => in_table || self.nxtf,
-            Some(_) => format.skip_bits.is_some(),
-        };
+        let first = if format.index_bits.is_none() { in_table || self.nxtf } else { format.skip_bits.is_some() };
         let begin = HEADER + if first { u32::from(self.index) } else { 0 };
         let (mut words, mut left) = (0, synapses);
         while left > 0 {

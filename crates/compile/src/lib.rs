@@ -24,6 +24,7 @@ use crate::spread::spread;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::mapping::MappingFile;
+use nsim_partition::error::Result;
 
 pub use mapping::Mapping;
 pub use nsim_partition::error::CompileError;
@@ -38,12 +39,12 @@ pub use stages::{AddedRelays, Front, Partitioned, Placed, Unchecked};
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping, CompileError> {
+pub fn map(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Mapping> {
     place(front, target, options, rates)?.emit(target, options)?.check(target)
 }
 
 /// The stages of [`map()`] up to the placement.
-fn place(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Placed, CompileError> {
+fn place(front: Front, target: &Target, options: &Options, rates: &Rates) -> Result<Placed> {
     let one = |front: Front, options: &Options| {
         let placed = place(front, target, options, rates)?;
         Ok((placed.partitioned.partition.to_members(), placed.placement, placed.name))
@@ -59,12 +60,7 @@ fn place(front: Front, target: &Target, options: &Options, rates: &Rates) -> Res
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn load(
-    front: impl Into<Front>,
-    target: &Target,
-    options: &Options,
-    file: &MappingFile,
-) -> Result<Mapping, CompileError> {
+pub fn load(front: impl Into<Front>, target: &Target, options: &Options, file: &MappingFile) -> Result<Mapping> {
     front.into().place_as(target, options, file)?.emit(target, options)?.check(target)
 }
 
@@ -72,7 +68,7 @@ pub fn load(
 ///
 /// # Errors
 /// [`CompileError`].
-pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Mapping, CompileError> {
+pub fn compile(front: impl Into<Front>, target: &Target, options: &Options) -> Result<Mapping> {
     let front = front.into();
     refuse_to_run(front.quantised(), options.copies)?;
     map(front, target, options, &Rates::assumed(DEFAULT_RATE))

@@ -216,16 +216,8 @@ fn a_network_that_cannot_fit_is_refused_by_its_sizes() {
     let mut source = net.input_shape("in", Shape::Volume(2, 516, 520));
     for name in ["a", "b"] {
         let layer = net.loihi_with(name, Shape::Volume(2, 516, 520), neurons());
-        let once = (1, 1);
-        let window = Window {
-            source: shape,
-            target: shape,
-            kernel: once,
-            stride: once,
-            padding: (0, 0),
-            dilation: once,
-            groups: 1,
-        };
+        let (kernel, stride, dilation, padding) = ((1, 1), (1, 1), (1, 1), (0, 0));
+        let window = Window { source: shape, target: shape, kernel, stride, padding, dilation, groups: 1 };
         net.connect((source, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2; 4].into() });
         source = layer;
     }

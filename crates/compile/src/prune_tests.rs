@@ -64,8 +64,7 @@ fn a_saved_mapping_prunes_the_same_and_counts_as_the_model_does() {
     let file = compiled.mapping_file();
     let said = file.pruned.as_ref().unwrap();
     assert_eq!((said.dead.len(), said.dead[0].first, said.dead[0].count), (1, 2, 1));
-    let runs: Vec<_> =
-        file.cores.iter().flat_map(|core| &core.holds).filter(|run| run.population == "hidden").collect();
+    let runs: Vec<_> = file.cores.iter().flat_map(|on| &on.holds).filter(|run| run.population == "hidden").collect();
     assert_eq!(runs.iter().map(|run| (run.first, run.count)).collect::<Vec<_>>(), [(0, 1), (3, 1)]);
     let again = load(whole.clone(), &board, &options, &file).unwrap();
     assert_eq!(again.program, compiled.program);

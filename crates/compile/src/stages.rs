@@ -275,11 +275,11 @@ impl Front {
         target: &Target,
         options: &Options,
         rates: &Rates,
-        (members, sites): (Members, IdVec<CoreId, Site>),
+        cores: (Members, IdVec<CoreId, Site>),
         name: &'static str,
     ) -> Result<Placed> {
-        let search = strategy::Search::new(options, rates);
-        let (front, all) = self.copied(target, options, search)?;
+        let (members, sites) = cores;
+        let (front, all) = self.copied(target, options, strategy::Search::new(options, rates))?;
         let Front { one, mut clock, .. } = front;
         let partition = clock.stage("partition", || mapping_file::partition_on(&all, members, &sites, target))?;
         let mesh = Mesh::for_target(target);
@@ -330,10 +330,9 @@ fn has_messages(population: &Population, target: &Target) -> Result<(), Diagnost
     if bits <= widest {
         return Ok(());
     }
-    let carry = if widest == 0 { "carry no integers".to_string() } else { format!("carry {widest} bits") };
+    let most = if widest == 0 { "carry no integers".to_string() } else { format!("carry {widest} bits") };
     let (name, target) = (&population.name, target.name());
-    let message =
-        format!("messages of population '{name}' carry integers of {bits} bits, messages of {target} {carry}");
+    let message = format!("messages of population '{name}' carry integers of {bits} bits, messages of {target} {most}");
     Err(Diagnostic::new("map.message", message)
         .help(format!("set message_bits: {bits} in a chip of your own, or choose a target with wider messages")))
 }
@@ -393,7 +392,7 @@ impl Partitioned {
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`] when there are more cores than the target has.
-    pub fn placement(&self, target: &Target, options: &Options) -> Result<(Placement, &'static str)> {
+    pub fn placement(&self, target: &Target, options: &Options) -> Result<place::NamedPlacement> {
         let Partitioned { all, partition, boxes, rates, .. } = self;
         let search = anneal::Search::new(options, rates);
         Ok(match boxes {

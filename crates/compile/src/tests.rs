@@ -184,10 +184,7 @@ fn every_limit_is_kept_on_hundreds_of_random_networks() {
             Err(other) => panic!("seed {seed}: {other}"),
         }
     }
-    assert!(
-        fitted > networks * 3 / 5 && split > networks / 2,
-        "{fitted} fitted, {split} were split, {refused} did not fit"
-    );
+    assert!(fitted > networks * 3 / 5 && split > networks / 2, "{fitted} fitted, {split} split, {refused} did not fit");
 }
 
 #[test]
@@ -264,11 +261,8 @@ fn a_kernel_is_stored_once() {
             assert!(!class.inputs.populations.is_empty(), "{packing:?} {core}");
             let stored = class.inputs.lists.items().len() as u64;
             assert!(stored * 3 < class.inputs.count(), "{packing:?} {core}: {stored} of {}", class.inputs.count());
-            assert!(
-                used[Resource::AxonsIn] * 4 < class.inputs.len() as u64,
-                "{packing:?} {core}: {}",
-                used[Resource::AxonsIn]
-            );
+            let axons = used[Resource::AxonsIn];
+            assert!(axons * 4 < class.inputs.len() as u64, "{packing:?} {core}: {axons}");
         }
         proved(&compiled, &limits, &format!("{packing:?}"));
     }
@@ -300,8 +294,7 @@ fn output_axons_are_counted_by_position_and_the_verifier_counts_the_same() {
     // position go to one core.
     let roomy = limits().with(Resource::Compartments, 512);
     let apart = Limits { output_axons: OutputAxons::PerCompartment, ..roomy.clone() };
-    let slots =
-        |compiled: &Mapping| -> u64 { compiled.partition.usage().iter().map(|used| used[Resource::AxonsOut]).sum() };
+    let slots = |of: &Mapping| -> u64 { of.partition.usage().iter().map(|used| used[Resource::AxonsOut]).sum() };
     let (together, alone) = (compiled(layers(), roomy.clone()), compiled(layers(), apart));
     assert!(slots(&together) * 3 < slots(&alone), "{} and {}", slots(&together), slots(&alone));
     for limits in [roomy, Limits { output_axons: OutputAxons::PerPosition { atoms: 4, more_slots: 3 }, ..limits() }] {
@@ -335,8 +328,7 @@ fn more_sources_than_a_program_can_number_take_several_cores() {
 #[test]
 fn tiles_fill_cores_that_hold_them_only_with_shared_lists() {
     let roomy = limits().with(Resource::Compartments, 512);
-    let most =
-        |compiled: &Mapping| compiled.partition.usage().iter().map(|used| used[Resource::SynapseWords]).max().unwrap();
+    let most = |of: &Mapping| of.partition.usage().iter().map(|used| used[Resource::SynapseWords]).max().unwrap();
     let found = compiled(layers(), roomy.clone());
     let tight = roomy.clone().with(Resource::SynapseWords, most(&found) as u32);
     let same = compiled(layers(), tight.clone());

@@ -87,10 +87,7 @@ impl Effort {
 
     /// The time of its end; `None` where it is counted in work.
     pub fn end(self) -> Option<Instant> {
-        match self {
-            Effort::Work(_) => None,
-            Effort::Within { end, .. } => Some(end),
-        }
+        if let Effort::Within { end, .. } = self { Some(end) } else { None }
     }
 
     /// The effort of one of `parts` equal parts; one that ends by the clock is unchanged.

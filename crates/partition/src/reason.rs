@@ -84,8 +84,7 @@ impl Tightest {
                 let before = all.remove(&id).map(|one| (one.cores, (one.resource, one.need, one.limit)));
                 let (cores, most) = before.unwrap_or_else(|| (0, here.clone()));
                 let (resource, need, limit) = tighter(most, here.clone());
-                let is_assumed =
-                    |one: &LimitSource| one.limit.value == resource.name() && one.status == Status::Assumed;
+                let is_assumed = |of: &LimitSource| of.limit.value == resource.name() && of.status == Status::Assumed;
                 let (assumed, population) = (sources.iter().any(is_assumed), network.populations()[id].name.clone());
                 all.insert(id, Tightest { population, cores: cores + 1, resource, need, limit, assumed });
             }
@@ -114,12 +113,9 @@ impl fmt::Display for Reason {
                 write!(f, "{takes} {need} cores, the target has {limit}")?;
                 if let Some(MappingUse::Tightest(most)) = &self.taken {
                     let Tightest { population, cores, resource, need, limit, assumed } = &**most;
-                    let assumed = if *assumed { " (assumed: no source gives it)" } else { "" };
+                    let note = if *assumed { " (assumed: no source gives it)" } else { "" };
                     let what = resource.heading().unwrap_or_default();
-                    write!(
-                        f,
-                        "; {population} is on {cores} of them, the fullest with {need} of {limit} {what}{assumed}"
-                    )?;
+                    write!(f, "; {population} is on {cores} of them, the fullest with {need} of {limit} {what}{note}")?;
                 }
             }
             (Capacity::Resource(Resource::Compartments), false) if self.core.is_none() => {

@@ -44,10 +44,8 @@ pub struct Fit {
 /// Peak of a compartment's response to one spike of weight 1. A step keeps the fraction `keep_u` of
 /// the current and `keep_v` of the voltage.
 pub fn peak(keep_u: f64, keep_v: f64) -> f64 {
-    match early_peak(keep_u, keep_v) {
-        (peak, true) => peak,
-        (_, false) => late_peak(keep_u, keep_v),
-    }
+    let (peak, is_reached) = early_peak(keep_u, keep_v);
+    if is_reached { peak } else { late_peak(keep_u, keep_v) }
 }
 
 /// Peak of the first 100,000 steps, and whether the response falls after it.
@@ -134,12 +132,8 @@ pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) ->
 /// `w(z) = (1 - keep_u z) (1 - keep_v z) c(z)`, cut off after `count`. The voltage at a spike is
 /// above the threshold by up to the last step's input: `mean_excess` is its mean, which calibration
 /// finds. `refractory` scales nu.
-pub fn own_synapses(
-    (srm, timestep_ms): (&SrmParameters, f64),
-    (keep_u, keep_v): (f64, f64),
-    (mean_excess, refractory): (f64, f64),
-    count: usize,
-) -> Vec<f64> {
+pub fn own_synapses(srm: (&SrmParameters, f64), keep: (f64, f64), scales: (f64, f64), count: usize) -> Vec<f64> {
+    let ((srm, timestep_ms), (keep_u, keep_v), (mean_excess, refractory)) = (srm, keep, scales);
     let tau = srm.tau_ref_ms / timestep_ms;
     let nu = |k: usize| match k {
         0 => 0.0,
@@ -278,8 +272,7 @@ mod tests {
                 assert!((v - alpha(k + 1) / PAPER.theta).abs() < 1e-12, "tau {tau}, k {k}");
             }
             let fit = start(&srm, 1.0);
-            let quantised = |k: i32| f64::from(k + 1) * keep(fit.du).powi(k);
-            let height = (0..5000).map(quantised).fold(0.0, f64::max) / fit.threshold;
+            let height = (0..5000).map(|k| f64::from(k + 1) * keep(fit.du).powi(k)).fold(0.0, f64::max) / fit.threshold;
             let wanted = (0..5000).map(alpha).fold(0.0, f64::max) / PAPER.theta;
             assert!((height / wanted - 1.0).abs() < 1e-12, "tau {tau}: {height} {wanted}");
         }

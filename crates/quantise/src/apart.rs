@@ -23,6 +23,11 @@ use nsim_ir::quantised::connectivity::{Connectivity, SeparateSum};
 use nsim_ir::quantised::{Population, Projection};
 use nsim_ir::spikes::Message;
 
+/// Populations of a network in integers, before it is checked.
+pub(crate) type Populations = IdVec<PopulationId, Population>;
+/// Its projections.
+pub(crate) type Projections = IdVec<ProjectionId, Projection>;
+
 /// Projections into one population, by the sum that they share.
 type Groups = Vec<Vec<ProjectionId>>;
 
@@ -42,8 +47,8 @@ pub(crate) fn loses_bits(projection: &Projection) -> bool {
 /// When a compartment would have more than [`SeparateSum::MOST`] sums.
 pub(crate) fn assign(
     graph: &Graph,
-    populations: &IdVec<PopulationId, Population>,
-    projections: &mut IdVec<ProjectionId, Projection>,
+    populations: &Populations,
+    projections: &mut Projections,
     into: &[ProjectionId],
 ) -> Result<Option<usize>, TooMany> {
     let convolutions = wrapping(populations, projections, into);
@@ -75,11 +80,7 @@ pub(crate) fn assign(
 }
 
 /// Convolutions into a population whose sums may leave 24 bits.
-fn wrapping(
-    populations: &IdVec<PopulationId, Population>,
-    projections: &IdVec<ProjectionId, Projection>,
-    into: &[ProjectionId],
-) -> Groups {
+fn wrapping(populations: &Populations, projections: &Projections, into: &[ProjectionId]) -> Groups {
     let mut groups: Vec<(_, Vec<ProjectionId>, Vec<u64>)> = Vec::new();
     for (id, projection) in into.iter().map(|&id| (id, &projections[id])) {
         let Connectivity::Conv2d { window, kernel } = &projection.connectivity else { continue };
@@ -108,7 +109,7 @@ fn greatest(message: Message) -> u64 {
 }
 
 /// Projections into a population whose weights lose bits, grouped by declaration and delay.
-fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, into: &[ProjectionId]) -> Groups {
+fn declared(graph: &Graph, projections: &Projections, into: &[ProjectionId]) -> Groups {
     let mut groups = Groups::new();
     let Some(target) = into.first().map(|&id| NodeIndex::new(projections[id].target.index())) else { return groups };
     let mut last = None;
@@ -130,7 +131,7 @@ fn declared(graph: &Graph, projections: &IdVec<ProjectionId, Projection>, into: 
 
 /// Whether one shift of each sum of a population suffices for all its projections: at most one
 /// loses bits at each port, and the exponents of all can be raised by as much.
-pub(crate) fn one_shift_does(projections: &IdVec<ProjectionId, Projection>, into: &[ProjectionId]) -> bool {
+pub(crate) fn one_shift_does(projections: &Projections, into: &[ProjectionId]) -> bool {
     let formats = || into.iter().map(|&id| &projections[id]);
     let lossy: Vec<_> = formats().filter(|projection| loses_bits(projection)).map(|p| p.format).collect();
     let least = lossy.iter().map(|format| format.exponent.get()).min().unwrap_or(0);

@@ -19,12 +19,13 @@ use std::collections::BTreeMap;
 
 use petgraph::graph::NodeIndex;
 
+use crate::apart::{Populations, Projections};
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::scaled;
-use nsim_ir::base::id::{IdVec, PopulationId, ProjectionId};
+use nsim_ir::base::id::{PopulationId, ProjectionId};
 use nsim_ir::graph::{self, Graph, PopulationKind, ProjectionKind};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
-use nsim_ir::quantised::{Neurons, Population, Projection};
+use nsim_ir::quantised::{Neurons, Projection};
 
 /// Most steps over which responses are summed.
 const SUMMED: usize = 2_000;
@@ -35,12 +36,7 @@ type Synapse = (u32, usize, usize, f64);
 
 /// Rounds again the weights into each population whose input is copied
 /// ([`graph::NeuronParameters::greatest_input`]); `scales` are in register units a real unit.
-pub fn carry(
-    graph: &Graph,
-    populations: &IdVec<PopulationId, Population>,
-    scales: &[Option<f64>],
-    projections: &mut IdVec<ProjectionId, Projection>,
-) {
+pub fn carry(graph: &Graph, populations: &Populations, scales: &[Option<f64>], projections: &mut Projections) {
     // By target and source, with the indices of the projections.
     let mut by_ends: BTreeMap<(NodeIndex, NodeIndex), Vec<(ProjectionId, &graph::Projection)>> = BTreeMap::new();
     for (place, (_, source, target, projection)) in graph.projections().enumerate() {
@@ -97,7 +93,7 @@ fn of_source_population(
     copies: &[(ProjectionId, &graph::Projection)],
     scale: f64,
     form: &RealForm,
-    projections: &mut IdVec<ProjectionId, Projection>,
+    projections: &mut Projections,
 ) {
     let formats: Vec<SynapseFormat> = copies.iter().map(|&(place, _)| projections[place].format).collect();
     let mut all: Vec<Vec<i16>> = copies.iter().map(|&(place, _)| weights(&projections[place]).to_vec()).collect();
@@ -185,14 +181,8 @@ mod tests {
         let graph = nsim_testing::graph(text);
         let start = analytic::starts(&graph)[1].clone().unwrap();
         let copies: Vec<(u32, f64)> = (0..9).map(|k| (k * k / 2, 1.0 - 0.11 * f64::from(k))).collect();
-        let fit = Fit {
-            du: Decay::new(300).unwrap(),
-            dv: Decay::MAX,
-            copies: copies.clone(),
-            threshold: 10.0,
-            greatest_input: Some(20.0),
-            ..start
-        };
+        let (du, dv) = (Decay::new(300).unwrap(), Decay::MAX);
+        let fit = Fit { du, dv, copies: copies.clone(), threshold: 10.0, greatest_input: Some(20.0), ..start };
         let graph = analytic::with_fits(&graph, &[None, Some(fit)]);
         let (network, unit) = (quantise_with(&graph, detail).unwrap(), scales(&graph, detail).unwrap()[1].unwrap());
         let keep = |delay: u32| libm::pow(1.0 - 300.0 / 4096.0, f64::from(32 - delay));

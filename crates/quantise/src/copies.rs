@@ -16,19 +16,16 @@ use nsim_ir::quantised::{Child, Inconsistent, Parts, Projection, Quantised, Unit
 pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
     let units = u64::from(network.channels()).max(u64::from(network.compartments()));
     if n == 0 || units * u64::from(n) > MOST_UNITS {
-        return Err(Inconsistent(format!(
-            "{n} copies of {units} channels or compartments are not between 1 and {MOST_UNITS}"
-        )));
+        let what = format!("{n} copies of {units} channels or compartments are not between 1 and {MOST_UNITS}");
+        return Err(Inconsistent(what));
     }
     if n == 1 {
         return Ok(network.clone());
     }
     let one = network.parts();
     if let Some(taken) = one.populations.iter().find(|p| is_copy_name(&p.name)) {
-        return Err(Inconsistent(format!(
-            "the name of population {} is also the name of a copy of another; rename it",
-            taken.name
-        )));
+        let what = format!("the name of population {} is also the name of a copy of another; rename it", taken.name);
+        return Err(Inconsistent(what));
     }
     let per_copy = one.populations.len() as u32;
     let mut parts = Parts {

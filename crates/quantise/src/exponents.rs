@@ -110,8 +110,7 @@ fn weights(projection: &Projection, sources: u32) -> Vec<(u32, u32, f64, u32)> {
         ProjectionKind::Sparse { synapses } => synapses.clone(),
         ProjectionKind::Conv2d { weights, .. } => {
             let per_channel = (weights.len() / weights.shape().first().copied().unwrap_or(1).max(1)).max(1);
-            let at = |i: usize| (0, (i / per_channel) as u32, weights.real(i), 0);
-            (0..weights.len()).map(at).collect()
+            (0..weights.len()).map(|i| (0, (i / per_channel) as u32, weights.real(i), 0)).collect()
         }
         ProjectionKind::SumPool2d { weight, .. } => vec![(0, 0, weight.value, 0)],
         ProjectionKind::Random { .. } => Vec::new(),
@@ -177,10 +176,8 @@ fn scale(graph: &Graph, node: NodeIndex) -> Option<f64> {
                 continue;
             }
             fits = fits.min(limit / weight * factor(projection.weight_exp.value));
-            let exponent = match is_open(projection) {
-                true => i64::from(WeightExponent::MAX.get()),
-                false => projection.weight_exp.value,
-            };
+            let greatest = i64::from(WeightExponent::MAX.get());
+            let exponent = if is_open(projection) { greatest } else { projection.weight_exp.value };
             most = most.min(limit / weight * factor(exponent));
             open |= is_open(projection);
         }

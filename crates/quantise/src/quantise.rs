@@ -19,7 +19,7 @@ use std::sync::Arc;
 
 use petgraph::graph::NodeIndex;
 
-use crate::apart::{self, TooMany};
+use crate::apart::{self, Populations, Projections, TooMany};
 use crate::carry;
 use crate::exponents::{Detail, assigned};
 use nsim_dynamics as neuron;
@@ -54,7 +54,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
     let scales: Vec<Option<f64>> =
         graph.populations().map(|(node, population)| stage.scale(node, population)).collect::<Result<_, _>>()?;
     let (mut channels, mut compartments) = (0, 0);
-    let mut populations: IdVec<PopulationId, Population> = IdVec::new();
+    let mut populations: Populations = IdVec::new();
     let mut problems = Vec::new();
     for ((_, population), scale) in graph.populations().zip(&scales) {
         let units = match &population.kind {
@@ -83,8 +83,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
     let projections = graph
         .projections()
         .map(|(_, source, target, projection)| stage.projection(source, target, projection, scales[target.index()]));
-    let mut projections: IdVec<ProjectionId, Projection> =
-        collect_all(problems.into_iter().chain(projections))?.into_iter().collect();
+    let mut projections: Projections = collect_all(problems.into_iter().chain(projections))?.into_iter().collect();
     stage.narrow_sums(&mut populations, &mut projections)?;
     if detail >= Detail::Carried {
         carry::carry(graph, &populations, &scales, &mut projections);
@@ -156,9 +155,8 @@ impl Stage<'_> {
     }
 
     fn real_neurons(&self, population: &graph::Population) -> Diagnostic {
-        let message =
-            format!("population '{}' has spike response neurons, which have no integer form", population.name);
-        self.error("model.srm-unconverted", message, population.span).help("run it with --engine reference")
+        let what = format!("population '{}' has spike response neurons, which have no integer form", population.name);
+        self.error("model.srm-unconverted", what, population.span).help("run it with --engine reference")
     }
 
     fn format(&self, projection: &graph::Projection) -> Result<SynapseFormat> {
@@ -175,14 +173,8 @@ impl Stage<'_> {
                 .error("model.synapse-format", message, bits.span)
                 .help("give 1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
-        Ok(SynapseFormat {
-            exponent,
-            sign: projection.sign,
-            bits: width,
-            port: projection.port,
-            apart: None,
-            plastic: false,
-        })
+        let (sign, port) = (projection.sign, projection.port);
+        Ok(SynapseFormat { exponent, sign, bits: width, port, apart: None, plastic: false })
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
@@ -190,11 +182,7 @@ impl Stage<'_> {
     /// arrivals are summed in finer units and shifted once (rules 11 and 39). Where one shift does
     /// not suffice, and where a convolution may wrap, kinds of Loihi 2 have separate sums (rules 39
     /// and 40).
-    fn narrow_sums(
-        &mut self,
-        populations: &mut IdVec<PopulationId, Population>,
-        projections: &mut IdVec<ProjectionId, Projection>,
-    ) -> Result<()> {
+    fn narrow_sums(&mut self, populations: &mut Populations, projections: &mut Projections) -> Result<()> {
         let lava = self.graph.facts().semantics == Semantics::Lava;
         let mut by_target: IdVec<PopulationId, Vec<ProjectionId>> = populations.iter().map(|_| Vec::new()).collect();
         projections.enumerate().for_each(|(id, projection)| by_target[projection.target].push(id));
@@ -211,17 +199,15 @@ impl Stage<'_> {
                     Ok(None) => {}
                     Ok(Some(0)) => continue,
                     Ok(Some(shifted)) => {
-                        let message =
-                            format!("input of {shifted} of its projections is shifted separately, as in lava");
-                        self.note(&name, message);
+                        let what = format!("input of {shifted} of its projections is shifted separately, as in lava");
+                        self.note(&name, what);
                         continue;
                     }
                     Err(TooMany(sums)) => {
-                        let message = format!(
-                            "its input makes {sums} sums that lava wraps separately, the limit is {}",
-                            SeparateSum::MOST
-                        );
-                        return refused(message, "use fewer delays, or weights that are multiples of 2^-weight_exp");
+                        let most = SeparateSum::MOST;
+                        let what =
+                            format!("its input makes {sums} sums that lava wraps separately, the limit is {most}");
+                        return refused(what, "use fewer delays, or weights that are multiples of 2^-weight_exp");
                     }
                 }
             }
@@ -239,8 +225,8 @@ impl Stage<'_> {
                 return refused(message, help);
             }
             if let Units::Compartments { neurons, .. } = &mut populations[target].units {
-                let shifted = |_, neuron| Ok::<_, Diagnostic>(Neuron { shift: exponent.unsigned_abs(), ..neuron });
-                *neurons = neurons.try_map(shifted)?;
+                *neurons = neurons
+                    .try_map(|_, neuron| Ok::<_, Diagnostic>(Neuron { shift: exponent.unsigned_abs(), ..neuron }))?;
             }
             self.note(&name, format!("input is shifted by {} bits in total, as in lava", -exponent));
             for &id in into {
@@ -272,10 +258,8 @@ impl Stage<'_> {
             if let Some(scale) = &projection.weight_scale {
                 let here = register(scale.value, exponent);
                 if pinned.is_some_and(|other| other != here) {
-                    let message = format!(
-                        "population '{}': its projections' weight_scale imply different scales",
-                        population.name
-                    );
+                    let name = &population.name;
+                    let message = format!("population '{name}': its projections' weight_scale imply different scales");
                     return Err(self.error("model.weight-scale", message, scale.span).help(
                         "give projections equal weight_scale times 2^weight_exp, because their inputs share one \
                          threshold",
@@ -302,7 +286,8 @@ impl Stage<'_> {
     /// Integers of a field, one for all compartments or one each.
     fn field(
         &self,
-        (population, what): (&str, &str),
+        population: &str,
+        what: &str,
         values: &Values,
         field: Field,
         to_integer: impl Fn(f64) -> f64,
@@ -331,9 +316,9 @@ impl Stage<'_> {
         parameter: &ParameterField,
         scale: Option<f64>,
     ) -> Result<PerCompartment<i64>> {
-        let what = (name, parameter.name);
-        if let Some(values) = p.get(parameter.name) {
-            return self.field(what, values, parameter.field, |x| x);
+        let what = parameter.name;
+        if let Some(values) = p.get(what) {
+            return self.field(name, what, values, parameter.field, |x| x);
         }
         let scaled = |unit: f64| move |x: f64| (x * scale.unwrap_or(1.0) / unit).round_ties_even();
         match parameter.real.and_then(|(real, conversion)| Some((real, conversion, p.get(real)?))) {
@@ -348,10 +333,10 @@ impl Stage<'_> {
                 }
                 let dt = self.graph.facts().timestep_ms;
                 let decay = |tau: f64| (DECAY_ONE as f64 * -(-dt / tau).exp_m1()).round_ties_even();
-                self.field(what, values, parameter.field, decay)
+                self.field(name, what, values, parameter.field, decay)
             }
             Some((real, Conversion::Threshold, values)) => {
-                self.field((name, real), values, parameter.field, scaled(f64::from(1 << THRESHOLD_SHIFT)))
+                self.field(name, real, values, parameter.field, scaled(f64::from(1 << THRESHOLD_SHIFT)))
             }
             Some((_, Conversion::BiasMantissa, values)) => {
                 self.real_bias(name, values, scaled(1.0))?.try_map(|_, (mantissa, _)| Ok(mantissa))
@@ -396,14 +381,9 @@ impl Stage<'_> {
     }
 
     /// Mantissa and exponent nearest to a real bias: the least exponent that its magnitude fits.
-    fn real_bias(
-        &self,
-        name: &str,
-        values: &Values,
-        to_register: impl Fn(f64) -> f64,
-    ) -> Result<PerCompartment<(i64, i64)>> {
+    fn real_bias(&self, name: &str, values: &Values, scale: impl Fn(f64) -> f64) -> Result<PerCompartment<(i64, i64)>> {
         values.each.try_map(|index, value| {
-            let register = to_register(value);
+            let register = scale(value);
             let fitting = (0..=i64::from(BiasExponent::MAX.get())).find_map(|exponent| {
                 let mantissa = (register / (exponent as f64).exp2()).round_ties_even();
                 Some((BiasMantissa::FIELD.check(mantissa as i64).ok()?, exponent))
@@ -464,9 +444,8 @@ impl Stage<'_> {
             if factor.is_none() {
                 let target = &self.graph.population(target).name;
                 let remedy = exact_format(projection, format);
-                let message =
-                    format!("projection {}: {message} (not in the reference engine): {remedy}", projection.name);
-                self.warnings.push(Warning::of_population(WarningCode::WeightsRounded, target, message));
+                let text = format!("projection {}: {message} (not in the reference engine): {remedy}", projection.name);
+                self.warnings.push(Warning::of_population(WarningCode::WeightsRounded, target, text));
             }
             self.notes.push(Note { entity: projection.name.clone(), message, rounded });
         }
@@ -534,7 +513,7 @@ impl Rounding<'_, '_> {
     }
 
     fn connectivity(&mut self, sources: u32, targets: u32) -> Result<Connectivity> {
-        let projection = self.projection;
+        let (projection, name) = (self.projection, &self.projection.name);
         let facts = self.stage.graph.facts();
         let place = |entry: usize| move || projection.place_of(&facts.source, entry as u32);
         match &projection.kind {
@@ -585,10 +564,7 @@ impl Rounding<'_, '_> {
                 let step = self.format.sign.step(self.format.bits);
                 let mut bound = |bound: &nsim_ir::spanned::Spanned<i64>, what: &str| {
                     if bound.value % i64::from(step) != 0 {
-                        let message = format!(
-                            "projection {}: {what} {} is not a multiple of {step}",
-                            projection.name, bound.value
-                        );
+                        let message = format!("projection {name}: {what} {} is not a multiple of {step}", bound.value);
                         return Err(self.stage.error("model.random", message, bound.span));
                     }
                     self.mantissa(bound.value as f64, what, || bound.span)
@@ -597,12 +573,9 @@ impl Rounding<'_, '_> {
                 if self.factor.is_some() || least > greatest {
                     let message = match self.factor {
                         Some(_) => {
-                            format!(
-                                "projection {}: random weights need an integer threshold and no weight_scale",
-                                projection.name
-                            )
+                            format!("projection {name}: random weights need an integer threshold and no weight_scale")
                         }
-                        None => format!("projection {}: low {least} is above high {greatest}", projection.name),
+                        None => format!("projection {name}: low {least} is above high {greatest}"),
                     };
                     return Err(self.stage.error("model.random", message, low.span));
                 }
@@ -661,11 +634,7 @@ mod tests {
         let pool = &q.projections().as_slice()[0].connectivity;
         let mut reached = Vec::new();
         pool.for_each_from(25 + 4 * 5 + 3, |target, weight| reached.push((target, weight)));
-        assert_eq!(
-            reached,
-            [(6 + 2 * 2 + 1, 2)],
-            "row 4 + 1 of padding is in window row 2, column 3 in window column 1"
-        );
+        assert_eq!(reached, [(6 + 2 * 2 + 1, 2)], "row 4 + 1 of padding is in window row 2, column 3 in column 1");
         let conv = &q.projections().as_slice()[1].connectivity;
         let mut reached = Vec::new();
         conv.for_each_from(6 + 4, |target, weight| reached.push((target, weight)));

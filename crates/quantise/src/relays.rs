@@ -31,7 +31,7 @@ use rayon::prelude::*;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::Diagnostic;
-use nsim_ir::base::fixed::{Delay, OutOfRange, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
+use nsim_ir::base::fixed::{Delay, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
 use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph::{PerCompartment, Shape};
 use nsim_ir::neurons::Port;
@@ -132,8 +132,7 @@ fn needs(network: &Quantised, most: u32) -> Result<Vec<RelayNeed>, Diagnostic> {
 /// Steps by which each population is later, so that relays have the delay that they need.
 fn padded(network: &Quantised, needs: &[RelayNeed]) -> Result<IdVec<PopulationId, u32>, Diagnostic> {
     let least = |projection: &Projection| {
-        let goes_over =
-            |need: &RelayNeed| need.of == projection.source && (need.tight || projection.delay > Delay::MIN);
+        let goes_over = |one: &RelayNeed| one.of == projection.source && (one.tight || projection.delay > Delay::MIN);
         i64::from(needs.iter().any(goes_over))
     };
     let mut later: IdVec<PopulationId, i64> = network.populations().iter().map(|_| 0).collect();
@@ -238,7 +237,6 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     }
     let later = padded(network, &needs)?;
     let mut parts = network.parts().clone();
-    let out_of_range = |error: OutOfRange| refused(format!("the delays are too long for relays: {error}"));
     for (population, &later) in parts.populations.iter_mut().zip(&later) {
         if let Units::Compartments { start_step, .. } = &mut population.units {
             *start_step += later;
@@ -246,7 +244,8 @@ fn level(network: &Quantised, most: u32) -> Result<Option<Relayed>, Diagnostic> 
     }
     for projection in parts.projections.iter_mut() {
         let (from, to) = (i64::from(later[projection.source]), i64::from(later[projection.target]));
-        projection.delay = Delay::new(i64::from(projection.delay.get()) + to - from).map_err(out_of_range)?;
+        projection.delay = Delay::new(i64::from(projection.delay.get()) + to - from)
+            .map_err(|error| refused(format!("the delays are too long for relays: {error}")))?;
     }
     let (mut next, mut relays) = (network.compartments(), 0);
     for need in &needs {
@@ -422,8 +421,7 @@ fn split(network: &Quantised, parts: &mut Parts, need: &RelayNeed, most: u32, re
             (piece, relay - of_piece)
         })
         .collect();
-    let mut divided: Vec<Divided> =
-        pieces.into_par_iter().map(|(piece, relay)| division.divided(piece, relay)).collect();
+    let mut divided: Vec<_> = pieces.into_par_iter().map(|(piece, relay)| division.divided(piece, relay)).collect();
     let over = Lists::together(divided.iter_mut().map(|of| &mut of.over));
     let name = parts.populations[relays].name.clone();
     for (at, &id) in outgoing.iter().enumerate() {
@@ -436,13 +434,8 @@ fn split(network: &Quantised, parts: &mut Parts, need: &RelayNeed, most: u32, re
         }
         let target = &parts.populations[projection.target].name;
         let delay = Delay::new(i64::from(projection.delay.get()) - 1).unwrap_or(Delay::MIN);
-        let carried = Projection {
-            name: format!("{name} -> {target}"),
-            source: relays,
-            delay,
-            connectivity: carried.into_connectivity(),
-            ..projection.clone()
-        };
+        let (name, connectivity) = (format!("{name} -> {target}"), carried.into_connectivity());
+        let carried = Projection { name, source: relays, delay, connectivity, ..projection.clone() };
         parts.projections.push(carried);
     }
     over.into_connectivity()

@@ -109,11 +109,10 @@ impl<'n> CoreClasses<'n> {
     /// Each core as a separate class.
     #[cfg(test)]
     pub fn apart(network: &'n Quantised, partition: &Partition) -> Self {
-        let place = |_| Place { copy: 0, origins: None };
         CoreClasses {
             classes: Classes::by_key(0..partition.cores()),
             windows: Windows::new(network, 1),
-            places: partition.members().ids().map(place).collect(),
+            places: partition.members().ids().map(|_| Place { copy: 0, origins: None }).collect(),
             channels: network.channels(),
             of_copy: [network.channels(), network.compartments()],
         }

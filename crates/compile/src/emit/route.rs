@@ -11,7 +11,7 @@
 //! Cores are written in parallel, from their own synapses alone. Then each core's input axons are
 //! sorted by the cores that send to them. Cores with equal messages to other cores share them.
 
-use std::collections::HashSet;
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use rayon::prelude::*;
@@ -45,26 +45,27 @@ pub fn route(
 ) -> Result<Program, String> {
     let holds = |core: CoreId| places.1.as_ref().is_none_or(|assignment| assignment.is_local(core));
     let classes = CoreClasses::new(network, partition, copies, holds);
-    route_classes(network, partition, places, &classes, limits)
+    route_classes(network, partition, places.0, places.1, &classes, limits)
 }
 
 /// The program of [`route`], with cores in these classes.
 pub(crate) fn route_classes(
     network: &Quantised,
     partition: &Partition,
-    (placement, assignment): (&Placement, Option<RankAssignment>),
-    found: &CoreClasses<'_>,
+    placement: &Placement,
+    assignment: Option<RankAssignment>,
+    by_class: &CoreClasses<'_>,
     limits: &Limits,
 ) -> Result<Program, String> {
     if partition.cores() != placement.len() {
         return Err("the partition and the placement have different numbers of cores".to_string());
     }
-    let (channels, classes) = (network.channels(), &found.classes);
+    let (channels, classes) = (network.channels(), &by_class.classes);
     let holds = |core: CoreId| assignment.as_ref().is_none_or(|assignment| assignment.is_local(core));
-    let written = Tables::new(network, partition, limits).of_classes(found, holds)?;
+    let written = Tables::new(network, partition, limits).of_classes(by_class, holds)?;
     let (written, of_first): (Vec<CoreClass>, Vec<Vec<u32>>) = written.into_iter().unzip();
     let all: Vec<CoreId> = partition.members().ids().collect();
-    let sources = |core: CoreId| shifted(&of_first[classes.of[core].index()], found.shifts(core));
+    let sources = |core: CoreId| shifted(&of_first[classes.of[core].index()], by_class.shifts(core));
     let axons = |core: CoreId| (0..=u16::MAX).zip(sources(core));
     let of_channels = Csr::by_row(channels as usize, |put| {
         for &core in &all {
@@ -130,6 +131,16 @@ fn graded(network: &Quantised) -> Vec<Graded> {
 /// Number of parts of the senders for each thread.
 const PARTS: usize = 8;
 
+/// Messages that a core receives.
+struct Incoming {
+    /// Cores that send them, ascending.
+    senders: Vec<CoreId>,
+    /// The first core of its class with equal messages from as many senders.
+    first_equal: CoreId,
+    /// The messages, which all these cores share.
+    received: Arc<Received>,
+}
+
 /// Messages to a core from each of its senders: slots there and input axons here.
 #[derive(Default, PartialEq, Eq, Hash)]
 struct Received {
@@ -139,19 +150,14 @@ struct Received {
     messages: Vec<u32>,
 }
 
-/// For each core its senders, ascending, and its messages from them. Cores of a class with equal
-/// messages from as many senders share them.
-fn received<M: Iterator<Item = (Seat, u16)>>(
-    classes: &Classes,
-    messages: impl Fn(CoreId) -> M + Sync,
-) -> IdVec<CoreId, (Vec<CoreId>, Arc<Received>)> {
-    let mut members: IdVec<ClassId, Vec<CoreId>> = vec![Vec::new(); classes.firsts.len()].into();
-    classes.of.enumerate().for_each(|(core, &class)| members[class].push(core));
-    let of_core = |keys: &mut Vec<u64>, core: CoreId| {
-        let key =
-            |(seat, axon): (Seat, u16)| u64::from(seat.core.0) << 32 | u64::from(seat.slot) << 16 | u64::from(axon);
+impl Received {
+    /// The senders of a core, ascending, and its messages from them, from seats of sources and
+    /// axons; `keys` is scratch memory.
+    fn by_sender(messages: impl Iterator<Item = (Seat, u16)>, keys: &mut Vec<u64>) -> (Vec<CoreId>, Self) {
         keys.clear();
-        keys.extend(messages(core).map(key));
+        keys.extend(
+            messages.map(|(seat, axon)| u64::from(seat.core.0) << 32 | u64::from(seat.slot) << 16 | u64::from(axon)),
+        );
         if !keys.is_sorted() {
             keys.sort_unstable();
         }
@@ -166,38 +172,45 @@ fn received<M: Iterator<Item = (Seat, u16)>>(
         }
         received.firsts.push(keys.len() as u32);
         (senders, received)
-    };
+    }
+}
+
+/// The messages that each core receives.
+fn received<M: Iterator<Item = (Seat, u16)>>(
+    classes: &Classes,
+    messages: impl Fn(CoreId) -> M + Sync,
+) -> IdVec<CoreId, Incoming> {
+    let mut members: IdVec<ClassId, Vec<CoreId>> = vec![Vec::new(); classes.firsts.len()].into();
+    classes.of.enumerate().for_each(|(core, &class)| members[class].push(core));
     let of_class = |cores: &Vec<CoreId>| {
-        let (mut keys, mut known) = (Vec::new(), HashSet::<Arc<Received>>::new());
-        let one = |&core: &CoreId| {
-            let (senders, received) = of_core(&mut keys, core);
-            let same = known.get(&received).cloned();
-            let same = same.unwrap_or_else(|| Arc::new(received));
+        let (mut keys, mut known) = (Vec::new(), HashMap::<Arc<Received>, CoreId>::new());
+        let mut all = Vec::with_capacity(cores.len());
+        for &core in cores {
+            let (senders, received) = Received::by_sender(messages(core), &mut keys);
+            let equal = known.get_key_value(&received).map(|(received, &first)| (received.clone(), first));
+            let (received, first_equal) = equal.unwrap_or_else(|| (Arc::new(received), core));
             if cores.len() > 1 {
-                known.insert(same.clone());
+                known.entry(received.clone()).or_insert(core);
             }
-            (core, (senders, same))
-        };
-        cores.iter().map(one).collect::<Vec<_>>()
+            all.push((core, Incoming { senders, first_equal, received }));
+        }
+        all
     };
     let mut all: Vec<_> = members.as_slice().par_iter().flat_map_iter(of_class).collect();
     all.sort_unstable_by_key(|(core, _)| *core);
-    all.into_iter().map(|(_, received)| received).collect()
+    all.into_iter().map(|(_, incoming)| incoming).collect()
 }
 
 /// The messages of each core, from the messages that all cores receive.
 ///
 /// # Errors
 /// A core that sends to more cores than can be numbered.
-fn axons_out(
-    partition: &Partition,
-    received: &IdVec<CoreId, (Vec<CoreId>, Arc<Received>)>,
-) -> Result<Vec<AxonsOut>, CoreId> {
+fn axons_out(partition: &Partition, incoming: &IdVec<CoreId, Incoming>) -> Result<Vec<AxonsOut>, CoreId> {
     let mut sent: IdVec<CoreId, Vec<(CoreId, u32)>> = vec![Vec::new(); partition.cores()].into();
-    for (to, (senders, _)) in received.enumerate() {
-        (0..).zip(senders).for_each(|(number, &from)| sent[from].push((to, number)));
+    for (to, of_core) in incoming.enumerate() {
+        (0..).zip(&of_core.senders).for_each(|(number, &from)| sent[from].push((to, number)));
     }
-    let from = |&(to, number): &(CoreId, u32)| (Arc::as_ptr(&received[to].1), number);
+    let from = |&(to, number): &(CoreId, u32)| (incoming[to].first_equal, number);
     let slots = |core: CoreId| partition.members()[core].len();
     let key = |(core, sent): (CoreId, &Vec<(CoreId, u32)>)| (slots(core), sent.iter().map(from).collect::<Vec<_>>());
     if let Some((core, _)) = sent.enumerate().find(|(_, sent)| sent.len() > 1 << 16) {
@@ -208,16 +221,16 @@ fn axons_out(
     let lists = |firsts: &[CoreId]| {
         let mut messages: Vec<Vec<(u16, IndexedTarget)>> = vec![Vec::new(); firsts.len()];
         let mut reached = vec![0u32; firsts.len()];
-        for (senders, received) in received {
+        for Incoming { senders, received, .. } in incoming {
             let begin = senders.partition_point(|sender| *sender < firsts[0]);
             let those = (begin..).zip(&senders[begin..]).take_while(|(_, sender)| Some(*sender) <= firsts.last());
             for (number, sender) in those {
                 let Ok(place) = firsts.binary_search(sender) else { continue };
                 let part = received.firsts[number] as usize..received.firsts[number + 1] as usize;
                 let core = reached[place] as u16;
-                let reached_by =
-                    |&message: &u32| ((message >> 16) as u16, IndexedTarget { core_index: core, axon: message as u16 });
-                messages[place].extend(received.messages[part].iter().map(reached_by));
+                messages[place].extend(received.messages[part].iter().map(|&message| {
+                    ((message >> 16) as u16, IndexedTarget { core_index: core, axon: message as u16 })
+                }));
                 reached[place] += 1;
             }
         }

@@ -16,7 +16,7 @@ use nsim_partition::resources::axon_sharing::{EqualPlace, Places};
 use nsim_partition::resources::exact::{StoredLists, group_of, longest_delays};
 use nsim_partition::resources::formats::Formats;
 use nsim_partition::resources::packing::{Compression, Group, Widths, stored};
-use nsim_partition::resources::sorted_synapses::{self, Key};
+use nsim_partition::resources::sorted_synapses::{self, Key, by_core};
 use rayon::prelude::*;
 
 /// Common input of the tables of every core.
@@ -61,8 +61,8 @@ impl<'a> Tables<'a> {
             let counts = |id| network.targets_of(id).any(|(_, projection, _)| reached[projection.target]);
             let (seats, cores) = (self.partition.seats(), self.partition.cores());
             let longest = longest_delays(network, seats, cores, counts);
-            let wanted = (counts, |core: CoreId| is_left[core]);
-            let mut others = sorted_synapses::by_core(network, &self.formats, seats, cores, wanted, |core, keys| {
+            let wanted = |core: CoreId| is_left[core];
+            let mut others = by_core(network, &self.formats, seats, cores, counts, wanted, |core, keys| {
                 is_left[core].then(|| self.class(core, keys, longest[core]))
             });
             left.iter().for_each(|&class| written[class.index()] = others[firsts[class].index()].take());
@@ -120,15 +120,15 @@ struct Writer<'a> {
 
 impl Writer<'_> {
     /// Number of the format of a group of this make-up; a new one where the core has none.
-    fn number(&mut self, (format, made): (u16, Group)) -> Option<u8> {
-        if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, made)) {
+    fn number(&mut self, format: u16, group: Group) -> Option<u8> {
+        if let Some((_, number)) = self.last.filter(|(last, _)| *last == (format, group)) {
             return Some(number);
         }
-        let [_, (compression, _)] = stored(made, self.widths, self.limits);
+        let [_, (compression, _)] = stored(group, self.widths, self.limits);
         let stored = CoreFormat {
             synapse: self.formats.get(format),
-            delay_bits: if made.delayed { self.widths.delay } else { 0 },
-            index_bits: (!made.dense).then_some(self.widths.index),
+            delay_bits: if group.delayed { self.widths.delay } else { 0 },
+            index_bits: (!group.dense).then_some(self.widths.index),
             skip_bits: match compression {
                 Compression::RunLength(bits) if self.runs => Some(bits),
                 _ => None,
@@ -139,15 +139,16 @@ impl Writer<'_> {
             self.known.len() - 1
         });
         let number = u8::try_from(number).ok()?;
-        self.last = Some(((format, made), number));
+        self.last = Some(((format, group), number));
         Some(number)
     }
 
     /// Writes a list, with slots relative to a base.
     fn list(&mut self, list: &[Key], base: u16) -> Option<()> {
-        for group in sorted_synapses::groups(list) {
-            let number = self.number(group_of(group, self.formats))?;
-            for key in group {
+        for keys in sorted_synapses::groups(list) {
+            let (format, group) = group_of(keys, self.formats);
+            let number = self.number(format, group)?;
+            for key in keys {
                 let delay = Delay::new(key.delay().into()).ok()?;
                 let synapse = Synapse { slot: key.slot() - base, weight: key.weight(), format: number, delay };
                 self.lists.extend_last([synapse]);

@@ -83,13 +83,8 @@ impl<'a> Layout<'a> {
     /// Counted bits of an entry.
     fn counted(&self, format: &CoreFormat, synapses: u32, in_table: bool) -> usize {
         let how = compression(format);
-        let group = Group {
-            weight_bits: format.synapse.bits,
-            synapses,
-            delayed: format.delay_bits > 0,
-            dense: how == Compression::Dense,
-            skip: format.skip_bits,
-        };
+        let (delayed, dense) = (format.delay_bits > 0, how == Compression::Dense);
+        let group = Group { weight_bits: format.synapse.bits, synapses, delayed, dense, skip: format.skip_bits };
         packing::words_as(group, how, in_table, self.widths, self.limits) as usize * WORD
     }
 

@@ -78,11 +78,11 @@ impl Incoming<'_> {
     }
 
     /// The weight between two channels at a place of the kernel.
-    fn weight(&self, from: u32, to: u32, (y, x): (u32, u32)) -> i16 {
+    fn weight(&self, from: u32, to: u32, place: (u32, u32)) -> i16 {
         match self.weights {
             Weights::Kernel(kernel) => {
                 let of_pair = to * self.ingoing() + from % self.ingoing();
-                kernel[((of_pair * self.window.kernel.0 + y) * self.window.kernel.1 + x) as usize]
+                kernel[((of_pair * self.window.kernel.0 + place.0) * self.window.kernel.1 + place.1) as usize]
             }
             Weights::Same(weight) => weight,
         }

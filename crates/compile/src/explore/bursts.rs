@@ -10,7 +10,7 @@ use crate::explore::cost_estimate::first_constants;
 use nsim_cost::deployment::{Deployment, HostWork};
 use nsim_cost::transport::{MessageRoutes, QueueMemory, Transport};
 use nsim_ir::activity::StepActivity;
-use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;
@@ -56,15 +56,9 @@ pub fn messages(program: &Program) -> u64 {
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
-pub fn simulated_us(
-    program: &Program,
-    placement: &Placement,
-    target: &Target,
-    copies: u32,
-    chance: f64,
-) -> Result<f64, Diagnostic> {
+pub fn simulated_us(program: &Program, places: &Placement, target: &Target, copies: u32, chance: f64) -> Result<f64> {
     let tables = [first_constants(target)?];
-    let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
+    let deployment = Deployment::from_placement("mapped", places, target, copies, HostWork::for_target(target));
     let mut step = StepActivity::new(program.cores().len());
     for (core, counts) in step.cores.iter_mut().enumerate() {
         *counts = program.class_of(CoreId::new(core)).updates();

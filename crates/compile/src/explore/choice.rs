@@ -216,11 +216,7 @@ mod tests {
 
     #[test]
     fn a_candidate_whose_messages_wait_longer_is_left_for_the_next() {
-        assert_eq!(
-            taken(0.0, &[(4, 20.0, 112.0), (2, 30.0, 111.0)]),
-            Some(2),
-            "faster in the mean, so a ninth longer is allowed"
-        );
+        assert_eq!(taken(0.0, &[(4, 20.0, 112.0), (2, 30.0, 111.0)]), Some(2), "faster: a ninth longer is allowed");
         assert_eq!(taken(0.0, &[(4, 20.0, 112.0)]), None);
         assert_eq!(taken(0.0, &[(4, 37.0, 101.0)]), None);
         assert_eq!(taken(0.0, &[(4, 37.0, 100.0)]), Some(4));
@@ -235,9 +231,6 @@ mod tests {
         assert!(no_slower(&[900.0, 410.0, 200.0, 20.0], &plain, 1.0 / MARGIN));
         assert!(!no_slower(&[900.0, 450.0, 200.0, 20.0], &plain, 1.0 / MARGIN));
         assert!(!no_slower(&[900.0, 410.0, 300.0, 20.0], &plain, 1.0 / MARGIN), "all populations together take longer");
-        assert!(
-            no_slower(&[900.0, 300.0, 300.0, 99.0], &plain, 1.0),
-            "a tenth of the step in which all spike is short"
-        );
+        assert!(no_slower(&[900.0, 300.0, 300.0, 99.0], &plain, 1.0), "a tenth of the step when all spike is short");
     }
 }

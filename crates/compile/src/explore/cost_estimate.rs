@@ -11,14 +11,15 @@ use std::ops::Range;
 
 use rayon::prelude::*;
 
-use crate::explore::traffic::{Traffic, of_program, parts};
+use crate::explore::traffic::{Links, Traffic, of_program, parts};
+use crate::mapping::Mapping;
 use nsim_cost::constants::CostTable;
 use nsim_cost::deployment::{Deployment, HostWork};
 use nsim_cost::estimate::job_power;
 use nsim_cost::model::{core_time, route_time, step_energy};
 use nsim_cost::transport::Transport;
 use nsim_ir::activity::{CoreCounts, StepActivity};
-use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CoreId, Id, IdVec};
 use nsim_ir::base::units::Picoseconds;
 use nsim_ir::firing_rates::{RATE_STEPS, Rates};
@@ -49,14 +50,8 @@ pub struct Score {
 ///
 /// # Errors
 /// A diagnostic when the target's constants cannot be used or there are none.
-pub fn score_at(
-    program: &Program,
-    placement: &Placement,
-    copies: u32,
-    rates: &Rates,
-    target: &Target,
-) -> Result<Score, Diagnostic> {
-    score_of(&expected(program, rates), &of_program(program, rates).traffic(), placement, target, copies)
+pub fn score_at(program: &Program, places: &Placement, copies: u32, rates: &Rates, target: &Target) -> Result<Score> {
+    score_of(&expected(program, rates), &of_program(program, rates).traffic(), places, target, copies)
 }
 
 /// Expected cost of the activity in the steps that rates count, and of the traffic of one step.
@@ -69,7 +64,7 @@ pub fn score_of(
     placement: &Placement,
     target: &Target,
     copies: u32,
-) -> Result<Score, Diagnostic> {
+) -> Result<Score> {
     let table = first_constants(target)?;
     let deployment = Deployment::from_placement("mapped", placement, target, copies, HostWork::for_target(target));
     let timing = deployment.timing(Transport::Analytic, copies);
@@ -103,7 +98,7 @@ pub fn score_of(
 ///
 /// # Errors
 /// A diagnostic when it cannot be used or there is none.
-pub fn first_constants(target: &Target) -> Result<CostTable, Diagnostic> {
+pub fn first_constants(target: &Target) -> Result<CostTable> {
     let none = || Diagnostic::new("target.constants", format!("target {} has no constants", target.name()));
     CostTable::new(target.constants().first().ok_or_else(none)?)
 }
@@ -154,10 +149,7 @@ pub fn expected(program: &Program, rates: &Rates) -> StepActivity {
 /// Adds the arrivals at each core: an input axon is the end of one message, so it has the rate of
 /// one source.
 fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
-    let of_axons = match rates {
-        Rates::Assumed(_) => None,
-        Rates::Profile { .. } => Some(rates_of_axons(program, rates)),
-    };
+    let of_axons = matches!(rates, Rates::Profile { .. }).then(|| rates_of_axons(program, rates));
     // With one rate for all, cores of a class have equal arrivals.
     let firsts = program.first_cores();
     let like = |(core, image): (CoreId, &CoreImage)| if of_axons.is_some() { core } else { firsts[image.class] };
@@ -188,8 +180,7 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
 
 /// Rate of the source of each input axon, by core.
 fn rates_of_axons(program: &Program, rates: &Rates) -> Vec<Vec<u64>> {
-    let mut of_axons: Vec<Vec<u64>> =
-        program.cores().ids().map(|core| vec![0; program.class_of(core).inputs.len()]).collect();
+    let mut of_axons: Vec<_> = program.cores().ids().map(|id| vec![0; program.class_of(id).inputs.len()]).collect();
     let mut leads = |message: AxonTarget, rate| of_axons[message.core.index()][usize::from(message.axon)] = rate;
     for image in program.cores() {
         for (id, messages) in image.ids.iter().zip(image.axons_out.iter()) {
@@ -227,6 +218,40 @@ impl Score {
         let pairs =
             [(self.cores as f64, other.cores as f64), (self.energy_uj, other.energy_uj), (self.step_us, other.step_us)];
         pairs.iter().all(|(a, b)| a <= b) && pairs.iter().any(|(a, b)| a < b)
+    }
+}
+
+impl Mapping {
+    /// The expected traffic.
+    pub fn traffic(&self) -> Traffic {
+        of_program(&self.program, &self.rates).traffic()
+    }
+
+    /// The expected messages over each link.
+    pub fn links(&self) -> Links {
+        of_program(&self.program, &self.rates).links()
+    }
+
+    /// Expected cost of a mean step with this traffic.
+    ///
+    /// # Errors
+    /// A diagnostic when the target's constants cannot be used or there are none.
+    pub fn score(&self, traffic: &Traffic, target: &Target) -> Result<Score> {
+        score_of(&expected(&self.program, &self.rates), traffic, &self.placement, target, self.options.copies)
+    }
+
+    /// Expected cost of a mean step when the sources of each copy spike at these rates.
+    ///
+    /// # Errors
+    /// A diagnostic when the target's constants cannot be used or there are none.
+    pub fn score_at(&self, rates: &Rates, target: &Target) -> Result<Score> {
+        let copies = self.options.copies;
+        score_at(&self.program, &self.placement, copies, &rates.copies(copies), target)
+    }
+
+    /// The messages over each link when the sources of each copy spike at these rates.
+    pub fn links_at(&self, rates: &Rates) -> Links {
+        of_program(&self.program, &rates.copies(self.options.copies)).links()
     }
 }
 

@@ -5,7 +5,6 @@ pub mod box_costs;
 pub mod bursts;
 pub mod choice;
 pub mod cost_estimate;
-pub mod estimate;
 pub mod remedy;
 pub mod search;
 #[cfg(test)]

@@ -19,7 +19,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::{AddedRelays, CompileError, DEFAULT_RATE, Effort, Front, Objective, Options, Reason, Strategy, Tightest};
+use crate::{AddedRelays, CompileError, DEFAULT_RATE, Effort, Front, Objective, Options, Reason, Tightest};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::PopulationId;
 use nsim_ir::firing_rates::Rates;
@@ -78,132 +78,185 @@ pub struct Refused<'a> {
 /// Remedies for a network that does not fit, the cheapest change first; `boards` are larger
 /// targets, ascending.
 pub fn remedies(refused: Refused<'_>, boards: &[Target], changed: &Changed<'_>) -> Vec<Remedy> {
-    let Refused { one, target, options, reasons, .. } = refused;
+    let (one, options) = (refused.one, refused.options);
     let synapses = one.synapses().saturating_mul(u64::from(options.copies));
-    let few = synapses <= MOST_SYNAPSES;
     if synapses > MOST_ON_BOARD || one.compartments() > MOST_COMPARTMENTS {
         return Vec::new();
     }
     let quick = Options { effort: Effort::Work(0), objective: Objective::Cores, place: false, ..*options };
-    let rates = Rates::assumed(DEFAULT_RATE);
-    // A partition suffices: routes and tables follow from it.
-    let tried = |front: Front, target: &Target, options: &Options| -> Result<Fitting, CompileError> {
-        let made = front.partition(target, options, &rates)?;
-        Ok(Fitting { cores: made.partition.cores() as u32, copies: options.copies })
-    };
-    let fits = |front: Front, target: &Target| tried(front, target, &quick).ok();
-    let changed = |changes: &[String]| if changes.is_empty() { None } else { changed(changes) };
-    // Boards have at least the known number of cores; for a large network only one is tried.
-    let taken = reasons.iter().filter(|reason| reason.resource == Capacity::Cores).map(|reason| reason.need).max();
-    let large_enough = boards.iter().filter(|board| u64::from(board.cores()) >= taken.unwrap_or(0));
-    let mut on_board = large_enough.take(if few { usize::MAX } else { 1 }).filter_map(|board| {
-        let fitting = fits(one.clone().into(), board)?;
-        Some((format!("use a larger board: --target {}", board.name()), fitting))
-    });
-    let mut found = Vec::new();
-    let mut keep = |kind, change: String, Fitting { cores, copies }: Fitting| {
-        found.push(Remedy { kind, change, cores, copies });
-    };
-    if !few {
-        on_board.next().into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
-        return found;
+    let trials = Trials { refused, boards, changed, quick, rates: Rates::assumed(DEFAULT_RATE) };
+    if synapses > MOST_SYNAPSES {
+        return trials.larger_board(1).into_iter().collect();
     }
-    if options.strategy != Strategy::default() {
-        let options = Options { effort: Options::default().effort, strategy: Strategy::default(), ..quick };
-        if let Ok(fitting) = tried(one.clone().into(), target, &options) {
-            keep("strategy", format!("use another strategy: --strategy {}", options.strategy.name()), fitting);
+    let by_price = [
+        Trials::default_strategy,
+        Trials::pruning,
+        Trials::relays,
+        Trials::fewer_copies,
+        Trials::fewer_bits,
+        Trials::larger_target,
+        Trials::multiple_of_limit,
+        Trials::least_limits,
+    ];
+    by_price.into_iter().filter_map(|remedy| remedy(&trials)).collect()
+}
+
+/// Changes to a mapping that does not fit; each method tries one, and returns it if it fits then.
+struct Trials<'a> {
+    refused: Refused<'a>,
+    boards: &'a [Target],
+    changed: &'a Changed<'a>,
+    /// Options of the mapping, with the least effort.
+    quick: Options,
+    rates: Rates,
+}
+
+impl Trials<'_> {
+    /// Partitions a network. That suffices: routes and tables follow from it.
+    fn partition(&self, front: Front, target: &Target, options: &Options) -> Result<Fitting, CompileError> {
+        let mapped = front.partition(target, options, &self.rates)?;
+        Ok(Fitting { cores: mapped.partition.cores() as u32, copies: options.copies })
+    }
+
+    fn fits(&self, front: Front, target: &Target) -> Option<Fitting> {
+        self.partition(front, target, &self.quick).ok()
+    }
+
+    /// The network on its target with other options.
+    fn with_options(&self, options: &Options) -> Option<Fitting> {
+        self.partition(self.refused.one.clone().into(), self.refused.target, options).ok()
+    }
+
+    fn change(&self, changes: &[String]) -> Option<(Front, Target)> {
+        if changes.is_empty() { None } else { (self.changed)(changes) }
+    }
+
+    fn default_strategy(&self) -> Option<Remedy> {
+        let Options { strategy, effort, .. } = Options::default();
+        if self.refused.options.strategy == strategy {
+            return None;
         }
+        let fitting = self.with_options(&Options { effort, strategy, ..self.quick })?;
+        Some(fitting.by("strategy", format!("use another strategy: --strategy {}", strategy.name())))
     }
-    if let Ok(pruned) = prune(one, &Plan::fixed())
-        && let Some(fitting) = fits(pruned.into(), target)
-    {
-        keep("prune", "prune the parts that cannot change an output: --prune static".to_string(), fitting);
+
+    fn pruning(&self) -> Option<Remedy> {
+        let pruned = prune(self.refused.one, &Plan::fixed()).ok()?;
+        let fitting = self.fits(pruned.into(), self.refused.target)?;
+        Some(fitting.by("prune", "prune the parts that cannot change an output: --prune static".to_string()))
     }
-    if let Ok(front) = Front::from(one.clone()).relay(target) {
+
+    fn relays(&self) -> Option<Remedy> {
+        let front = Front::from(self.refused.one.clone()).relay(self.refused.target).ok()?;
         let change = match front.relays() {
             None => "let sources share input axons: --relays".to_string(),
             Some(AddedRelays { relays, later, .. }) => {
-                let steps = later
-                    .values()
-                    .max()
-                    .map_or(String::new(), |steps| format!(", with some spikes {steps} steps later"));
+                let later = later.values().max();
+                let steps = later.map_or(String::new(), |steps| format!(", with some spikes {steps} steps later"));
                 format!("add {relays} relay compartments{steps}: --relays")
             }
         };
-        if let Some(fitting) = fits(front, target) {
-            keep("relays", change, fitting);
-        }
+        Some(self.fits(front, self.refused.target)?.by("relays", change))
     }
-    let of_copies = |copies: u32| tried(one.clone().into(), target, &Options { copies, ..quick }).ok();
-    if options.copies > 1
-        && let Some(fitting) = most_copies(options.copies, of_copies)
-    {
+
+    fn fewer_copies(&self) -> Option<Remedy> {
+        let all = self.refused.options.copies;
+        if all <= 1 {
+            return None;
+        }
+        let fitting = most_copies(all, |copies| self.with_options(&Options { copies, ..self.quick }))?;
         let most = fitting.copies;
-        keep("copies", format!("map {most} of the {} copies: --copies {most}", options.copies), fitting);
+        Some(fitting.by("copies", format!("map {most} of the {all} copies: --copies {most}")))
     }
-    for bits in BITS {
-        let changes = refused.fewer_bits(bits);
-        let Some((front, target)) = changed(&changes) else { continue };
-        let (before, after) = (non_zero(one), non_zero(front.quantised()));
-        // Without any weight between two populations, it would be a different network.
-        if before.iter().any(|(ends, count)| *count > 0 && after.get(ends) == Some(&0)) {
-            break;
-        }
-        let (all, kept): (u64, u64) = (before.values().sum(), after.values().sum());
-        let zeros = if kept < all { format!(" and {} of {all} become 0", all - kept) } else { String::new() };
-        let Some(fitting) = fits(front, &target) else { continue };
-        let typed = typed(&changes);
-        let words = format!("store weights in {bits} bits; check the accuracy, as weights get coarser{zeros}: {typed}");
-        keep("weight_bits", words, fitting);
-        break;
-    }
-    let more_chips = || {
-        let of_a_column = u64::from(target.cores() / target.chips_x().max(1));
-        let changes = [format!("target.chips_x={}", taken?.div_ceil(of_a_column.max(1)))];
-        let (front, target) = changed(&changes)?;
-        Some((format!("use more chips: {}", typed(&changes)), fits(front, &target)?))
-    };
-    on_board.next().or_else(more_chips).into_iter().for_each(|(change, fitting)| keep("target", change, fitting));
-    let most = reasons.iter().find_map(|reason| match &reason.taken {
-        Some(MappingUse::Tightest(most)) => Some(&**most),
-        _ => None,
-    });
-    for factor in most.into_iter().flat_map(|_| DOUBLED) {
-        let Some(Tightest { resource, limit, .. }) = most else { break };
-        let changes = [format!("target.limits.{}={}", resource.name(), limit.saturating_mul(factor))];
-        let Some((front, target)) = changed(&changes) else { break };
-        if let Some(fitting) = fits(front, &target) {
-            let words = format!(
-                "change the chip, with {factor} times the limit of a core's fullest resource: {}",
-                typed(&changes)
-            );
-            keep("doubled_limit", words, fitting);
-            break;
-        }
-    }
-    let (mut limits, mut reasons) = (BTreeMap::new(), reasons.to_vec());
-    for _ in 0..MOST_RAISED {
-        // A core must have at least the need of a single compartment.
-        let alone = reasons.iter().filter(|reason| reason.population.is_some());
-        for reason in alone {
-            if let Capacity::Resource(resource) = &reason.resource {
-                let least: &mut u64 = limits.entry(*resource).or_default();
-                *least = reason.need.max(*least);
-            }
-        }
-        let limit = |(resource, least): (&Resource, &u64)| format!("target.limits.{}={least}", resource.name());
-        let changes: Vec<String> = limits.iter().map(limit).collect();
-        let Some((front, target)) = changed(&changes) else { break };
-        match tried(front, &target, &quick) {
-            Ok(fitting) => {
-                keep("limit", format!("change the chip, with at least these limits: {}", typed(&changes)), fitting);
+
+    fn fewer_bits(&self) -> Option<Remedy> {
+        for bits in BITS {
+            let changes = self.refused.fewer_bits(bits);
+            let Some((front, target)) = self.change(&changes) else { continue };
+            let (before, after) = (non_zero(self.refused.one), non_zero(front.quantised()));
+            // Without any weight between two populations, it would be a different network.
+            if before.iter().any(|(ends, count)| *count > 0 && after.get(ends) == Some(&0)) {
                 break;
             }
-            Err(CompileError::DoesNotFit(next)) if next != reasons => reasons = next,
-            Err(_) => break,
+            let (all, left): (u64, u64) = (before.values().sum(), after.values().sum());
+            let zeros = if left < all { format!(" and {} of {all} become 0", all - left) } else { String::new() };
+            let Some(fitting) = self.fits(front, &target) else { continue };
+            let set = typed(&changes);
+            let text =
+                format!("store weights in {bits} bits; check the accuracy, as weights get coarser{zeros}: {set}");
+            return Some(fitting.by("weight_bits", text));
         }
+        None
     }
-    found
+
+    /// Cores that the network needs, as far as they are known.
+    fn cores(&self) -> Option<u64> {
+        let of_cores = self.refused.reasons.iter().filter(|reason| reason.resource == Capacity::Cores);
+        of_cores.map(|reason| reason.need).max()
+    }
+
+    /// The first of `most` boards that have the known number of cores.
+    fn larger_board(&self, most: usize) -> Option<Remedy> {
+        let large_enough = self.boards.iter().filter(|board| u64::from(board.cores()) >= self.cores().unwrap_or(0));
+        large_enough.take(most).find_map(|board| {
+            let fitting = self.fits(self.refused.one.clone().into(), board)?;
+            Some(fitting.by("target", format!("use a larger board: --target {}", board.name())))
+        })
+    }
+
+    fn larger_target(&self) -> Option<Remedy> {
+        self.larger_board(usize::MAX).or_else(|| {
+            let target = self.refused.target;
+            let of_a_column = u64::from(target.cores() / target.chips_x().max(1));
+            let changes = [format!("target.chips_x={}", self.cores()?.div_ceil(of_a_column.max(1)))];
+            let (front, target) = self.change(&changes)?;
+            let words = format!("use more chips: {}", typed(&changes));
+            Some(self.fits(front, &target)?.by("target", words))
+        })
+    }
+
+    fn multiple_of_limit(&self) -> Option<Remedy> {
+        let Tightest { resource, limit, .. } = self.refused.reasons.iter().find_map(|reason| match &reason.taken {
+            Some(MappingUse::Tightest(most)) => Some(&**most),
+            _ => None,
+        })?;
+        for factor in DOUBLED {
+            let changes = [format!("target.limits.{}={}", resource.name(), limit.saturating_mul(factor))];
+            let (front, target) = self.change(&changes)?;
+            if let Some(fitting) = self.fits(front, &target) {
+                let set = typed(&changes);
+                let words =
+                    format!("change the chip, with {factor} times the limit of a core's fullest resource: {set}");
+                return Some(fitting.by("doubled_limit", words));
+            }
+        }
+        None
+    }
+
+    fn least_limits(&self) -> Option<Remedy> {
+        let (mut limits, mut reasons) = (BTreeMap::<Resource, u64>::new(), self.refused.reasons.to_vec());
+        for _ in 0..MOST_RAISED {
+            // A core must have at least the need of a single compartment.
+            for reason in reasons.iter().filter(|reason| reason.population.is_some()) {
+                if let Capacity::Resource(resource) = reason.resource {
+                    let least = limits.entry(resource).or_default();
+                    *least = reason.need.max(*least);
+                }
+            }
+            let limit = |(resource, least): (&Resource, &u64)| format!("target.limits.{}={least}", resource.name());
+            let changes: Vec<String> = limits.iter().map(limit).collect();
+            let (front, target) = self.change(&changes)?;
+            match self.partition(front, &target, &self.quick) {
+                Ok(fitting) => {
+                    let words = format!("change the chip, with at least these limits: {}", typed(&changes));
+                    return Some(fitting.by("limit", words));
+                }
+                Err(CompileError::DoesNotFit(next)) if next != reasons => reasons = next,
+                Err(_) => return None,
+            }
+        }
+        None
+    }
 }
 
 /// Number of synapses with a weight other than 0, by source and target population.
@@ -239,6 +292,12 @@ impl Refused<'_> {
 struct Fitting {
     cores: u32,
     copies: u32,
+}
+
+impl Fitting {
+    fn by(self, kind: &'static str, change: String) -> Remedy {
+        Remedy { kind, change, cores: self.cores, copies: self.copies }
+    }
 }
 
 /// The most copies that fit, by bisection.

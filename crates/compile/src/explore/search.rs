@@ -122,8 +122,8 @@ impl Bursts<StoredMapping> for StoredBursts<'_> {
     fn simulated_us(&mut self, kept: &StoredMapping) -> Result<Option<f64>> {
         let StoredMapping::Whole(unchecked) = kept else { return Ok(None) };
         let Mapping { placement, program, .. } = unchecked.mapping();
-        let affordable = || (SIMULATED_MESSAGES / messages(program).max(1) as f64).min(1.0);
-        let chance = *self.chance.get_or_insert_with(affordable);
+        let chance =
+            *self.chance.get_or_insert_with(|| (SIMULATED_MESSAGES / messages(program).max(1) as f64).min(1.0));
         Ok(Some(simulated_us(program, placement, self.target, self.copies, chance)?))
     }
 }
@@ -352,7 +352,10 @@ impl<'a> Search<'a> {
                     let mapping = unchecked.mapping();
                     (mapping.score(&mapping.traffic(), target)?, StoredMapping::Whole(Box::new(unchecked)))
                 }
-                Some(boxes) => self.of_boxes(&partitioned.all, boxes, partitioned.placement(target, options)?)?,
+                Some(boxes) => {
+                    let (placement, name) = partitioned.placement(target, options)?;
+                    self.of_boxes(&partitioned.all, boxes, &placement, name)?
+                }
             };
             let scored = ScoredCandidate { candidate, score };
             tracing::debug!(found = ?scored, "candidate");
@@ -366,18 +369,16 @@ impl<'a> Search<'a> {
         &self,
         all: &Quantised,
         boxes: &Boxes,
-        (placement, placed): (Placement, &'static str),
+        placement: &Placement,
+        placed: &'static str,
     ) -> Result<(Score, StoredMapping)> {
         let Search { target, options, rates, .. } = *self;
-        let at_places = PlacedBoxes { network: all, boxes, placement: &placement };
-        let bursts = match options.objective {
-            Objective::Latency => population_bursts(all),
-            _ => Vec::new(),
-        };
+        let at_places = PlacedBoxes { network: all, boxes, placement };
+        let bursts = if options.objective == Objective::Latency { population_bursts(all) } else { Vec::new() };
         let score = |rates: &PopulationRates| at_places.score(rates, &at_places.traffic(rates), target, options.copies);
         let bursts = bursts.iter().map(score).collect::<Result<_, _>>()?;
         let score = score(&everywhere(all, rates))?;
-        let file = Box::new(file_of_boxes(all, &boxes.lattices(), &placement, target.name(), options));
+        let file = Box::new(file_of_boxes(all, &boxes.lattices(), placement, target.name(), options));
         Ok((score, StoredMapping::Boxes { file, placed, bursts }))
     }
 }

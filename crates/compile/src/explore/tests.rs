@@ -91,15 +91,8 @@ fn layered(seed: u64) -> Quantised {
         }
         // A recurrent convolution.
         if draw(3, k + 15) == 0 {
-            let once = Window {
-                source: shape,
-                target: shape,
-                kernel: (3, 1),
-                stride: (1, 1),
-                padding: (1, 0),
-                dilation: (1, 1),
-                groups: 1,
-            };
+            let (source, target, kernel, stride, padding, dilation) = (shape, shape, (3, 1), (1, 1), (1, 0), (1, 1));
+            let once = Window { source, target, kernel, stride, padding, dilation, groups: 1 };
             let own = format(0, SignMode::Mixed, 8);
             let weights = u64::from(shape.0 * shape.0 * 3);
             let kernel = (0..weights).map(|i| weight(own, seed, k + 1, i)).collect();
@@ -128,12 +121,8 @@ fn counts_and_costs_of_boxes_are_those_of_the_program() {
     let (mut several, mut fewer) = (0, 0);
     for seed in 0..90 {
         let board = target(8, 4, small(seed));
-        let options = Options {
-            copies: 1 + (seed % 3) as u32,
-            place: seed % 4 > 0,
-            effort: Effort::Work(0),
-            ..Options::default()
-        };
+        let (copies, place, effort) = (1 + (seed % 3) as u32, seed % 4 > 0, Effort::Work(0));
+        let options = Options { copies, place, effort, ..Options::default() };
         let partitioned = front(layered(seed)).partition(&board, &options, &Rates::assumed(DEFAULT_RATE));
         let partitioned = partitioned.unwrap_or_else(|e| panic!("seed {seed}: {e}"));
         let boxes = partitioned.boxes.clone().unwrap();
@@ -408,7 +397,7 @@ fn programs_of_boxes_are_those_written_synapse_by_synapse() {
         let Ok(mapping) = by_kernels(network, &board, &options) else { continue };
         let Mapping { quantised: all, partition, placement, .. } = &mapping;
         let apart = CoreClasses::apart(all, partition);
-        let meant = route_classes(all, partition, (placement, None), &apart, board.limits()).unwrap();
+        let meant = route_classes(all, partition, placement, None, &apart, board.limits()).unwrap();
         let written = route(all, partition, (placement, None), copies, board.limits()).unwrap();
         assert!(without_classes(&written) == without_classes(&meant), "seed {seed}");
         // Every core is the first of its class or a shift of it.
@@ -419,6 +408,6 @@ fn programs_of_boxes_are_those_written_synapse_by_synapse() {
     }
     assert!(
         alike as u64 > 8 * networks && cores as u64 > 16 * networks,
-        "{alike} of {cores} cores are written as others are"
+        "{alike} of {cores} cores are written as others"
     );
 }

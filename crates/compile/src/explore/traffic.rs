@@ -130,14 +130,8 @@ pub fn of_program<'a>(program: &'a Program, rates: &Rates) -> Counts<'a> {
 
 impl<'a> Counts<'a> {
     fn new(mesh: &'a Mesh) -> Self {
-        Counts {
-            mesh,
-            loads: LinkLoads::new(mesh),
-            cut: 0,
-            multicast: 0,
-            tree: Columns::new(mesh),
-            of_chip: Vec::new(),
-        }
+        let (loads, tree) = (LinkLoads::new(mesh), Columns::new(mesh));
+        Counts { mesh, loads, cut: 0, multicast: 0, tree, of_chip: Vec::new() }
     }
 
     /// Sum of both.
@@ -207,8 +201,8 @@ impl<'a> Counts<'a> {
 }
 
 /// The tile at the north-west corner of a tile's chip, where inputs enter.
-fn corner(mesh: &Mesh, (x, y): (u32, u32)) -> (u32, u32) {
-    (x - x % mesh.width, y - y % mesh.height)
+fn corner(mesh: &Mesh, tile: (u32, u32)) -> (u32, u32) {
+    (tile.0 - tile.0 % mesh.width, tile.1 - tile.1 % mesh.height)
 }
 
 #[cfg(test)]

@@ -39,7 +39,7 @@ pub fn layers_of(network: &Quantised, lattices: &Lattices, placement: &Placement
 ///
 /// # Errors
 /// `mapping.site` when there is none.
-fn site(mesh: &Mesh, (chip, core): (u32, u32)) -> Result<Site> {
+fn site(mesh: &Mesh, chip: u32, core: u32) -> Result<Site> {
     let inside = chip < mesh.chips_x * mesh.chips_y && core < mesh.cores_per_chip;
     let site = inside.then(|| mesh.site(chip * mesh.cores_per_chip + core)).flatten();
     let none =
@@ -64,10 +64,8 @@ pub fn outline(
         return wrong("mapping.layers", message);
     }
     if file.pruned.is_some() {
-        return wrong(
-            "mapping.pruned",
-            "a mapping of boxes applies to the whole network, not to a pruned one".to_string(),
-        );
+        let message = "a mapping of boxes applies to the whole network, not to a pruned one".to_string();
+        return wrong("mapping.pruned", message);
     }
     let mut found: IdVec<PopulationId, Option<(Lattice, &MappedLayer)>> = vec![None; layers.len()].into();
     for mapped in &file.layers {
@@ -102,8 +100,8 @@ pub fn outline(
     for (id, population) in network.populations().enumerate() {
         match found[id] {
             Some((_, mapped)) => {
-                for place in mapped.places() {
-                    sites.push(site(&mesh, place)?);
+                for (chip, core) in mapped.places() {
+                    sites.push(site(&mesh, chip, core)?);
                 }
             }
             None if population.first_compartment().is_some() => {

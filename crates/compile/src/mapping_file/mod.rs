@@ -35,8 +35,7 @@ impl Mapping {
         let Mapping { quantised, partition, placement, target, options, .. } = self;
         match &self.lattices {
             None => {
-                let cores = cores_of(quantised, partition, placement);
-                MappingFile { cores, ..empty(quantised, target, options) }
+                MappingFile { cores: cores_of(quantised, partition, placement), ..empty(quantised, target, options) }
             }
             Some(lattices) => file_of_boxes(quantised, lattices, placement, target, options),
         }

@@ -31,14 +31,14 @@ pub fn plan(file: &PrunedFile, network: &Quantised) -> Result<Plan, Diagnostic> 
     let mut dead = Vec::new();
     for Run { population, first, count } in &file.dead {
         let found = network.inputs().find(|(_, input)| input.name == *population);
-        let Some((base, size)) = found.and_then(|(_, input)| Some((input.first_channel()?, input.shape.len()))) else {
+        let Some((base, all)) = found.and_then(|(_, input)| Some((input.first_channel()?, input.shape.len()))) else {
             return wrong(format!("the mapping prunes channels of {population}, which is not an input of the model"));
         };
         match first.checked_add(*count) {
-            Some(end) if end <= size => dead.extend((*first..end).map(|index| ChannelId(base.0 + index))),
+            Some(end) if end <= all => dead.extend((*first..end).map(|index| ChannelId(base.0 + index))),
             _ => {
                 return wrong(format!(
-                    "the mapping prunes channels {first} + {count} of {population}, which has {size}"
+                    "the mapping prunes channels {first} + {count} of {population}, which has {all}"
                 ));
             }
         }

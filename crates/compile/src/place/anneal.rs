@@ -12,6 +12,7 @@
 //! round. After a round all are combined and accepted if that is better. So the result does not
 //! depend on the number of threads.
 
+use std::ops::Range;
 use std::time::Instant;
 
 use rayon::prelude::*;
@@ -110,12 +111,6 @@ pub fn anneal(nets: &Nets, mesh: &Mesh, start: IdVec<CoreId, Site>, search: Sear
     best
 }
 
-/// Links of a net as one number, times its rate: `times` the multicast tree plus all routes.
-fn weighted_links(nets: &Nets, net: u32, mesh: &Mesh, sites: &[Site], (columns, times): (&mut Columns, i64)) -> i64 {
-    let (tree, all) = nets.links(net, mesh, sites, columns);
-    (times * tree as i64 + all as i64) * nets.nets[net as usize].weight as i64
-}
-
 /// Number of proposals that `work` allows for the cores of one chip.
 fn proposals(nets: &Nets, cores: &[CoreId], work: u64) -> u64 {
     let touched: usize = cores
@@ -127,100 +122,169 @@ fn proposals(nets: &Nets, cores: &[CoreId], work: u64) -> u64 {
     (work / each).min((PROPOSALS * cores.len() as u64).max(MIN_PROPOSAL_LIMIT))
 }
 
-/// Anneals the cores of one chip while all others stay.
-fn one_chip(
-    nets: &Nets,
-    mesh: &Mesh,
-    all: &[Site],
-    cores: &[CoreId],
-    Search { seed, work, end, tree, .. }: Search<'_>,
-) -> Vec<Site> {
-    let mut sites = all.to_vec();
-    let first = cores[0].index();
-    let chip = sites[first].chip;
-    let own = |sites: &[Site]| sites[first..first + cores.len()].to_vec();
-    let start = mesh.number(Site { chip, x: 0, y: 0, core: 0 }).unwrap_or(0);
-    let mut held: Vec<Option<usize>> = vec![None; mesh.cores_per_chip as usize];
-    for core in cores {
-        if let Some(number) = mesh.number(sites[core.index()]) {
-            held[(number - start) as usize] = Some(core.index());
+/// A core that goes from one site to another.
+#[derive(Clone, Copy)]
+struct Move {
+    core: usize,
+    from: Site,
+    to: Site,
+}
+
+/// Random numbers of one proposal.
+#[derive(Clone, Copy)]
+struct Draws {
+    seed: u64,
+    step: u64,
+}
+
+impl Draws {
+    /// Number `k` of the proposal, below `n`.
+    fn below(self, k: u64, n: u32) -> u32 {
+        rng::below(u64::from(n), self.seed, self.step, k) as u32
+    }
+}
+
+/// A chip whose cores are annealed while all others stay.
+struct Chip<'a> {
+    nets: &'a Nets,
+    mesh: &'a Mesh,
+    /// Weight of a link of a multicast tree.
+    tree: i64,
+    chip: u32,
+    /// Number of the first site of the chip.
+    start: u32,
+    /// Indices of its cores.
+    cores: Range<usize>,
+    /// The site of each core of the board.
+    sites: Vec<Site>,
+    /// The core on each site of the chip.
+    occupants: Vec<Option<usize>>,
+    columns: Columns,
+}
+
+impl<'a> Chip<'a> {
+    fn new(nets: &'a Nets, mesh: &'a Mesh, all: &[Site], cores: &[CoreId], tree: i64) -> Self {
+        let first = cores[0].index();
+        let (chip, cores) = (all[first].chip, first..first + cores.len());
+        let start = mesh.number(Site { chip, x: 0, y: 0, core: 0 }).unwrap_or(0);
+        let occupants = vec![None; mesh.cores_per_chip as usize];
+        let (sites, columns) = (all.to_vec(), Columns::new(mesh));
+        let mut this = Chip { nets, mesh, tree, chip, start, cores, sites, occupants, columns };
+        this.cores.clone().for_each(|core| this.occupy(this.sites[core], Some(core)));
+        this
+    }
+
+    /// The sites of its cores.
+    fn own(&self) -> Vec<Site> {
+        self.sites[self.cores.clone()].to_vec()
+    }
+
+    fn occupant(&self, site: Site) -> Option<usize> {
+        self.occupants[(self.mesh.number(site)? - self.start) as usize]
+    }
+
+    fn occupy(&mut self, site: Site, core: Option<usize>) {
+        if let Some(number) = self.mesh.number(site) {
+            self.occupants[(number - self.start) as usize] = core;
         }
     }
-    let mut columns = Columns::new(mesh);
-    let proposals = proposals(nets, cores, work);
-    if cores.len() < 2 && held.len() < 2 || proposals == 0 {
-        return own(&sites);
+
+    /// The proposed site of a core: half of the time near the cores that it exchanges messages
+    /// with, else any.
+    fn proposed(&self, core: usize, draws: Draws) -> Site {
+        let mesh = self.mesh;
+        let is_near = draws.below(1, 2) == 0;
+        let near = if is_near { middle(self.nets, mesh, &self.sites, core as u32, self.chip) } else { None };
+        let spread = |at: u32, size: u32, k: u64| {
+            (i64::from(at) + i64::from(draws.below(k, 3)) - 1).clamp(0, i64::from(size) - 1) as u32
+        };
+        let (x, y) = match near {
+            Some((x, y)) => (spread(x, mesh.width, 3), spread(y, mesh.height, 4)),
+            None => (draws.below(3, mesh.width), draws.below(4, mesh.height)),
+        };
+        Site { chip: self.chip, x, y, core: draws.below(5, mesh.cores_per_tile) }
     }
-    let (mut now, mut least, mut best) = (0i64, 0i64, own(&sites));
-    let mut affected: Vec<u32> = Vec::new();
-    let mut moves: Vec<(usize, Site, Site)> = Vec::new();
+
+    /// Puts the moves that bring a core to a site into `moves`; none where it stays on its tile, or
+    /// where the other tile does not have the sites.
+    fn moves_to(&self, core: usize, to: Site, moves: &mut Vec<Move>) {
+        moves.clear();
+        let from = self.sites[core];
+        if (to.x, to.y) == (from.x, from.y) || self.mesh.number(to).is_none() {
+            return;
+        }
+        let tile = |site: Site| (0..self.mesh.cores_per_tile).map(move |core| Site { core, ..site });
+        if tile(to).any(|site| self.occupant(site).is_some()) {
+            moves.push(Move { core, from, to });
+            moves.extend(self.occupant(to).map(|other| Move { core: other, from: to, to: from }));
+            return;
+        }
+        // Power is supplied by tile, so no further tile is begun: all cores of this one move.
+        for from in tile(from) {
+            let Some(core) = self.occupant(from) else { continue };
+            let to = Site { core: from.core, ..to };
+            if self.mesh.number(to).is_none() {
+                moves.clear();
+                return;
+            }
+            moves.push(Move { core, from, to });
+        }
+    }
+
+    /// Links of nets as one number, times their rates: `tree` times the multicast trees plus all
+    /// routes.
+    fn weighted_links(&mut self, nets: &[u32]) -> i64 {
+        let of_net = |&net: &u32| {
+            let (tree, all) = self.nets.links(net, self.mesh, &self.sites, &mut self.columns);
+            (self.tree * tree as i64 + all as i64) * self.nets.nets[net as usize].weight as i64
+        };
+        nets.iter().map(of_net).sum()
+    }
+}
+
+/// Anneals the cores of one chip while all others stay.
+fn one_chip(nets: &Nets, mesh: &Mesh, all: &[Site], cores: &[CoreId], search: Search<'_>) -> Vec<Site> {
+    let Search { seed, work, end, tree, .. } = search;
+    let mut chip = Chip::new(nets, mesh, all, cores, tree);
+    let proposals = proposals(nets, cores, work);
+    if cores.len() < 2 && chip.occupants.len() < 2 || proposals == 0 {
+        return chip.own();
+    }
+    let (mut now, mut least, mut best) = (0i64, 0i64, chip.own());
+    let (mut affected, mut moves): (Vec<u32>, Vec<Move>) = (Vec::new(), Vec::new());
     let (mut changes, mut tried) = (0.0, 0.0);
     for step in 0..proposals {
         if step % LOOKS == 0 && is_over(end) {
             break;
         }
-        let draw = |k: u64, n: u64| rng::below(n, seed, step, k);
-        let core = cores[draw(0, cores.len() as u64) as usize].index();
-        let from = sites[core];
-        let wanted = match draw(1, 2) {
-            0 => middle(nets, mesh, &sites, core as u32, chip).map(|(x, y)| {
-                let spread = |at: u32, most: u32, k| {
-                    (i64::from(at) + draw(k, 3) as i64 - 1).clamp(0, i64::from(most) - 1) as u32
-                };
-                (spread(x, mesh.width, 3), spread(y, mesh.height, 4))
-            }),
-            _ => None,
-        };
-        let any = || (draw(3, u64::from(mesh.width)) as u32, draw(4, u64::from(mesh.height)) as u32);
-        let (x, y) = wanted.unwrap_or_else(any);
-        let to = Site { chip, x, y, core: draw(5, u64::from(mesh.cores_per_tile)) as u32 };
-        let Some(number) = mesh.number(to).filter(|_| (to.x, to.y) != (from.x, from.y)) else { continue };
-        moves.clear();
-        let tile = |site: Site| (0..mesh.cores_per_tile).map(move |core| Site { core, ..site });
-        let holder = |held: &[Option<usize>], site: Site| held[(mesh.number(site)? - start) as usize];
-        if tile(to).any(|site| holder(&held, site).is_some()) {
-            moves.push((core, from, to));
-            moves.extend(held[(number - start) as usize].map(|other| (other, to, from)));
-        } else {
-            // Power is supplied by tile, so no further tile is begun: all cores of this one move.
-            for site in tile(from) {
-                let there = Site { core: site.core, ..to };
-                moves.extend(holder(&held, site).filter(|_| mesh.number(there).is_some()).map(|c| (c, site, there)));
-            }
-            if moves.len() != tile(from).filter(|&site| holder(&held, site).is_some()).count() {
-                continue;
-            }
+        let draws = Draws { seed, step };
+        let core = cores[draws.below(0, cores.len() as u32) as usize].index();
+        chip.moves_to(core, chip.proposed(core, draws), &mut moves);
+        if moves.is_empty() {
+            continue;
         }
         affected.clear();
-        moves.iter().for_each(|&(core, _, _)| affected.extend(nets.of_core.get(core)));
+        moves.iter().for_each(|change| affected.extend(nets.of_core.get(change.core)));
         if moves.len() > 1 {
             affected.sort_unstable();
             affected.dedup();
         }
-        let sum = |sites: &[Site], columns: &mut Columns| -> i64 {
-            affected.iter().map(|&net| weighted_links(nets, net, mesh, sites, (columns, tree))).sum()
-        };
-        let before = sum(&sites, &mut columns);
-        moves.iter().for_each(|&(core, _, to)| sites[core] = to);
-        let change = sum(&sites, &mut columns) - before;
+        let before = chip.weighted_links(&affected);
+        moves.iter().for_each(|change| chip.sites[change.core] = change.to);
+        let change = chip.weighted_links(&affected) - before;
         // The average change by a proposal so far sets the temperature.
         (changes, tried) = (changes + change.unsigned_abs() as f64, tried + 1.0);
         let temperature = HOTTEST * changes.max(1.0) / tried * COOLEST.powf(step as f64 / proposals as f64);
         let accepted = change <= 0 || rng::unit(seed, step, 6) < (-(change as f64) / temperature).exp();
-        if accepted {
-            now += change;
-            let mut hold = |site: Site, core: Option<usize>| {
-                if let Some(number) = mesh.number(site) {
-                    held[(number - start) as usize] = core;
-                }
-            };
-            moves.iter().for_each(|&(_, from, _)| hold(from, None));
-            moves.iter().for_each(|&(core, _, to)| hold(to, Some(core)));
-            if now < least {
-                (least, best) = (now, own(&sites));
-            }
-        } else {
-            moves.iter().for_each(|&(core, from, _)| sites[core] = from);
+        if !accepted {
+            moves.iter().for_each(|change| chip.sites[change.core] = change.from);
+            continue;
+        }
+        now += change;
+        moves.iter().for_each(|change| chip.occupy(change.from, None));
+        moves.iter().for_each(|change| chip.occupy(change.to, Some(change.core)));
+        if now < least {
+            (least, best) = (now, chip.own());
         }
     }
     best

@@ -61,16 +61,12 @@ impl LinkLoads {
     }
 
     /// Adds the route of messages from one tile to another, along its row first.
-    pub fn add(&mut self, (fx, fy): (u32, u32), (tx, ty): (u32, u32), weight: i64) {
+    pub fn add(&mut self, from: (u32, u32), to: (u32, u32), weight: i64) {
         let [east, west, south, north] = &mut self.0;
-        match fx <= tx {
-            true => east.add(fy, fx, tx, weight),
-            false => west.add(fy, tx, fx, weight),
-        }
-        match fy <= ty {
-            true => south.add(tx, fy, ty, weight),
-            false => north.add(tx, ty, fy, weight),
-        }
+        let along_row = if from.0 <= to.0 { east } else { west };
+        along_row.add(from.1, from.0.min(to.0), from.0.max(to.0), weight);
+        let along_column = if from.1 <= to.1 { south } else { north };
+        along_column.add(to.0, from.1.min(to.1), from.1.max(to.1), weight);
     }
 
     /// Adds other loads of the same board.

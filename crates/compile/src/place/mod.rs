@@ -37,6 +37,9 @@ use nsim_partition::reason::Reason;
 use nsim_partition::strategy::box_fan_out::everywhere;
 use nsim_partition::strategy::boxes::Boxes;
 
+/// A placement and its name.
+pub type NamedPlacement = (Placement, &'static str);
+
 /// The name of the sequential placement in results.
 pub const SEQUENTIAL: &str = "sequential";
 /// The name of the annealed placement in results.
@@ -67,7 +70,7 @@ pub fn place(
     partition: &Partition,
     target: &Target,
     search: Search<'_>,
-) -> Result<(Placement, &'static str), Reason> {
+) -> Result<NamedPlacement, Reason> {
     let (cores, sources) = (partition.cores(), u64::from(network.channels() + network.compartments()));
     let plain = sequential(cores, target)?;
     // A source reaches at most one core a synapse.
@@ -87,7 +90,7 @@ pub fn place_boxes(
     boxes: &Boxes,
     target: &Target,
     search: Search<'_>,
-) -> Result<(Placement, &'static str), Reason> {
+) -> Result<NamedPlacement, Reason> {
     let (cores, rates) = (boxes.uses.len(), everywhere(network, search.rates));
     let flows = boxes.flows(&rates).map(|(own, to, weight)| (own.map(|own| own.0), weight, to.to_vec()));
     place_nets(&Nets::from_flows(cores, flows), cores, target, search)
@@ -97,12 +100,7 @@ pub fn place_boxes(
 ///
 /// # Errors
 /// As [`sequential`].
-fn place_nets(
-    nets: &Nets,
-    cores: usize,
-    target: &Target,
-    search: Search<'_>,
-) -> Result<(Placement, &'static str), Reason> {
+fn place_nets(nets: &Nets, cores: usize, target: &Target, search: Search<'_>) -> Result<NamedPlacement, Reason> {
     let plain = sequential(cores, target)?;
     let starts = [plain.sites().clone(), hilbert(&plain, nets)];
     let mesh = *plain.mesh();

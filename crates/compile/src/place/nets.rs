@@ -82,16 +82,16 @@ impl Columns {
     }
 
     /// Links of the multicast tree and of all single routes from a tile to others.
-    pub fn links(&mut self, (sx, sy): (u32, u32), to: impl Iterator<Item = (u32, u32)>) -> (u64, u64) {
+    pub fn links(&mut self, from: (u32, u32), to: impl Iterator<Item = (u32, u32)>) -> (u64, u64) {
         self.stamp += 1;
         self.used.clear();
-        let (mut west, mut east, mut unicast) = (sx, sx, 0u64);
+        let (mut west, mut east, mut unicast) = (from.0, from.0, 0u64);
         for (x, y) in to {
             (west, east) = (west.min(x), east.max(x));
-            unicast += u64::from(x.abs_diff(sx) + y.abs_diff(sy));
+            unicast += u64::from(x.abs_diff(from.0) + y.abs_diff(from.1));
             let column = &mut self.of[x as usize];
             if column.0 != self.stamp {
-                *column = (self.stamp, y.min(sy), y.max(sy));
+                *column = (self.stamp, y.min(from.1), y.max(from.1));
                 self.used.push(x);
             } else {
                 *column = (self.stamp, column.1.min(y), column.2.max(y));
@@ -204,10 +204,8 @@ impl Nets {
                 for &core in self.reached.get(net) {
                     let site = sites[core as usize];
                     let (tx, ty) = mesh.tile(site);
-                    let (fx, fy) = match of.source {
-                        Some(source) => mesh.tile(sites[source as usize]),
-                        None => (tx - site.x, ty - site.y),
-                    };
+                    let corner = (tx - site.x, ty - site.y);
+                    let (fx, fy) = of.source.map_or(corner, |source| mesh.tile(sites[source as usize]));
                     costs.longest = costs.longest.max(fx.abs_diff(tx) + fy.abs_diff(ty));
                     loads.add((fx, fy), (tx, ty), of.weight as i64);
                 }

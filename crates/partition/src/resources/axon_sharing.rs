@@ -317,8 +317,7 @@ pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<Equal
         let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();
         let base = base_of(first_slot.unwrap_or(0), limits);
         // Two lists are distinguished by their atoms, so concatenations of different lists differ.
-        let key =
-            of_place.iter().flat_map(|placed| of(placed).iter().map(|key| key.relative_to(placed.1, base))).collect();
+        let key = of_place.iter().flat_map(|placed| of(placed).iter().map(|k| k.relative_to(placed.1, base))).collect();
         let class = *known.entry(key).or_insert_with(|| {
             classes.push(Vec::new());
             classes.len() - 1

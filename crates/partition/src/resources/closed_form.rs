@@ -72,16 +72,11 @@ pub struct Layer {
 impl Layer {
     /// Returns a population and its incoming projections; `None` when one of them is neither a
     /// window nor all to all.
-    pub fn for_population(
-        network: &Quantised,
-        population: PopulationId,
-        formats: &Formats,
-        places: &Places,
-    ) -> Option<Self> {
+    pub fn for_population(network: &Quantised, id: PopulationId, formats: &Formats, places: &Places) -> Option<Self> {
         let shape_of = |id: PopulationId| network.populations()[id].shape;
-        let shape = shape_of(population).volume().unwrap_or((shape_of(population).len(), 1, 1));
+        let shape = shape_of(id).volume().unwrap_or((shape_of(id).len(), 1, 1));
         let (mut incoming, mut joined): (Vec<Incoming>, _) = (Vec::new(), false);
-        for (id, projection) in network.incoming(population) {
+        for (id, projection) in network.incoming(id) {
             let source = projection.source;
             let (window, all_to_all) = match (projection.connectivity.window(), &projection.connectivity) {
                 (Some(window), _) => (window, false),
@@ -107,10 +102,9 @@ impl Layer {
                 delay: projection.delay,
             });
         }
-        let own =
-            |incoming: &Incoming| incoming.window.groups == incoming.window.source.0 && incoming.window.groups > 1;
-        let by_channel = !incoming.is_empty() && incoming.iter().all(own);
-        let kind = network.populations()[population].neuron_kind();
+        let by_channel = !incoming.is_empty()
+            && incoming.iter().all(|of| of.window.groups == of.window.source.0 && of.window.groups > 1);
+        let kind = network.populations()[id].neuron_kind();
         Some(Layer { shape, incoming, by_channel, kind, joined })
     }
 
@@ -120,17 +114,20 @@ impl Layer {
         let channels = Channels::of_part(self, &part(self.shape.0, size.0, at.0));
         let rows = Side::of_part(self, WindowAxis::rows, &part(self.shape.1, size.1, at.1));
         let columns = Side::of_part(self, WindowAxis::columns, &part(self.shape.2, size.2, at.2));
-        use_of(self, formats, limits, (&channels, &rows, &columns))
+        use_of(self, formats, limits, Parts { channels: &channels, rows: &rows, columns: &columns })
     }
 }
+
+/// A receptive field, and the number of sources with it.
+type Field = (ReceptiveField, u64);
 
 /// A part of an axis, with the receptive fields of every projection into the layer.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct Side {
     /// Length of the part.
     pub size: u32,
-    /// By projection: fields, and the number of sources with each.
-    fields: Vec<Vec<(ReceptiveField, u64)>>,
+    /// Fields by projection.
+    fields: Vec<Vec<Field>>,
 }
 
 impl Side {
@@ -251,97 +248,130 @@ impl BoxUse {
     }
 }
 
-/// Use of a core that holds the box of these channels, rows and columns.
-pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channels, &Side, &Side)) -> BoxUse {
-    let (channels, rows, columns) = parts;
-    let compartments = channels.size * rows.size * columns.size;
-    let reaching = |i: usize| !rows.fields[i].is_empty() && !columns.fields[i].is_empty();
-    let reaching: Vec<usize> = (0..layer.incoming.len()).filter(|&i| reaching(i)).collect();
-    let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
-    let widths = Widths::for_core(compartments, longest, limits.packing);
-    let (mut counter, mut arriving) = (ListCounter::new(formats, widths, limits), Vec::new());
-    let mut classes = Classes::default();
-    // By projection and pair of fields: classes of these positions, and whether their axons are
-    // long.
-    let mut of_fields: Vec<Vec<Tables>> = vec![Vec::new(); layer.incoming.len()];
-    let mut slots: Vec<u16> = Vec::new();
-    for &i in &reaching {
-        let Incoming { source, format, delay, placed, all_to_all, .. } = layer.incoming[i];
-        let (mut dense, mut sparse) = (0, 0);
-        for (reached_rows, of_rows) in &rows.fields[i] {
-            for (reached_columns, of_columns) in &columns.fields[i] {
-                let mut place = Place::default();
-                for &(reached, of_channels) in &channels.reached[i] {
-                    slots.clear();
-                    if layer.by_channel {
-                        for c in 0..reached {
-                            for &(y, _) in reached_rows {
-                                let row = (c * rows.size + u32::from(y)) * columns.size;
-                                slots.extend(reached_columns.iter().map(|&(x, _)| row as u16 + x));
-                            }
-                        }
-                    } else {
-                        for &(y, _) in reached_rows {
-                            for &(x, _) in reached_columns {
-                                let at = (u32::from(y) * columns.size + u32::from(x)) * channels.size;
-                                slots.extend((0..reached).map(|c| (at + c) as u16));
-                            }
-                        }
-                    }
-                    let group = Group {
-                        weight_bits: formats.get(format).bits,
-                        synapses: slots.len() as u32,
-                        delayed: delay > Delay::MIN,
-                        dense: slots.windows(2).all(|pair| pair[1] == pair[0] + 1),
-                        skip: skip_bits_for(slots.windows(2).map(|pair| pair[1] - pair[0])),
-                    };
-                    let lists = of_rows * of_columns * of_channels;
-                    let words = counter.group((format, group));
-                    counter.lists(lists, words);
-                    place.lists(of_channels, words);
-                    *if group.dense { &mut dense } else { &mut sparse } += lists * slots.len() as u64;
+/// A box: a part of each axis of a layer.
+#[derive(Debug, Clone, Copy)]
+pub struct Parts<'a> {
+    /// Its channels.
+    pub channels: &'a Channels,
+    /// Its rows.
+    pub rows: &'a Side,
+    /// Its columns.
+    pub columns: &'a Side,
+}
+
+/// Counts the lists of a box.
+struct BoxCounter<'a> {
+    layer: &'a Layer,
+    formats: &'a Formats,
+    limits: &'a Limits,
+    parts: Parts<'a>,
+    counter: ListCounter<'a>,
+    classes: Classes,
+    /// Slots of the list that is counted.
+    slots: Vec<u16>,
+}
+
+impl BoxCounter<'_> {
+    /// Counts the lists from the positions with these fields; returns the lists of one of them.
+    fn count(&mut self, projection: usize, rows: &Field, columns: &Field, arriving: &mut Arriving) -> Place {
+        let Incoming { format, delay, .. } = self.layer.incoming[projection];
+        let mut place = Place::default();
+        for &(reached, of_channels) in &self.parts.channels.reached[projection] {
+            self.reach(reached, &rows.0, &columns.0);
+            let slots = &self.slots;
+            let group = Group {
+                weight_bits: self.formats.get(format).bits,
+                synapses: slots.len() as u32,
+                delayed: delay > Delay::MIN,
+                dense: slots.windows(2).all(|pair| pair[1] == pair[0] + 1),
+                skip: skip_bits_for(slots.windows(2).map(|pair| pair[1] - pair[0])),
+            };
+            let lists = rows.1 * columns.1 * of_channels;
+            let words = self.counter.group(format, group);
+            self.counter.lists(lists, words);
+            place.lists(of_channels, words);
+            *if group.dense { &mut arriving.dense } else { &mut arriving.sparse } += lists * slots.len() as u64;
+        }
+        place
+    }
+
+    /// Puts the slots of these rows and columns of the first `channels` channels into `slots`.
+    fn reach(&mut self, channels: u32, rows: &ReceptiveField, columns: &ReceptiveField) {
+        let (parts, slots) = (self.parts, &mut self.slots);
+        slots.clear();
+        if self.layer.by_channel {
+            for c in 0..channels {
+                for &(y, _) in rows {
+                    let row = (c * parts.rows.size + u32::from(y)) * parts.columns.size;
+                    slots.extend(columns.iter().map(|&(x, _)| row as u16 + x));
                 }
-                let first_slot = {
-                    let at = u32::from(reached_rows[0].0) * columns.size + u32::from(reached_columns[0].0);
-                    if layer.by_channel { at } else { at * channels.size }
-                };
-                let Some((atoms, positions)) = placed else { continue };
-                let base = axon_sharing::base_of(first_slot as u16, limits);
-                let (of_these, atoms) = if all_to_all {
-                    // Every source has weights of its own; all channels of a position reach the
-                    // box.
-                    let (first, place) = (classes.len(), place.part(positions));
-                    (0..positions).for_each(|_| classes.alone(place, atoms as u16));
-                    (first..classes.len(), atoms as u16)
-                } else {
-                    let kind = (i, relative(reached_rows), relative(reached_columns), first_slot as u16 - base);
-                    let atoms = channels.last[i] as u16 + 1;
-                    let class = classes.add(kind, of_rows * of_columns, place, atoms);
-                    (class..class + 1, atoms)
-                };
-                of_fields[i].push(Tables { classes: of_these, long: axon_sharing::is_long(atoms, base, limits) });
+            }
+        } else {
+            for &(y, _) in rows {
+                for &(x, _) in columns {
+                    let at = (u32::from(y) * parts.columns.size + u32::from(x)) * parts.channels.size;
+                    slots.extend((0..channels).map(|c| (at + c) as u16));
+                }
             }
         }
-        arriving.push(Arriving { source, dense, sparse });
     }
-    let mut totals = CoreTotals { lists: counter.totals(), ..CoreTotals::new(compartments, longest) };
-    let forms = totals.lists.iter_mut().zip(&classes.forms);
-    let sharing: Vec<Vec<u32>> = forms.map(|(lists, classes)| lists.share(classes, limits)).collect();
-    let form = usize::from(totals.stores_runs(limits));
-    let membership = |tables: &Tables| {
-        let shared = |class: usize| sharing[form][class] == classes.forms[form][class].places;
-        match (tables.classes.clone().all(shared), tables.long) {
-            (false, _) => Membership::Discrete,
-            (true, false) => Membership::Short,
-            (true, true) => Membership::Long,
+
+    /// The tables of the positions with these fields and lists; `None` where they have no places.
+    fn tables(&mut self, projection: usize, rows: &Field, columns: &Field, place: Place) -> Option<Tables> {
+        let Incoming { placed, all_to_all, .. } = self.layer.incoming[projection];
+        let (atoms, positions) = placed?;
+        let at = u32::from(rows.0[0].0) * self.parts.columns.size + u32::from(columns.0[0].0);
+        let first_slot = if self.layer.by_channel { at } else { at * self.parts.channels.size } as u16;
+        let base = axon_sharing::base_of(first_slot, self.limits);
+        let (classes, atoms) = if all_to_all {
+            // Every source has weights of its own; all channels of a position reach the box.
+            let (first, place) = (self.classes.len(), place.part(positions));
+            (0..positions).for_each(|_| self.classes.alone(place, atoms as u16));
+            (first..self.classes.len(), atoms as u16)
+        } else {
+            let kind = (projection, relative(&rows.0), relative(&columns.0), first_slot - base);
+            let atoms = self.parts.channels.last[projection] as u16 + 1;
+            let class = self.classes.add(kind, rows.1 * columns.1, place, atoms);
+            (class..class + 1, atoms)
+        };
+        Some(Tables { classes, long: axon_sharing::is_long(atoms, base, self.limits) })
+    }
+}
+
+/// Use of a core that holds a box.
+pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: Parts<'_>) -> BoxUse {
+    let Parts { channels, rows, columns } = parts;
+    let compartments = channels.size * rows.size * columns.size;
+    let is_reaching = |&i: &usize| !rows.fields[i].is_empty() && !columns.fields[i].is_empty();
+    let reaching: Vec<usize> = (0..layer.incoming.len()).filter(is_reaching).collect();
+    let longest = reaching.iter().map(|&i| layer.incoming[i].delay).max().unwrap_or(Delay::MIN);
+    let counter = ListCounter::new(formats, Widths::for_core(compartments, longest, limits.packing), limits);
+    let classes = Classes::default();
+    let mut lists = BoxCounter { layer, formats, limits, parts, counter, classes, slots: Vec::new() };
+    let mut all_arriving = Vec::with_capacity(reaching.len());
+    // By projection and pair of fields.
+    let mut tables: Vec<Vec<Tables>> = vec![Vec::new(); layer.incoming.len()];
+    for &i in &reaching {
+        let mut arriving = Arriving { source: layer.incoming[i].source, dense: 0, sparse: 0 };
+        for rows in &rows.fields[i] {
+            for columns in &columns.fields[i] {
+                let place = lists.count(i, rows, columns, &mut arriving);
+                tables[i].extend(lists.tables(i, rows, columns, place));
+            }
         }
-    };
+        all_arriving.push(arriving);
+    }
+    let mut totals = CoreTotals { lists: lists.counter.totals(), ..CoreTotals::new(compartments, longest) };
+    let forms = totals.lists.iter_mut().zip(&lists.classes.forms);
+    let sharing: Vec<Vec<u32>> = forms.map(|(totals, classes)| totals.share(classes, limits)).collect();
+    let form = usize::from(totals.stores_runs(limits));
+    let membership = |tables: &Tables| tables.membership(&lists.classes.forms[form], &sharing[form]);
     let by_position = matches!(limits.output_axons, OutputAxons::PerPosition { .. });
-    let members = |(i, of): (usize, &Vec<Tables>)| match by_position {
-        true => Members { columns: columns.fields[i].len(), of: of.iter().map(membership).collect() },
+    let members = tables.iter().zip(&columns.fields).map(|(of, columns)| match by_position {
+        true => Members { columns: columns.len(), of: of.iter().map(membership).collect() },
         false => Members::default(),
-    };
-    let members = of_fields.iter().enumerate().map(members).collect();
+    });
+    let members = members.collect();
     if limits.is_limited(Resource::StoredSynapses) {
         let each: u64 = reaching.iter().map(|&i| layer.incoming[i].stored).sum();
         totals.stored = u64::from(channels.size) * each;
@@ -349,12 +379,12 @@ pub fn use_of(layer: &Layer, formats: &Formats, limits: &Limits, parts: (&Channe
     if are_counted(limits) {
         totals.words = words_of(layer, limits, parts);
     }
-    totals.synapses = arriving.iter().map(|of: &Arriving| of.dense + of.sparse).sum();
-    BoxUse { usage: totals.usage(limits), arriving: arriving.into(), members }
+    totals.synapses = all_arriving.iter().map(|of| of.dense + of.sparse).sum();
+    BoxUse { usage: totals.usage(limits), arriving: all_arriving.into(), members }
 }
 
-/// Words of a core that holds the box of these channels, rows and columns.
-fn words_of(layer: &Layer, limits: &Limits, (channels, rows, columns): (&Channels, &Side, &Side)) -> CoreWords {
+/// Words of a core that holds a box.
+fn words_of(layer: &Layer, limits: &Limits, Parts { channels, rows, columns }: Parts<'_>) -> CoreWords {
     let (lists, positions) = (Lists::new(limits), u64::from(rows.size) * u64::from(columns.size));
     let compartments = u64::from(channels.size) * positions;
     let is_window = layer.incoming.iter().any(|incoming| !incoming.all_to_all);
@@ -366,10 +396,7 @@ fn words_of(layer: &Layer, limits: &Limits, (channels, rows, columns): (&Channel
     };
     for (i, Incoming { window, all_to_all, weight_bits, .. }) in layer.incoming.iter().enumerate() {
         let covered = |side: &Side| side.fields[i].iter().map(|(_, sources)| sources).sum::<u64>();
-        words.axons_in += match all_to_all {
-            true => u64::from(window.source.0),
-            false => covered(rows) * covered(columns),
-        };
+        words.axons_in += if *all_to_all { u64::from(window.source.0) } else { covered(rows) * covered(columns) };
         for &(reached, sources) in &channels.reached[i] {
             words.synapses += match all_to_all {
                 true => sources * lists.of_axon(reached.into(), *weight_bits),
@@ -388,6 +415,17 @@ fn words_of(layer: &Layer, limits: &Limits, (channels, rows, columns): (&Channel
 struct Tables {
     classes: Range<usize>,
     long: bool,
+}
+
+impl Tables {
+    /// Storage of the lists, from all classes and the number of places that share their tables.
+    fn membership(&self, classes: &[PlaceClass], sharing: &[u32]) -> Membership {
+        match (self.classes.clone().all(|class| sharing[class] == classes[class].places), self.long) {
+            (false, _) => Membership::Discrete,
+            (true, false) => Membership::Short,
+            (true, true) => Membership::Long,
+        }
+    }
 }
 
 /// The lists of one place.

@@ -35,9 +35,9 @@
 
 use std::collections::BTreeSet;
 
-use crate::resources::axon_sharing::{self, PlaceClass};
+use crate::resources::axon_sharing::{self, MOST_NUMBERED, PlaceClass};
 use crate::resources::formats::{CoreWords, Formats};
-use crate::resources::packing::{self, Compression, Group, LISTS, Widths};
+use crate::resources::packing::{self, Compression, Group, LISTS, Widths, delay_slots};
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, ThresholdMantissa};
 use nsim_ir::neurons::{ParameterRow, Stack};
 use nsim_ir::partition::CoreUsage;
@@ -122,7 +122,7 @@ impl ListTotals {
     /// number of places of each class that share its table. No place shares on a core with more
     /// sources than a program can number; it then has too many input axons.
     pub fn share(&mut self, classes: &[PlaceClass], limits: &Limits) -> Vec<u32> {
-        if self.axons > axon_sharing::MOST_NUMBERED {
+        if self.axons > MOST_NUMBERED {
             return vec![0; classes.len()];
         }
         let sharing = axon_sharing::sharing(classes, limits);
@@ -161,7 +161,7 @@ impl<'a> ListCounter<'a> {
     }
 
     /// Counts the format of a group; returns the words of the group.
-    pub fn group(&mut self, (format, group): (u16, Group)) -> [Words; LISTS] {
+    pub fn group(&mut self, format: u16, group: Group) -> [Words; LISTS] {
         let forms = packing::stored(group, self.widths, self.limits);
         for (formats, (compression, _)) in self.formats.iter_mut().zip(forms) {
             formats.add(format, group.delayed, compression);
@@ -237,9 +237,7 @@ impl CoreTotals {
         let used = |resource| match resource {
             Resource::Compartments => u64::from(self.compartments),
             // A program numbers the sources of a core even where few words hold their synapses.
-            Resource::AxonsIn if limits.counts_kernels() && lists.axons <= axon_sharing::MOST_NUMBERED => {
-                self.words.axons_in
-            }
+            Resource::AxonsIn if limits.counts_kernels() && lists.axons <= MOST_NUMBERED => self.words.axons_in,
             Resource::SynapseWords if limits.counts_kernels() => self.words.synapses,
             Resource::AxonsIn => lists.axons,
             // These depend on the cores of targets.
@@ -249,9 +247,7 @@ impl CoreTotals {
             Resource::SynapseFormats => u64::from(lists.formats),
             Resource::CompartmentProfiles => u64::from(self.compartment_profiles),
             Resource::ThresholdProfiles => u64::from(self.threshold_profiles),
-            Resource::Accumulators => {
-                u64::from(self.compartments) * u64::from(packing::delay_slots(self.longest_delay))
-            }
+            Resource::Accumulators => u64::from(self.compartments) * u64::from(delay_slots(self.longest_delay)),
             Resource::StoredSynapses => self.stored,
             Resource::NeuronWords => self.words.neurons,
             Resource::AxonMapWords => self.words.axon_map,

@@ -173,8 +173,7 @@ pub fn expected_slots(network: &Quantised, id: PopulationId, target: &Target) ->
     let limits = target.limits();
     let population = &network.populations()[id];
     let into = network.outgoing(id).iter().map(|&p| &network.projections()[p].connectivity);
-    let all: Vec<RandomProjection> =
-        into.filter_map(|connectivity| random_projection(connectivity, population)).collect();
+    let all: Vec<RandomProjection> = into.filter_map(|into| random_projection(into, population)).collect();
     let (on_chip, off_chip) = (f64::from(limits.axon_out_slots), f64::from(limits.axon_out_slots_off_chip));
     let slots = |per_core: f64| -> f64 {
         let of_projection = |random: &RandomProjection| {

@@ -7,21 +7,24 @@
 use crate::resources::axon_sharing::{self, EqualPlace, EqualPlaces, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
 use crate::resources::fan_in::FanIn;
-use crate::resources::fan_out::{self, FanOut, MembersOfCores, SharedPlaces};
+use crate::resources::fan_out::{self, ChipOf, FanOut, Members, MembersOfCores, SharedPlaces};
 use crate::resources::formats::{CoreWords, Formats, HeldWords, NetworkWords, StoredSynapses};
 use crate::resources::packing::{Group, LISTS, Widths};
-use crate::resources::sorted_synapses::{self, Key};
+use crate::resources::sorted_synapses::{self, Key, Seats};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
-use nsim_ir::partition::{CoreUsage, Seat};
+use nsim_ir::partition::CoreUsage;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Limits, Resource};
+
+/// Resource use of each core.
+pub type Usages = IdVec<CoreId, CoreUsage>;
 
 /// Longest delay of a synapse into each core, over the source populations with `counts`.
 pub fn longest_delays(
     network: &Quantised,
-    seats: &IdVec<CompartmentId, Seat>,
+    seats: &Seats,
     cores: usize,
     counts: impl Fn(PopulationId) -> bool,
 ) -> IdVec<CoreId, Delay> {
@@ -42,13 +45,7 @@ pub fn longest_delays(
 ///
 /// # Panics
 /// When `seats` and `members` differ or `chips` is shorter than `members`: a mistake of the caller.
-pub fn usage(
-    network: &Quantised,
-    members: &IdVec<CoreId, Vec<CompartmentId>>,
-    seats: &IdVec<CompartmentId, Seat>,
-    chips: &IdVec<CoreId, u32>,
-    limits: &Limits,
-) -> IdVec<CoreId, CoreUsage> {
+pub fn usage(network: &Quantised, members: &Members, seats: &Seats, chips: &ChipOf, limits: &Limits) -> Usages {
     let places = Places::for_network(network, limits);
     let (used, shared) = unzipped(uses(network, members, seats, limits, &places, |_| true));
     let shared = SharedPlaces { places: &places, members: &shared };
@@ -58,11 +55,7 @@ pub fn usage(
 }
 
 /// Resource use of each core, from its use without output axons and the fan-out.
-pub fn with_fan_out(
-    usage: impl IntoIterator<Item = CoreUsage>,
-    members: &IdVec<CoreId, Vec<CompartmentId>>,
-    fan_out: &FanOut,
-) -> IdVec<CoreId, CoreUsage> {
+pub fn with_fan_out(usage: impl IntoIterator<Item = CoreUsage>, members: &Members, fan_out: &FanOut) -> Usages {
     let of_core = |(used, held): (CoreUsage, &Vec<CompartmentId>)| {
         let most = held.iter().map(|id| fan_out.axons[id.index()]).max().unwrap_or(0);
         let slots = fan_out::slots_of_core(held, fan_out);
@@ -93,8 +86,8 @@ pub fn unzipped(uses: Vec<CoreUse>) -> (Vec<CoreUsage>, MembersOfCores) {
 /// As [`usage`].
 pub fn uses(
     network: &Quantised,
-    members: &IdVec<CoreId, Vec<CompartmentId>>,
-    seats: &IdVec<CompartmentId, Seat>,
+    members: &Members,
+    seats: &Seats,
     limits: &Limits,
     places: &Places,
     wanted: impl Fn(CoreId) -> bool + Sync,
@@ -105,7 +98,8 @@ pub fn uses(
     let stored = limits.is_limited(Resource::StoredSynapses).then(|| StoredSynapses::for_network(network));
     let words = NetworkWords::new(network, limits);
     let listed = words.as_ref().filter(|words| words.any_listed()).map(|_| FanIn::new(network));
-    sorted_synapses::by_core(network, &formats, seats, members.len(), (|_| true, &wanted), |core, keys| {
+    let every = |_| true;
+    sorted_synapses::by_core(network, &formats, seats, members.len(), every, &wanted, |core, keys| {
         if !wanted(core) {
             return CoreUse::default();
         }
@@ -117,8 +111,7 @@ pub fn uses(
         totals.synapses = keys.len() as u64;
         (totals.compartment_profiles, totals.threshold_profiles) = profiles[core].counts();
         totals.stored = stored.as_ref().map_or(0, |stored| stored.of_core(network, held));
-        totals.words =
-            words.as_ref().map_or_else(Default::default, |words| words_of(words, network, listed.as_ref(), held));
+        totals.words = words.as_ref().map_or_else(Default::default, |of| words_of(of, network, listed.as_ref(), held));
         CoreUse { usage: totals.usage(limits), shared: lists.members(limits) }
     })
 }
@@ -139,7 +132,7 @@ fn words_of(words: &NetworkWords, network: &Quantised, listed: Option<&FanIn>, h
 }
 
 /// The profiles of each core.
-fn profiles(network: &Quantised, seats: &IdVec<CompartmentId, Seat>, cores: usize) -> IdVec<CoreId, Profiles> {
+fn profiles(network: &Quantised, seats: &Seats, cores: usize) -> IdVec<CoreId, Profiles> {
     let mut profiles: IdVec<CoreId, Profiles> = vec![Profiles::default(); cores].into();
     for population in network.populations() {
         let Units::Compartments { first, neurons, .. } = &population.units else { continue };
@@ -171,10 +164,10 @@ impl StoredLists {
         for list in sorted_synapses::lists(keys) {
             let mut of_list = [Words::default(); LISTS];
             for group in sorted_synapses::groups(list) {
-                let made = group_of(group, formats);
+                let (format, group) = group_of(group, formats);
                 let words = match last {
-                    Some((same, words)) if same == made => words,
-                    _ => last.insert((made, counter.group(made))).1,
+                    Some((last, words)) if last == (format, group) => words,
+                    _ => last.insert(((format, group), counter.group(format, group))).1,
                 };
                 for (of_list, words) in of_list.iter_mut().zip(words) {
                     of_list.discrete += words.discrete;

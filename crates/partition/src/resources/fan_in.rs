@@ -54,11 +54,11 @@ impl Transposed {
         let parts: Vec<(Vec<u32>, Vec<u32>)> = (0..ranges)
             .into_par_iter()
             .map(|range| {
-                let held = PIECE.min(targets - range as u32 * PIECE) as usize;
-                let mut counts = vec![0u32; held];
+                let size = PIECE.min(targets - range as u32 * PIECE) as usize;
+                let mut counts = vec![0u32; size];
                 let of_range = || pieces.iter().map(|by_range| &by_range[range]);
                 of_range().flatten().for_each(|both| counts[(both >> 16) as usize] += 1);
-                let mut at = Vec::with_capacity(held);
+                let mut at = Vec::with_capacity(size);
                 let mut sum = 0usize;
                 for &count in &counts {
                     at.push(sum);
@@ -103,16 +103,16 @@ struct Gathered {
 impl Gathered {
     /// The index of these projections, which stand at these places.
     fn new(network: &Quantised, projections: &[(u32, ProjectionId)], targets: u32) -> Self {
-        let mut found: Vec<(u32, u32, u32)> = Vec::new();
+        let mut by_target: Vec<(u32, u32, u32)> = Vec::new();
         for &(place, id) in projections {
             let projection = &network.projections()[id];
             for source in 0..network.populations()[projection.source].shape.len() {
-                projection.connectivity.for_each_target(source, |target| found.push((target, place, source)));
+                projection.connectivity.for_each_target(source, |target| by_target.push((target, place, source)));
             }
         }
-        found.sort_unstable();
-        let first = (0..=targets).map(|target| found.partition_point(|synapse| synapse.0 < target) as u64).collect();
-        Gathered { first, synapses: found.into_iter().map(|(_, place, source)| (place, source)).collect() }
+        by_target.sort_unstable();
+        let first = (0..=targets).map(|to| by_target.partition_point(|synapse| synapse.0 < to) as u64).collect();
+        Gathered { first, synapses: by_target.into_iter().map(|(_, place, source)| (place, source)).collect() }
     }
 
     fn links_to(&self, target: u32) -> &[(u32, u32)] {
@@ -134,8 +134,38 @@ struct Incoming {
 /// Key of projections that share an index.
 #[derive(Clone, PartialEq, Eq, Hash)]
 enum Key {
-    Listed { list: (usize, usize), sources: u32, targets: u32 },
+    Listed { list: ProjectionId, sources: u32, targets: u32 },
     Random { targets: u32, fan_out: u32, seed: u64, first_source: u32, sources: u32 },
+}
+
+/// Offsets and targets of listed synapses.
+type List<'n> = (&'n Arc<[u64]>, &'n Arc<[u32]>);
+
+/// The length of a list and some of its targets.
+type Sample = (usize, Vec<u32>);
+
+/// The first projection with each list.
+#[derive(Default)]
+struct FirstLists<'n>(HashMap<Sample, Vec<(ProjectionId, List<'n>)>>);
+
+impl<'n> FirstLists<'n> {
+    /// The first projection with these offsets and targets; `id` itself where none came before.
+    fn identify(&mut self, id: ProjectionId, list: List<'n>) -> ProjectionId {
+        let (first, targets) = list;
+        // Few lists that differ have these targets in common, so few are compared as a whole.
+        let sample = targets.iter().copied().step_by(targets.len() / 4 + 1).collect();
+        let similar = self.0.entry((targets.len(), sample)).or_default();
+        if let Some(&(equal, _)) = similar.iter().find(|(_, (f, t))| are_equal(f, first) && are_equal(t, targets)) {
+            return equal;
+        }
+        similar.push((id, list));
+        id
+    }
+}
+
+/// Whether two tables are equal; copies of a network share theirs, which are not read.
+fn are_equal<T: PartialEq>(a: &Arc<[T]>, b: &Arc<[T]>) -> bool {
+    Arc::ptr_eq(a, b) || a == b
 }
 
 /// One projection, transposed.
@@ -168,7 +198,7 @@ impl FanIn {
     /// Returns the index of a network.
     pub fn new(network: &Quantised) -> Self {
         let mut known: HashMap<Key, Arc<Transposed>> = HashMap::new();
-        let mut projections = IdVec::new();
+        let (mut lists, mut projections) = (FirstLists::default(), IdVec::new());
         // Projections into each population that share an index.
         let mut gathered: HashMap<PopulationId, Vec<(ProjectionId, Key)>> = HashMap::new();
         for (id, projection) in network.projections().enumerate() {
@@ -190,8 +220,7 @@ impl FanIn {
                 }
                 Connectivity::SumPool2d { window, .. } => Backwards::Pool(*window),
                 Connectivity::Sparse { first, targets: list, .. } => {
-                    let list = (first.as_ptr() as usize, list.as_ptr() as usize);
-                    listed(Key::Listed { list, sources, targets })
+                    listed(Key::Listed { list: lists.identify(id, (first, list)), sources, targets })
                 }
                 &Connectivity::Random { fan_out, seed, first_source, .. } => {
                     listed(Key::Random { targets, fan_out, seed, first_source, sources })

@@ -23,6 +23,13 @@ use nsim_ir::resource::{Limits, OutputAxons};
 /// Number of compartments of one task; fixed, so that nothing depends on threads.
 const PIECE: usize = 1 << 14;
 
+/// Compartments of each core, in slot order.
+pub type Members = IdVec<CoreId, Vec<CompartmentId>>;
+/// The core of each compartment.
+pub type CoreOf = IdVec<CompartmentId, CoreId>;
+/// The chip of each core.
+pub type ChipOf = IdVec<CoreId, u32>;
+
 /// The fan-out of each compartment.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FanOut {
@@ -57,8 +64,8 @@ pub fn by_position(places: &Places, limits: &Limits) -> bool {
 }
 
 /// The core of each compartment of a membership.
-pub fn cores_of(compartments: u32, members: &IdVec<CoreId, Vec<CompartmentId>>) -> IdVec<CompartmentId, CoreId> {
-    let mut core_of: IdVec<CompartmentId, CoreId> = vec![CoreId(0); compartments as usize].into();
+pub fn cores_of(compartments: u32, members: &Members) -> CoreOf {
+    let mut core_of: CoreOf = vec![CoreId(0); compartments as usize].into();
     for (core, held) in members.enumerate() {
         held.iter().for_each(|&id| core_of[id] = core);
     }
@@ -66,10 +73,7 @@ pub fn cores_of(compartments: u32, members: &IdVec<CoreId, Vec<CompartmentId>>) 
 }
 
 /// Cores of each population, ascending; all sources of a dense layer reach the same cores.
-fn cores_of_populations(
-    network: &Quantised,
-    core_of: &IdVec<CompartmentId, CoreId>,
-) -> IdVec<PopulationId, Vec<CoreId>> {
+fn cores_of_populations(network: &Quantised, core_of: &CoreOf) -> IdVec<PopulationId, Vec<CoreId>> {
     let of = |population: &nsim_ir::quantised::Population| {
         let Some(first) = population.first_compartment() else { return Vec::new() };
         let mut cores = core_of.as_slice()[first.index()..first.index() + population.shape.len() as usize].to_vec();
@@ -83,8 +87,8 @@ fn cores_of_populations(
 /// The fan-out of each compartment; `shared` is given where [`by_position`] is true.
 pub fn network_fan_out(
     network: &Quantised,
-    core_of: &IdVec<CompartmentId, CoreId>,
-    chips: &IdVec<CoreId, u32>,
+    core_of: &CoreOf,
+    chips: &ChipOf,
     limits: &Limits,
     shared: Option<&SharedPlaces<'_>>,
 ) -> FanOut {
@@ -119,19 +123,13 @@ impl SharedPlaces<'_> {
 }
 
 /// Output axon slots of a source on core `own` that reaches the cores `reached`.
-pub fn axon_slots(
-    own: Option<CoreId>,
-    reached: impl Iterator<Item = CoreId>,
-    chips: &IdVec<CoreId, u32>,
-    limits: &Limits,
-) -> u32 {
+pub fn axon_slots(own: Option<CoreId>, reached: impl Iterator<Item = CoreId>, chips: &ChipOf, limits: &Limits) -> u32 {
     let own = own.map(|own| chips[own]);
-    let slots = |to| if Some(chips[to]) == own { limits.axon_out_slots } else { limits.axon_out_slots_off_chip };
-    reached.map(slots).sum()
+    reached.map(|to| if Some(chips[to]) == own { limits.axon_out_slots } else { limits.axon_out_slots_off_chip }).sum()
 }
 
 /// Messages between cores, inputs' included, in the steps that `rates` counts.
-pub fn messages(network: &Quantised, core_of: &IdVec<CompartmentId, CoreId>, cores: usize, rates: &Rates) -> u64 {
+pub fn messages(network: &Quantised, core_of: &CoreOf, cores: usize, rates: &Rates) -> u64 {
     let of = |source: u32, own: Option<CoreId>, reached: &[CoreId]| {
         let others = reached.iter().filter(|&&core| Some(core) != own).count() as u64;
         rates.rate_of(source) * others
@@ -185,7 +183,7 @@ fn pieces(network: &Quantised, with_channels: bool) -> Vec<Piece> {
 /// for), then compartments. Cores are in the order in which they are first reached.
 pub fn by_source<T: Send>(
     network: &Quantised,
-    core_of: &IdVec<CompartmentId, CoreId>,
+    core_of: &CoreOf,
     cores: usize,
     with_channels: bool,
     f: impl Fn(u32, Option<CoreId>, &[CoreId]) -> T + Sync,

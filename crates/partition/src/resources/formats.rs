@@ -383,12 +383,11 @@ impl HeldWords {
                 }
                 Stored::Kernel(window) => {
                     if new_channel {
-                        let of_group =
-                            held.of_group.entry((id, channel / (window.target.0 / window.groups))).or_default();
-                        *of_group += 1;
+                        let group = channel / (window.target.0 / window.groups);
+                        let count = held.of_group.entry((id, group)).or_default();
+                        *count += 1;
                         let rows = rows(window);
-                        let [before, now] =
-                            [*of_group - 1, *of_group].map(|channels| rows * lists.of_row(channels, weight_bits));
+                        let [before, now] = [*count - 1, *count].map(|n| rows * lists.of_row(n, weight_bits));
                         words.synapses = words.synapses + now - before;
                     }
                     if new_position {

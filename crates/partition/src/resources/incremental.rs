@@ -343,7 +343,7 @@ impl<'a> Filling<'a> {
             }
             let projection = projection.0 as usize;
             self.totals.longest_delay = self.totals.longest_delay.max(self.delays[projection]);
-            self.synapse((source, bundle), projection, part, slot);
+            self.synapse(source, bundle, projection, part, slot);
         });
         let widths = Widths::for_core(self.members.len() as u32, self.totals.longest_delay, self.limits.packing);
         if widths != self.widths {
@@ -378,7 +378,7 @@ impl<'a> Filling<'a> {
     }
 
     /// Adds a synapse of each source of a bundle.
-    fn synapse(&mut self, (source, bundle): (u32, u32), projection: usize, part: u64, slot: u16) {
+    fn synapse(&mut self, source: u32, bundle: u32, projection: usize, part: u64, slot: u16) {
         let format = self.formats.by_projection()[projection];
         let weight_bits = self.weight_bits[projection];
         let next = self.axons.len() as u32;

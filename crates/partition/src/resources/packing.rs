@@ -65,10 +65,7 @@ pub fn index_bits(compartments: u32) -> Option<u8> {
 /// below 64), and at least 3 in NxTF.
 pub fn delay_bits(longest: Delay, packing: Packing) -> u8 {
     let bits = (u8::BITS - longest.get().leading_zeros()) as u8;
-    match packing {
-        Packing::Nxtf if bits > 0 => bits.max(NXTF_DELAY_BITS),
-        _ => bits,
-    }
+    if packing == Packing::Nxtf && bits > 0 { bits.max(NXTF_DELAY_BITS) } else { bits }
 }
 
 /// Slots of a core's delay ring: the next power of two above its longest delay, at least one. A

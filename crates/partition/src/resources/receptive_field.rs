@@ -46,15 +46,8 @@ impl WindowAxis {
     fn along(window: &Window, side: fn((u32, u32)) -> u32, source: u32, target: u32) -> Self {
         let of = |pair| u64::from(side(pair));
         let (kernel, stride) = (of(window.kernel), of(window.stride));
-        WindowAxis {
-            kernel,
-            stride,
-            padding: of(window.padding),
-            dilation: of(window.dilation),
-            source,
-            target,
-            uniform: false,
-        }
+        let (padding, dilation) = (of(window.padding), of(window.dilation));
+        WindowAxis { kernel, stride, padding, dilation, source, target, uniform: false }
     }
 
     /// Target positions, ascending, whose windows cover a source position.

@@ -19,6 +19,9 @@ use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId, Projecti
 use nsim_ir::partition::Seat;
 use nsim_ir::quantised::{Projection, Quantised};
 
+/// The seat of each compartment.
+pub type Seats = IdVec<CompartmentId, Seat>;
+
 /// Most synapses in memory simultaneously: two gigabytes of them.
 const MOST_SYNAPSES: u64 = 1 << 28;
 /// Most keys of a bucket's allocation that is reused for the next piece.
@@ -125,8 +128,7 @@ struct Piece<'a> {
 /// Sources of the populations with `counts`, in pieces: channels in order, then compartments.
 fn pieces<'a>(network: &'a Quantised, formats: &Formats, counts: impl Fn(PopulationId) -> bool) -> Vec<Piece<'a>> {
     let mut pieces = Vec::new();
-    let of =
-        |inputs: bool| network.populations().enumerate().filter(move |(_, p)| p.first_channel().is_some() == inputs);
+    let of = |input: bool| network.populations().enumerate().filter(move |(_, p)| p.first_channel().is_some() == input);
     for (id, population) in of(true).chain(of(false)) {
         let format = |id: ProjectionId| formats.by_projection()[id.index()];
         let outgoing: Vec<_> = network.targets_of(id).map(|(id, p, first)| (p, format(id), first.0)).collect();
@@ -146,12 +148,7 @@ impl Piece<'_> {
     /// Calls `f(source within the piece, seat, rest of the key)` for every synapse to a core that
     /// is wanted.
     #[inline]
-    fn for_each(
-        &self,
-        seats: &IdVec<CompartmentId, Seat>,
-        wanted: impl Fn(CoreId) -> bool,
-        mut f: impl FnMut(u32, CoreId, u64),
-    ) {
+    fn for_each(&self, seats: &Seats, wanted: impl Fn(CoreId) -> bool, mut f: impl FnMut(u32, CoreId, u64)) {
         for local in 0..self.length {
             for &(projection, format, first) in &self.outgoing {
                 let delay = projection.delay.get();
@@ -204,9 +201,10 @@ fn sorted(bucket: &[u64], cores: usize) -> Vec<u64> {
 pub fn by_core<T: Send>(
     network: &Quantised,
     formats: &Formats,
-    seats: &IdVec<CompartmentId, Seat>,
+    seats: &Seats,
     cores: usize,
-    (counts, wanted): (impl Fn(PopulationId) -> bool, impl Fn(CoreId) -> bool + Sync),
+    counts: impl Fn(PopulationId) -> bool,
+    wanted: impl Fn(CoreId) -> bool + Sync,
     f: impl Fn(CoreId, &[Key]) -> T + Sync,
 ) -> Vec<T> {
     let pieces = pieces(network, formats, &counts);
@@ -246,10 +244,8 @@ pub fn by_core<T: Send>(
             .map_init(Vec::new, |keys, range| {
                 let held = of_range.min(wave.len() - range * of_range);
                 let mut first = vec![0; held + 1];
-                sorted
-                    .iter()
-                    .flat_map(|buckets| runs(&buckets[range]))
-                    .for_each(|run| first[core_of(run[0]) + 1] += run.len());
+                let all = sorted.iter().flat_map(|buckets| runs(&buckets[range]));
+                all.for_each(|run| first[core_of(run[0]) + 1] += run.len());
                 (0..held).for_each(|core| first[core + 1] += first[core]);
                 let mut next = first.clone();
                 keys.clear();
@@ -302,7 +298,7 @@ mod tests {
             let formats = Formats::for_network(&network);
             let cores = 1 + seed as usize % 5;
             let seat = |i: u32| Seat { core: CoreId::new((i as usize * 7) % cores), slot: (i / cores as u32) as u16 };
-            let seats: IdVec<CompartmentId, Seat> = (0..network.compartments()).map(seat).collect();
+            let seats: Seats = (0..network.compartments()).map(seat).collect();
             let mut meant: Vec<Vec<Key>> = vec![Vec::new(); cores];
             for (id, projection) in network.projections().enumerate() {
                 let source = &network.populations()[projection.source];
@@ -312,18 +308,13 @@ mod tests {
                         let seat = seats[CompartmentId(first.0 + target)];
                         let format = formats.by_projection()[id.index()];
                         let from = network.first_source(source) + s;
-                        meant[seat.core.index()].push(Key::new(
-                            from,
-                            format,
-                            seat.slot,
-                            projection.delay.get(),
-                            weight,
-                        ));
+                        let key = Key::new(from, format, seat.slot, projection.delay.get(), weight);
+                        meant[seat.core.index()].push(key);
                     });
                 }
             }
             meant.iter_mut().for_each(|keys| keys.sort_unstable());
-            let found = by_core(&network, &formats, &seats, cores, (|_| true, |_| true), |_, keys| keys.to_vec());
+            let found = by_core(&network, &formats, &seats, cores, |_| true, |_| true, |_, keys| keys.to_vec());
             assert_eq!(found, meant, "seed {seed}");
         }
     }

@@ -11,7 +11,7 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::resources::closed_form::{Incoming, Layer, Membership, Side, part};
-use crate::resources::fan_out::axon_slots;
+use crate::resources::fan_out::{ChipOf, axon_slots};
 use crate::resources::receptive_field::WindowAxis;
 use crate::strategy::lattice::Cut;
 use crate::strategy::members::Members;
@@ -55,6 +55,9 @@ pub struct Placed {
     pub first: u32,
 }
 
+/// Boxes of each layer; none for inputs.
+pub type PlacedLayers = IdVec<PopulationId, Option<Placed>>;
+
 /// Destinations of one projection.
 struct Outlet<'a> {
     to: &'a Placed,
@@ -89,11 +92,7 @@ struct Outgoing<'a> {
 }
 
 impl<'a> Outgoing<'a> {
-    fn from_population(
-        source: PopulationId,
-        layers: &IdVec<PopulationId, Layer>,
-        placed: &'a IdVec<PopulationId, Option<Placed>>,
-    ) -> Self {
+    fn from_population(source: PopulationId, layers: &IdVec<PopulationId, Layer>, placed: &'a PlacedLayers) -> Self {
         let mut outlets = Vec::new();
         for (target, layer) in layers.enumerate() {
             let Some(to) = &placed[target] else { continue };
@@ -139,9 +138,7 @@ impl<'a> Outgoing<'a> {
         one % plane == other % plane
             && self.outlets.iter().all(|outlet| match &outlet.reaches {
                 Reaches::All => true,
-                Reaches::Window { channels, .. } => {
-                    channels[(one / plane) as usize] == channels[(other / plane) as usize]
-                }
+                Reaches::Window { channels: of, .. } => of[(one / plane) as usize] == of[(other / plane) as usize],
             })
     }
 
@@ -181,14 +178,11 @@ impl<'a> Outgoing<'a> {
         // there.
         let mut sends: BTreeMap<Vec<u32>, Sends> = BTreeMap::new();
         let mut positions: HashSet<(u32, Vec<u32>)> = HashSet::new();
-        let (_, height, width) = self.shape;
+        let plane = self.shape.1 * self.shape.2;
         let mut end = |(index, sources): (u32, u64)| {
             let Reached { cores, shared, longer } = self.reached(index);
             let alone = !shared || cores.is_empty();
-            let axons = match alone {
-                true => sources,
-                false => u64::from(positions.insert((index % (height * width), cores.clone()))),
-            };
+            let axons = if alone { sources } else { u64::from(positions.insert((index % plane, cores.clone()))) };
             let none = |to: &Vec<u32>| Sends { to: to.clone(), sources: 0, axons: 0, longer: 0 };
             let sends = sends.entry(cores).or_insert_with_key(none);
             sends.add(&Sends { to: Vec::new(), sources, axons, longer: longer * axons });
@@ -220,7 +214,7 @@ impl Sends {
 pub fn fan_out(
     network: &Quantised,
     layers: &IdVec<PopulationId, Layer>,
-    placed: &IdVec<PopulationId, Option<Placed>>,
+    placed: &PlacedLayers,
     members: &Members,
 ) -> BoxFanOut {
     let outgoing: IdVec<PopulationId, Outgoing<'_>> =
@@ -231,9 +225,9 @@ pub fn fan_out(
         let (out, size) = (&outgoing[id], population.shape.len());
         match &placed[id] {
             None => {
-                let piece = |from: u32| out.sends(from..size.min(from + PIECE));
                 let starts: Vec<u32> = (0..size).step_by(PIECE as usize).collect();
-                let pieces: Vec<_> = starts.into_par_iter().map(piece).collect();
+                let pieces: Vec<_> =
+                    starts.into_par_iter().map(|from| out.sends(from..size.min(from + PIECE))).collect();
                 let mut all: BTreeMap<Vec<u32>, Sends> = BTreeMap::new();
                 for sends in pieces.into_iter().flatten().filter(|sends| !sends.to.is_empty()) {
                     match all.get_mut(&sends.to) {
@@ -255,7 +249,7 @@ pub fn fan_out(
 
 /// Output axon slots of a core's compartments together and the most output axons of one, with cores
 /// numbered chip by chip.
-pub fn axons(core: CoreId, sends: &[Sends], chips: &IdVec<CoreId, u32>, limits: &Limits) -> (u64, u32) {
+pub fn axons(core: CoreId, sends: &[Sends], chips: &ChipOf, limits: &Limits) -> (u64, u32) {
     let more_slots = match limits.output_axons {
         OutputAxons::PerPosition { more_slots, .. } => u64::from(more_slots),
         OutputAxons::PerCompartment => 0,

@@ -5,11 +5,13 @@
 
 use std::collections::BTreeMap;
 
-use crate::error::CompileError;
+use crate::error::{CompileError, Result};
 use crate::options::{Options, Strategy};
 use crate::reason::Reason;
 use crate::resources::closed_form::{BoxUse, Layer};
 use crate::resources::counter::Profiles;
+use crate::resources::exact::Usages;
+use crate::resources::fan_out::ChipOf;
 use crate::resources::formats::Formats;
 use crate::strategy::box_fan_out::{self, BoxFanOut, Placed, PopulationRates};
 use crate::strategy::lattice::{self, Cut, Lattice};
@@ -19,7 +21,7 @@ use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::graph::PerCompartment;
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::{CoreUsage, Partition};
+use nsim_ir::partition::Partition;
 use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::resource::{Limits, Resource};
 
@@ -44,7 +46,7 @@ impl<'n> Layers<'n> {
     ///
     /// # Errors
     /// [`CompileError::Input`] when it does not consist of layers.
-    pub fn new(network: &'n Quantised) -> Result<Self, CompileError> {
+    pub fn new(network: &'n Quantised) -> Result<Self> {
         let not_layers = || {
             let message = "a projection is neither a window nor all to all, so the network cannot be mapped by layers";
             Diagnostic::new("map.layers", message)
@@ -55,7 +57,7 @@ impl<'n> Layers<'n> {
 
     /// Finds the fewest boxes that each fit a core with at most `most` compartments, before output
     /// axons are counted.
-    fn fewest(&self, most: &IdVec<PopulationId, u32>, limits: &Limits, cuts: &mut Cuts) -> Result<(), CompileError> {
+    fn fewest(&self, most: &IdVec<PopulationId, u32>, limits: &Limits, cuts: &mut Cuts) -> Result<()> {
         let mut reasons = Vec::new();
         for (id, population) in self.network.populations().enumerate() {
             if population.first_compartment().is_none() || cuts[id].is_some() {
@@ -108,12 +110,7 @@ impl Boxes {
     ///
     /// # Errors
     /// [`CompileError::DoesNotFit`].
-    pub fn fewest(
-        network: &Layers<'_>,
-        target: &Target,
-        copies: u32,
-        most_synapses: Option<u64>,
-    ) -> Result<Self, CompileError> {
+    pub fn fewest(network: &Layers<'_>, target: &Target, copies: u32, most_synapses: Option<u64>) -> Result<Self> {
         let limits = target.limits();
         let mut most = most_compartments(network.network, limits, most_synapses);
         let mut cuts = network.no_cuts();
@@ -197,19 +194,14 @@ impl Boxes {
     ///
     /// # Errors
     /// As [`partition_of`].
-    pub fn into_partition(
-        mut self,
-        network: &Quantised,
-        chips: &IdVec<CoreId, u32>,
-        limits: &Limits,
-    ) -> Result<(Partition, Self), CompileError> {
+    pub fn into_partition(mut self, network: &Quantised, chips: &ChipOf, limits: &Limits) -> Result<(Partition, Self)> {
         let usage = self.usage(network, chips, limits);
         let partition = partition_of(network, std::mem::take(&mut self.members), usage, limits)?;
         Ok((partition, self))
     }
 
     /// Resource use of every core, with its chip given.
-    pub fn usage(&self, network: &Quantised, chips: &IdVec<CoreId, u32>, limits: &Limits) -> IdVec<CoreId, CoreUsage> {
+    pub fn usage(&self, network: &Quantised, chips: &ChipOf, limits: &Limits) -> Usages {
         let of = |(core, held): (CoreId, &Vec<CompartmentId>)| {
             let (axons_out, axons_out_per_compartment) =
                 box_fan_out::axons(core, &self.sends.cores[core.index()], chips, limits);
@@ -243,11 +235,7 @@ impl Boxes {
 /// # Errors
 /// [`CompileError`]; [`CompileError::Input`] when the network does not consist of layers or the
 /// strategy is sequential.
-pub fn partition(
-    all: &Quantised,
-    target: &Target,
-    options: &Options,
-) -> Result<(Partition, Option<Boxes>), CompileError> {
+pub fn partition(all: &Quantised, target: &Target, options: &Options) -> Result<(Partition, Option<Boxes>)> {
     if options.strategy == Strategy::Sequential {
         let message = "a network of this size is cut into boxes; it has no sequential mapping";
         return Err(Diagnostic::new("map.strategy", message).into());

@@ -11,12 +11,12 @@
 
 use std::collections::HashMap;
 
-use crate::resources::exact::usage;
+use crate::resources::exact::{Usages, usage};
 use crate::strategy::members::Members;
 use crate::strategy::order::{Filler, file_order};
-use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec};
+use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::{CoreUsage, seats};
+use nsim_ir::partition::seats;
 use nsim_ir::quantised::Quantised;
 use nsim_quantise::copies::copies;
 
@@ -73,11 +73,8 @@ impl CopyGroups {
             let starts: Vec<u32> = members.iter().filter_map(|held| held.first()).map(|id| id.0).collect();
             let Some((first, second)) = repeated(&starts, one.compartments()) else {
                 if many == all {
-                    let cores = members.len();
-                    return Some(Filled {
-                        cores,
-                        groups: Some(CopyGroups(vec![Group { network, members, times: 1 }])),
-                    });
+                    let (cores, groups) = (members.len(), CopyGroups(vec![Group { network, members, times: 1 }]));
+                    return Some(Filled { cores, groups: Some(groups) });
                 }
                 many = many.saturating_mul(MORE).min(all);
                 continue;
@@ -122,13 +119,13 @@ impl CopyGroups {
 
     /// Resource use of each core when cores are placed chip by chip; `None` when a group is no
     /// partition of its copies.
-    pub fn usage(&self, target: &Target) -> Option<IdVec<CoreId, CoreUsage>> {
+    pub fn usage(&self, target: &Target) -> Option<Usages> {
         let of_chip = target.chip().cores;
         let (mut all, mut first) = (Vec::with_capacity(self.cores()), 0);
         for Group { network, members, times } in &self.0 {
             let seats = seats(network.compartments(), members).ok()?;
             let size = members.len() as u32;
-            let mut known: HashMap<u32, IdVec<CoreId, CoreUsage>> = HashMap::new();
+            let mut known: HashMap<u32, Usages> = HashMap::new();
             for _ in 0..*times {
                 let on_chip = first % of_chip;
                 let crosses = on_chip + size > of_chip;
@@ -192,6 +189,6 @@ mod tests {
         let groups = CopyGroups::repeated(&one, alone, 1024);
         let used = groups.usage(&target).unwrap();
         assert_eq!((groups.cores(), used.len()), (1024, 1024));
-        assert!(used.iter().all(|one| *one == used[CoreId(0)]));
+        assert!(used.iter().all(|one| *one == used.as_slice()[0]));
     }
 }

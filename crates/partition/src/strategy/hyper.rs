@@ -17,11 +17,12 @@
 
 use std::collections::HashMap;
 
+use crate::resources::fan_out::Members;
 use crate::resources::packing::{self, Group, Widths};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
 use nsim_ir::base::fixed::{Delay, WeightBits};
-use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec};
+use nsim_ir::base::id::{CompartmentId, Id};
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::hardware::Target;
 use nsim_ir::quantised::Quantised;
@@ -30,13 +31,9 @@ use nsim_ir::resource::{PerResource, Resource};
 
 /// Transposed lists: for each key below `keys`, the lists that contain it, ascending. `turn` maps a
 /// list's number and an item to the item's key and its entry in the key's list.
-pub fn transposed<T: Copy, U: Copy + Default>(
-    lists: &Csr<T>,
-    keys: usize,
-    turn: impl Fn(u32, T) -> (u32, U),
-) -> Csr<U> {
+pub fn transposed<T: Copy, U: Copy + Default>(rows: &Csr<T>, keys: usize, turn: impl Fn(u32, T) -> (u32, U)) -> Csr<U> {
     Csr::by_row(keys, |put| {
-        for (number, list) in (0..).zip(lists.iter()) {
+        for (number, list) in (0..).zip(rows.iter()) {
             for &item in list {
                 let (key, turned) = turn(number, item);
                 put(key as usize, turned);
@@ -144,9 +141,7 @@ impl Groups {
                 pins.sort_unstable();
                 sends.sort_unstable();
             }
-            into.push(
-                pins.chunk_by(|a, b| a.0 == b.0).map(|same| (same[0].0, same.iter().map(|&(_, n)| n).sum::<u32>())),
-            );
+            into.push(pins.chunk_by(|a, b| a.0 == b.0).map(|of| (of[0].0, of.iter().map(|&(_, n)| n).sum::<u32>())));
             own.push(
                 sends
                     .chunk_by(|a, b| a.0 == b.0)
@@ -204,12 +199,7 @@ const TABLE: usize = 4097;
 impl<'a> State<'a> {
     /// Returns the state of a membership. Synapse words are limited to `percent_of_words` % of a
     /// core's limit.
-    pub fn new(
-        graph: &'a Hypergraph,
-        members: &IdVec<CoreId, Vec<CompartmentId>>,
-        target: &Target,
-        percent_of_words: i64,
-    ) -> Self {
+    pub fn new(graph: &'a Hypergraph, members: &Members, target: &Target, percent_of_words: i64) -> Self {
         let limits = target.limits();
         let mut core_of = vec![0; graph.own.len()];
         let mut loads = vec![Load::default(); members.len()];
@@ -433,7 +423,7 @@ impl<'a> State<'a> {
 
     /// Compartments of each core: the remaining ones of `before` in their order, then newcomers,
     /// ascending. Empty cores are removed.
-    pub fn members(&self, before: &IdVec<CoreId, Vec<CompartmentId>>) -> IdVec<CoreId, Vec<CompartmentId>> {
+    pub fn members(&self, before: &Members) -> Members {
         let mut members: Vec<Vec<CompartmentId>> = vec![Vec::new(); self.loads.len()];
         for (core, held) in before.enumerate() {
             members[core.index()].extend(held.iter().filter(|id| self.core_of[id.index()] == core.0));
@@ -504,7 +494,7 @@ mod tests {
         members.retain(|held| !held.is_empty());
         // Populations over space do not move, so their output axons are counted one by one.
         let limits = Limits { output_axons: OutputAxons::PerCompartment, ..limits() };
-        let (members, board): (IdVec<CoreId, _>, _) = (members.into(), target(1, 1, limits));
+        let (members, board): (Members, _) = (members.into(), target(1, 1, limits));
         let graph = Hypergraph::new(network, &Rates::assumed(0.1), &vec![false; network.compartments() as usize]);
         let state = State::new(&graph, &members, &board, 100);
         let seats = seats(network.compartments(), &members).unwrap();

@@ -8,7 +8,7 @@ use std::collections::HashMap;
 use std::ops::Range;
 
 use crate::resources::axon_sharing::Places;
-use crate::resources::closed_form::{BoxUse, Channels, Layer, Side, part, use_of};
+use crate::resources::closed_form::{BoxUse, Channels, Layer, Parts, Side, part, use_of};
 use crate::resources::formats::Formats;
 use crate::resources::packing;
 use crate::resources::receptive_field::WindowAxis;
@@ -57,11 +57,12 @@ impl Lattice {
 
     /// Boxes (channels, row, column) in the order of cores: rows of boxes run to and fro.
     pub fn order(&self) -> impl Iterator<Item = (u32, u32, u32)> + use<> {
-        tiles::to_and_fro(self.along)
+        tiles::to_and_fro(self.along.0, self.along.1, self.along.2)
     }
 
     /// Index of a box in that order.
-    pub fn number(&self, (c, y, x): (u32, u32, u32)) -> u32 {
+    pub fn number(&self, at: (u32, u32, u32)) -> u32 {
+        let (c, y, x) = at;
         let x = if y.is_multiple_of(2) { x } else { self.along.2 - 1 - x };
         (y * self.along.2 + x) * self.along.0 + c
     }
@@ -110,13 +111,12 @@ impl Cut {
         let ((c, h, w), size) = (layer.shape, lattice.size);
         let (channels, of_channels) = kinds(parts(c, size.0).map(|part| Channels::of_part(layer, &part)));
         let (rows, of_rows) = kinds(parts(h, size.1).map(|part| Side::of_part(layer, WindowAxis::rows, &part)));
-        let (columns, of_columns) =
-            kinds(parts(w, size.2).map(|part| Side::of_part(layer, WindowAxis::columns, &part)));
+        let (columns, of_columns) = kinds(parts(w, size.2).map(|at| Side::of_part(layer, WindowAxis::columns, &at)));
         let mut uses = HashMap::new();
         for (i, channels) in channels.iter().enumerate() {
             for (j, rows) in rows.iter().enumerate() {
                 for (k, columns) in columns.iter().enumerate() {
-                    let used = use_of(layer, formats, limits, (channels, rows, columns));
+                    let used = use_of(layer, formats, limits, Parts { channels, rows, columns });
                     uses.insert((i as u32, j as u32, k as u32), used);
                 }
             }
@@ -154,8 +154,8 @@ impl Cut {
     }
 
     /// Kind of a box: boxes of one kind have the same resource use.
-    pub fn kind(&self, (c, y, x): (u32, u32, u32)) -> (u32, u32, u32) {
-        (self.kinds[0][c as usize], self.kinds[1][y as usize], self.kinds[2][x as usize])
+    pub fn kind(&self, at: (u32, u32, u32)) -> (u32, u32, u32) {
+        (self.kinds[0][at.0 as usize], self.kinds[1][at.1 as usize], self.kinds[2][at.2 as usize])
     }
 
     /// Rows of the boxes in one row of the grid.

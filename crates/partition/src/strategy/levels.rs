@@ -39,8 +39,8 @@ impl Levels {
     /// the time `end`.
     pub fn new(graph: &Hypergraph, fixed: &[bool], end: Option<Instant>) -> Self {
         let mut numbers = 0u32..;
-        let finest = |&fixed: &bool| if fixed { None } else { numbers.next() };
-        let mut labels: Vec<Vec<Option<u32>>> = vec![fixed.iter().map(finest).collect()];
+        let mut labels: Vec<Vec<Option<u32>>> =
+            vec![fixed.iter().map(|&fixed| if fixed { None } else { numbers.next() }).collect()];
         for _ in 0..LEVELS {
             let Some(last) = labels.last() else { break };
             let groups = Groups::new(graph, last);

@@ -45,7 +45,7 @@ use crate::options::{Objective, Options, Strategy, is_over};
 use crate::reason::{Reason, Tightest};
 use crate::resources::axon_sharing::Places;
 use crate::resources::even_draws;
-use crate::resources::exact::{usage, uses, with_fan_out};
+use crate::resources::exact::{Usages, usage, uses, with_fan_out};
 use crate::resources::fan_out::{cores_of, messages, slots_of_core};
 use crate::resources::incremental::Filling;
 use crate::resources::packing::MOST_SLOTS;
@@ -65,10 +65,13 @@ use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::{RATE_STEPS, Rates};
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::{CoreUsage, Partition, PartitionError, seats};
+use nsim_ir::partition::{Partition, PartitionError, seats};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::resource::{Capacity, Limits, Resource};
+
+/// Whether each population is over space.
+type Spatial = IdVec<PopulationId, bool>;
 
 /// Options of the search for a partition.
 #[derive(Debug, Clone, Copy)]
@@ -148,10 +151,7 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, in_boxes: bo
     }
     // The needs of a compartment are found by mapping one copy, unless that would take long.
     let quick = few && (one.synapses() <= FEW_SYNAPSES || bound.is_some() && compartments <= room);
-    let mut reasons = match bound {
-        Some(bound) => vec![bound],
-        None => even_draws::reasons(one, target, copies, false),
-    };
+    let mut reasons = bound.map_or_else(|| even_draws::reasons(one, target, copies, false), |bound| vec![bound]);
     if reasons.is_empty() {
         return Ok(());
     }
@@ -176,20 +176,20 @@ pub fn within_bounds(one: &Quantised, target: &Target, copies: u32, in_boxes: bo
 pub fn partition(one: &Quantised, all: &Quantised, target: &Target, search: Search<'_>) -> Result<Partition> {
     let copies = (all.compartments() / one.compartments().max(1)).max(1);
     let filler = Filler::new(one, target);
-    let found = match search.stated {
+    let filled = match search.stated {
         [] => searched(&filler, search, Chips::Row)?,
         stated => stated_cores(&filler, stated)?,
     };
     if copies > 1 {
-        return partition_copies(&filler, found.members, (all, copies), target, search);
+        return partition_copies(&filler, filled.members, all, copies, search);
     }
-    if found.members.len() as u64 > u64::from(target.cores()) {
-        let cores = found.members.len() as u64;
+    if filled.members.len() as u64 > u64::from(target.cores()) {
+        let cores = filled.members.len() as u64;
         let uses = |all: &Partition| Tightest::of_each(one, target, all.usage().iter().zip(all.members().iter()));
-        let of_each = counted(all, found, target).map_or_else(|_| BTreeMap::new(), |all| uses(&all));
+        let of_each = counted(all, filled, target).map_or_else(|_| BTreeMap::new(), |all| uses(&all));
         return Err(Reason::of_mapping(target, copies, cores, of_each).into());
     }
-    counted(all, found, target).map_err(|error| unfit(error, search))
+    counted(all, filled, target).map_err(|error| unfit(error, search))
 }
 
 /// The cores of a network, of which these populations have stated numbers of compartments. A core
@@ -224,16 +224,12 @@ fn stated_cores(filler: &Filler<'_>, stated: &[(PopulationId, u32)]) -> Result<F
         }
     }
     let is_stated = |id: PopulationId| stated.iter().any(|(stated, _)| *stated == id);
-    let spatial: IdVec<PopulationId, bool> =
-        network.populations().ids().map(|id| is_spatial(network, id) && !is_stated(id)).collect();
-    let tiles =
-        if spatial.iter().any(|&spatial| spatial) { tiled(filler, &spatial, Chips::Row, None) } else { Vec::new() };
+    let spatial: Spatial = network.populations().ids().map(|id| is_spatial(network, id) && !is_stated(id)).collect();
+    let tiles = if spatial.iter().any(|&is| is) { tiled(filler, &spatial, Chips::Row, None) } else { Vec::new() };
     let others = file_order(network).into_iter().filter(|one| !is_stated(one.population) && !spatial[one.population]);
     let order: Vec<_> = tiles.into_iter().chain(others).collect();
     if !order.is_empty() {
-        for held in &filler.fill_members(&order, true)? {
-            members.push(held.clone());
-        }
+        filler.fill_members(&order, true)?.iter().cloned().for_each(|held| _ = members.push(held));
     }
     Ok(uncounted(members))
 }
@@ -254,7 +250,7 @@ fn stated_cut(network: &Quantised, id: PopulationId, each: u32) -> Vec<Vec<u32>>
     match rows.filter(|_| each.is_multiple_of(channels)) {
         Some(rows) => {
             let (size, (of_rows, of_columns)) = ((channels, rows, positions / rows), parts(rows));
-            to_and_fro((1, of_rows, of_columns)).map(|at| cell((channels, height, width), size, at, false)).collect()
+            to_and_fro(1, of_rows, of_columns).map(|at| cell((channels, height, width), size, at, false)).collect()
         }
         None => in_runs(&cell((channels, height, width), (channels, height, width), (0, 0, 0), false), each),
     }
@@ -274,15 +270,15 @@ fn unfit(error: PartitionError, search: Search<'_>) -> CompileError {
 fn partition_copies(
     filler: &Filler<'_>,
     members: Members,
-    (all, copies): (&Quantised, u32),
-    target: &Target,
+    all: &Quantised,
+    copies: u32,
     search: Search<'_>,
 ) -> Result<Partition> {
-    let (one, limits) = (filler.network, target.limits());
+    let (one, target, limits) = (filler.network, filler.target, filler.target.limits());
     let counted_once = |groups: &CopyGroups| {
         groups.usage(target).ok_or_else(|| CompileError::fault("a group of copies has no seat for each compartment"))
     };
-    let fits = |usage: &IdVec<CoreId, CoreUsage>| usage.iter().all(|used| used.excesses(limits).next().is_none());
+    let fits = |usage: &Usages| usage.iter().all(|used| used.excesses(limits).next().is_none());
     let mut groups = CopyGroups::repeated(one, members, copies);
     let mut usage = counted_once(&groups)?;
     let is_free = search.stated.is_empty();
@@ -303,20 +299,22 @@ fn partition_copies(
                 // Either output axons do not fit, which depend on the chips of all copies, or cores
                 // do not repeat copy by copy.
                 let together = counted(all, together, target).map_err(CompileError::fault)?;
-                on_board((one, copies), (together.members(), together.usage()), target)?;
+                on_board(one, copies, together.members(), together.usage(), target)?;
                 return Ok(together);
             }
         }
     }
     let members = groups.members();
-    on_board((one, copies), (&members, &usage), target)?;
+    on_board(one, copies, &members, &usage, target)?;
     Partition::new(all.compartments(), members, usage, limits).map_err(|error| unfit(error, search))
 }
 
 /// Refuses copies that take more cores than the target has.
 fn on_board<M: Borrow<Vec<CompartmentId>>>(
-    (one, copies): (&Quantised, u32),
-    (members, usage): (&IdVec<CoreId, M>, &IdVec<CoreId, CoreUsage>),
+    one: &Quantised,
+    copies: u32,
+    members: &IdVec<CoreId, M>,
+    usage: &Usages,
     target: &Target,
 ) -> Result<()> {
     let cores = members.len() as u64;
@@ -328,12 +326,12 @@ fn on_board<M: Borrow<Vec<CompartmentId>>>(
 }
 
 /// A partition of these members, counted exactly with cores placed chip by chip.
-fn counted(network: &Quantised, found: FilledCores, target: &Target) -> Result<Partition, PartitionError> {
-    let FilledCores { members, fan_out, usage: filled } = found;
+fn counted(network: &Quantised, filled: FilledCores, target: &Target) -> Result<Partition, PartitionError> {
+    let FilledCores { members, fan_out, usage: exact_usage } = filled;
     let (seats, limits) = (seats(network.compartments(), &members)?, target.limits());
-    let usage = match (fan_out, filled) {
+    let usage = match (fan_out, exact_usage) {
         (None, Some(exact)) => exact,
-        (Some(fan_out), Some(filled)) => with_fan_out(filled.iter().copied(), &members, &fan_out),
+        (Some(fan_out), Some(exact_usage)) => with_fan_out(exact_usage.iter().copied(), &members, &fan_out),
         (Some(fan_out), None) if fan_out.together.is_empty() => {
             let uses = uses(network, &members, &seats, limits, &Places::for_network(network, limits), |_| true);
             with_fan_out(uses.into_iter().map(|core| core.usage), &members, &fan_out)
@@ -343,157 +341,212 @@ fn counted(network: &Quantised, found: FilledCores, target: &Target) -> Result<P
     Partition::new(network.compartments(), members, usage, limits)
 }
 
+/// Input of all candidates: one copy, and what is known of it.
+struct CopySearch<'a> {
+    filler: &'a Filler<'a>,
+    search: Search<'a>,
+    chips: Chips,
+    /// Whether a population is over space, and so in tiles.
+    spatial: Spatial,
+    /// Whether a compartment is in a tile.
+    fixed: Vec<bool>,
+    tiled: Vec<Segment>,
+    /// Whether every synapse is listed.
+    is_listed: bool,
+    /// Whether connectivity is sampled uniformly, and so has no groups to find.
+    is_uniform: bool,
+    /// Number of synapses into populations without tiles.
+    free: u64,
+    /// Connectivity of compartments without tiles, where groups may be found within the effort.
+    graph: Option<Hypergraph>,
+}
+
+/// Output of the candidates.
+struct Mappings {
+    /// All, beginning with the order of the file where it fits.
+    all: Vec<FilledCores>,
+    /// Whether the order of the file fits.
+    has_file_order: bool,
+    /// The error of the first that does not fit.
+    failure: Option<CompileError>,
+    /// Groups of which one mapping has the order, to be refined.
+    levels: Option<Levels>,
+}
+
+impl Mappings {
+    fn keep(&mut self, mapping: Result<FilledCores>) {
+        match mapping {
+            Ok(mapping) => self.all.push(mapping),
+            Err(error) => self.failure = Some(self.failure.take().unwrap_or(error)),
+        }
+    }
+
+    fn in_file_order(&self) -> Option<&FilledCores> {
+        self.all.first().filter(|_| self.has_file_order)
+    }
+}
+
+/// Adds mappings of one kind, unless they cannot be the best or would take too long.
+type Candidate = fn(&CopySearch<'_>, &mut Mappings);
+
+/// What is tried besides the order of the file, with the reason for which it may be the best. Of
+/// mappings with equal cores and messages the first is taken, so this order decides ties.
+const CANDIDATES: [(&str, Candidate); 5] = [
+    ("a source that reaches a core already costs no further input axon or message", by_shared_sources),
+    ("neighbours over space share most of their sources", in_tiles),
+    ("memory that tiles leave free may save a core of later populations", in_tiles_of_fewer_words),
+    ("connected compartments on one core send fewer messages", in_groups),
+    ("groups that move from the best mapping so far, or from a perturbed one, save messages", with_moved_groups),
+];
+
 /// The members that a strategy finds for one copy.
 fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<FilledCores> {
-    let (network, target) = (filler.network, filler.target);
-    let sequential = || filler.fewest_cores(&file_order(network), chips);
+    let network = filler.network;
+    let in_file_order = || filler.fewest_cores(&file_order(network), chips);
     if search.strategy == Strategy::Sequential || !network.parts().children.is_empty() {
-        return sequential();
+        return in_file_order();
     }
-    let spatial: IdVec<PopulationId, bool> =
-        network.populations().ids().map(|population| is_spatial(network, population)).collect();
-    let mut fixed = vec![false; network.compartments() as usize];
-    for (_, population) in network.populations().enumerate().filter(|&(id, _)| spatial[id]) {
-        let Some(first) = population.first_compartment() else { continue };
-        fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
-    }
+    let spatial: Spatial = network.populations().ids().map(|id| is_spatial(network, id)).collect();
     let any_spatial = spatial.iter().any(|&spatial| spatial);
-    let in_tiles =
-        || if any_spatial { tiled(filler, &spatial, chips, search.most_synapses) } else { Default::default() };
-    let (sequential, tiled) = rayon::join(sequential, in_tiles);
-    if matches!(&sequential, Ok(found) if found.members.len() == 1) {
+    let tiled = || if any_spatial { tiled(filler, &spatial, chips, search.most_synapses) } else { Vec::new() };
+    let (sequential, tiled) = rayon::join(in_file_order, tiled);
+    if matches!(&sequential, Ok(only) if only.members.len() == 1) {
         return sequential;
     }
-    let free: u64 = network
-        .projections()
-        .enumerate()
-        .map(|(id, p)| if spatial[p.target] { 0 } else { network.synapses_of(id) })
-        .sum();
-    let listed = !any_spatial && sharing::is_listed(network);
-    // Uniformly sampled connectivity has no groups to find.
-    let is_uniform = listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
-    let promising = search.end.is_some() || !is_uniform;
-    let affordable = promising && free.saturating_mul(WORK_PER_SYNAPSE) <= search.work;
-    let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
-    let by_sharing = match &sequential {
-        Ok(sequential) if listed && search.work > 0 => {
-            sharing::shared_outputs(filler, sequential, chips, is_uniform, search.work)
-        }
-        _ => None,
+    let copy = CopySearch::new(filler, search, chips, spatial, tiled);
+    let mut mappings = Mappings { all: Vec::new(), has_file_order: sequential.is_ok(), failure: None, levels: None };
+    mappings.keep(sequential);
+    for (reason, add) in CANDIDATES {
+        add(&copy, &mut mappings);
+        tracing::trace!(reason, mappings = mappings.all.len(), "candidates");
+    }
+    if mappings.has_file_order && search.strategy == Strategy::Multilevel {
+        no_slower(filler, &mut mappings.all, search, any_spatial);
+    }
+    let Some(best) = fewest(filler, &mappings.all, search.rates) else {
+        return Err(mappings.failure.unwrap_or_else(|| CompileError::fault("no strategy had an answer")));
     };
-    let mut found: Vec<FilledCores> = Vec::new();
-    let mut failure = None;
-    let mut keep = |one: Result<FilledCores>| match one {
-        Ok(one) => found.push(one),
-        Err(error) => failure = Some(failure.take().unwrap_or(error)),
-    };
-    let begun = sequential.is_ok();
-    let typical =
-        sequential.as_ref().map_or(1, |one| network.compartments() as usize / one.members.len().max(1)).max(1);
-    keep(sequential);
-    by_sharing.into_iter().for_each(|found| keep(Ok(found)));
-    let whole_populations = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
-    if !tiled.is_empty() {
-        let order: Vec<Segment> = tiled.iter().cloned().chain(whole_populations).collect();
-        keep(filler.fewest_cores(&order, chips));
-    }
-    if search.work > 0 && !tiled.is_empty() && network.synapses() <= FEW_SYNAPSES {
-        fewer_words(filler, &spatial, &tiled, chips).into_iter().for_each(&mut keep);
-    }
-    if let Some(graph) = &graph {
-        let grown = || {
-            filler.fewest_cores(&with_ids(network, &tiled, &levels::grown(graph, &fixed, typical, search.end)), chips)
-        };
-        let in_levels = || {
-            let levels = (search.strategy == Strategy::Multilevel).then(|| Levels::new(graph, &fixed, search.end))?;
-            let members = filler.fewest_cores(&with_ids(network, &tiled, &levels.order()), chips);
-            Some((levels, members))
-        };
-        let (grown, in_levels) = rayon::join(grown, in_levels);
-        keep(grown);
-        if let Some((levels, members)) = in_levels {
-            keep(members);
-            // Making the levels has used a part of the effort.
-            let work = search.work.saturating_sub(free.saturating_mul(WORK_PER_SYNAPSE));
-            refine_groups(filler, (graph, &levels, &fixed), &mut found, Search { work, ..search }, free);
-        }
-    }
-    if begun && search.strategy == Strategy::Multilevel {
-        no_slower(filler, &mut found, search, any_spatial);
-    }
+    let best = mappings.all.swap_remove(best);
     // Compartments in the order of the file make lists denser; refined cores take newcomers at
     // their end.
-    let Some(best) = fewest(filler, &found, search.rates) else {
-        return Err(failure.unwrap_or_else(|| CompileError::fault("no strategy had an answer")));
-    };
-    let best = found.swap_remove(best);
-    let sorted = sorted(&best.members, &fixed);
-    let sorted = if sorted == best.members { None } else { within_limits(network, sorted, target) };
+    let sorted = sorted(&best.members, &copy.fixed);
+    let sorted = if sorted == best.members { None } else { within_limits(network, sorted, filler.target) };
     let best = sorted.unwrap_or(best);
     // Chips that are assumed to be separate are not final, so their counts are dropped.
     Ok(if chips == Chips::Row { best } else { uncounted(best.members) })
 }
 
-/// Cores of tiles with fewer words, for one population at a time: the memory that tiles leave free
-/// may save a core of later populations.
-fn fewer_words(
-    filler: &Filler<'_>,
-    spatial: &IdVec<PopulationId, bool>,
-    tiled: &[Segment],
-    chips: Chips,
-) -> Vec<Result<FilledCores>> {
-    let (network, limits) = (filler.network, filler.target.limits());
-    let mut filling = Filling::new(network, &filler.fan_in, limits);
+impl<'a> CopySearch<'a> {
+    fn new(filler: &'a Filler<'a>, search: Search<'a>, chips: Chips, spatial: Spatial, tiled: Vec<Segment>) -> Self {
+        let network = filler.network;
+        let mut fixed = vec![false; network.compartments() as usize];
+        for (_, population) in network.populations().enumerate().filter(|&(id, _)| spatial[id]) {
+            let Some(first) = population.first_compartment() else { continue };
+            fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
+        }
+        let free = network.projections().enumerate().filter(|(_, projection)| !spatial[projection.target]);
+        let free: u64 = free.map(|(id, _)| network.synapses_of(id)).sum();
+        let is_listed = !spatial.iter().any(|&spatial| spatial) && sharing::is_listed(network);
+        let is_uniform = is_listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
+        let promising = search.end.is_some() || !is_uniform;
+        let affordable = promising && free.saturating_mul(WORK_PER_SYNAPSE) <= search.work;
+        let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
+        CopySearch { filler, search, chips, spatial, fixed, tiled, is_listed, is_uniform, free, graph }
+    }
+}
+
+fn by_shared_sources(copy: &CopySearch<'_>, mappings: &mut Mappings) {
+    let &CopySearch { filler, search, chips, is_listed, is_uniform, .. } = copy;
+    if let Some(sequential) = mappings.in_file_order().filter(|_| is_listed && search.work > 0) {
+        let shared = sharing::shared_outputs(filler, sequential, chips, is_uniform, search.work);
+        mappings.all.extend(shared);
+    }
+}
+
+fn in_tiles(copy: &CopySearch<'_>, mappings: &mut Mappings) {
+    if !copy.tiled.is_empty() {
+        let others = without_tiles(copy.filler.network, &copy.spatial);
+        let order: Vec<Segment> = copy.tiled.iter().cloned().chain(others).collect();
+        mappings.keep(copy.filler.fewest_cores(&order, copy.chips));
+    }
+}
+
+/// Tiles with fewer words, for one population at a time.
+fn in_tiles_of_fewer_words(copy: &CopySearch<'_>, mappings: &mut Mappings) {
+    let (network, limits) = (copy.filler.network, copy.filler.target.limits());
+    if copy.search.work == 0 || copy.tiled.is_empty() || network.synapses() > FEW_SYNAPSES {
+        return;
+    }
+    let mut filling = Filling::new(network, &copy.filler.fan_in, limits);
     let most = limits[Resource::Compartments];
-    let mut cores_of = |population: PopulationId| {
-        let fewer = tiles::tiles(network, population, &mut filling, limits, (most, Rank::Words))?;
+    for population in network.populations().ids().filter(|&id| copy.spatial[id]) {
+        let Some(fewer) = tiles::tiles(network, population, &mut filling, limits, most, Rank::Words) else { continue };
         let mut fewer = Some(fewer);
         let mut order: Vec<Segment> = Vec::new();
-        for segment in tiled {
+        for segment in &copy.tiled {
             match segment.population == population {
                 true => order.extend(fewer.take().into_iter().flatten()),
                 false => order.push(segment.clone()),
             }
         }
-        order.extend(file_order(network).into_iter().filter(|segment| !spatial[segment.population]));
-        Some(filler.fewest_cores(&order, chips))
-    };
-    network.populations().ids().filter(|&id| spatial[id]).filter_map(&mut cores_of).collect()
+        order.extend(without_tiles(network, &copy.spatial));
+        mappings.keep(copy.filler.fewest_cores(&order, copy.chips));
+    }
 }
 
-/// Adds members that result from moving groups of the best ones between cores, also from perturbed
-/// starts; `free` is the number of synapses into populations without tiles.
-fn refine_groups(
-    filler: &Filler<'_>,
-    (graph, levels, fixed): (&Hypergraph, &Levels, &[bool]),
-    found: &mut Vec<FilledCores>,
-    search: Search<'_>,
-    free: u64,
-) {
-    let (network, target, mut work) = (filler.network, filler.target, search.work);
-    if let Some(best) = fewest(filler, found, search.rates) {
+/// Compartments without tiles, each next to compartments that it is connected to; and in the order
+/// of levels of groups.
+fn in_groups(copy: &CopySearch<'_>, mappings: &mut Mappings) {
+    let &CopySearch { filler, search, ref graph, ref fixed, .. } = copy;
+    let Some(graph) = graph else { return };
+    let typical =
+        mappings.in_file_order().map_or(1, |one| filler.network.compartments() as usize / one.members.len().max(1));
+    let filled = |ids: &[u32]| filler.fewest_cores(&with_ids(filler.network, &copy.tiled, ids), copy.chips);
+    let grown = || filled(&levels::grown(graph, fixed, typical.max(1), search.end));
+    let in_levels = || {
+        let levels = (search.strategy == Strategy::Multilevel).then(|| Levels::new(graph, fixed, search.end))?;
+        let members = filled(&levels.order());
+        Some((levels, members))
+    };
+    let (grown, in_levels) = rayon::join(grown, in_levels);
+    mappings.keep(grown);
+    if let Some((levels, members)) = in_levels {
+        mappings.keep(members);
+        mappings.levels = Some(levels);
+    }
+}
+
+/// Groups of the best mapping so far moved between cores, also from perturbed starts.
+fn with_moved_groups(copy: &CopySearch<'_>, mappings: &mut Mappings) {
+    let (Some(graph), Some(levels)) = (&copy.graph, mappings.levels.take()) else { return };
+    let (filler, rates, all) = (copy.filler, copy.search.rates, &mut mappings.all);
+    let (network, target) = (filler.network, filler.target);
+    // Making the levels has used a part of the effort.
+    let work = copy.search.work.saturating_sub(copy.free.saturating_mul(WORK_PER_SYNAPSE));
+    let mut refiner = Refiner { graph, levels: &levels, target, work, end: copy.search.end };
+    if let Some(best) = fewest(filler, all, rates) {
         for percent in WORD_MARGINS {
-            let refined = refined(graph, levels, &found[best].members, target, percent, (&mut work, search.end));
+            let refined = refiner.refined(&all[best].members, percent);
             if let Some(refined) = within_limits(network, refined, target) {
-                found.push(refined);
+                all.push(refined);
                 break;
             }
         }
     }
-    for attempt in 0..(SHAKEN_SYNAPSES / free.max(1)).min(MOST_SHAKES) {
-        let Some(best) = fewest(filler, found, search.rates) else { break };
-        let shaken = shaken(&found[best].members, fixed, attempt);
-        let refined = refined(graph, levels, &shaken, target, WORD_MARGINS[0], (&mut work, search.end));
-        found.extend(within_limits(network, refined, target));
+    for attempt in 0..(SHAKEN_SYNAPSES / copy.free.max(1)).min(MOST_SHAKES) {
+        let Some(best) = fewest(filler, all, rates) else { break };
+        let shaken = shaken(&all[best].members, &copy.fixed, attempt);
+        let refined = refiner.refined(&shaken, WORD_MARGINS[0]);
+        all.extend(within_limits(network, refined, target));
     }
 }
 
 /// Removes members whose steps are too long for the cores that they save, compared with the first,
 /// the order of the file; where the first fits at all. The length of a step is the time of the
 /// busiest core, plus injection of inputs, turn and barrier, which are equal for all members.
-fn no_slower(filler: &Filler<'_>, found: &mut Vec<FilledCores>, search: Search<'_>, over_space: bool) {
-    let first = found[0].members.len() as u64;
-    let worth_comparing = found.iter().any(|one| (one.members.len() as u64) < first);
+fn no_slower(filler: &Filler<'_>, mappings: &mut Vec<FilledCores>, search: Search<'_>, over_space: bool) {
+    let first = mappings[0].members.len() as u64;
+    let worth_comparing = mappings.iter().any(|one| (one.members.len() as u64) < first);
     if !worth_comparing || first * u64::from(search.copies) > u64::from(filler.target.cores()) {
         return;
     }
@@ -516,9 +569,9 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<FilledCores>, search: Search<'
     };
     // Tiles group the compartments with the most synapses, which shows in steps of many spikes.
     let bursts = if over_space { &[1, BURST][..] } else { &[1] };
-    let least: Vec<f64> = bursts.iter().map(|&times| length(&found[0].members, times)).collect();
+    let least: Vec<f64> = bursts.iter().map(|&times| length(&mappings[0].members, times)).collect();
     let mut longest: f64 = 1.0;
-    found.retain(|one| {
+    mappings.retain(|one| {
         let longer = |(&times, least): (&u64, &f64)| length(&one.members, times) / least.max(f64::MIN_POSITIVE);
         let longer = bursts.iter().zip(&least).map(longer).fold(0.0, f64::max);
         let saved = first as f64 / one.members.len().max(1) as f64;
@@ -536,14 +589,14 @@ fn no_slower(filler: &Filler<'_>, found: &mut Vec<FilledCores>, search: Search<'
 }
 
 /// Index of the members with the fewest cores, then the fewest messages; the first of equals.
-fn fewest(filler: &Filler<'_>, found: &[FilledCores], rates: &Rates) -> Option<usize> {
+fn fewest(filler: &Filler<'_>, mappings: &[FilledCores], rates: &Rates) -> Option<usize> {
     let compartments = filler.network.compartments();
-    let cores = found.iter().map(|one| one.members.len()).min()?;
-    let mut of_these = (0..found.len()).filter(|&one| found[one].members.len() == cores);
-    if found.len() == 1 {
+    let cores = mappings.iter().map(|one| one.members.len()).min()?;
+    let mut of_these = (0..mappings.len()).filter(|&one| mappings[one].members.len() == cores);
+    if mappings.len() == 1 {
         return of_these.next();
     }
-    of_these.min_by_key(|&one| messages(filler.network, &cores_of(compartments, &found[one].members), cores, rates))
+    of_these.min_by_key(|&one| messages(filler.network, &cores_of(compartments, &mappings[one].members), cores, rates))
 }
 
 /// Members with the exact resource use of each core, with cores placed chip by chip; none where a
@@ -587,12 +640,7 @@ fn sorted(members: &Members, fixed: &[bool]) -> Members {
 }
 
 /// Populations over space as tiles, smaller where their output axons would not fit.
-fn tiled(
-    filler: &Filler<'_>,
-    spatial: &IdVec<PopulationId, bool>,
-    chips: Chips,
-    most_synapses: Option<u64>,
-) -> Vec<Segment> {
+fn tiled(filler: &Filler<'_>, spatial: &Spatial, chips: Chips, most_synapses: Option<u64>) -> Vec<Segment> {
     let (network, limits) = (filler.network, filler.target.limits());
     let mut filling = Filling::new(network, &filler.fan_in, limits);
     let mut most = tiles::most_compartments(network, limits, most_synapses);
@@ -603,14 +651,13 @@ fn tiled(
         for population in network.populations().ids().filter(|&id| spatial[id]) {
             if cut[population].is_none() {
                 let all = Indices::All(network.populations()[population].shape.len());
-                let whole = || vec![Segment { population, indices: all }];
-                let tiles = tiles::tiles(network, population, &mut filling, limits, (most[population], Rank::Messages));
-                cut[population] = Some(tiles.unwrap_or_else(whole));
+                let most = most[population];
+                let tiles = tiles::tiles(network, population, &mut filling, limits, most, Rank::Messages);
+                cut[population] = Some(tiles.unwrap_or_else(|| vec![Segment { population, indices: all }]));
             }
             segments.extend(cut[population].iter().flatten().cloned());
         }
-        let rest = file_order(network).into_iter().filter(|segment| !spatial[segment.population]);
-        let order: Vec<Segment> = segments.iter().cloned().chain(rest).collect();
+        let order: Vec<Segment> = segments.iter().cloned().chain(without_tiles(network, spatial)).collect();
         let Ok(members) = filler.fill_members(&order, true) else { break };
         let (fan_out, _) = filler.fan_out(&members, chips);
         let mut again = false;
@@ -632,6 +679,11 @@ fn tiled(
         }
     }
     segments
+}
+
+/// Populations that are not over space, whole.
+fn without_tiles(network: &Quantised, spatial: &Spatial) -> impl Iterator<Item = Segment> {
+    file_order(network).into_iter().filter(|segment| !spatial[segment.population])
 }
 
 /// Tiles, then compartments one by one in this order.
@@ -657,30 +709,36 @@ fn with_ids(network: &Quantised, tiled: &[Segment], ids: &[u32]) -> Vec<Segment>
     order
 }
 
-/// Members after groups of every level have been moved, the largest first, while there is work
-/// left.
-fn refined(
-    graph: &Hypergraph,
-    levels: &Levels,
-    members: &Members,
-    target: &Target,
-    percent: i64,
-    (work, end): (&mut u64, Option<Instant>),
-) -> Members {
-    let mut state = State::new(graph, members, target, percent);
-    let core_size = graph.own.len() / members.len().max(1);
-    for labels in levels.labels.iter().rev() {
-        if *work == 0 || is_over(end) {
-            break;
+/// Moves groups of compartments between cores.
+struct Refiner<'a> {
+    graph: &'a Hypergraph,
+    levels: &'a Levels,
+    target: &'a Target,
+    /// Effort that is left.
+    work: u64,
+    end: Option<Instant>,
+}
+
+impl Refiner<'_> {
+    /// Members after groups of every level have been moved, the largest first, while there is work
+    /// left.
+    fn refined(&mut self, members: &Members, percent: i64) -> Members {
+        let graph = self.graph;
+        let mut state = State::new(graph, members, self.target, percent);
+        let core_size = graph.own.len() / members.len().max(1);
+        for labels in self.levels.labels.iter().rev() {
+            if self.work == 0 || is_over(self.end) {
+                break;
+            }
+            let groups = Groups::new(graph, &within_cores(labels, &state.core_of));
+            // Groups of half a core and more have no room to move.
+            if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
+                continue;
+            }
+            refine::refine(&mut state, &groups, &mut self.work, self.end);
         }
-        let groups = Groups::new(graph, &within_cores(labels, &state.core_of));
-        // Groups of half a core and more have no room to move.
-        if groups.len() * 2 < members.len() * 3 || groups.len() * core_size < graph.own.len() * 2 {
-            continue;
-        }
-        refine::refine(&mut state, &groups, work, end);
+        state.members(members)
     }
-    state.members(members)
 }
 
 /// Labels such that no group is on two cores.

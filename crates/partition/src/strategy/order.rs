@@ -22,15 +22,16 @@ use crate::error::CompileError;
 use crate::reason::Reason;
 use crate::resources::axon_sharing::Places;
 use crate::resources::even_draws;
-use crate::resources::exact::{CoreUse, unzipped, uses};
+use crate::resources::exact::{CoreUse, Usages, unzipped, uses};
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::{ALONE, FanOut, SharedPlaces, by_position, cores_of, network_fan_out, slots_of_core};
 use crate::resources::incremental::{Filling, Newcomer};
+use crate::resources::sorted_synapses::Seats;
 use crate::strategy::members::{Members, row_of_chips};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
 use nsim_ir::hardware::Target;
-use nsim_ir::partition::{CoreUsage, Seat, seats};
+use nsim_ir::partition::{CoreUsage, seats};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::resource::{Capacity, OutputAxons, Resource};
 
@@ -119,11 +120,9 @@ fn parts(order: &[Segment]) -> Option<Vec<Segment>> {
 
 /// Every population as a segment, in the order of the model file; children come with their parents.
 pub fn file_order(network: &Quantised) -> Vec<Segment> {
-    let of = |(population, p): (PopulationId, &nsim_ir::quantised::Population)| {
-        p.first_compartment()?;
-        (!p.stack().pushes).then(|| Segment { population, indices: Indices::All(p.shape.len()) })
-    };
-    network.populations().enumerate().filter_map(of).collect()
+    let parents = network.populations().enumerate();
+    let parents = parents.filter(|(_, p)| p.first_compartment().is_some() && !p.stack().pushes);
+    parents.map(|(population, p)| Segment { population, indices: Indices::All(p.shape.len()) }).collect()
 }
 
 /// The needs beyond a limit, the greatest for each population and resource.
@@ -131,7 +130,7 @@ pub fn file_order(network: &Quantised) -> Vec<Segment> {
 struct Misfits(BTreeMap<(PopulationId, Capacity), (u64, u64)>);
 
 impl Misfits {
-    fn note(&mut self, population: PopulationId, (capacity, need, limit): (Capacity, u64, u64)) {
+    fn note(&mut self, population: PopulationId, capacity: Capacity, need: u64, limit: u64) {
         let known = self.0.entry((population, capacity)).or_insert((need, limit));
         known.0 = known.0.max(need);
     }
@@ -141,10 +140,11 @@ impl Misfits {
     }
 
     fn reasons(self, network: &Quantised) -> CompileError {
-        let reason = |((population, capacity), (need, limit)): ((PopulationId, Capacity), (u64, u64))| {
-            Reason::of_population(network, population, capacity, need, limit)
-        };
-        CompileError::DoesNotFit(self.0.into_iter().map(reason).collect())
+        let mut reasons = Vec::with_capacity(self.0.len());
+        for ((population, capacity), (need, limit)) in self.0 {
+            reasons.push(Reason::of_population(network, population, capacity, need, limit));
+        }
+        CompileError::DoesNotFit(reasons)
     }
 }
 
@@ -157,7 +157,7 @@ pub struct FilledCores {
     pub fan_out: Option<FanOut>,
     /// Use of each core, where it has been counted exactly; without output axons where `fan_out`
     /// has them.
-    pub usage: Option<IdVec<CoreId, CoreUsage>>,
+    pub usage: Option<Usages>,
 }
 
 /// Compartments of a filled core, and their use where it is known.
@@ -213,7 +213,10 @@ impl<'a> Filler<'a> {
     /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that
     /// fits no core.
     pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<FilledCores, CompileError> {
-        let whole = || self.settled(order, chips, true, self.first_filling(order, true)?);
+        let whole = || {
+            let (estimate, filled) = self.first_filling(order, true)?;
+            self.settled(order, chips, true, estimate, filled)
+        };
         if !self.may_keep_whole(order) {
             return whole();
         }
@@ -221,7 +224,7 @@ impl<'a> Filler<'a> {
         let whole = whole?;
         // Settling never takes fewer cores.
         let full = full.ok().filter(|(_, full)| full.len() < whole.members.len());
-        match full.map(|full| self.settled(order, chips, false, full)) {
+        match full.map(|(estimate, full)| self.settled(order, chips, false, estimate, full)) {
             Some(Ok(full)) if full.members.len() < whole.members.len() => Ok(full),
             _ => Ok(whole),
         }
@@ -242,9 +245,8 @@ impl<'a> Filler<'a> {
     /// Parts of a long order begin their own cores.
     fn may_keep_whole(&self, order: &[Segment]) -> bool {
         let seats = self.target.limits()[Resource::Compartments];
-        let fits = |segment: &Segment| segment.indices.len() <= seats;
-        let is_tile = |segment: &Segment| matches!(segment.indices, Indices::Tile(_));
-        order.iter().any(is_tile) || order.iter().skip(1).any(fits) && parts(order).is_none()
+        order.iter().any(|segment| matches!(segment.indices, Indices::Tile(_)))
+            || order.iter().skip(1).any(|segment| segment.indices.len() <= seats) && parts(order).is_none()
     }
 
     /// Fills once, regardless of the fan-out.
@@ -258,7 +260,7 @@ impl<'a> Filler<'a> {
 
     /// Returns the fan-out of these members on such chips; and the use of each core without output
     /// axons, where it had to be counted exactly to find the shared ones.
-    pub fn fan_out(&self, members: &Members, chips: Chips) -> (FanOut, Option<IdVec<CoreId, CoreUsage>>) {
+    pub fn fan_out(&self, members: &Members, chips: Chips) -> (FanOut, Option<Usages>) {
         let (network, limits) = (self.network, self.target.limits());
         let core_of = cores_of(network.compartments(), members);
         let chips = match chips {
@@ -276,7 +278,7 @@ impl<'a> Filler<'a> {
 
     /// Returns the use of each core, counted where it is not cached. The lock is not held
     /// meanwhile, because a thread that waits for others may be given work that takes it.
-    fn uses(&self, members: &Members, seats: &IdVec<CompartmentId, Seat>, places: &Places) -> Vec<CoreUse> {
+    fn uses(&self, members: &Members, seats: &Seats, places: &Places) -> Vec<CoreUse> {
         let known = || self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let mut of_cores: Vec<Option<CoreUse>> = {
             let known = known();
@@ -306,7 +308,8 @@ impl<'a> Filler<'a> {
         order: &[Segment],
         chips: Chips,
         keep_whole: bool,
-        (mut estimate, mut filled): (Estimate, Vec<Filled>),
+        mut estimate: Estimate,
+        mut filled: Vec<Filled>,
     ) -> Result<FilledCores, CompileError> {
         let limits = self.target.limits();
         for round in 0.. {
@@ -319,7 +322,7 @@ impl<'a> Filler<'a> {
                 let of_population = &fan_out.axons[first.index()..first.index() + population.shape.len() as usize];
                 let (need, limit) = (of_population.iter().max(), limits[Resource::AxonsOutPerCompartment]);
                 if let Some(&need) = need.filter(|&&need| need > limit) {
-                    misfits.note(id, (Resource::AxonsOutPerCompartment.into(), need.into(), limit.into()));
+                    misfits.note(id, Resource::AxonsOutPerCompartment.into(), need.into(), limit.into());
                 }
             }
             let mut again = false;
@@ -327,7 +330,7 @@ impl<'a> Filler<'a> {
                 let (need, limit) = (slots_of_core(held, &fan_out), u64::from(limits[Resource::AxonsOut]));
                 if need > limit && (held.len() == 1 || round == ROUNDS) {
                     let (population, _) = self.network.population_of(held[0]);
-                    misfits.note(population, (Resource::AxonsOut.into(), need, limit));
+                    misfits.note(population, Resource::AxonsOut.into(), need, limit);
                 }
                 again |= need > limit && held.len() > 1;
             }
@@ -384,9 +387,9 @@ impl<'a> Filler<'a> {
                 let (mut filled, mut misfits) = (Vec::new(), Misfits::default());
                 for (part, of_part) in of_parts {
                     filled.extend(part);
-                    of_part.0.into_iter().for_each(|((population, capacity), (need, limit))| {
-                        misfits.note(population, (capacity, need, limit));
-                    });
+                    for ((population, capacity), (need, limit)) in of_part.0 {
+                        misfits.note(population, capacity, need, limit);
+                    }
                 }
                 (filled, misfits)
             }
@@ -404,8 +407,7 @@ impl<'a> Filler<'a> {
     ) -> (Vec<Filled>, Misfits) {
         filling.next_core();
         let (mut filled, mut misfits) = (Vec::new(), Misfits::default());
-        for Segment { population, indices } in order {
-            let population = *population;
+        for &Segment { population, ref indices } in order {
             // Compartments of a neuron follow each other, children first.
             let compartments = self.network.neuron(population).into_iter().filter_map(|id| {
                 let population = &self.network.populations()[id];
@@ -453,7 +455,9 @@ impl<'a> Filler<'a> {
                 let mut held = filling.next_core();
                 held.truncate(held.len() - begun as usize);
                 if held.is_empty() {
-                    used.excesses(self.target.limits()).for_each(|excess| misfits.note(population, excess));
+                    for (capacity, need, limit) in used.excesses(self.target.limits()) {
+                        misfits.note(population, capacity, need, limit);
+                    }
                     next += each;
                 } else if std::mem::take(&mut may_move) {
                     if (0..size).all(|at| filling.add(&newcomer(at)).is_ok()) {

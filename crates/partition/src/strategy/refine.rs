@@ -82,15 +82,29 @@ pub fn refine(state: &mut State, groups: &Groups, work: &mut u64, end: Option<In
     }
 }
 
-/// A move that was made: group, old core, new core.
-type Move = (u32, u32, u32);
+/// A group that goes from one core to another.
+#[derive(Debug, Clone, Copy)]
+struct Move {
+    group: u32,
+    from: u32,
+    to: u32,
+}
+
+impl Move {
+    fn apply(self, state: &mut State, groups: &Groups) {
+        state.apply(groups, self.group, self.from, self.to);
+    }
+
+    fn undo(self, state: &mut State, groups: &Groups) {
+        state.apply(groups, self.group, self.to, self.from);
+    }
+}
 
 fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>) {
     let mut scores = Scores { of: vec![0; state.cores()], touched: Vec::new() };
     let mut heap: BinaryHeap<(i64, std::cmp::Reverse<u32>)> = BinaryHeap::new();
-    let core_of = |state: &State, group: u32| state.core_of[groups.members.get(group as usize)[0] as usize];
     for group in 0..groups.len() as u32 {
-        if let Some((gain, _)) = wish(state, groups, group, core_of(state, group), &mut scores, work) {
+        if let Some((gain, _)) = wish(state, groups, group, &mut scores, work) {
             heap.push((gain, std::cmp::Reverse(group)));
         }
         if *work == 0 || group % LOOKS == 0 && is_over(end) {
@@ -99,7 +113,7 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
     }
     let mut by_core: Vec<Vec<u32>> = vec![Vec::new(); state.cores()];
     for group in 0..groups.len() as u32 {
-        by_core[core_of(state, group) as usize].push(group);
+        by_core[core_of(state, groups, group) as usize].push(group);
     }
     let mut locked = vec![false; groups.len()];
     let (mut moves, mut sum, mut best, mut best_length): (Vec<Move>, i64, i64, usize) = (Vec::new(), 0, 0, 0);
@@ -110,8 +124,8 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
         if locked[group as usize] {
             continue;
         }
-        let from = core_of(state, group);
-        let Some((gain, to)) = wish(state, groups, group, from, &mut scores, work) else { continue };
+        let from = core_of(state, groups, group);
+        let Some((gain, to)) = wish(state, groups, group, &mut scores, work) else { continue };
         if gain < stored_gain && heap.peek().is_some_and(|next| next.0 > gain) {
             heap.push((gain, std::cmp::Reverse(group)));
             continue;
@@ -119,46 +133,37 @@ fn pass(state: &mut State, groups: &Groups, work: &mut u64, end: Option<Instant>
         if gain <= 0 && moves.len() == best_length && best_length > 0 && gain < -best.max(1) {
             break;
         }
-        let moved = match state.may_move(groups, group, from, to) {
-            true => {
-                state.apply(groups, group, from, to);
-                moves.push((group, from, to));
-                sum += gain;
-                by_core[to as usize].push(group);
-                true
-            }
-            false => {
-                let swapped = swap(state, groups, (group, from, to), &by_core, &locked, work);
-                if let Some((partner, gained)) = swapped {
-                    moves.push((group, from, to));
-                    moves.push((partner, to, from));
-                    locked[partner as usize] = true;
-                    sum += gained;
-                    by_core[to as usize].push(group);
-                    by_core[from as usize].push(partner);
-                }
-                swapped.is_some()
-            }
+        let wanted = Move { group, from, to };
+        let moved = if state.may_move(groups, group, from, to) {
+            wanted.apply(state, groups);
+            Some((None, gain))
+        } else {
+            let swapped = swap(state, groups, wanted, &by_core, &locked, work);
+            swapped.map(|(partner, gain)| (Some(Move { group: partner, from: to, to: from }), gain))
         };
-        locked[group as usize] = moved;
+        if let Some((back, gain)) = moved {
+            sum += gain;
+            for change in [Some(wanted), back].into_iter().flatten() {
+                moves.push(change);
+                locked[change.group as usize] = true;
+                by_core[change.to as usize].push(change.group);
+            }
+        }
         if sum > best {
             (best, best_length) = (sum, moves.len());
         }
     }
-    for (group, from, to) in moves.drain(best_length..).rev() {
-        state.apply(groups, group, to, from);
-    }
+    moves.drain(best_length..).rev().for_each(|change| change.undo(state, groups));
+}
+
+/// The core of a group.
+fn core_of(state: &State, groups: &Groups, group: u32) -> u32 {
+    state.core_of[groups.members.get(group as usize)[0] as usize]
 }
 
 /// The gain of a group's best move, and the core that it goes to.
-fn wish(
-    state: &State,
-    groups: &Groups,
-    group: u32,
-    from: u32,
-    scores: &mut Scores,
-    work: &mut u64,
-) -> Option<(i64, u32)> {
+fn wish(state: &State, groups: &Groups, group: u32, scores: &mut Scores, work: &mut u64) -> Option<(i64, u32)> {
+    let from = core_of(state, groups, group);
     let mut looked = 1;
     state.for_each_shared(groups, group, |core, weight| {
         looked += 1;
@@ -171,16 +176,17 @@ fn wish(
     gains.max().map(|(gain, std::cmp::Reverse(to))| (gain, to))
 }
 
-/// Swaps the group with a group of the other core, if that saves messages and fits; returns that
-/// group and the gain.
+/// Makes a move together with a move of a group of the other core back, if that saves messages and
+/// fits; returns that group and the gain.
 fn swap(
     state: &mut State,
     groups: &Groups,
-    (group, from, to): Move,
+    wanted: Move,
     by_core: &[Vec<u32>],
     locked: &[bool],
     work: &mut u64,
 ) -> Option<(u32, i64)> {
+    let Move { group, from, to } = wanted;
     let others = &by_core[to as usize];
     if others.is_empty() {
         return None;
@@ -189,17 +195,13 @@ fn swap(
     if first <= 0 {
         return None;
     }
-    state.apply(groups, group, from, to);
-    let size = groups.members.get(group as usize).len();
+    wanted.apply(state, groups);
+    let size = |group: u32| groups.members.get(group as usize).len();
     let mut best: Option<(i64, u32)> = None;
     for draw in 0..PARTNERS {
         let partner = others[rng::below(others.len() as u64, SEED, u64::from(group), draw) as usize];
-        let there = state.core_of[groups.members.get(partner as usize)[0] as usize] == to;
-        if partner == group
-            || locked[partner as usize]
-            || !there
-            || groups.members.get(partner as usize).len() > 2 * size
-        {
+        let is_there = core_of(state, groups, partner) == to;
+        if partner == group || locked[partner as usize] || !is_there || size(partner) > 2 * size(group) {
             continue;
         }
         *work = work.saturating_sub(PARTNER_WORK * (1 + groups.into.get(partner as usize).len() as u64));
@@ -208,16 +210,14 @@ fn swap(
             best = Some((gain, partner));
         }
     }
-    let fits = best.filter(|&(_, partner)| {
-        state.apply(groups, partner, to, from);
-        let fits = state.within(from) && state.within(to) && state.senders_within(groups, group, partner);
-        if !fits {
-            state.apply(groups, partner, from, to);
+    if let Some((gain, partner)) = best {
+        let back = Move { group: partner, from: to, to: from };
+        back.apply(state, groups);
+        if state.within(from) && state.within(to) && state.senders_within(groups, group, partner) {
+            return Some((partner, gain));
         }
-        fits
-    });
-    if fits.is_none() {
-        state.apply(groups, group, to, from);
+        back.undo(state, groups);
     }
-    fits.map(|(gain, partner)| (partner, gain))
+    wanted.undo(state, groups);
+    None
 }

@@ -64,8 +64,7 @@ fn pool_size(network: &Quantised, is_uniform: bool, work: u64) -> Option<u32> {
     let synapses = u128::from(network.synapses());
     let reached =
         |pool: u64| synapses * synapses * u128::from(pool) / u128::from(sources) / u128::from(compartments.max(1));
-    let sizes =
-        std::iter::successors(Some(u64::from(POOL)), |&size| Some(size / 2)).take_while(|&size| size >= LEAST_POOL);
+    let sizes = std::iter::successors(Some(u64::from(POOL)), |&n| Some(n / 2)).take_while(|&n| n >= LEAST_POOL);
     sizes.into_iter().find(|&size| reached(size.min(compartments)) <= u128::from(work)).map(|size| size as u32)
 }
 
@@ -125,11 +124,8 @@ fn within_axons(filler: &Filler<'_>, mut members: Members, chips: Chips) -> Opti
         }
         if spare.is_empty() {
             let most = filler.target.limits()[Resource::AxonsOutPerCompartment];
-            return fan_out.axons.iter().all(|&axons| axons <= most).then_some(FilledCores {
-                members,
-                fan_out: Some(fan_out),
-                usage: None,
-            });
+            let fits = fan_out.axons.iter().all(|&axons| axons <= most);
+            return fits.then_some(FilledCores { members, fan_out: Some(fan_out), usage: None });
         }
         spare.sort_unstable();
         for held in filled(filler, &spare, &fan_out.slots)? {

@@ -78,8 +78,7 @@ pub fn most_compartments(network: &Quantised, limits: &Limits, most_synapses: Op
 /// Numbers of parts into which a length is cut, each with the size of a part; parts that are no
 /// smaller are omitted.
 fn cuts(length: u32) -> Vec<(u32, u32)> {
-    let mut cuts: Vec<(u32, u32)> =
-        (1..=length).map(|parts| length.div_ceil(parts)).map(|s| (length.div_ceil(s), s)).collect();
+    let mut cuts: Vec<(u32, u32)> = (1..=length).map(|n| length.div_ceil(n)).map(|s| (length.div_ceil(s), s)).collect();
     cuts.dedup();
     cuts
 }
@@ -177,10 +176,7 @@ pub fn grids(layer: &Layer, formats: &Formats, limits: &Limits, most: u32) -> Ve
                     let pairs = u64::from(window.source.0 / window.groups) * u64::from(tc);
                     bits += pairs * (all.0 * all.1).min(distinct.0 * distinct.1) * u64::from(weight_bits);
                 }
-                let synapses = match limits.counts_kernels() {
-                    true => 64 * kernel_words(layer, limits, tc),
-                    false => bits,
-                };
+                let synapses = if limits.counts_kernels() { 64 * kernel_words(layer, limits, tc) } else { bits };
                 if axons <= u64::from(limits[Resource::AxonsIn])
                     && synapses <= 64 * u64::from(limits[Resource::SynapseWords])
                     && size * neuron_words <= u64::from(limits[Resource::NeuronWords])
@@ -210,7 +206,8 @@ pub fn tiles(
     population: PopulationId,
     filling: &mut Filling,
     limits: &Limits,
-    (most, rank): (u32, Rank),
+    most: u32,
+    rank: Rank,
 ) -> Option<Vec<Segment>> {
     let formats = Formats::for_network(network);
     let layer = Layer::for_population(network, population, &formats, &Places::for_network(network, limits))?;
@@ -235,8 +232,7 @@ pub fn tiles(
             let middle = layer.middle(grid.size, &formats, limits);
             (layer.joined || !middle.exceeds(limits)).then_some(middle.usage[Resource::SynapseWords])
         };
-        let mut cells: Vec<(u64, bool)> =
-            orders.iter().filter_map(|layer| Some((words(layer)?, layer.by_channel))).collect();
+        let mut cells: Vec<(u64, bool)> = orders.iter().filter_map(|one| Some((words(one)?, one.by_channel))).collect();
         cells.sort_unstable();
         cells
     };
@@ -319,7 +315,7 @@ pub fn cell(shape: (u32, u32, u32), size: (u32, u32, u32), at: (u32, u32, u32), 
 
 /// The tiles (channels, row, column) of a grid; rows of them run to and fro, so that neighbours in
 /// the order are neighbours in space.
-pub fn to_and_fro((channels, rows, columns): (u32, u32, u32)) -> impl Iterator<Item = (u32, u32, u32)> {
+pub fn to_and_fro(channels: u32, rows: u32, columns: u32) -> impl Iterator<Item = (u32, u32, u32)> {
     (0..rows).flat_map(move |y| {
         let column = move |x: u32| if y.is_multiple_of(2) { x } else { columns - 1 - x };
         (0..columns).flat_map(move |x| (0..channels).map(move |c| (c, y, column(x))))
@@ -328,9 +324,9 @@ pub fn to_and_fro((channels, rows, columns): (u32, u32, u32)) -> impl Iterator<I
 
 /// All tiles, in the order of [`to_and_fro`].
 fn segments(population: PopulationId, shape: (u32, u32, u32), size: (u32, u32, u32), by_channel: bool) -> Vec<Segment> {
-    let along = (shape.0.div_ceil(size.0), shape.1.div_ceil(size.1), shape.2.div_ceil(size.2));
-    let tile = |at| Segment { population, indices: Indices::Tile(cell(shape, size, at, by_channel)) };
-    to_and_fro(along).map(tile).collect()
+    to_and_fro(shape.0.div_ceil(size.0), shape.1.div_ceil(size.1), shape.2.div_ceil(size.2))
+        .map(|at| Segment { population, indices: Indices::Tile(cell(shape, size, at, by_channel)) })
+        .collect()
 }
 
 #[cfg(test)]

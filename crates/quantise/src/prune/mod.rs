@@ -45,6 +45,9 @@ use nsim_ir::quantised::connectivity::Connectivity;
 use nsim_ir::quantised::{Inconsistent, Parts, Population, Projection, Pruned, Quantised, Units};
 use nsim_ir::spikes::{Sample, Stimulus};
 
+/// A property of each compartment.
+type Flags = IdVec<CompartmentId, bool>;
+
 /// Channels that a stimulus never fires.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Scene {
@@ -189,17 +192,13 @@ impl Tally {
 
 /// Whether each compartment reaches a population that stays whole, over synapses of sources that
 /// can fire.
-fn reaches(
-    network: &Quantised,
-    fires: &IdVec<CompartmentId, bool>,
-    whole: &IdVec<PopulationId, bool>,
-) -> IdVec<CompartmentId, bool> {
+fn reaches(network: &Quantised, fires: &Flags, whole: &IdVec<PopulationId, bool>) -> Flags {
     let count = network.compartments() as usize;
     // Sources by target: the synapses transposed.
     let sources = Csr::by_row(count, |put| {
         for_each_living(network, fires, |source, target| put(target.index(), source.0));
     });
-    let mut reaches: IdVec<CompartmentId, bool> = vec![false; count].into();
+    let mut reaches: Flags = vec![false; count].into();
     let mut new = Vec::new();
     for (id, population) in network.populations().enumerate() {
         let Some(begin) = population.first_compartment().filter(|_| whole[id]) else { continue };
@@ -218,11 +217,7 @@ fn reaches(
 
 /// Calls `f(source, target)` for every synapse between compartments with a scaled weight other than
 /// 0 and a source that can fire.
-fn for_each_living(
-    network: &Quantised,
-    fires: &IdVec<CompartmentId, bool>,
-    mut f: impl FnMut(CompartmentId, CompartmentId),
-) {
+fn for_each_living(network: &Quantised, fires: &Flags, mut f: impl FnMut(CompartmentId, CompartmentId)) {
     for projection in network.projections() {
         let source = &network.populations()[projection.source];
         let target = network.populations()[projection.target].first_compartment();
@@ -243,7 +238,7 @@ fn for_each_living(
 /// The remaining parts of a network.
 struct Survey {
     dead: IdVec<ChannelId, bool>,
-    fires: IdVec<CompartmentId, bool>,
+    fires: Flags,
     /// New index of each compartment in its population; `None` when it is pruned.
     place: IdVec<CompartmentId, Option<u32>>,
     /// Whether no compartment of a population is pruned.
@@ -254,8 +249,8 @@ impl Survey {
     fn new(
         network: &Quantised,
         dead: IdVec<ChannelId, bool>,
-        fires: IdVec<CompartmentId, bool>,
-        reaches: &IdVec<CompartmentId, bool>,
+        fires: Flags,
+        reaches: &Flags,
         whole: &IdVec<PopulationId, bool>,
         tally: &mut Tally,
     ) -> Survey {
