@@ -32,6 +32,11 @@ pub struct Distance {
 impl Distance {
     /// Distance of a network from itself.
     pub const EQUAL: Distance = Distance { class_agreement: Some(1.0), coincidence: 1.0, potential_rmse: Some(0.0) };
+
+    /// Classes and coincidence together, 2 for equal networks.
+    fn agreement(&self) -> f64 {
+        self.class_agreement.unwrap_or(1.0) + self.coincidence
+    }
 }
 
 /// A row of the attribution.
@@ -129,15 +134,17 @@ impl Attribution {
     /// The cause without which most classes would agree again, and the regained share of samples.
     pub fn worst_of_classes(&self) -> Option<(Cause, f64)> {
         let now = self.machine.class_agreement?;
-        let back = |share: &Share| Some((share.cause, share.without.class_agreement? - now));
-        worst(1.0 - now, self.shares.iter().filter_map(back))
+        worst(
+            1.0 - now,
+            self.shares.iter().filter_map(|share| Some((share.cause, share.without.class_agreement? - now))),
+        )
     }
 
     /// The cause without which the network would gain most, classes and coincidence together.
     pub fn worst(&self) -> Option<Cause> {
-        let total = |distance: &Distance| distance.class_agreement.unwrap_or(1.0) + distance.coincidence;
-        let back = |share: &Share| (share.cause, total(&share.without) - total(&self.machine));
-        worst(2.0 - total(&self.machine), self.shares.iter().map(back)).map(|(cause, _)| cause)
+        let now = self.machine.agreement();
+        let regained = self.shares.iter().map(|share| (share.cause, share.without.agreement() - now));
+        worst(2.0 - now, regained).map(|(cause, _)| cause)
     }
 }
 
@@ -200,29 +207,34 @@ pub fn compare_stages(
     samples: &[&Sample],
 ) -> Vec<StageComparison> {
     let layers = first.layers();
-    let of_sample = |sample: &&Sample| {
+    // By sample, then by stage.
+    let compared = samples.par_iter().map(|sample| {
         let trained = first.run(from, sample, true);
-        let one = |&(staged, stage): &(&StagedNetwork, ComparisonStage)| {
+        let stages = to.iter().map(|&(staged, stage)| {
             // Steps after the end of a shorter trace count as silent.
             let trace = staged.run(stage, sample, true).silent_until(trained.steps);
             ComparedSample::new(&layers, output, (&trained, &trace), staged.shift(stage) - first.shift(from))
-        };
-        to.iter().map(one).collect()
-    };
-    let each: Vec<Vec<ComparedSample>> = samples.par_iter().map(of_sample).collect();
+        });
+        stages.collect()
+    });
+    let compared: Vec<Vec<ComparedSample>> = compared.collect();
     let labels: Option<Vec<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let labels = labels.filter(|labels| !labels.is_empty());
-    let right = |labels: &Vec<u32>, class: &dyn Fn(&[ComparedSample]) -> Option<u32>| {
-        let right = each.iter().zip(labels).filter(|(sample, label)| class(sample) == Some(**label)).count();
-        right as f64 / labels.len() as f64
-    };
-    let of_stage = |stage: usize| StageComparison {
-        accuracy: labels.as_ref().map(|labels| {
-            (right(labels, &|sample| sample[stage].classes.0), right(labels, &|sample| sample[stage].classes.1))
-        }),
-        ..StageComparison::new(layers.len(), each.iter().map(|sample| &sample[stage]))
-    };
-    (0..to.len()).map(of_stage).collect()
+    let stages = (0..to.len()).map(|stage| {
+        let of_stage = compared.iter().map(|sample| &sample[stage]);
+        let accuracy = labels.as_ref().map(|labels| {
+            let (first, second): (Vec<_>, Vec<_>) = of_stage.clone().map(|sample| sample.classes).unzip();
+            (share_right(&first, labels), share_right(&second, labels))
+        });
+        StageComparison { accuracy, ..StageComparison::new(layers.len(), of_stage) }
+    });
+    stages.collect()
+}
+
+/// Share of the classes that are right.
+fn share_right(classes: &[Option<u32>], labels: &[u32]) -> f64 {
+    let right = classes.iter().zip(labels).filter(|(class, label)| **class == Some(**label)).count();
+    right as f64 / labels.len() as f64
 }
 
 /// Stage of the network as its tool runs it. Kernels are infinite, as in the reference engine.
@@ -230,9 +242,11 @@ pub fn compare_stages(
 pub fn as_trained(staged: &StagedNetwork, output: &Layer, samples: &[&Sample]) -> ComparisonStage {
     let in_step = staged.trained().with(Cause::Untruncated);
     let as_it_is = in_step.with(Cause::Pipeline);
-    let class = |stage: ComparisonStage, sample: &Sample| staged.run(stage, sample, false).class(output);
-    let another = |sample: &&Sample| class(in_step, sample) != class(as_it_is, sample);
-    let matters = staged.pipeline().is_some() && samples.par_iter().any(another);
+    let matters = staged.pipeline().is_some()
+        && samples.par_iter().any(|sample| {
+            let [first, second] = [in_step, as_it_is].map(|stage| staged.run(stage, sample, false).class(output));
+            first != second
+        });
     if matters { in_step } else { as_it_is }
 }
 
@@ -249,63 +263,76 @@ pub fn attribute_from(
     samples: &[&Sample],
 ) -> Attribution {
     let causes: Vec<Cause> = staged.causes().iter().copied().filter(|&cause| !trained.has(cause)).collect();
-    let climb = |causes: &[Cause]| {
+    let count = causes.len();
+    let mut stages = Vec::new();
+    for order in [causes.clone(), causes.iter().rev().copied().collect()] {
         let mut stage = trained;
-        let up = causes.iter().map(|&cause| {
+        for cause in order {
             stage = stage.with(cause);
-            stage
-        });
-        up.collect::<Vec<ComparisonStage>>()
-    };
-    let (count, backward) = (causes.len(), causes.iter().rev().copied().collect::<Vec<Cause>>());
-    let mut stages = climb(&causes);
-    stages.extend(climb(&backward));
+            stages.push(stage);
+        }
+    }
     stages.extend(causes.iter().map(|&cause| ComparisonStage::MACHINE.without(cause)));
     let to: Vec<(&StagedNetwork, ComparisonStage)> = stages.iter().map(|&stage| (staged, stage)).collect();
-    let found = compare_stages((staged, trained), &to, output, samples);
-    // Losses added in both orders, by a measure; the first loss of an order is relative to 0.
-    let added = |lost: &dyn Fn(usize) -> f64, place: usize| {
-        let step = |first: usize, place: usize| {
-            lost(first + place) - place.checked_sub(1).map_or(0.0, |below| lost(first + below))
-        };
-        (step(0, place), step(count, count - 1 - place))
-    };
-    let last = count.checked_sub(1);
-    let layer = |(layer, Layer { name, .. }): (usize, &Layer)| {
-        let lost = |place: usize| 1.0 - found[place].layers[layer].coincidence();
-        let machine = last.map_or(0.0, lost);
-        let mean = |place: usize| {
-            let (up, down) = added(&lost, place);
-            (up + down) / 2.0
-        };
-        let tally = last.map(|last| found[last].layers[layer]).unwrap_or_default();
-        LayerLoss {
+    let compared = compare_stages((staged, trained), &to, output, samples);
+    let last = count.checked_sub(1).map(|last| &compared[last]);
+    let mut layers = Vec::new();
+    for (layer, Layer { name, .. }) in staged.layers().iter().enumerate() {
+        let lost: Vec<f64> = compared.iter().map(|stage| 1.0 - stage.layers[layer].coincidence()).collect();
+        let machine = count.checked_sub(1).map_or(0.0, |last| lost[last]);
+        let tally = last.map(|last| last.layers[layer]).unwrap_or_default();
+        let means = added(&lost, count).into_iter().map(|added| added.mean());
+        layers.push(LayerLoss {
             name: name.clone(),
             spikes: (tally.spikes_a, tally.spikes_b),
             disagreement: machine.max(0.0),
-            causes: causes.iter().enumerate().map(|(place, &cause)| (cause, mean(place))).collect(),
-            alone: causes.iter().zip(2 * count..).map(|(&cause, place)| (cause, machine - lost(place))).collect(),
-        }
-    };
-    let layers = staged.layers().iter().enumerate().map(layer).collect();
-    let lost = |place: usize| 1.0 - found[place].distance.coincidence;
-    let both: Vec<(f64, f64)> = (0..count).map(|place| added(&lost, place)).collect();
-    let of_causes = shares(&both.iter().map(|(up, down)| (up + down) / 2.0).collect::<Vec<f64>>());
-    let share = |(place, &cause): (usize, &Cause)| Share {
+            causes: causes.iter().copied().zip(means).collect(),
+            alone: causes.iter().zip(&lost[2 * count..]).map(|(&cause, lost)| (cause, machine - lost)).collect(),
+        });
+    }
+    let lost: Vec<f64> = compared.iter().map(|stage| 1.0 - stage.distance.coincidence).collect();
+    let added = added(&lost, count);
+    let of_causes = shares(&added.iter().map(Added::mean).collect::<Vec<f64>>());
+    let shares = causes.iter().zip(&added).enumerate().map(|(place, (&cause, added))| Share {
         cause,
-        stage: found[place].distance,
-        forward: both[place].0,
-        reversed: both[place].1,
+        stage: compared[place].distance,
+        forward: added.forward,
+        reversed: added.reversed,
         share: of_causes.as_ref().map(|shares| shares[place]),
-        without: found[2 * count + place].distance,
-    };
+        without: compared[2 * count + place].distance,
+    });
     Attribution {
         samples: samples.len(),
-        disagreement: last.map_or(0.0, lost).max(0.0),
-        machine: last.map_or(Distance::EQUAL, |last| found[last].distance),
-        shares: causes.iter().enumerate().map(share).collect(),
+        disagreement: count.checked_sub(1).map_or(0.0, |last| lost[last]).max(0.0),
+        machine: last.map_or(Distance::EQUAL, |last| last.distance),
+        shares: shares.collect(),
         layers,
     }
+}
+
+/// The loss that a cause adds in both orders.
+struct Added {
+    forward: f64,
+    reversed: f64,
+}
+
+impl Added {
+    fn mean(&self) -> f64 {
+        (self.forward + self.reversed) / 2.0
+    }
+}
+
+/// The loss that each of `count` causes adds, from the losses of the forward stages, then of the
+/// reversed ones. The first stage of an order is relative to 0.
+fn added(lost: &[f64], count: usize) -> Vec<Added> {
+    let (forward, reversed) = (&lost[..count], &lost[count..2 * count]);
+    let steps =
+        (0..count).map(|place| Added { forward: step(forward, place), reversed: step(reversed, count - 1 - place) });
+    steps.collect()
+}
+
+fn step(lost: &[f64], place: usize) -> f64 {
+    lost[place] - place.checked_sub(1).map_or(0.0, |below| lost[below])
 }
 
 #[cfg(test)]

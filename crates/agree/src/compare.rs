@@ -128,15 +128,13 @@ fn recorded_trace(
 }
 
 /// Returns a function from a sample to the trace in real numbers, potentials in thresholds.
-///
-/// # Errors
-/// `model.no-real-form`.
+/// Errors: `model.no-real-form`.
 pub fn real_trace(graph: &Graph, integers: &Quantised) -> Result<impl Fn(&Sample) -> Trace + Sync + use<>> {
     let recorded = (integers.compartments(), integers.output());
     let (model, thresholds) = (Model::<f64>::new(graph, Options::default())?, model_thresholds(graph));
     Ok(move |sample: &Sample| {
-        let potential = |engine: &Reference<'_, f64>, c: CompartmentId| engine.potential(c) / thresholds[c.0 as usize];
-        Trace::record(&mut Reference::new(&model), sample, recorded, potential)
+        let mut engine = Reference::new(&model);
+        Trace::record(&mut engine, sample, recorded, |engine, c| engine.potential(c) / thresholds[c.0 as usize])
     })
 }
 
@@ -171,35 +169,41 @@ pub fn compare_models(
     let machine = mapped.map(|program| machine_trace(integers, program)).transpose()?;
     let trace = machine_trace(other, program)?;
     let (own, others) = (layers(integers), layers(other));
-    let there = |layer: &Layer| {
-        others.iter().find(|other| other.name == layer.name && other.count == layer.count).ok_or_else(|| {
-            let message = format!("the second network has no population '{}' of size {}", layer.name, layer.count);
-            Diagnostic::new("agree.populations", message).help("compare networks with equal layers")
-        })
-    };
-    let pairs = own.iter().map(|layer| Ok((layer, there(layer)?))).collect::<Result<Vec<_>>>()?;
-    // Moves the second network's compartments to the first's places.
-    let placed = |trace: Trace| {
-        let all = own.iter().map(|layer| layer.first + layer.count).max().unwrap_or(0) as usize;
-        let row = trace.steps as usize;
-        let mut trains = vec![Vec::new(); all];
-        let mut potentials = vec![0.0; if trace.potentials.is_empty() { 0 } else { all * row }];
-        for (here, there) in &pairs {
-            for i in 0..here.count {
-                let (to, from) = ((here.first + i) as usize, (there.first + i) as usize);
-                trains[to].clone_from(&trace.trains[from]);
-                if !potentials.is_empty() {
-                    potentials[to * row..][..row].copy_from_slice(&trace.potentials[from * row..][..row]);
-                }
-            }
-        }
-        Trace { trains, potentials, ..trace }
-    };
+    let mut pairs = Vec::new();
+    for layer in &own {
+        let other = others.iter().find(|other| other.name == layer.name && other.count == layer.count);
+        pairs.push((
+            layer,
+            other.ok_or_else(|| {
+                let message = format!("the second network has no population '{}' of size {}", layer.name, layer.count);
+                Diagnostic::new("agree.populations", message).help("compare networks with equal layers")
+            })?,
+        ));
+    }
     let both = |_, sample: &Sample| {
         let first = machine.as_ref().map_or_else(|| trained(sample), |machine| machine(sample));
-        (first, placed(trace(sample)))
+        (first, placed(trace(sample), &pairs))
     };
-    Ok(agreement(own.clone(), &output_layer(integers), (samples, steps), &both, &measured_shift, progress))
+    Ok(agreement(own.clone(), &output_layer(integers), samples, steps, &both, &measured_shift, progress))
+}
+
+/// The trace of the second of two networks with its compartments in the places of the first's.
+/// `pairs` has each layer in both.
+fn placed(trace: Trace, pairs: &[(&Layer, &Layer)]) -> Trace {
+    let all = pairs.iter().map(|(layer, _)| layer.first + layer.count).max().unwrap_or(0) as usize;
+    let row = trace.steps as usize;
+    let mut trains = vec![Vec::new(); all];
+    let mut potentials = vec![0.0; if trace.potentials.is_empty() { 0 } else { all * row }];
+    for (target, source) in pairs {
+        for i in 0..target.count {
+            let (to, from) = ((target.first + i) as usize, (source.first + i) as usize);
+            trains[to].clone_from(&trace.trains[from]);
+            if !potentials.is_empty() {
+                potentials[to * row..][..row].copy_from_slice(&trace.potentials[from * row..][..row]);
+            }
+        }
+    }
+    Trace { trains, potentials, ..trace }
 }
 
 /// The shift of a layer, from the first traces.
@@ -210,14 +214,15 @@ type ShiftOf<'a> = &'a dyn Fn(&Layer, &[(&Trace, &Trace)]) -> i32;
 fn agreement(
     layers: Vec<Layer>,
     output: &Layer,
-    (samples, steps): (&[&Sample], Option<u32>),
+    samples: &[&Sample],
+    steps: Option<u32>,
     both: &(dyn Fn(usize, &Sample) -> (Trace, Trace) + Sync),
     shift: ShiftOf<'_>,
     progress: Progress<'_>,
 ) -> Agreement {
     let limit = steps.unwrap_or(u32::MAX);
     let mut comparisons: Vec<(Comparison, i32)> = Vec::new();
-    let (mut classes, mut right) = (ClassTally::default(), (0, 0));
+    let (mut classes, mut right) = (ClassTally::default(), (0usize, 0usize));
     for (batch, some) in samples.chunks(BATCH).enumerate() {
         let first = batch * BATCH;
         let traces = some.par_iter().enumerate().map(|(i, sample)| {
@@ -242,12 +247,12 @@ fn agreement(
     }
     let known = layers.contains(output);
     let labelled = known && samples.iter().all(|sample| sample.label().is_some());
-    let share = |count: usize| count as f64 / samples.len().max(1) as f64;
+    let all = samples.len().max(1) as f64;
     let rows = layers.into_iter().zip(comparisons);
     Agreement {
         layers: rows.map(|(layer, (comparison, shift))| LayerRow { name: layer.name, shift, comparison }).collect(),
         classes: known.then_some(classes),
-        accuracy: labelled.then(|| (share(right.0), share(right.1))),
+        accuracy: labelled.then(|| (right.0 as f64 / all, right.1 as f64 / all)),
     }
 }
 
@@ -255,9 +260,7 @@ fn agreement(
 type TraceOf<'a> = Box<dyn Fn(usize, &Sample) -> Trace + Sync + 'a>;
 
 /// Runs both networks on all samples and compares them.
-///
-/// # Errors
-/// `agree.samples` when a recording has another number of samples; `run.too-large`.
+/// Errors: `agree.samples` when a recording has another number of samples; `run.too-large`.
 pub fn compare(deployed: DeployedNetwork<'_>, counterpart: &Counterpart, progress: Progress<'_>) -> Result<Agreement> {
     let DeployedNetwork { graph, fits, staged, program, samples, steps } = deployed;
     let network = staged.deployed();
@@ -294,5 +297,5 @@ pub fn compare(deployed: DeployedNetwork<'_>, counterpart: &Counterpart, progres
         Counterpart::Cuba | Counterpart::Golden => 0,
         Counterpart::Recorded(_) => measured_shift(layer, pairs),
     };
-    Ok(agreement(compared, &output_layer(network), (samples, steps), &both, &shift, progress))
+    Ok(agreement(compared, &output_layer(network), samples, steps, &both, &shift, progress))
 }

@@ -30,14 +30,14 @@ impl Link {
     /// Adds a neuron's spike to the arrivals of its targets; `step` is the arrival without delay.
     pub fn deliver(&self, neuron: u32, step: u32, arrivals: &mut [Vec<f64>]) {
         let slots = arrivals.len();
-        let slot = |delay: u32| (step + delay) as usize % slots;
         match (&self.synapses, self.delays.as_slice()) {
-            (synapses, [delay]) => _ = synapses.deliver(neuron, &mut arrivals[slot(*delay)]),
+            (synapses, [delay]) => _ = synapses.deliver(neuron, &mut arrivals[(step + delay) as usize % slots]),
             (Synapses::Dense { targets, weights }, delays) => {
                 let all = *targets as usize;
                 let row = &weights[neuron as usize * all..(neuron as usize + 1) * all];
                 for (weights, &delay) in row.chunks(all / delays.len()).zip(delays) {
-                    arrivals[slot(delay)].iter_mut().zip(weights).for_each(|(sum, weight)| *sum += weight);
+                    let sums = &mut arrivals[(step + delay) as usize % slots];
+                    sums.iter_mut().zip(weights).for_each(|(sum, weight)| *sum += weight);
                 }
             }
             _ => {}

@@ -107,17 +107,16 @@ impl TrainSums {
 /// Coincidences beyond chance and their maximum: the factor's numerator and denominator.
 pub fn coincidence(a: &[u32], b: &[u32], steps: u32) -> (f64, f64) {
     let rate = b.len() as f64 / f64::from(steps.max(1));
-    let window = |delta: u32| f64::from(2 * delta + 1);
-    let delta = (0..=WIDEST).rev().find(|&delta| rate * window(delta) <= 0.5).unwrap_or(0);
-    let near = |&&x: &&u32| {
+    let delta = (0..=WIDEST).rev().find(|&delta| rate * f64::from(2 * delta + 1) <= 0.5).unwrap_or(0);
+    let coincident = a.iter().filter(|&&x| {
         let from = b.partition_point(|&y| y + delta < x);
         b.get(from).is_some_and(|&y| y <= x + delta)
-    };
-    let found = a.iter().filter(near).count() as f64;
+    });
+    let coincident = coincident.count() as f64;
     // A train that spikes in every step has chance 1; the limit avoids a division by 0.
-    let chance = (1.0 - libm::pow(1.0 - rate, window(delta))).min(0.999);
+    let chance = (1.0 - libm::pow(1.0 - rate, f64::from(2 * delta + 1))).min(0.999);
     let mean = (a.len() + b.len()) as f64 / 2.0;
-    (found - chance * a.len() as f64, mean * (1.0 - chance))
+    (coincident - chance * a.len() as f64, mean * (1.0 - chance))
 }
 
 /// `sqrt(1/tau integral (f - g)^2)` with f, g the trains filtered by exp(-t / tau).

@@ -105,49 +105,53 @@ pub fn compare_recording(
     }
     let trace = real_trace(graph, integers)?;
     let traces: Vec<Trace> = samples.iter().map(|sample| trace(sample)).collect();
-    let compared = recorded.iter().map(|sample| u64::from(sample.steps) * u64::from(output.count)).sum();
     let longest = recorded.iter().map(|sample| sample.steps).max().unwrap_or(0);
-    let at = |later: u32| {
-        let (differing, first) = differences(&traces, recorded, (output.first, output.count), (start, later));
-        RecordingResult { compared, differing, later, first }
-    };
-    let in_step = at(0);
+    let output = RecordedOutput { traces: &traces, recorded, first: output.first, count: output.count, start };
+    let in_step = output.compared(0);
     if in_step.differing == 0 {
         return Ok(in_step);
     }
     // A later answer is believed only where it explains every value.
-    let explained = (1..=MOST_LATER.min(longest.saturating_sub(1))).map(at).find(|result| result.differing == 0);
+    let mut later = (1..=MOST_LATER.min(longest.saturating_sub(1))).map(|later| output.compared(later));
+    let explained = later.find(|result| result.differing == 0);
     Ok(explained.unwrap_or(in_step))
 }
 
-/// Number of values that differ, and the first.
-fn differences(
-    traces: &[Trace],
-    recorded: &[PopulationSpikes],
-    (first_neuron, count): (u32, u32),
-    (start, later): (u32, u32),
-) -> (u64, Option<FirstDifference>) {
-    let (mut differing, mut first) = (0, None);
-    for (sample, (trace, tool)) in traces.iter().zip(recorded).enumerate() {
-        let mut ours = BTreeSet::new();
-        for neuron in 0..count {
-            let in_recording = trace.trains[(first_neuron + neuron) as usize]
-                .iter()
-                .filter_map(|step| step.checked_sub(start).map(|step| step + later).filter(|step| *step < tool.steps));
-            ours.extend(in_recording.map(|step| (step, neuron)));
+/// The output of a network, and its recorded spikes.
+struct RecordedOutput<'a> {
+    traces: &'a [Trace],
+    recorded: &'a [PopulationSpikes],
+    /// The first compartment of the output.
+    first: u32,
+    count: u32,
+    /// The first step of the output.
+    start: u32,
+}
+
+impl RecordedOutput<'_> {
+    /// Compares spikes with a recording whose tool answers this many steps later.
+    fn compared(&self, later: u32) -> RecordingResult {
+        let (mut compared, mut differing, mut first) = (0, 0, None);
+        for (sample, (trace, tool)) in self.traces.iter().zip(self.recorded).enumerate() {
+            compared += u64::from(tool.steps) * u64::from(self.count);
+            let mut ours = BTreeSet::new();
+            for neuron in 0..self.count {
+                let steps = trace.trains[(self.first + neuron) as usize].iter();
+                let in_recording = steps.filter_map(|step| Some(step.checked_sub(self.start)? + later));
+                ours.extend(in_recording.filter(|step| *step < tool.steps).map(|step| (step, neuron)));
+            }
+            let theirs: BTreeSet<(u32, u32)> = tool.events.iter().copied().collect();
+            for &(step, neuron) in ours.symmetric_difference(&theirs) {
+                differing += 1;
+                first.get_or_insert_with(|| {
+                    let own_step = (step + self.start).saturating_sub(later);
+                    let at = (self.first + neuron) as usize * trace.steps as usize + own_step as usize;
+                    let potential = f64::from(trace.potentials.get(at).copied().unwrap_or(0.0));
+                    let recorded = theirs.contains(&(step, neuron));
+                    FirstDifference { sample, step, neuron, recorded, potential }
+                });
+            }
         }
-        let theirs: BTreeSet<(u32, u32)> = tool.events.iter().copied().collect();
-        for &(step, neuron) in ours.symmetric_difference(&theirs) {
-            differing += 1;
-            first.get_or_insert(((sample, step, neuron), theirs.contains(&(step, neuron))));
-        }
+        RecordingResult { compared, differing, later, first }
     }
-    let first = first.map(|((sample, step, neuron), is_recorded)| {
-        let trace: &Trace = &traces[sample];
-        let own_step = (step + start).saturating_sub(later);
-        let at = (first_neuron + neuron) as usize * trace.steps as usize + own_step as usize;
-        let potential = trace.potentials.get(at).copied().unwrap_or(0.0);
-        FirstDifference { sample, step, neuron, recorded: is_recorded, potential: f64::from(potential) }
-    });
-    (differing, first)
 }

@@ -11,14 +11,12 @@
 
 use std::sync::OnceLock;
 
-use petgraph::graph::NodeIndex;
-
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::falls_on;
 use nsim_ir::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::Id;
-use nsim_ir::graph::{self, Graph, NeuronParameters, PopulationKind, SrmParameters};
+use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind, SrmParameters};
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::quantised::{self, Quantised, Reset};
 use nsim_ir::spikes::Sample;
@@ -30,7 +28,7 @@ use nsim_reference::synapses::Synapses;
 use super::causes::{Cause, ComparisonStage};
 use super::links::{Link, integer_synapses};
 use super::pipeline::Pipeline;
-use super::state::PopulationState;
+use super::state::{PopulationState, Timing};
 use super::trace::{Layer, Trace};
 
 /// Neurons of a population before conversion.
@@ -81,17 +79,13 @@ pub struct StagedNetwork {
 
 impl StagedNetwork {
     /// The stages of a network; `fits` are in the order of its populations.
-    ///
-    /// # Errors
-    /// As [`quantise`](nsim_quantise::quantise::quantise).
+    /// Errors: those of [`quantise`](nsim_quantise::quantise::quantise).
     pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<StagedNetwork, Diagnostic> {
         StagedNetwork::with_exponents(graph, fits, Detail::default())
     }
 
     /// The stages of a network with exponents chosen at this level of detail.
-    ///
-    /// # Errors
-    /// As [`quantise`](nsim_quantise::quantise::quantise).
+    /// Errors: those of [`quantise`](nsim_quantise::quantise::quantise).
     pub fn with_exponents(graph: &Graph, fits: &[Option<Fit>], detail: Detail) -> Result<StagedNetwork, Diagnostic> {
         let timestep_ms = graph.facts().timestep_ms;
         let plain: Vec<Option<Fit>> = graph
@@ -177,18 +171,17 @@ impl StagedNetwork {
         single || stage.has(Cause::Kernel) && stage.has(Cause::Decays)
     }
 
-    /// The synapses of a stage.
     fn links(&self, stage: ComparisonStage) -> &[Link] {
         let (weights, chosen) = (stage.has(Cause::Weights), stage.has(Cause::Calibration));
         let has_copies = self.has_copies(stage);
         let place = usize::from(weights) * 4 + usize::from(chosen) * 2 + usize::from(has_copies);
         self.links[place].get_or_init(|| {
             let fits = if chosen { &self.fits } else { &self.plain };
-            let single = |fit: &Option<Fit>| fit.clone().map(|fit| Fit { copies: vec![(0, 1.0)], ..fit });
-            let of = match has_copies {
-                true => analytic::with_fits(&self.graph, fits),
-                false => analytic::with_fits(&self.graph, &fits.iter().map(single).collect::<Vec<_>>()),
-            };
+            let mut fits = fits.clone();
+            if !has_copies {
+                fits.iter_mut().flatten().for_each(|fit| fit.copies = vec![(0, 1.0)]);
+            }
+            let of = analytic::with_fits(&self.graph, &fits);
             Link::merged(match weights {
                 false => self.real_links(&of),
                 true if chosen && has_copies => self.integer_links(&self.calibrated, &self.units),
@@ -203,7 +196,7 @@ impl StagedNetwork {
     }
 
     fn real_links(&self, graph: &Graph) -> Vec<Link> {
-        let link = |(_, source, target, projection): (_, NodeIndex, NodeIndex, &graph::Projection)| {
+        let links = graph.projections().map(|(_, source, target, projection)| {
             let factor = self.units[target.index()].unwrap_or_else(|| {
                 let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
                 scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
@@ -217,13 +210,13 @@ impl StagedNetwork {
                 restores: analytic::is_reset_name(&projection.name),
                 synapses: Synapses::new(projection, sources, targets, factor),
             }
-        };
-        graph.projections().map(link).collect()
+        });
+        links.collect()
     }
 
     /// Synapses of a network rounded at its own scale, in units of the deployed network.
     fn integer_links(&self, network: &Quantised, own: &[Option<f64>]) -> Vec<Link> {
-        let link = |projection: &quantised::Projection| {
+        let links = network.projections().iter().map(|projection| {
             let (source, target) = (projection.source.0 as usize, projection.target.0 as usize);
             // Sums that are shifted are in finer units.
             let finer = f64::from(1 << shift_of(&network.populations()[projection.target]));
@@ -239,8 +232,8 @@ impl StagedNetwork {
                 restores: analytic::is_reset_name(&projection.name),
                 synapses: integer_synapses(projection, self.populations[source].count, rescale * payload),
             }
-        };
-        network.projections().iter().map(link).collect()
+        });
+        links.collect()
     }
 
     /// Quantised network of a stage; it has the searched parameters if the stage has calibration.
@@ -262,31 +255,35 @@ impl StagedNetwork {
     /// The causes that distinguish this network from its trained form.
     fn present(&self) -> Vec<Cause> {
         let srm = self.graph.has_srm();
-        let given = |names: &[&str]| {
-            self.populations.iter().any(|population| match &population.origin {
-                Some(Origin::Loihi { parameters, .. }) => names.iter().any(|name| parameters.real(name).is_some()),
-                Some(Origin::Srm(..)) => true,
-                None => false,
-            })
-        };
-        let subtracts =
-            |population: &Population| matches!(population.origin, Some(Origin::Loihi { subtracts: true, .. }));
-        // Notes report weights between two steps of their format; a negative exponent drops bits.
-        let rounds = || {
-            let noted = self.calibrated.parts().notes.iter().any(|note| note.rounded.is_some_and(|r| r.changed > 0));
-            let drops = self.calibrated.projections().iter().any(|projection| projection.format.exponent.get() < 0);
-            noted || drops || self.calibrated.populations().iter().any(|population| shift_of(population) > 0)
-        };
-        let holds = |cause: &Cause| match cause {
+        let mut origins = self.populations.iter().filter_map(|population| population.origin.as_ref());
+        let subtracts = origins.any(|origin| matches!(origin, Origin::Loihi { subtracts: true, .. }));
+        let present = Cause::ALL.into_iter().filter(|cause| match cause {
             Cause::Pipeline => self.pipeline.is_some(),
             Cause::Untruncated | Cause::Kernel => srm,
-            Cause::HardReset => srm || self.populations.iter().any(subtracts),
-            Cause::Decays => given(&["tau_u_ms", "tau_v_ms"]),
+            Cause::HardReset => srm || subtracts,
+            Cause::Decays => self.has_real(&["tau_u_ms", "tau_v_ms"]),
             Cause::Calibration => self.fits != self.plain,
-            Cause::Weights => given(&["vth", "bias"]) || rounds(),
+            Cause::Weights => self.has_real(&["vth", "bias"]) || self.rounds(),
             Cause::State => true,
-        };
-        Cause::ALL.into_iter().filter(holds).collect()
+        });
+        present.collect()
+    }
+
+    /// Whether a population has real numbers for one of these parameters.
+    fn has_real(&self, names: &[&str]) -> bool {
+        self.populations.iter().any(|population| match &population.origin {
+            Some(Origin::Loihi { parameters, .. }) => names.iter().any(|name| parameters.real(name).is_some()),
+            Some(Origin::Srm(..)) => true,
+            None => false,
+        })
+    }
+
+    /// Whether weights are rounded, sums included. Notes report weights between two steps of their
+    /// format; a negative exponent drops bits.
+    fn rounds(&self) -> bool {
+        let noted = self.calibrated.parts().notes.iter().any(|note| note.rounded.is_some_and(|r| r.changed > 0));
+        let drops = self.calibrated.projections().iter().any(|projection| projection.format.exponent.get() < 0);
+        noted || drops || self.calibrated.populations().iter().any(|population| shift_of(population) > 0)
     }
 
     /// Stage of the trained network; a cause without effect here counts as switched on.
@@ -323,7 +320,7 @@ impl StagedNetwork {
     }
 
     /// Parameters of a compartment in a stage.
-    fn neuron(&self, (population, origin): (usize, &Origin), index: u32, stage: ComparisonStage) -> RealForm {
+    fn neuron(&self, population: usize, origin: &Origin, index: u32, stage: ComparisonStage) -> RealForm {
         let of = &self.populations[population];
         let network = self.network(stage);
         let semantics = network.parts().semantics;
@@ -333,17 +330,16 @@ impl StagedNetwork {
         match origin {
             Origin::Srm(srm, fit) => {
                 // An alpha kernel has one decay; only current and voltage can have two.
-                let both = |keep: f64| (keep, keep);
-                let keeps = match (stage.has(Cause::Decays), stage.has(Cause::Kernel)) {
-                    (true, true) => (analytic::keep(fit.du), analytic::keep(fit.dv)),
-                    (true, false) => both(analytic::keep(analytic::start(srm, self.timestep_ms).du)),
-                    (false, _) => both(analytic::real_keep(srm, self.timestep_ms)),
+                let [keep_u, keep_v] = match (stage.has(Cause::Decays), stage.has(Cause::Kernel)) {
+                    (true, true) => [fit.du, fit.dv].map(analytic::keep),
+                    (true, false) => [analytic::keep(analytic::start(srm, self.timestep_ms).du); 2],
+                    (false, _) => [analytic::real_keep(srm, self.timestep_ms); 2],
                 };
                 let has_copies = stage.has(Cause::Decays) && stage.has(Cause::Kernel);
                 let at = analytic::matched_threshold_of(srm, self.timestep_ms, fit);
                 let matched = match has_copies {
                     true => at,
-                    false => analytic::matched_threshold(srm, self.timestep_ms, keeps.0, keeps.1),
+                    false => analytic::matched_threshold(srm, self.timestep_ms, keep_u, keep_v),
                 };
                 let chosen = stage.has(Cause::Calibration);
                 // Ratio of the searched threshold to the threshold at which the peaks match.
@@ -351,8 +347,8 @@ impl StagedNetwork {
                 let real = matched * moved * of.scale;
                 let weights = stage.has(Cause::Weights);
                 RealForm {
-                    keep_u: keeps.0,
-                    keep_v: keeps.1,
+                    keep_u,
+                    keep_v,
                     // The deployed mantissa where decays and calibration are the deployed ones.
                     threshold: match (weights, chosen && has_copies) {
                         (true, true) => integers.threshold,
@@ -368,12 +364,16 @@ impl StagedNetwork {
             Origin::Loihi { parameters, subtracts } => {
                 // Parameters of the reference engine; a real threshold has no registers to clip in.
                 let real = nsim_dynamics::model(parameters, index, self.timestep_ms, semantics);
-                let pick = |cause: Cause, integer: f64, real: f64| if stage.has(cause) { integer } else { real };
+                let decays = if stage.has(Cause::Decays) { &integers } else { &real };
+                let (threshold, bias) = match stage.has(Cause::Weights) {
+                    true => (integers.threshold, integers.bias),
+                    false => (real.threshold * of.scale, real.bias * of.scale),
+                };
                 RealForm {
-                    keep_u: pick(Cause::Decays, integers.keep_u, real.keep_u),
-                    keep_v: pick(Cause::Decays, integers.keep_v, real.keep_v),
-                    threshold: pick(Cause::Weights, integers.threshold, real.threshold * of.scale),
-                    bias: pick(Cause::Weights, integers.bias, real.bias * of.scale),
+                    keep_u: decays.keep_u,
+                    keep_v: decays.keep_v,
+                    threshold,
+                    bias,
                     subtracts: integers.subtracts || *subtracts && !stage.has(Cause::HardReset),
                     clip: if stage.has(Cause::State) { integers.clip } else { real.clip },
                     ..integers
@@ -386,7 +386,7 @@ impl StagedNetwork {
     fn state(&self, population: usize, stage: ComparisonStage) -> Option<PopulationState> {
         let of = &self.populations[population];
         let origin = of.origin.as_ref()?;
-        let neurons = (0..of.count).map(|index| self.neuron((population, origin), index, stage)).collect();
+        let neurons = (0..of.count).map(|index| self.neuron(population, origin, index, stage)).collect();
         let (response, resets_from, floors) = match origin {
             Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0, false),
             Origin::Loihi { parameters, .. } => {
@@ -397,12 +397,18 @@ impl StagedNetwork {
         };
         // SLAYER's loop starts at step 1; its resets are counted from the step as given.
         let first = u32::from(response.is_none() && self.graph.facts().semantics == Semantics::Slayer);
-        Some(PopulationState::new((neurons, floors), response, (resets_from.max(first), resets_from), self.test, stage))
+        let timing = Timing { start_step: resets_from.max(first), resets_from, floors };
+        Some(PopulationState::new(neurons, response, timing, self.test, stage))
     }
 
     /// The steps that a stage adds to its layers; `None` in stages without them.
     fn added_pipeline(&self, stage: ComparisonStage) -> Option<&Pipeline> {
         self.pipeline.as_ref().filter(|_| !stage.has(Cause::Pipeline))
+    }
+
+    /// Steps by which a stage delays the spikes of a link.
+    fn wait(&self, stage: ComparisonStage, link: &Link) -> u32 {
+        self.added_pipeline(stage).map_or(0, |pipeline| pipeline.wait(link.source, link.target))
     }
 
     /// The trace of a stage's network in a sample.
@@ -420,8 +426,6 @@ impl StagedNetwork {
 
     fn run_sample(&self, stage: ComparisonStage, sample: &Sample, potentials: bool) -> Trace {
         let steps = sample.steps();
-        let pipeline = self.added_pipeline(stage);
-        let wait = |link: &Link| pipeline.map_or(0, |pipeline| pipeline.wait(link.source, link.target));
         let mut states: Vec<Option<PopulationState>> =
             (0..self.populations.len()).map(|index| self.state(index, stage)).collect();
         let mut arrivals: Vec<Vec<Vec<f64>>> = self
@@ -451,7 +455,7 @@ impl StagedNetwork {
             firing.for_each_link(|link, channels| {
                 // Spike response kernels are 0 at their start, so input counts a step later.
                 let late = states[link.target].as_ref().is_some_and(|state| state.late);
-                let at = now + u32::from(late) + wait(link);
+                let at = now + u32::from(late) + self.wait(stage, link);
                 channels.iter().for_each(|&c| link.deliver(c, at, &mut arrivals[link.target]));
             });
             let slot = now as usize % self.slots;
@@ -481,7 +485,7 @@ impl StagedNetwork {
             }
             firing.for_each_link(|link, neurons| {
                 if !link.restores || stage.has(Cause::HardReset) {
-                    let at = now + 1 + wait(link);
+                    let at = now + 1 + self.wait(stage, link);
                     neurons.iter().for_each(|&neuron| link.deliver(neuron, at, &mut arrivals[link.target]));
                 }
             });

@@ -51,16 +51,24 @@ pub(super) struct PopulationState {
     pub step_potentials: Vec<f64>,
 }
 
+/// How a stage updates a population.
+pub(super) struct Timing {
+    pub start_step: u32,
+    pub resets_from: u32,
+    pub floors: bool,
+}
+
 impl PopulationState {
-    /// State before the first step, from compartments and `floors`, `start_step` and `resets_from`.
-    /// `response` has the parameters of spike response neurons and the timestep in ms.
+    /// State before the first step. `response` has the parameters of spike response neurons and the
+    /// timestep in ms.
     pub fn new(
-        (neurons, floors): (Vec<RealForm>, bool),
+        neurons: Vec<RealForm>,
         response: Option<(&SrmParameters, f64)>,
-        (start_step, resets_from): (u32, u32),
+        timing: Timing,
         test: ThresholdTest,
         stage: ComparisonStage,
     ) -> PopulationState {
+        let Timing { start_step, resets_from, floors } = timing;
         let (count, srm) = (neurons.len(), response.is_some());
         let nu = response.map_or(Alpha { peak: 0.0, tau: 1.0 }, |(srm, timestep_ms)| Alpha {
             peak: -srm.scale_ref,
@@ -139,8 +147,8 @@ impl PopulationState {
             self.nu_second[i] = r * (self.nu_second[i] + self.nu_first[i]);
             self.nu.gain() * self.nu_second[i]
         } else {
-            let ago = |&spike: &u32| self.nu_taps.get((self.now - spike) as usize).copied().unwrap_or(0.0);
-            self.own[i].iter().rev().take(self.nu_taps.len()).map(ago).sum()
+            let spikes = self.own[i].iter().rev().take(self.nu_taps.len());
+            spikes.map(|spike| self.nu_taps.get((self.now - spike) as usize).copied().unwrap_or(0.0)).sum()
         };
         relative * threshold
     }

@@ -81,9 +81,12 @@ impl Trace {
     pub fn silent_until(mut self, steps: u32) -> Trace {
         if steps > self.steps {
             let (all, more) = (self.steps.max(1) as usize, (steps - self.steps) as usize);
-            let longer =
-                |row: &[f32]| row.iter().copied().chain(std::iter::repeat_n(f32::NAN, more)).collect::<Vec<_>>();
-            self.potentials = self.potentials.chunks(all).flat_map(longer).collect();
+            let mut longer = Vec::new();
+            for row in self.potentials.chunks(all) {
+                longer.extend_from_slice(row);
+                longer.extend(std::iter::repeat_n(f32::NAN, more));
+            }
+            self.potentials = longer;
             self.steps = steps;
         }
         self
@@ -150,16 +153,17 @@ const EXCERPT_STEPS: u32 = 25;
 
 impl DivergenceExcerpt {
     /// Excerpt of two traces around a step, within the `steps` that both have.
-    fn new((a, b): (&Trace, &Trace), compartment: u32, at: u32, steps: std::ops::Range<u32>, shift: i32) -> Self {
+    fn new(a: &Trace, b: &Trace, compartment: u32, at: u32, steps: std::ops::Range<u32>, shift: i32) -> Self {
         let (from, to) = (at.saturating_sub(EXCERPT_STEPS).max(steps.start), (at + EXCERPT_STEPS + 1).min(steps.end));
-        let moved = |step: u32| step.saturating_add_signed(shift);
-        DivergenceExcerpt {
-            from,
-            a: (from..to).filter_map(|step| a.potential(compartment, step)).collect(),
-            b: (from..to).filter_map(|step| b.potential(compartment, moved(step))).collect(),
-            spikes_a: (from..to).filter(|&step| a.spiked(compartment, step)).collect(),
-            spikes_b: (from..to).filter(|&step| b.spiked(compartment, moved(step))).collect(),
+        let mut excerpt = DivergenceExcerpt { from, ..DivergenceExcerpt::default() };
+        for step in from..to {
+            let shifted = step.saturating_add_signed(shift);
+            excerpt.a.extend(a.potential(compartment, step));
+            excerpt.b.extend(b.potential(compartment, shifted));
+            excerpt.spikes_a.extend(a.spiked(compartment, step).then_some(step));
+            excerpt.spikes_b.extend(b.spiked(compartment, shifted).then_some(step));
         }
+        excerpt
     }
 }
 
@@ -184,24 +188,21 @@ impl Comparison {
         let mut earliest: Option<(u32, u32)> = None;
         for neuron in 0..layer.count {
             let compartment = layer.first + neuron;
-            let within = |&t: &u32| (from..to).contains(&t);
-            let own: Vec<u32> = a.trains[compartment as usize].iter().copied().filter(within).collect();
+            let mut own = a.trains[compartment as usize].clone();
             let shifted = b.trains[compartment as usize].iter().filter_map(|&t| t.checked_add_signed(-shift));
-            let other: Vec<u32> = shifted.filter(within).collect();
+            let mut other: Vec<u32> = shifted.collect();
+            [&mut own, &mut other].into_iter().for_each(|train| train.retain(|t| (from..to).contains(t)));
             self.tally.trains(&own, &other, to.saturating_sub(from));
             let parts = first_difference(&own, &other).map(|step| (step, neuron));
             earliest = earliest.into_iter().chain(parts).min();
             if !a.potentials.is_empty() && !b.potentials.is_empty() {
                 let (mut i, mut j) = (0, 0);
                 for step in from..to {
-                    let spiked = |train: &[u32], at: &mut usize| {
-                        let here = train.get(*at) == Some(&step);
-                        *at += usize::from(here);
-                        here
-                    };
                     // At a spike the potential depends on the network's convention (reset or peak),
                     // so it is not compared.
-                    let (a_spikes, b_spikes) = (spiked(&own, &mut i), spiked(&other, &mut j));
+                    let (a_spikes, b_spikes) = (own.get(i) == Some(&step), other.get(j) == Some(&step));
+                    i += usize::from(a_spikes);
+                    j += usize::from(b_spikes);
                     if !a_spikes
                         && !b_spikes
                         && let Some(there) = step.checked_add_signed(shift)
@@ -217,7 +218,7 @@ impl Comparison {
         {
             let compartment = layer.first + neuron;
             let there = timestep.saturating_add_signed(shift);
-            self.excerpt = Some(DivergenceExcerpt::new((a, b), compartment, timestep, from..to, shift));
+            self.excerpt = Some(DivergenceExcerpt::new(a, b, compartment, timestep, from..to, shift));
             self.first_divergence = Some(Divergence {
                 sample,
                 timestep,
@@ -239,21 +240,22 @@ fn first_difference(a: &[u32], b: &[u32]) -> Option<u32> {
 /// Constant delay of the second network's spikes of a layer, -4..=4 steps: the one at which most
 /// spikes coincide, the smallest on a tie.
 pub fn measured_shift(layer: &Layer, pairs: &[(&Trace, &Trace)]) -> i32 {
-    let coincident = |shift: i32| {
-        let of = |(a, b): &(&Trace, &Trace)| {
-            let range = layer.first as usize..(layer.first + layer.count) as usize;
-            let each = a.trains[range.clone()].iter().zip(&b.trains[range]);
-            let count = |(x, y): (&Vec<u32>, &Vec<u32>)| {
-                let there = x.iter().filter_map(|&t| t.checked_add_signed(shift));
-                there.filter(|t| y.binary_search(t).is_ok()).count()
-            };
-            each.map(count).sum::<usize>()
-        };
-        pairs.iter().map(of).sum::<usize>()
-    };
     // `max_by_key` returns the last maximum, so a tie goes to the first of this list.
     let candidates = [0, -1, 1, -2, 2, -3, 3, -4, 4];
-    candidates.into_iter().rev().max_by_key(|&shift| coincident(shift)).unwrap_or(0)
+    candidates.into_iter().rev().max_by_key(|&shift| coincident(layer, pairs, shift)).unwrap_or(0)
+}
+
+/// Spikes of the first networks that the second ones repeat `shift` steps later.
+fn coincident(layer: &Layer, pairs: &[(&Trace, &Trace)], shift: i32) -> usize {
+    let range = layer.first as usize..(layer.first + layer.count) as usize;
+    let mut sum = 0;
+    for (a, b) in pairs {
+        for (x, y) in a.trains[range.clone()].iter().zip(&b.trains[range.clone()]) {
+            let shifted = x.iter().filter_map(|&t| t.checked_add_signed(shift));
+            sum += shifted.filter(|t| y.binary_search(t).is_ok()).count();
+        }
+    }
+    sum
 }
 
 #[cfg(test)]

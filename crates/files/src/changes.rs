@@ -42,9 +42,7 @@ impl Change {
     }
 
     /// Checks that its path can name a field and that its value is one RON value.
-    ///
-    /// # Errors
-    /// `set.path`, `set.value`.
+    /// Errors: `set.path`, `set.value`.
     pub fn check(&self) -> Result<()> {
         let Change { path, value } = self;
         if ["target", "constants"].contains(&path.as_str()) || path.split('.').any(|part| part.trim().is_empty()) {
@@ -78,6 +76,16 @@ impl Change {
         let first = self.path.split('.').next();
         first.is_some_and(|first| ["target", "constants"].contains(&first))
     }
+
+    /// Its path within the target, the constants or (`None`) the model, and its value.
+    fn within(&self, of: Option<&str>) -> Option<(String, String)> {
+        let (first, rest) = self.path.split_once('.').unwrap_or((&self.path, ""));
+        let path = match of {
+            Some(of) => (first == of && !rest.is_empty()).then_some(rest),
+            None => (!self.changes_target()).then_some(self.path.as_str()),
+        };
+        Some((path?.to_string(), self.value.clone()))
+    }
 }
 
 /// Clears the changes of a thread when dropped, also on a panic.
@@ -108,9 +116,7 @@ pub fn set(typed: &[String]) -> Result<(), String> {
 }
 
 /// Checks the changes of this process, before it reads files.
-///
-/// # Errors
-/// As [`Change::check`].
+/// Errors: those of [`Change::check`].
 pub fn check() -> Result<()> {
     process_changes().iter().try_for_each(Change::check)
 }
@@ -136,18 +142,9 @@ pub fn process_changes() -> &'static [Change] {
 /// Paths and values of the changes of the target, the constants or (`None`) the model.
 fn changes(of: Option<&str>) -> Vec<(String, String)> {
     READ[reader_index(of)].store(true, Ordering::Relaxed);
-    let one = |change: &Change| {
-        let (first, rest) = change.path.split_once('.').unwrap_or((&change.path, ""));
-        let path = match of {
-            Some(of) => (first == of && !rest.is_empty()).then_some(rest),
-            None => (!change.changes_target()).then_some(change.path.as_str()),
-        };
-        Some((path?.to_string(), change.value.clone()))
-    };
-    let process_changes = PROCESS_CHANGES.get().into_iter().flatten().filter_map(one);
-    process_changes
-        .chain(THREAD_CHANGES.with_borrow(|thread_changes| thread_changes.iter().filter_map(one).collect::<Vec<_>>()))
-        .collect()
+    let mut all: Vec<(String, String)> = process_changes().iter().filter_map(|change| change.within(of)).collect();
+    THREAD_CHANGES.with_borrow(|changes| all.extend(changes.iter().filter_map(|change| change.within(of))));
+    all
 }
 
 fn path_error(path: &str, message: &str) -> Diagnostic {
@@ -155,10 +152,7 @@ fn path_error(path: &str, message: &str) -> Diagnostic {
         .help("paths consist of names of fields: nsim show NAME prints a shipped file with its fields")
 }
 
-/// The text of a model with the values that are set.
-///
-/// # Errors
-/// `set.path`.
+/// The text of a model with the values that are set. Errors: `set.path`.
 pub fn model(source: SourceText) -> Result<SourceText> {
     let changes = changes(None);
     if changes.is_empty() {
@@ -171,15 +165,14 @@ pub fn model(source: SourceText) -> Result<SourceText> {
 }
 
 /// The changed fields of the target, as text of a target file; `None` without changes.
-///
-/// # Errors
-/// `set.path`.
+/// Errors: `set.path`.
 pub fn target_fields() -> Result<Option<String>> {
     let mut changes = changes(Some("target"));
     for (path, _) in &mut changes {
         // A name that is not a limit of a resource is a pool's.
-        let is_pool = |name: &&str| !name.contains('.') && *name != "pools" && !Limits::NAMES.contains(name);
-        if let Some(name) = path.strip_prefix("limits.").filter(is_pool) {
+        if let Some(name) = path.strip_prefix("limits.")
+            && !(name.contains('.') || name == "pools" || Limits::NAMES.contains(&name))
+        {
             *path = format!("limits.pools.{name}");
         }
     }
@@ -204,14 +197,12 @@ fn with_parents(text: &str, changes: &[(String, String)]) -> Result<String, (usi
     locate::all_replaced(&text, &pairs)
 }
 
-/// Replaces the constants that are set.
-///
-/// # Errors
-/// `set.path`, `set.value`.
+/// Replaces the constants that are set. Errors: `set.path`, `set.value`.
 pub fn constants(constants: &mut Constants) -> Result<()> {
     for (path, value) in changes(Some("constants")) {
-        let missing = || path_error(&format!("constants.{path}"), "there is no such constant");
-        let constant = constants.get_mut(&path).ok_or_else(missing)?;
+        let constant = constants
+            .get_mut(&path)
+            .ok_or_else(|| path_error(&format!("constants.{path}"), "there is no such constant"))?;
         let number = constant.unit.parsed(&value).map_err(|message| {
             let help = format!("write --set constants.{path}=NUMBER{}", constant.unit.suffix());
             Diagnostic::new("set.value", format!("--set constants.{path}={value}: {message}")).help(help)

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use petgraph::graph::{DiGraph, NodeIndex};
 
 use crate::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind as Kind, Source, Weights};
-use crate::synapses::{SynapseArrays, SynapseList};
+use crate::synapses::{SynapseArrays, SynapsePlace};
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::base::diagnostic::{Diagnostic, Span, collect_all};
 use nsim_ir::base::fixed::{Delay, MessageBits, Payload, SignMode, ThresholdMantissa, WeightBits};
@@ -43,95 +43,30 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     let file = network.file();
     let text = network.source().text();
     let lowering = Lowering { network, whole: Span { start: 0, end: text.len() } };
-    let (populations, projections) = (items(text, "populations"), items(text, "projections"));
     let timestep = file.timestep_ms;
     if !(timestep > 0.0 && timestep <= 1e6) {
         let message = format!("timestep_ms {timestep} is not above 0 and at most 1e6");
         return Err(lowering.problem("model.timestep", message, "timestep_ms"));
     }
     let mut graph = DiGraph::new();
-    let mut nodes: HashMap<&str, NodeIndex> = HashMap::new();
-    let mut units = 0u64;
-    let mut problems = Vec::new();
-    for (index, desc) in file.populations.iter().enumerate() {
-        let span = populations.get(index).copied().unwrap_or_default();
-        let population = match lowering.population(desc, span) {
-            Ok(population) => population,
-            Err(problem) => {
-                problems.push(Err(problem));
-                continue;
-            }
-        };
-        units += u64::from(population.shape.len());
-        if matches!(population.kind, PopulationKind::Input) && u64::from(population.shape.len()) > MOST_CHANNELS {
-            let message = format!("{} input channels are more than {MOST_CHANNELS}", population.shape.len());
-            return Err(lowering.error("model.too-large", message, lowering.at(span, "shape")));
-        }
-        if units > MOST_UNITS {
-            let message =
-                format!("the populations up to here have {units} channels and compartments, the limit is {MOST_UNITS}");
-            return Err(lowering.error("model.too-large", message, lowering.at(span, "shape")));
-        }
-        if nodes.insert(&desc.name, graph.add_node(population)).is_some() {
-            let message = format!("population '{}' is declared twice", desc.name);
-            return Err(lowering
-                .error("model.name-twice", message, lowering.at(span, "name"))
-                .help("give each population its own name"));
-        }
-    }
-    // Projections of a refused population would only repeat its error.
-    collect_all::<()>(problems)?;
+    let nodes = lowering.populations(&mut graph)?;
     let output = lowering.find(&nodes, &file.output, "output", || lowering.at(lowering.whole, "output"));
+    let spans = items(text, "projections");
     let joined = file.projections.iter().enumerate().map(|(index, desc)| {
-        let span = projections.get(index).copied().unwrap_or_default();
-        lowering.projection((desc, span), &nodes, &mut graph)
+        let span = spans.get(index).copied().unwrap_or_default();
+        lowering.projection(desc, span, &nodes, &mut graph)
     });
     collect_all(joined.chain([output.clone().map(drop)]))?;
     let output = output?;
-    let size = graph[output].shape.len();
-    if matches!(graph[output].kind, PopulationKind::Input) {
-        let message = format!("output '{}' is an input population", file.output);
-        return Err(lowering.problem("model.output", message, "output").help("name a population of compartments"));
-    }
-    if let PopulationKind::Neurons(neurons) = &graph[output].kind
-        && file.decision != ReadOut::Spikes
-        && neurons.kind.potential().is_none()
-    {
-        let kind = neurons.kind.name();
-        let message =
-            format!("output '{}' has neurons of kind {kind}, which have no potential to decide by", file.output);
-        return Err(lowering.problem("model.decision", message, "decision").help("give decision: Spikes"));
-    }
-    let classes = &file.classes;
-    if !classes.is_empty() && classes.len() != size as usize {
-        let message = format!("{} class names for {size} output compartments", classes.len());
-        return Err(lowering.problem("model.classes", message, "classes"));
-    }
-    if let Some(reset) = &file.reset
-        && (reset.interval == 0 || reset.interval > u64::from(u32::MAX) || reset.offset > u64::from(u32::MAX))
-    {
-        let message =
-            format!("reset interval {} with offset {}: the interval is 1 to 2^32 - 1", reset.interval, reset.offset);
-        return Err(lowering.problem("model.reset", message, "reset"));
-    }
-    if file.drain > MOST_DRAIN {
-        let message = format!("drain {} is outside 0..={MOST_DRAIN}", file.drain);
-        return Err(lowering
-            .problem("model.drain", message, "drain")
-            .help("give one step for each layer after the first"));
-    }
-    if let Some(name) = std::iter::once(&file.name).chain(classes).find(|name| name.contains(is_unprintable)) {
-        let message = format!("the name {name:?} has a character that controls a terminal or ends a line");
-        let help = "use printable characters in the names of the network and its classes";
-        return Err(Diagnostic::new("model.name", message).help(help).in_file(network.source().path()));
-    }
+    lowering.check_output(&graph[output])?;
+    lowering.check_facts()?;
     let facts = NetworkFacts {
         name: file.name.clone(),
         source: network.source().clone(),
         timestep_ms: file.timestep_ms,
         decision: file.decision,
         drain: file.drain,
-        classes: classes.clone(),
+        classes: file.classes.clone(),
         reset: file.reset,
         threshold: file.threshold,
         semantics: file.semantics,
@@ -150,7 +85,96 @@ struct Lowering<'a> {
 
 type Nodes<'a> = HashMap<&'a str, NodeIndex>;
 
-impl Lowering<'_> {
+impl<'a> Lowering<'a> {
+    fn populations(&self, graph: &mut DiGraph<Population, Projection>) -> Result<Nodes<'a>, Diagnostic> {
+        let spans = items(self.network.source().text(), "populations");
+        let mut nodes = Nodes::new();
+        let mut units = 0u64;
+        let mut problems = Vec::new();
+        for (index, desc) in self.network.file().populations.iter().enumerate() {
+            let span = spans.get(index).copied().unwrap_or_default();
+            let population = match self.population(desc, span) {
+                Ok(population) => population,
+                Err(problem) => {
+                    problems.push(Err(problem));
+                    continue;
+                }
+            };
+            let own = u64::from(population.shape.len());
+            units += own;
+            if matches!(population.kind, PopulationKind::Input) && own > MOST_CHANNELS {
+                let message = format!("{own} input channels are more than {MOST_CHANNELS}");
+                return Err(self.error("model.too-large", message, self.at(span, "shape")));
+            }
+            if units > MOST_UNITS {
+                let message = format!(
+                    "the populations up to here have {units} channels and compartments, the limit is {MOST_UNITS}"
+                );
+                return Err(self.error("model.too-large", message, self.at(span, "shape")));
+            }
+            if nodes.insert(&desc.name, graph.add_node(population)).is_some() {
+                let message = format!("population '{}' is declared twice", desc.name);
+                return Err(self
+                    .error("model.name-twice", message, self.at(span, "name"))
+                    .help("give each population its own name"));
+            }
+        }
+        // Projections of a refused population would only repeat its error.
+        collect_all::<()>(problems)?;
+        Ok(nodes)
+    }
+
+    fn check_output(&self, output: &Population) -> Result<(), Diagnostic> {
+        let file = self.network.file();
+        match &output.kind {
+            PopulationKind::Input => {
+                let message = format!("output '{}' is an input population", file.output);
+                Err(self.problem("model.output", message, "output").help("name a population of compartments"))
+            }
+            PopulationKind::Neurons(neurons)
+                if file.decision != ReadOut::Spikes && neurons.kind.potential().is_none() =>
+            {
+                let message = format!(
+                    "output '{}' has neurons of kind {}, which have no potential to decide by",
+                    file.output,
+                    neurons.kind.name()
+                );
+                Err(self.problem("model.decision", message, "decision").help("give decision: Spikes"))
+            }
+            _ if !file.classes.is_empty() && file.classes.len() != output.shape.len() as usize => {
+                let (names, size) = (file.classes.len(), output.shape.len());
+                let message = format!("{names} class names for {size} output compartments");
+                Err(self.problem("model.classes", message, "classes"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Checks the network's reset, drain and names.
+    fn check_facts(&self) -> Result<(), Diagnostic> {
+        let file = self.network.file();
+        if let Some(reset) = &file.reset
+            && (reset.interval == 0 || reset.interval > u64::from(u32::MAX) || reset.offset > u64::from(u32::MAX))
+        {
+            let (interval, offset) = (reset.interval, reset.offset);
+            let message = format!("reset interval {interval} with offset {offset}: the interval is 1 to 2^32 - 1");
+            return Err(self.problem("model.reset", message, "reset"));
+        }
+        if file.drain > MOST_DRAIN {
+            let message = format!("drain {} is outside 0..={MOST_DRAIN}", file.drain);
+            return Err(self
+                .problem("model.drain", message, "drain")
+                .help("give one step for each layer after the first"));
+        }
+        let mut names = std::iter::once(&file.name).chain(&file.classes);
+        if let Some(name) = names.find(|name| name.contains(is_unprintable)) {
+            let message = format!("the name {name:?} has a character that controls a terminal or ends a line");
+            let help = "use printable characters in the names of the network and its classes";
+            return Err(Diagnostic::new("model.name", message).help(help).in_file(self.network.source().path()));
+        }
+        Ok(())
+    }
+
     fn error(&self, code: &'static str, message: impl Into<String>, span: Span) -> Diagnostic {
         Diagnostic::new(code, message).at(self.network.source(), span)
     }
@@ -271,10 +295,10 @@ impl Lowering<'_> {
                 .error("model.parameter", message, self.at(span, "bias"))
                 .help("give bias_mant and bias_exp, or a real vth"));
         }
-        let values = |(what, value): &(&'static str, Parameter)| {
-            Ok((*what, self.values(name, what, value, units, self.at(span, what))?))
-        };
-        let given = parameters.iter().map(values).collect::<Result<_, Diagnostic>>()?;
+        let mut given = Vec::new();
+        for (what, value) in parameters {
+            given.push((*what, self.values(name, what, value, units, self.at(span, what))?));
+        }
         Ok(NeuronParameters { kind: desc.kind, given, start_step: desc.start_step, greatest_input: None })
     }
 
@@ -342,18 +366,19 @@ impl Lowering<'_> {
             let message = format!("Uniform from {low} to {high}{steps} is not a range");
             return Err(self.error("model.uniform", message, span));
         }
-        let draw = |i: u64| match step {
+        let numbers = (0..length).map(|i| match step {
             Some(step) => low + step * rng::below(levels as u64, *seed, i, 0) as f64,
             None => low + (high - low) * rng::unit(*seed, i, 0),
-        };
-        let numbers = Numbers::Reals((0..length).map(draw).collect());
+        });
+        let numbers = Numbers::Reals(numbers.collect());
         let tensor = Tensor::new(shape.iter().map(|&axis| axis as usize).collect(), numbers);
         Ok(Arc::new(tensor.expect("a number for each element of the shape")))
     }
 
     fn projection(
         &self,
-        (desc, span): (&ProjectionDesc, Span),
+        desc: &ProjectionDesc,
+        span: Span,
         nodes: &Nodes,
         graph: &mut DiGraph<Population, Projection>,
     ) -> Result<(), Diagnostic> {
@@ -366,10 +391,10 @@ impl Lowering<'_> {
             let message = format!("the projection to '{}' has no source", desc.to);
             return Err(self.error("model.source", message, span));
         }
-        let source = |(index, name): (usize, &String)| {
-            self.find(nodes, name, "'from'", || self.at(span, &format!("from.[{index}]")))
-        };
-        let sources: Vec<NodeIndex> = desc.from.iter().enumerate().map(source).collect::<Result<_, _>>()?;
+        let mut sources = Vec::new();
+        for (index, name) in desc.from.iter().enumerate() {
+            sources.push(self.find(nodes, name, "'from'", || self.at(span, &format!("from.[{index}]")))?);
+        }
         for (index, &node) in sources.iter().enumerate() {
             self.check_sends(&graph[node], &desc.to, || self.at(span, &format!("from.[{index}]")))?;
         }
@@ -377,20 +402,14 @@ impl Lowering<'_> {
             lowering: self,
             span,
             desc,
-            sources: sources.iter().map(|&node| u64::from(graph[node].shape.len())).sum(),
+            source_units: sources.iter().map(|&node| u64::from(graph[node].shape.len())).sum(),
             source_shape: graph[sources[0]].shape,
             target_shape: graph[target].shape,
         };
-        let to_delay = |delay: u32, path: &str| {
-            let wrong = |e| {
-                declared.wrong("model.delay-range", e, path).help("longer delays need a relay population in between")
-            };
-            Delay::new(delay.into()).map_err(wrong)
-        };
-        let delay = to_delay(desc.delay, "delay")?;
-        for (own_delay, whole) in declared.parts()? {
-            let delay = own_delay.map_or(Ok(delay), |own| to_delay(own, "arrays.delay"))?;
-            self.part((desc, span), delay, whole, (&sources, target), graph);
+        let delay = declared.delay(desc.delay, "delay")?;
+        for Part { own_delay, synapses } in declared.parts()? {
+            let delay = own_delay.map_or(Ok(delay), |own| declared.delay(own, "arrays.delay"))?;
+            declared.add(delay, synapses, &sources, target, graph);
         }
         Ok(())
     }
@@ -412,23 +431,62 @@ impl Lowering<'_> {
             .error("model.cannot-send", message, place())
             .help("remove the projection, or give the target a current of its own (du) in place of the integrator"))
     }
+}
+
+/// Synapses of a projection, and their own delay where they have one.
+struct Part {
+    own_delay: Option<u32>,
+    synapses: ProjectionKind,
+}
+
+/// Channels, height, width.
+type Volume = (u32, u32, u32);
+
+/// A projection's declaration with the sizes of its ends.
+struct ProjectionLowering<'a> {
+    lowering: &'a Lowering<'a>,
+    span: Span,
+    desc: &'a ProjectionDesc,
+    source_units: u64,
+    source_shape: Shape,
+    target_shape: Shape,
+}
+
+impl ProjectionLowering<'_> {
+    fn parts(&self) -> Result<Vec<Part>, Diagnostic> {
+        let whole = match &self.desc.kind {
+            Kind::Dense(weights) => {
+                let shape = [u64::from(self.target_shape.len()), self.source_units];
+                ProjectionKind::Dense { weights: self.weights(weights, &shape)? }
+            }
+            Kind::Sparse(synapses) => self.sparse(synapses)?,
+            Kind::Arrays(arrays) => return self.arrays(arrays),
+            Kind::Conv2d { weights, stride, padding, padding_after, dilation, groups } => {
+                self.conv(weights, [*stride, *padding, *padding_after, *dilation], *groups)?
+            }
+            &Kind::SumPool2d { kernel, stride, padding, padding_after, weight } => {
+                self.pool([kernel, stride, padding, padding_after], weight)?
+            }
+            &Kind::Random { fan_out, low, high, seed } => self.random(fan_out, low, high, seed)?,
+        };
+        Ok(vec![Part { own_delay: None, synapses: whole }])
+    }
 
     /// Adds a part of a projection, from each of its source populations.
-    fn part(
+    fn add(
         &self,
-        (desc, span): (&ProjectionDesc, Span),
         delay: Delay,
         whole: ProjectionKind,
-        (sources, target): (&[NodeIndex], NodeIndex),
+        sources: &[NodeIndex],
+        target: NodeIndex,
         graph: &mut DiGraph<Population, Projection>,
     ) {
-        let sizes: Vec<u32> = sources.iter().map(|&node| graph[node].shape.len()).collect();
-        let firsts = sizes.iter().scan(0, |next, &size| Some(std::mem::replace(next, *next + size)));
-        let firsts: Vec<u32> = firsts.collect();
+        let &ProjectionLowering { desc, span, .. } = self;
+        let sizes = sources.iter().map(|&node| graph[node].shape.len());
+        let firsts: Vec<u32> = sizes.scan(0, |next, size| Some(std::mem::replace(next, *next + size))).collect();
         // The quantiser refuses other widths.
         let bits = WeightBits::new(desc.weight_bits);
-        let chosen = || bits.map_or(SignMode::Mixed, |bits| whole.sign_of_weights(bits));
-        let sign = desc.sign.unwrap_or_else(chosen);
+        let sign = desc.sign.unwrap_or_else(|| bits.map_or(SignMode::Mixed, |bits| whole.sign_of_weights(bits)));
         let kinds = match whole {
             ProjectionKind::Sparse { synapses } if sources.len() > 1 => {
                 let mut by_source = vec![Vec::new(); sources.len()];
@@ -441,17 +499,18 @@ impl Lowering<'_> {
             }
             whole => vec![whole; sources.len()],
         };
-        // A default value has no place in the file.
-        let given = |is_given: bool, path: &str| if is_given { self.at(span, path) } else { Span::default() };
         let weights_span = match &desc.kind {
-            Kind::Dense(_) | Kind::Conv2d { .. } => self.at(span, "weights"),
-            Kind::Arrays(_) => self.at(span, "arrays.weight"),
+            Kind::Dense(_) | Kind::Conv2d { .. } => self.at("weights"),
+            Kind::Arrays(_) => self.at("arrays.weight"),
             _ => span,
         };
-        let weight_exp =
-            Spanned { value: desc.weight_exp.unwrap_or(0), span: given(desc.weight_exp.is_some(), "weight_exp") };
-        let weight_bits = Spanned { value: desc.weight_bits, span: given(desc.weight_bits != 8, "weight_bits") };
-        let weight_scale = desc.weight_scale.map(|value| Spanned { value, span: self.at(span, "weight_scale") });
+        // A default value has no place in the file.
+        let weight_exp = desc.weight_exp.map_or(0.into(), |value| self.located(value, "weight_exp"));
+        let weight_bits = match desc.weight_bits {
+            8 => 8.into(),
+            bits => self.located(bits, "weight_bits"),
+        };
+        let weight_scale = desc.weight_scale.map(|value| self.located(value, "weight_scale"));
         for ((&source, first_source), kind) in sources.iter().zip(firsts).zip(kinds) {
             let projection = Projection {
                 name: format!("{} -> {}", graph[source].name, graph[target].name),
@@ -469,46 +528,25 @@ impl Lowering<'_> {
             graph.add_edge(source, target, projection);
         }
     }
-}
 
-/// Synapses of a projection, and their own delay where they have one.
-type Part = (Option<u32>, ProjectionKind);
-/// Channels, height, width.
-type Volume = (u32, u32, u32);
+    fn delay(&self, delay: u32, path: &str) -> Result<Delay, Diagnostic> {
+        Delay::new(delay.into()).map_err(|e| {
+            self.wrong("model.delay-range", e, path).help("longer delays need a relay population in between")
+        })
+    }
 
-/// A projection's declaration with the sizes of its ends.
-struct ProjectionLowering<'a> {
-    lowering: &'a Lowering<'a>,
-    span: Span,
-    desc: &'a ProjectionDesc,
-    sources: u64,
-    source_shape: Shape,
-    target_shape: Shape,
-}
+    /// The place of a path within the declaration.
+    fn at(&self, path: &str) -> Span {
+        self.lowering.at(self.span, path)
+    }
 
-impl ProjectionLowering<'_> {
-    fn parts(&self) -> Result<Vec<Part>, Diagnostic> {
-        let whole = match &self.desc.kind {
-            Kind::Dense(weights) => {
-                let shape = [u64::from(self.target_shape.len()), self.sources];
-                ProjectionKind::Dense { weights: self.weights(weights, &shape)? }
-            }
-            Kind::Sparse(synapses) => self.sparse(synapses)?,
-            Kind::Arrays(arrays) => return self.arrays(arrays),
-            Kind::Conv2d { weights, stride, padding, padding_after, dilation, groups } => {
-                self.conv(weights, [*stride, *padding, *padding_after, *dilation], *groups)?
-            }
-            &Kind::SumPool2d { kernel, stride, padding, padding_after, weight } => {
-                self.pool([kernel, stride, padding, padding_after], weight)?
-            }
-            &Kind::Random { fan_out, low, high, seed } => self.random(fan_out, (low, high), seed)?,
-        };
-        Ok(vec![(None, whole)])
+    fn located<T>(&self, value: T, path: &str) -> Spanned<T> {
+        Spanned { value, span: self.at(path) }
     }
 
     /// An error at a path within the declaration.
     fn error(&self, code: &'static str, message: impl Into<String>, path: &str) -> Diagnostic {
-        self.lowering.error(code, message, self.lowering.at(self.span, path))
+        self.lowering.error(code, message, self.at(path))
     }
 
     /// An error of the projection, which begins with its target.
@@ -520,9 +558,7 @@ impl ProjectionLowering<'_> {
     fn weights(&self, weights: &Weights, shape: &[u64]) -> Result<Arc<Tensor>, Diagnostic> {
         let tensor = match weights {
             Weights::InPlace(tensor) => Arc::new(tensor.clone()),
-            Weights::From(source) => {
-                self.lowering.source_tensor(source, shape, self.lowering.at(self.span, "weights"))?
-            }
+            Weights::From(source) => self.lowering.source_tensor(source, shape, self.at("weights"))?,
         };
         let mut found: Vec<u64> = tensor.shape().iter().map(|&axis| axis as u64).collect();
         while found.len() > shape.len() && found.last() == Some(&1) {
@@ -544,28 +580,35 @@ impl ProjectionLowering<'_> {
             let what = "both its synapses and the projection have a delay";
             return Err(self.wrong("model.synapse-arrays", what, "arrays.delay"));
         }
-        let (network, sizes) = (self.lowering.network, (self.sources, self.target_shape.len().into()));
-        let stored = |array| network.array(array);
-        let by_delay = arrays.read(stored, (network.source(), self.span), sizes)?;
-        let part = |(delay, synapses): (Option<u32>, SynapseList)| (delay, ProjectionKind::Sparse { synapses });
-        Ok(match by_delay.is_empty() {
-            true => vec![part((None, Vec::new()))],
-            false => by_delay.into_iter().map(part).collect(),
-        })
+        let network = self.lowering.network;
+        let place = SynapsePlace {
+            text: network.source(),
+            declared: self.span,
+            sources: self.source_units,
+            targets: self.target_shape.len().into(),
+        };
+        let mut by_delay = arrays.read(|array| network.array(array), &place)?;
+        if by_delay.is_empty() {
+            by_delay.insert(None, Vec::new());
+        }
+        let parts = by_delay.into_iter();
+        Ok(parts
+            .map(|(own_delay, synapses)| Part { own_delay, synapses: ProjectionKind::Sparse { synapses } })
+            .collect())
     }
 
     fn sparse(&self, listed: &[(u64, u64, f64)]) -> Result<ProjectionKind, Diagnostic> {
         let targets = u64::from(self.target_shape.len());
-        let synapse = |(&(source, target, weight), entry): (&(u64, u64, f64), u32)| {
-            for (what, index, size) in [("source", source, self.sources), ("target", target, targets)] {
+        let mut synapses = Vec::with_capacity(listed.len());
+        for (&(source, target, weight), entry) in listed.iter().zip(0..) {
+            for (what, index, size) in [("source", source, self.source_units), ("target", target, targets)] {
                 if index >= size {
                     let what = format!("{what} {index} is outside 0..{size}");
                     return Err(self.wrong("model.synapse-index", what, &format!("synapses.[{entry}]")));
                 }
             }
-            Ok((source as u32, target as u32, weight, entry))
-        };
-        let synapses = listed.iter().zip(0..).map(synapse).collect::<Result<_, _>>()?;
+            synapses.push((source as u32, target as u32, weight, entry));
+        }
         Ok(ProjectionKind::Sparse { synapses })
     }
 
@@ -682,21 +725,20 @@ impl ProjectionLowering<'_> {
             return Err(self.error("model.window", message, ""));
         }
         self.check_window(&window, padding_after)?;
-        let weight = Spanned { value: weight, span: self.lowering.at(self.span, "weight") };
-        Ok(ProjectionKind::SumPool2d { window, weight })
+        Ok(ProjectionKind::SumPool2d { window, weight: self.located(weight, "weight") })
     }
 
-    fn random(&self, fan_out: u64, (low, high): (i64, i64), seed: u64) -> Result<ProjectionKind, Diagnostic> {
-        let synapses = self.sources.checked_mul(fan_out);
+    fn random(&self, fan_out: u64, low: i64, high: i64, seed: u64) -> Result<ProjectionKind, Diagnostic> {
+        let synapses = self.source_units.checked_mul(fan_out);
         if synapses.is_none_or(|n| n > MOST_SYNAPSES) || u32::try_from(fan_out).is_err() {
-            let what = format!("{} sources times {fan_out} synapses is more than {MOST_SYNAPSES}", self.sources);
+            let what = format!("{} sources times {fan_out} synapses is more than {MOST_SYNAPSES}", self.source_units);
             return Err(self.wrong("model.too-large", what, "fan_out"));
         }
         if self.desc.weight_scale.is_some() {
             let message = "a Random projection has integer weights and does not support weight_scale";
             return Err(self.error("model.random", message, "weight_scale"));
         }
-        let bound = |value: i64, path: &str| Spanned { value, span: self.lowering.at(self.span, path) };
-        Ok(ProjectionKind::Random { fan_out: fan_out as u32, low: bound(low, "low"), high: bound(high, "high"), seed })
+        let (low, high) = (self.located(low, "low"), self.located(high, "high"));
+        Ok(ProjectionKind::Random { fan_out: fan_out as u32, low, high, seed })
     }
 }

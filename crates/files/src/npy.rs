@@ -65,11 +65,11 @@ fn unread(dtype: &str) -> (&'static str, String) {
 /// prints the field names that their reader knows, and no other names.
 fn remedy_of_records(dtype: &str) -> String {
     let nested = dtype[1..].contains('[');
-    let plain = |name: &&str| !nested && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_');
-    let names = || dtype.split("('").skip(1).filter_map(|field| field.split('\'').next()).filter(plain);
-    let time = names().find(|name| is_time(name));
-    let places = names().filter(|name| matches!(*name, "x" | "y" | "p" | "polarity"));
-    let Some(time) = time.filter(|_| names().any(|name| name == "x")) else {
+    let mut names: Vec<&str> = dtype.split("('").skip(1).filter_map(|field| field.split('\'').next()).collect();
+    names.retain(|name| !nested && name.chars().all(|c| c.is_ascii_alphanumeric() || c == '_'));
+    let time = names.iter().copied().find(|name| is_time(name));
+    let places = names.iter().copied().filter(|name| matches!(*name, "x" | "y" | "p" | "polarity"));
+    let Some(time) = time.filter(|_| names.contains(&"x")) else {
         return "save one of its fields as an array of numbers: array[array.dtype.names[0]]".to_string();
     };
     let unit = if time.contains('_') { "" } else { "_us" };
@@ -119,12 +119,15 @@ fn entries(header: &str) -> Option<BTreeMap<&str, &str>> {
 /// The axes of a shape given as text; an axis beyond 64 bits becomes `u64::MAX`.
 fn axes(shape: &str) -> Option<Vec<u64>> {
     let axes = shape.strip_prefix('(')?.strip_suffix(')')?.trim().trim_end_matches(',');
-    let axis = |axis: &str| {
+    if axes.is_empty() {
+        return Some(Vec::new());
+    }
+    let axes = axes.split(',').map(|axis| {
         let digits = axis.trim();
         let whole = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
         whole.then(|| digits.parse().unwrap_or(u64::MAX))
-    };
-    if axes.is_empty() { Some(Vec::new()) } else { axes.split(',').map(axis).collect() }
+    });
+    axes.collect()
 }
 
 /// Numbers of `size` bytes in Fortran order (the first axis varies fastest), converted to C order.
@@ -142,27 +145,19 @@ fn in_c_order(numbers: &[u8], shape: &[usize], size: usize) -> Vec<u8> {
     ordered
 }
 
-/// Opens a file.
-///
-/// # Errors
-/// As [`read_bytes`] and [`Array::from_bytes`].
+/// Opens a file. Errors: those of [`read_bytes`] and [`Array::from_bytes`].
 pub fn open(path: &Path) -> Result<Array> {
     Array::from_bytes(path, read_bytes(path, MOST_ARRAY)?)
 }
 
-/// Reads a whole file into a tensor.
-///
-/// # Errors
-/// As [`open`] and [`Array::tensor`].
+/// Reads a whole file into a tensor. Errors: those of [`open`] and [`Array::tensor`].
 pub fn read(path: &Path) -> Result<Tensor> {
     open(path)?.tensor()
 }
 
 impl Array {
     /// An array from the bytes of its file; the path is for messages.
-    ///
-    /// # Errors
-    /// `npy.format`, `npy.dtype`, `npy.shape`, `npy.truncated`, `npy.trailing`.
+    /// Errors: `npy.format`, `npy.dtype`, `npy.shape`, `npy.truncated`, `npy.trailing`.
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
         let problem = |code, message: String| Diagnostic::new(code, message).in_file(path);
         if !bytes.starts_with(NPY_MAGIC) {
@@ -277,9 +272,7 @@ impl Array {
     }
 
     /// All numbers in C order.
-    ///
-    /// # Errors
-    /// `npy.value` for an integer beyond 32 bits and for NaN or infinity, with its index.
+    /// Errors: `npy.value` for an integer beyond 32 bits and for NaN or infinity, with its index.
     pub fn tensor(&self) -> Result<Tensor> {
         let data = &self.bytes[self.data..];
         if self.dtype.ends_with("b1")
@@ -290,8 +283,8 @@ impl Array {
         let (count, width) = ((data.len() / self.element.bytes()) as u64, self.element.bytes() as u64);
         let taken = Budget::for_file(self.bytes.len() as u64, 1, 1).numbers(count, width);
         taken.map_err(|exceeded| self.failed(exceeded))?;
-        let wrong = |index, value: &dyn Display, why: &str| self.wrong(index, value, why);
-        let numbers = self.element.numbers(data, self.is_big_endian(), wrong)?;
+        let numbers =
+            self.element.numbers(data, self.is_big_endian(), |index, value, why| self.wrong(index, value, why))?;
         Tensor::new(self.shape.clone(), numbers).ok_or_else(|| self.failed("they do not fill the shape"))
     }
 

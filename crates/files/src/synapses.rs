@@ -36,6 +36,40 @@ pub struct SynapseArrays {
 /// Synapses of one list: source, target, weight, entry of a list in place (0 for arrays).
 pub type SynapseList = Vec<(u32, u32, f64, u32)>;
 
+/// The declaration of a projection with arrays, and the sizes of its ends.
+#[derive(Debug)]
+pub struct SynapsePlace<'a> {
+    /// The model's text.
+    pub text: &'a SourceText,
+    /// The place of the projection in it.
+    pub declared: Span,
+    /// Units of all sources.
+    pub sources: u64,
+    /// Units of the target.
+    pub targets: u64,
+}
+
+impl SynapsePlace<'_> {
+    fn error(&self, code: &'static str, name: &str, message: String) -> Diagnostic {
+        let place = locate(self.text.text(), self.declared, &format!("arrays.{name}"));
+        Diagnostic::new(code, message).at(self.text, place.unwrap_or(self.declared))
+    }
+
+    fn refusal(&self, name: &str, message: String) -> Diagnostic {
+        self.error("model.synapse-arrays", name, message)
+    }
+
+    /// An entry of an array as an index below `size`.
+    fn index(&self, name: &str, array: &Tensor, entry: usize, size: u64) -> Result<u32> {
+        let number = array.real(entry);
+        if number >= 0.0 && number < size as f64 && number.fract() == 0.0 {
+            return Ok(number as u32);
+        }
+        let message = format!("entry {entry}: {name} {number} is outside 0..{size}");
+        Err(self.error("model.synapse-index", name, message))
+    }
+}
+
 impl SynapseArrays {
     /// All arrays by the names of their fields.
     pub fn references(&self) -> impl Iterator<Item = (&'static str, &ArrayRef)> {
@@ -45,9 +79,7 @@ impl SynapseArrays {
         given.into_iter().chain(optional).filter_map(|(name, array)| Some((name, array?)))
     }
 
-    /// The synapses between `sources` sources and `targets` targets, by their own delay field, if
-    /// any; each list is in the order of the arrays. `text` is the model's text and `declared` the
-    /// place of the projection in it.
+    /// The synapses by their own delay field, if any; each list is in the order of the arrays.
     ///
     /// # Errors
     /// `model.synapse-arrays` when their lengths differ or sources are given twice or not at all;
@@ -55,25 +87,16 @@ impl SynapseArrays {
     pub fn read<'n>(
         &'n self,
         stored: impl Fn(&'n ArrayRef) -> &'n Tensor,
-        (text, declared): (&'n SourceText, Span),
-        (sources, targets): (u64, u64),
+        place: &SynapsePlace<'_>,
     ) -> Result<BTreeMap<Option<u32>, SynapseList>> {
-        let array = |name: &str| {
-            let found = self.references().find(|(known, _)| *known == name)?;
-            Some(stored(found.1))
-        };
-        let at = move |code, name: &str, message: String| {
-            let place = locate(text.text(), declared, &format!("arrays.{name}"));
-            Diagnostic::new(code, message).at(text, place.unwrap_or(declared))
-        };
-        let refuse = move |name: &str, message: String| at("model.synapse-arrays", name, message);
         let (target, weight) = (stored(&self.target), stored(&self.weight));
-        let (source, first, delay) = (array("source"), array("first"), array("delay"));
+        let [source, first, delay] = [&self.source, &self.first, &self.delay].map(|array| array.as_ref().map(&stored));
+        let sources = place.sources;
         let all = target.len();
         for (name, tensor) in [("weight", Some(weight)), ("source", source), ("delay", delay)] {
             if let Some(tensor) = tensor.filter(|tensor| tensor.len() != all) {
                 let message = format!("{} numbers for {all} synapses", tensor.len());
-                return Err(refuse(name, message).help("each array has one entry a synapse"));
+                return Err(place.refusal(name, message).help("each array has one entry a synapse"));
             }
         }
         match (source, first) {
@@ -81,32 +104,26 @@ impl SynapseArrays {
             (None, Some(begins)) => {
                 if begins.len() as u64 != sources + 1 {
                     let message = format!("{} numbers for {sources} sources, expected {}", begins.len(), sources + 1);
-                    return Err(refuse("first", message));
+                    return Err(place.refusal("first", message));
                 }
                 let ascending = (1..begins.len()).all(|at| begins.real(at - 1) <= begins.real(at));
                 let ends = begins.real(0) == 0.0 && begins.real(begins.len() - 1) == all as f64;
                 if !ascending || !ends || begins.reals().any(|begin| begin.fract() != 0.0) {
-                    return Err(refuse("first", format!("it does not ascend from 0 to {all} in whole numbers")));
+                    return Err(place.refusal("first", format!("it does not ascend from 0 to {all} in whole numbers")));
                 }
             }
-            (Some(_), Some(_)) => return Err(refuse("first", "both source and first are given".to_string())),
+            (Some(_), Some(_)) => return Err(place.refusal("first", "both source and first are given".to_string())),
             (None, None) => {
                 let message = "both source and first are missing".to_string();
-                return Err(refuse("target", message)
+                return Err(place
+                    .refusal("target", message)
                     .help("give source with one entry per synapse, or first with one entry per source and one more"));
             }
         }
-        let index = move |name: &str, tensor: &Tensor, entry: usize, size: u64| {
-            let found = tensor.real(entry);
-            if found >= 0.0 && found < size as f64 && found.fract() == 0.0 {
-                return Ok(found as u32);
-            }
-            Err(at("model.synapse-index", name, format!("entry {entry}: {name} {found} is outside 0..{size}")))
-        };
         let (mut row, mut by_delay) = (0u32, BTreeMap::<Option<u32>, SynapseList>::new());
         for entry in 0..all {
             let source = match (source, first) {
-                (Some(tensor), _) => index("source", tensor, entry, sources)?,
+                (Some(tensor), _) => place.index("source", tensor, entry, sources)?,
                 (None, Some(begins)) => {
                     while begins.real(row as usize + 1) <= entry as f64 {
                         row += 1;
@@ -115,8 +132,8 @@ impl SynapseArrays {
                 }
                 (None, None) => 0,
             };
-            let delay = delay.map(|tensor| index("delay", tensor, entry, 1 << 16)).transpose()?;
-            let target = index("target", target, entry, targets)?;
+            let delay = delay.map(|tensor| place.index("delay", tensor, entry, 1 << 16)).transpose()?;
+            let target = place.index("target", target, entry, place.targets)?;
             by_delay.entry(delay).or_default().push((source, target, weight.real(entry), 0));
         }
         Ok(by_delay)

@@ -41,10 +41,25 @@ fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
         tables.last_mut().expect("a table").push(at);
     }
     let whole: Vec<String> = header.iter().map(ToString::to_string).collect();
-    let lines = |shown: &Vec<usize>| {
+    let texts = tables.iter().map(|shown| {
+        let layout = Layout::new(&columns, shown, width);
+        layout.row(&whole, true) + &rows.iter().map(|cells| layout.row(cells, false)).collect::<String>()
+    });
+    texts.collect::<Vec<_>>().join("\n")
+}
+
+/// Some columns as a table, with the width of each of all columns.
+struct Layout<'a> {
+    columns: &'a [ColumnWidths],
+    shown: &'a [usize],
+    widths: Vec<usize>,
+}
+
+impl<'a> Layout<'a> {
+    fn new(columns: &'a [ColumnWidths], shown: &'a [usize], width: usize) -> Self {
         let least = shown.iter().map(|&at| columns[at].least + GAP).sum::<usize>() - GAP;
         let mut room = width.saturating_sub(least);
-        let mut by_need = shown.clone();
+        let mut by_need = shown.to_vec();
         // In columns of numbers only the heading can be broken, so they are widened last.
         by_need.sort_by_key(|&at| (columns[at].numbers, columns[at].most - columns[at].least));
         let mut widths: Vec<usize> = columns.iter().map(|column| column.least).collect();
@@ -52,29 +67,33 @@ fn fitted(header: &[&str], rows: &[Vec<String>], width: usize) -> String {
             let more = room.min(columns[at].most - columns[at].least);
             (widths[at], room) = (widths[at] + more, room - more);
         }
-        let row = |(number, cells): (usize, &Vec<String>)| {
-            let broken = |at: &usize| match cells[*at].chars().count() <= widths[*at] {
-                true => vec![cells[*at].clone()],
-                false => filled(cells[*at].split_whitespace(), 0, 0, widths[*at]),
-            };
-            let broken: Vec<Vec<String>> = shown.iter().map(broken).collect();
-            let height = broken.iter().map(Vec::len).max().unwrap_or(0);
-            let line = |line: usize| {
-                let cell = |(column, &at): (usize, &usize)| {
-                    // Headings are aligned at the bottom.
-                    let above = if number == 0 { height - broken[column].len() } else { 0 };
-                    let text = line.checked_sub(above).and_then(|line| broken[column].get(line));
-                    let (text, width) = (text.map_or("", String::as_str), widths[at]);
-                    if columns[at].numbers { format!("{text:>width$}") } else { format!("{text:width$}") }
-                };
-                let cells: Vec<String> = shown.iter().enumerate().map(cell).collect();
-                cells.join(&" ".repeat(GAP)).trim_end().to_string() + "\n"
-            };
-            (0..height).map(line).collect::<String>()
-        };
-        std::iter::once(&whole).chain(rows).enumerate().map(row).collect::<String>()
-    };
-    tables.iter().map(lines).collect::<Vec<_>>().join("\n")
+        Layout { columns, shown, widths }
+    }
+
+    /// The lines of a row; headings are aligned at the bottom.
+    fn row(&self, cells: &[String], is_heading: bool) -> String {
+        let mut broken = Vec::new();
+        for &at in self.shown {
+            broken.push(match length(&cells[at]) <= self.widths[at] {
+                true => vec![cells[at].clone()],
+                false => filled(cells[at].split_whitespace(), 0, 0, self.widths[at]),
+            });
+        }
+        let height = broken.iter().map(Vec::len).max().unwrap_or(0);
+        let mut out = String::new();
+        for line in 0..height {
+            let mut texts = Vec::new();
+            for (lines, &at) in broken.iter().zip(self.shown) {
+                let above = if is_heading { height - lines.len() } else { 0 };
+                let text = line.checked_sub(above).and_then(|line| lines.get(line)).map_or("", String::as_str);
+                let width = self.widths[at];
+                texts.push(if self.columns[at].numbers { format!("{text:>width$}") } else { format!("{text:width$}") });
+            }
+            out += texts.join(&" ".repeat(GAP)).trim_end();
+            out.push('\n');
+        }
+        out
+    }
 }
 
 /// A column before its width is known.
@@ -89,19 +108,26 @@ struct ColumnWidths {
 
 impl ColumnWidths {
     fn new(heading: &str, rows: &[Vec<String>], at: usize) -> Self {
-        let cells = || rows.iter().map(|row| row[at].as_str()).filter(|cell| !cell.is_empty());
-        let is_number = |cell: &&str| {
-            cell.trim_start_matches(['-', '+', '~', '.']).starts_with(|c: char| c.is_ascii_digit())
-                && cell.split_whitespace().count() < 3
-        };
-        let numbers = 2 * cells().filter(is_number).count() > cells().count();
-        let length = |text: &str| text.chars().count();
-        let word = |text: &str| text.split_whitespace().map(length).max().unwrap_or(0);
-        let longest = |measure: &dyn Fn(&str) -> usize| cells().map(measure).max().unwrap_or(0);
-        let most = longest(&length).max(length(heading));
-        let least = if numbers { longest(&length) } else { longest(&word) };
-        ColumnWidths { numbers, least: least.max(word(heading)), most }
+        let cells: Vec<&str> = rows.iter().map(|row| row[at].as_str()).filter(|cell| !cell.is_empty()).collect();
+        let numbers = 2 * cells.iter().filter(|cell| is_number(cell)).count() > cells.len();
+        let longest = cells.iter().map(|cell| length(cell)).max().unwrap_or(0);
+        let longest_word = cells.iter().map(|cell| length_of_word(cell)).max().unwrap_or(0);
+        let least = if numbers { longest } else { longest_word };
+        ColumnWidths { numbers, least: least.max(length_of_word(heading)), most: longest.max(length(heading)) }
     }
+}
+
+fn is_number(cell: &str) -> bool {
+    cell.trim_start_matches(['-', '+', '~', '.']).starts_with(|c: char| c.is_ascii_digit())
+        && cell.split_whitespace().count() < 3
+}
+
+fn length(text: &str) -> usize {
+    text.chars().count()
+}
+
+fn length_of_word(text: &str) -> usize {
+    text.split_whitespace().map(length).max().unwrap_or(0)
 }
 
 /// One column of a table: its heading, and its cell in a row.
@@ -117,8 +143,8 @@ pub fn table_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Col
 
 /// Rows as CSV, with the cells of `columns`.
 pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
-    let cells = |row: &'r R| columns.iter().map(|(_, cell)| cell(row)).collect();
-    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
+    let rows = rows.into_iter().map(|row| columns.iter().map(|(_, cell)| cell(row)).collect());
+    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows)
 }
 
 /// The fields of serialisable rows as CSV under a header of their names. `HEADING=a.b` in the
@@ -129,11 +155,11 @@ pub fn csv_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Colum
 pub fn csv(rows: impl IntoIterator<Item = impl Serialize>, header: &str) -> String {
     let columns: Vec<(&str, &str)> =
         header.split(',').map(|column| column.split_once('=').unwrap_or((column, column))).collect();
-    let cells = |row| {
+    let rows = rows.into_iter().map(|row| {
         let row = serde_json::to_value(row).unwrap_or_default();
         columns.iter().map(|(_, path)| cell(path.split('.').fold(&row, field))).collect()
-    };
-    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows.into_iter().map(cells))
+    });
+    csv_text(columns.iter().map(|(heading, _)| (*heading).to_string()).collect(), rows)
 }
 
 fn field<'v>(value: &'v Value, key: &str) -> &'v Value {
@@ -163,11 +189,14 @@ pub fn csv_text(header: Vec<String>, rows: impl Iterator<Item = Vec<String>>) ->
 
 /// A table in Markdown.
 pub fn markdown_of<'r, R: 'r>(rows: impl IntoIterator<Item = &'r R>, columns: &[Column<R>]) -> String {
-    let line = |cells: Vec<String>| format!("| {} |\n", cells.join(" | "));
-    let mut out = line(columns.iter().map(|(heading, _)| (*heading).to_string()).collect());
-    out += &line(vec!["---".to_string(); columns.len()]);
-    out.extend(rows.into_iter().map(|row| line(columns.iter().map(|(_, cell)| cell(row)).collect())));
+    let mut out = markdown_line(columns.iter().map(|(heading, _)| (*heading).to_string()));
+    out += &markdown_line(columns.iter().map(|_| "---".to_string()));
+    out.extend(rows.into_iter().map(|row| markdown_line(columns.iter().map(|(_, cell)| cell(row)))));
     out
+}
+
+fn markdown_line(cells: impl Iterator<Item = String>) -> String {
+    format!("| {} |\n", cells.collect::<Vec<_>>().join(" | "))
 }
 
 /// The cells of CSV; the first record is the header.
@@ -189,39 +218,35 @@ pub fn with_columns(csv: &str, is_shown: impl Fn(&str) -> bool) -> String {
 pub fn text_of_csv(csv: &str) -> String {
     let records = records(csv);
     let Some((header, rows)) = records.split_first() else { return String::new() };
-    let filled = |column: &usize| rows.iter().any(|row| row.get(*column).is_some_and(|cell| !cell.is_empty()));
-    let places: Vec<usize> = (0..header.len()).filter(filled).collect();
-    let pick = |row: &Vec<String>| places.iter().map(|&at| row.get(at).cloned().unwrap_or_default()).collect();
+    let mut places: Vec<usize> = (0..header.len()).collect();
+    places.retain(|&column| rows.iter().any(|row| row.get(column).is_some_and(|cell| !cell.is_empty())));
     let heads: Vec<&str> = places.iter().map(|&at| header[at].as_str()).collect();
-    table(&heads, &rows.iter().map(pick).collect::<Vec<_>>())
+    let rows = rows.iter().map(|row| places.iter().map(|&at| row.get(at).cloned().unwrap_or_default()).collect());
+    table(&heads, &rows.collect::<Vec<_>>())
 }
 
 /// The records of CSV, whole numbers exact and other numbers with at most four digits.
 fn records(csv: &str) -> Vec<Vec<String>> {
-    let short = |cell: String| match cell.parse::<f64>() {
-        Ok(x) if x.is_finite() && cell.len() > 6 && cell.contains(['.', 'e', 'E']) => four_digits(x).to_string(),
-        _ => cell,
-    };
-    cells(csv).map(|record| record.into_iter().map(short).collect()).collect()
+    cells(csv).map(|record| record.into_iter().map(shortened).collect()).collect()
 }
 
-/// A number with four significant digits.
-fn four_digits(x: f64) -> f64 {
-    format!("{x:.3e}").parse().unwrap_or(x)
+/// A cell with at most four significant digits.
+fn shortened(cell: String) -> String {
+    match cell.parse::<f64>() {
+        Ok(x) if x.is_finite() && cell.len() > 6 && cell.contains(['.', 'e', 'E']) => {
+            format!("{x:.3e}").parse().unwrap_or(x).to_string()
+        }
+        _ => cell,
+    }
 }
 
 /// CSV as a Markdown table.
 pub fn markdown(csv: &str) -> String {
-    let line = |cells: &[String]| {
-        let cells: Vec<String> = cells.iter().map(|cell| cell.replace('|', "\\|").replace('\n', " ")).collect();
-        format!("| {} |\n", cells.join(" | "))
-    };
-    let records = records(csv);
     let mut out = String::new();
-    for (number, record) in records.iter().enumerate() {
-        out += &line(record);
+    for (number, record) in records(csv).iter().enumerate() {
+        out += &markdown_line(record.iter().map(|cell| cell.replace('|', "\\|").replace('\n', " ")));
         if number == 0 {
-            out += &line(&vec!["---".to_string(); record.len()]);
+            out += &markdown_line(record.iter().map(|_| "---".to_string()));
         }
     }
     out
@@ -229,37 +254,38 @@ pub fn markdown(csv: &str) -> String {
 
 /// CSV as a LaTeX tabular with the rules of the package booktabs.
 pub fn latex(csv: &str) -> String {
-    let escaped = |cell: &String| {
-        let mut out = String::new();
-        for c in cell.chars() {
-            match c {
-                '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', c]),
-                '\\' => out += "\\textbackslash{}",
-                '~' => out += "\\textasciitilde{}",
-                '^' => out += "\\textasciicircum{}",
-                '\n' => out.push(' '),
-                '\u{b5}' => out += "\\textmu{}",
-                _ => out.push(c),
-            }
-        }
-        out
-    };
     let records = records(csv);
     let Some(header) = records.first() else { return String::new() };
     // Columns of numbers are aligned to the right.
-    let is_number = |column: usize| {
+    let columns = (0..header.len()).map(|column| {
         let mut cells = records[1..].iter().filter_map(|record| record.get(column)).filter(|cell| !cell.is_empty());
-        cells.all(|cell| cell.parse::<f64>().is_ok())
-    };
-    let columns: String = (0..header.len()).map(|column| if is_number(column) { 'r' } else { 'l' }).collect();
+        if cells.all(|cell| cell.parse::<f64>().is_ok()) { 'r' } else { 'l' }
+    });
+    let columns: String = columns.collect();
     let mut out = format!("% needs \\usepackage{{booktabs}}\n\\begin{{tabular}}{{{columns}}}\n\\toprule\n");
     for (number, record) in records.iter().enumerate() {
-        out += &format!("{} \\\\\n", record.iter().map(escaped).collect::<Vec<_>>().join(" & "));
+        out += &format!("{} \\\\\n", record.iter().map(|cell| latex_text(cell)).collect::<Vec<_>>().join(" & "));
         if number == 0 {
             out += "\\midrule\n";
         }
     }
     out + "\\bottomrule\n\\end{tabular}\n"
+}
+
+fn latex_text(cell: &str) -> String {
+    let mut out = String::new();
+    for c in cell.chars() {
+        match c {
+            '&' | '%' | '$' | '#' | '_' | '{' | '}' => out.extend(['\\', c]),
+            '\\' => out += "\\textbackslash{}",
+            '~' => out += "\\textasciitilde{}",
+            '^' => out += "\\textasciicircum{}",
+            '\n' => out.push(' '),
+            '\u{b5}' => out += "\\textmu{}",
+            _ => out.push(c),
+        }
+    }
+    out
 }
 
 /// A cell of a value that may be missing.

@@ -24,8 +24,7 @@ pub fn show(file: &str, warnings: &[Warning]) {
     let mut shown = shown_so_far();
     for warning in warnings {
         // The reader of a file has shown its warnings, which the results of its network have, too.
-        let known = |(of, known): &(String, Warning)| known == warning && (file.is_empty() || of == file);
-        if shown.iter().any(known) {
+        if shown.iter().any(|(of, known)| known == warning && (file.is_empty() || of == file)) {
             continue;
         }
         match file {

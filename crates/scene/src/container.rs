@@ -14,6 +14,7 @@
 //! `docs/scenes.md` lists every parameter with its source.
 
 use std::f64::consts::TAU;
+use std::ops::Range;
 
 use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
 use super::draw::{Draws, Purpose};
@@ -218,9 +219,8 @@ impl GraspPlan {
         };
         let load_n = borne * (1.0 + slosh);
         // Contact and lift start a shaking of the arm with a decay time constant of 0.5 s.
-        let rings = |since: f64| if since < 0.0 { 0.0 } else { (since / 0.02).min(1.0) * libm::exp(-since / 0.5) };
         let moving = if (0.0..2.0).contains(&since) { 0.5 } else { 0.0 };
-        let shaking = (rings(t - self.contact_s) + rings(since)).max(moving).min(1.0);
+        let shaking = (ring(t - self.contact_s) + ring(since)).max(moving).min(1.0);
         let tone = self.tones.iter().map(|&(hz, phase)| 0.5 * libm::sin(TAU * hz * t + phase)).sum();
         GraspMoment {
             grip_n,
@@ -235,6 +235,11 @@ impl GraspPlan {
     }
 }
 
+/// The shaking of the arm some seconds after a push.
+fn ring(since: f64) -> f64 {
+    if since < 0.0 { 0.0 } else { (since / 0.02).min(1.0) * libm::exp(-since / 0.5) }
+}
+
 impl Containers {
     /// Recording of a sample by the given senses.
     pub fn recording(&self, sample: u32, senses: Senses) -> Recording {
@@ -244,12 +249,14 @@ impl Containers {
         let ticks = STEPS * BIN_MS / TICK_MS;
         let moments: Vec<GraspMoment> = (0..ticks).map(|k| course.at(1e-3 * f64::from(k * TICK_MS))).collect();
         let sensed = if senses.touch { self.touch(&course, &moments, draws) } else { Vec::new() };
-        // An event is sent in a random millisecond of its tick.
-        let spread = |tick: u32, channel| draws.bits(Purpose::Wire, channel + (1 << 19), tick) as u32 % TICK_MS;
         let (touch, wire) = match self.wire {
             None => (sensed, None),
             Some(_) => {
-                let sent = sensed.into_iter().map(|(tick, channel)| (tick * TICK_MS + spread(tick, channel), channel));
+                // An event is sent in a random millisecond of its tick.
+                let sent = sensed.into_iter().map(|(tick, channel)| {
+                    let ms = draws.bits(Purpose::Wire, channel + (1 << 19), tick) as u32 % TICK_MS;
+                    (tick * TICK_MS + ms, channel)
+                });
                 let (decoded, wire) = Wire::transmit_over(self.wire, sent.collect(), ticks * TICK_MS, draws);
                 (decoded.into_iter().map(|(ms, channel)| (ms / TICK_MS, channel)).collect(), wire)
             }
@@ -269,33 +276,33 @@ impl Containers {
     }
 
     fn course(&self, draws: Draws, label: u32) -> GraspPlan {
-        let draw = |index, range| draws.between(Purpose::Grasp, index, range);
         let container = CONTAINERS[(label / LEVELS) as usize];
         let level = f64::from(label % LEVELS) / f64::from(LEVELS - 1);
-        let fill = (level + draw(0, self.fill_error)).clamp(0.0, 1.05);
-        let wall = container.stiffness_n_per_m * (1.0 + container.stiffened * fill) * draw(1, (0.9, 1.1));
-        let (closing_s, closing_m_per_s) = (draw(2, self.closing_s), draw(3, self.closing_m_per_s));
+        let fill = (level + draws.grasp(0, self.fill_error)).clamp(0.0, 1.05);
+        let wall = container.stiffness_n_per_m * (1.0 + container.stiffened * fill) * draws.grasp(1, (0.9, 1.1));
+        let (closing_s, closing_m_per_s) = (draws.grasp(2, self.closing_s), draws.grasp(3, self.closing_m_per_s));
         let contact_s = closing_s + 0.5e-3 * (OPENING_MM - container.width_mm) / closing_m_per_s;
-        let tone = |k| (draws.between(Purpose::Arm, k, (4.0, 14.0)), draws.between(Purpose::Arm, k + 1, (0.0, TAU)));
+        let tones = [0, 2]
+            .map(|k| (draws.between(Purpose::Arm, k, (4.0, 14.0)), draws.between(Purpose::Arm, k + 1, (0.0, TAU))));
         GraspPlan {
             container,
             fill,
             mass_kg: container.empty_kg + fill * container.fill_kg,
             stiffness: 1.0 / (1.0 / SKIN_N_PER_M + 1.0 / wall),
             wall,
-            grip_n: draw(4, self.grip_n),
+            grip_n: draws.grasp(4, self.grip_n),
             closing_s,
             closing_m_per_s,
             contact_s,
-            lift_s: draw(5, self.lift_s),
-            vibration: draw(6, self.vibration),
-            shake_mm: draw(7, self.shake_mm),
-            tones: [tone(0), tone(2)],
+            lift_s: draws.grasp(5, self.lift_s),
+            vibration: draws.grasp(6, self.vibration),
+            shake_mm: draws.grasp(7, self.shake_mm),
+            tones,
             // A half-full container sloshes most; liquid 6 cm wide swings at about 3.5 Hz.
             slosh: (
                 0.3 * container.sloshes * 4.0 * fill.min(1.0) * (1.0 - fill.min(1.0)),
-                draw(8, (3.0, 4.0)),
-                draw(9, (0.0, TAU)),
+                draws.grasp(8, (3.0, 4.0)),
+                draws.grasp(9, (0.0, TAU)),
             ),
         }
     }
@@ -304,14 +311,13 @@ impl Containers {
     fn touch(&self, course: &GraspPlan, moments: &[GraspMoment], draws: Draws) -> Vec<(u32, u32)> {
         let places = layout();
         let mut taxels = Taxels::new(&self.skin, draws, 2 * TAXELS);
-        let centre = |k| draws.between(Purpose::Grasp, k, (-0.5, 0.5));
-        let centres = [(centre(16), centre(17)), (centre(18), centre(19))];
+        let centres = [(16, 17), (18, 19)].map(|(x, y)| (draws.grasp(x, (-0.5, 0.5)), draws.grasp(y, (-0.5, 0.5))));
         let mut pressure = vec![0.0; 2 * TAXELS];
         let mut events = Vec::new();
         for (tick, moment) in moments.iter().enumerate() {
             let grip = moment.grip_n * (1.0 + course.vibration * moment.shaking * moment.tone);
-            let centres = (centres, shift_mm(grip, moment.load_n));
-            press(&mut pressure, &places, hertz(grip, 8e-3, 7.0), centres, |_, _, pressed| pressed);
+            let shift_mm = shift_mm(grip, moment.load_n);
+            press(&mut pressure, &places, hertz(grip, 8e-3, 7.0), centres, shift_mm, |_, _, pressed| pressed);
             taxels.step(&pressure, |taxel, change| events.push((tick as u32, 2 * taxel + change as u32)));
         }
         events
@@ -319,22 +325,25 @@ impl Containers {
 
     /// The pooled camera's spikes, by tick.
     fn vision(&self, course: &GraspPlan, moments: &[GraspMoment], draws: Draws) -> CameraSpikes {
-        let offset = draws.between(Purpose::Grasp, 20, self.grasp_mm);
-        let picture = |moment: &GraspMoment| Picture::new(course, moment, offset);
-        let rest = picture(&moments[0]);
+        let offset = draws.grasp(20, self.grasp_mm);
+        let rest = Picture::new(course, &moments[0], offset);
         let mut camera = Camera::new(&self.pixels, draws);
         let (mut near, mut shown) = (Vec::new(), rest);
         let mut seen = CameraSpikes::default();
         for (tick, moment) in moments.iter().enumerate() {
-            let now = picture(moment);
+            let now = Picture::new(course, moment, offset);
             near.clear();
             if now.differs(&shown) {
                 now.near_edges(&shown, &mut near);
                 shown = now;
             }
             let view = shown;
-            let see = |unit, polarities| seen.add(tick as u32, unit, polarities);
-            camera.step(&near, |x, y| rest.at(x, y), |x, y| view.at(x, y), see);
+            camera.step(
+                &near,
+                |x, y| rest.at(x, y),
+                |x, y| view.at(x, y),
+                |unit, polarities| seen.add(tick as u32, unit, polarities),
+            );
         }
         seen
     }
@@ -367,9 +376,28 @@ fn fraction_past(place: f32, edge: f32) -> f32 {
     (place - edge + 0.5).clamp(0.0, 1.0)
 }
 
+fn px(mm: f64) -> f32 {
+    (mm / PIXEL_MM) as f32
+}
+
+/// Pixels near a part of an axis.
+fn span(from: f32, to: f32, most: usize) -> Range<usize> {
+    (from - 2.0).max(0.0) as usize..((to + 2.0).max(0.0) as usize).min(most)
+}
+
+/// Pixels near the way of an edge.
+fn between(a: f32, b: f32, most: usize) -> Range<usize> {
+    span(a.min(b), a.max(b) + 0.2, most)
+}
+
+fn fill(near: &mut Vec<u32>, columns: &Range<usize>, rows: Range<usize>) {
+    for y in rows {
+        near.extend(columns.clone().map(|x| (y * WIDTH + x) as u32));
+    }
+}
+
 impl Picture {
     fn new(course: &GraspPlan, moment: &GraspMoment, offset_mm: f64) -> Picture {
-        let px = |mm: f64| (mm / PIXEL_MM) as f32;
         let (middle, grasp) = (100.0f32, 120.0f32);
         // The camera is mounted on the arm. So the table and a standing container shake in the
         // picture; a lifted container moves with the fingers.
@@ -380,14 +408,15 @@ impl Picture {
         let half = px(0.5 * container.width_mm) + 0.3 * px(moment.dent_mm);
         let top = grasp - px(0.5 * container.height_mm + offset_mm) + swing + px(moment.sag_mm);
         let height = px(container.height_mm);
-        let down = |part: f64| top + part as f32 * height;
+        let [label_top, label_bottom, level] =
+            [container.label.1, container.label.2, 1.0 - 0.9 * course.fill].map(|part| top + part as f32 * height);
         let shift = 0.5 * swing;
         let gap = 0.5 * px(moment.gap_mm);
         Picture {
             table: grasp + px(0.5 * container.height_mm - offset_mm + moment.lift_mm + arm),
             body: [middle - half + shift, middle + half + shift, top, top + height],
-            label: (container.label.0, down(container.label.1), down(container.label.2)),
-            level: (container.level, down(1.0 - 0.9 * course.fill)),
+            label: (container.label.0, label_top, label_bottom),
+            level: (container.level, level),
             fingers: [middle - gap, middle + gap, grasp - 15.0, grasp + 15.0],
         }
     }
@@ -424,20 +453,12 @@ impl Picture {
     /// Appends the pixels near edges that have moved since picture `then`.
     fn near_edges(&self, then: &Picture, near: &mut Vec<u32>) {
         let [left, right, top, bottom] = self.body;
-        let span =
-            |from: f32, to: f32, most: usize| (from - 2.0).max(0.0) as usize..((to + 2.0).max(0.0) as usize).min(most);
-        let between = |a: f32, b: f32, most| span(a.min(b), a.max(b) + 0.2, most);
-        let mut fill = |columns: std::ops::Range<usize>, rows: std::ops::Range<usize>| {
-            for y in rows {
-                near.extend(columns.clone().map(|x| (y * WIDTH + x) as u32));
-            }
-        };
         if self.table != then.table {
-            fill(0..WIDTH, between(self.table, then.table, HEIGHT));
+            fill(near, &(0..WIDTH), between(self.table, then.table, HEIGHT));
         }
         for (now, then) in [(left, then.body[0]), (right, then.body[1])] {
             if now != then {
-                fill(between(now, then, WIDTH), span(top, bottom, HEIGHT));
+                fill(near, &between(now, then, WIDTH), span(top, bottom, HEIGHT));
             }
         }
         let rows = [
@@ -449,12 +470,12 @@ impl Picture {
         ];
         for (now, then, contrast) in rows {
             if now != then && contrast != 0.0 {
-                fill(span(left, right, WIDTH), between(now, then, HEIGHT));
+                fill(near, &span(left, right, WIDTH), between(now, then, HEIGHT));
             }
         }
         for (now, then) in [(self.fingers[0], then.fingers[0]), (self.fingers[1], then.fingers[1])] {
             if now != then {
-                fill(between(now, then, WIDTH), span(self.fingers[2], self.fingers[3], HEIGHT));
+                fill(near, &between(now, then, WIDTH), span(self.fingers[2], self.fingers[3], HEIGHT));
             }
         }
     }

@@ -69,8 +69,13 @@ impl Draws {
     }
 
     /// A uniform real in [low, high).
-    pub fn between(self, purpose: Purpose, index: u32, (low, high): (f64, f64)) -> f64 {
-        low + (high - low) * self.unit(purpose, index, 0)
+    pub fn between(self, purpose: Purpose, index: u32, range: (f64, f64)) -> f64 {
+        range.0 + (range.1 - range.0) * self.unit(purpose, index, 0)
+    }
+
+    /// A parameter of the grasp.
+    pub(crate) fn grasp(self, index: u32, range: (f64, f64)) -> f64 {
+        self.between(Purpose::Grasp, index, range)
     }
 
     /// Nearly normal with mean 0 and standard deviation 1: the sum of four uniform numbers of 16

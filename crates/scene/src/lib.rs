@@ -38,10 +38,7 @@ pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
 }
 
 /// As [`stimulus`]; calls `progress` before each sample, from any thread: where it panics, those
-/// that are left take no time.
-///
-/// # Errors
-/// As [`stimulus`].
+/// that are left take no time. Errors: those of [`stimulus`].
 pub fn stimulus_with_progress(network: &Quantised, scene: &SceneArg, progress: &(dyn Fn() + Sync)) -> Result<Stimulus> {
     match scene.name.as_str() {
         "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?, progress),
@@ -76,12 +73,8 @@ enum Scene {
 }
 
 impl RecordedScene {
-    /// Reads `scene:NAME?..`.
-    ///
-    /// # Errors
-    /// `scene.unknown`, `scene.parameter`.
+    /// Reads `scene:NAME?..`. Errors: `scene.unknown`, `scene.parameter`.
     pub fn parse(scene: &SceneArg) -> Result<Self> {
-        let unknown = |message: &str, help: &str| Diagnostic::new("scene.unknown", message).help(help);
         match scene.name.as_str() {
             "slip" => {
                 let set = slip::Slip::parse(scene)?;
@@ -130,6 +123,10 @@ impl RecordedScene {
             Scene::Container(set) => set.recording(sample, senses),
         }
     }
+}
+
+fn unknown(message: &str, help: &str) -> Diagnostic {
+    Diagnostic::new("scene.unknown", message).help(help)
 }
 
 /// The recordings of a scene on the channels of a network's input populations.

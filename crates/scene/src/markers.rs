@@ -29,35 +29,45 @@ pub struct MarkerOnsets {
 
 /// First of `frames` from which on every one exceeds more than 98 % of the frames without motion.
 fn onset(rest: &[f64], frames: &[f64]) -> Option<usize> {
-    let exceeds = |&figure: &f64| {
-        let below = rest.iter().filter(|&&at_rest| figure > at_rest).count();
-        below as f64 / rest.len() as f64 > EXCEEDED_FRACTION
-    };
-    let first = frames.iter().rposition(|figure| !exceeds(figure)).map_or(0, |last| last + 1);
+    let last_below = frames.iter().rposition(|figure| {
+        let below = rest.iter().filter(|at_rest| figure > *at_rest).count();
+        below as f64 / rest.len() as f64 <= EXCEEDED_FRACTION
+    });
+    let first = last_below.map_or(0, |last| last + 1);
     (first < frames.len()).then_some(first)
 }
 
 impl MarkerOnsets {
     /// Applies the rule to a motion, whose frames begin at a random time in the first 1/120 s.
     pub fn new(motion: &Motion, draws: Draws) -> Self {
-        let noise = |index: u32, frame: u32| draws.normal(Purpose::Marker, index, frame);
         let states = motion.recorded_states();
         let begin_ms = 1e3 / FRAMES_PER_S * draws.unit(Purpose::Marker, 2, 0);
-        let time_ms = |frame: usize| begin_ms + 1e3 / FRAMES_PER_S * frame as f64;
-        let at = |frame: usize| states.get(time_ms(frame) as usize);
         let still = states.first().map_or(0.0, |state| state.angle_rad);
-        let height = |lift_m: f64, frame: u32| 1e3 * lift_m + HEIGHT_MM * noise(0, frame);
-        // The angle between two orientations has no sign.
-        let angle = |turned: f64, frame: u32| (turned - still + ORIENTATION_RAD * noise(1, frame)).abs();
-        let frames = || (0..).map_while(|frame| Some((REST_FRAMES + frame as u32, at(frame)?)));
-        let heights: Vec<f64> = frames().map(|(frame, state)| height(state.lift_m, frame)).collect();
-        let angles: Vec<f64> = frames().map(|(frame, state)| angle(state.angle_rad, frame)).collect();
-        let rest = |figure: &dyn Fn(u32) -> f64| (0..REST_FRAMES).map(figure).collect::<Vec<_>>();
+        let (mut times_ms, mut heights, mut angles) = (Vec::new(), Vec::new(), Vec::new());
+        for frame in 0.. {
+            let time_ms = begin_ms + 1e3 / FRAMES_PER_S * f64::from(frame);
+            let Some(state) = states.get(time_ms as usize) else { break };
+            times_ms.push(time_ms);
+            heights.push(height_mm(state.lift_m, draws, REST_FRAMES + frame));
+            angles.push(angle_rad(state.angle_rad - still, draws, REST_FRAMES + frame));
+        }
+        let heights_at_rest: Vec<f64> = (0..REST_FRAMES).map(|frame| height_mm(0.0, draws, frame)).collect();
+        let angles_at_rest: Vec<f64> = (0..REST_FRAMES).map(|frame| angle_rad(0.0, draws, frame)).collect();
         MarkerOnsets {
-            lift_ms: onset(&rest(&|frame| height(0.0, frame)), &heights).map(time_ms),
-            turn_ms: onset(&rest(&|frame| angle(still, frame)), &angles).map(time_ms),
+            lift_ms: onset(&heights_at_rest, &heights).map(|frame| times_ms[frame]),
+            turn_ms: onset(&angles_at_rest, &angles).map(|frame| times_ms[frame]),
         }
     }
+}
+
+/// The measured height in a frame.
+fn height_mm(lift_m: f64, draws: Draws, frame: u32) -> f64 {
+    1e3 * lift_m + HEIGHT_MM * draws.normal(Purpose::Marker, 0, frame)
+}
+
+/// The measured angle in a frame. The angle between two orientations has no sign.
+fn angle_rad(turned_rad: f64, draws: Draws, frame: u32) -> f64 {
+    (turned_rad + ORIENTATION_RAD * draws.normal(Purpose::Marker, 1, frame)).abs()
 }
 
 #[cfg(test)]

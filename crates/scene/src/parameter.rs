@@ -5,7 +5,6 @@
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// A parameter's value within a range.
 pub(super) fn parameter<T: std::str::FromStr + PartialOrd + std::fmt::Display>(
     key: &str,
     value: &str,
@@ -92,9 +91,7 @@ macro_rules! parameters {
 
             /// Reads `scene:NAME?key=value&..`; a parameter that is random for each sample is a
             /// value or `low..high`.
-            ///
-            /// # Errors
-            /// `scene.parameter` for an unknown key or a value out of range.
+            /// Errors: `scene.parameter` for an unknown key or a value out of range.
             pub fn parse(scene: &SceneArg) -> Result<Self> {
                 let mut $set = Self::default();
                 for (key, value) in &scene.parameters {

@@ -107,22 +107,20 @@ pub fn label(seed: u64, sample: u32) -> u32 {
     (Draws::new(seed, sample / 2).bits(Purpose::Label, 0, 0) as u32 & 1) ^ (sample & 1)
 }
 
-/// The grasp of a sample.
 fn grasp(slip: &Slip, sample: u32) -> Grasp {
     let draws = Draws::new(slip.seed, sample);
-    let draw = |index, range| draws.between(Purpose::Grasp, index, range);
     let slides = label(slip.seed, sample) == 1;
     let mut grasp = Grasp {
-        mass_kg: draw(0, slip.mass_kg),
+        mass_kg: draws.grasp(0, slip.mass_kg),
         offset_m: 0.0,
-        grip_n: draw(1, slip.grip_n),
-        static_friction: draw(2, slip.friction),
-        touch_s: -1e-3 * draw(3, (130.0, 230.0)),
-        lift_s: 1e-3 * draw(4, slip.lift_ms),
-        lift_m_per_s2: draw(5, slip.lift_m_per_s2),
+        grip_n: draws.grasp(1, slip.grip_n),
+        static_friction: draws.grasp(2, slip.friction),
+        touch_s: -1e-3 * draws.grasp(3, (130.0, 230.0)),
+        lift_s: 1e-3 * draws.grasp(4, slip.lift_ms),
+        lift_m_per_s2: draws.grasp(5, slip.lift_m_per_s2),
     };
-    let ratio = draw(6, if slides { slip.slip_ratio } else { slip.stable_ratio });
-    let side = if draw(7, (-1.0, 1.0)) < 0.0 { -1.0 } else { 1.0 };
+    let ratio = draws.grasp(6, if slides { slip.slip_ratio } else { slip.stable_ratio });
+    let side = if draws.grasp(7, (-1.0, 1.0)) < 0.0 { -1.0 } else { 1.0 };
     let weight = grasp.mass_kg * GRAVITY;
     grasp.offset_m = side * ratio * torque_limit(grasp.static_friction, grasp.grip_n, weight) / weight;
     grasp
@@ -137,11 +135,11 @@ struct Vibration {
 
 impl Vibration {
     fn draw(slip: &Slip, draws: Draws) -> Vibration {
-        let tone = |k: u32| {
+        let tones = [0, 1].map(|k| {
             let hz = draws.between(Purpose::Arm, 2 * k + 1, (20.0, 70.0));
             (1e-3 * TAU * hz, draws.between(Purpose::Arm, 2 * k + 2, (0.0, TAU)))
-        };
-        Vibration { amplitude: draws.between(Purpose::Arm, 0, slip.vibration), tones: [tone(0), tone(1)] }
+        });
+        Vibration { amplitude: draws.between(Purpose::Arm, 0, slip.vibration), tones }
     }
 
     /// Relative vibration of the grip, `ms` after the start of the lift; it builds up in 10 ms.
@@ -162,14 +160,14 @@ struct Relief {
 
 impl Relief {
     fn draw(slip: &Slip, draws: Draws, finger: u32) -> Relief {
-        let wave = |k: u32| {
-            let at = |i| draws.unit(Purpose::Relief, finger * 16 + 4 * k + i, 0);
+        let waves = [0, 1, 2].map(|k| {
+            let [length, turn, phase] = [0, 1, 2].map(|i| draws.unit(Purpose::Relief, finger * 16 + 4 * k + i, 0));
             // Wavelengths of 3 to 8 mm in any direction.
-            let (rate, turn) = (TAU / (3.0 + 5.0 * at(0)), TAU * at(1));
-            (rate * libm::cos(turn), rate * libm::sin(turn), TAU * at(2))
-        };
+            let (rate, turn) = (TAU / (3.0 + 5.0 * length), TAU * turn);
+            (rate * libm::cos(turn), rate * libm::sin(turn), TAU * phase)
+        });
         let depth = draws.between(Purpose::Relief, finger * 16 + 15, slip.relief);
-        Relief { depth, waves: [wave(0), wave(1), wave(2)] }
+        Relief { depth, waves }
     }
 
     fn at(&self, x: f64, y: f64) -> f64 {
@@ -181,9 +179,8 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
     let places = layout();
     let mut taxels = Taxels::new(&slip.skin, draws, 2 * TAXELS);
     let reliefs = [Relief::draw(slip, draws, 0), Relief::draw(slip, draws, 1)];
-    let centre = |k| draws.between(Purpose::Grasp, k, (-1.0, 1.0));
-    let centres = [(centre(8), centre(9)), (centre(10), centre(11))];
-    let chatter = draws.between(Purpose::Grasp, 12, slip.chatter);
+    let centres = [(8, 9), (10, 11)].map(|(x, y)| (draws.grasp(x, (-1.0, 1.0)), draws.grasp(y, (-1.0, 1.0))));
+    let chatter = draws.grasp(12, slip.chatter);
     let nominal = 1.5;
     let mut pressure = vec![0.0; 2 * TAXELS];
     let mut surface = vec![0.0; 2 * TAXELS];
@@ -203,8 +200,8 @@ fn touch(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draw
         }
         let grip = state.grip_n * (1.0 + vibration.at(t - 1e3 * grasp.lift_s));
         let traction = Traction::new(grasp, state);
-        let (contact, centres) = (hertz(grip, CONTACT_M, nominal), (centres, shift_mm(grip, state.load_n)));
-        press(&mut pressure, &places, contact, centres, |k, (dx, dy), pressed| {
+        let (contact, shift_mm) = (hertz(grip, CONTACT_M, nominal), shift_mm(grip, state.load_n));
+        press(&mut pressure, &places, contact, centres, shift_mm, |k, (dx, dy), pressed| {
             let mut part = 1.0 + surface[k];
             if state.sliding {
                 // Stick and slip of the skin, the stronger the faster it slides, up to 20 mm/s.
@@ -286,6 +283,22 @@ struct BoxGeometry {
     edge: f32,
 }
 
+impl Pose {
+    /// The pixel of a place on the box.
+    fn place(&self, u: f32, v: f32) -> (f32, f32) {
+        (self.x + self.cos * u - self.sin * v, self.y + self.sin * u + self.cos * v)
+    }
+}
+
+/// The brightness of a brick. Every sample has the same box, whose bricks alternate between lighter
+/// and darker.
+#[inline]
+fn look(behind: f32, row: usize, column: usize) -> f32 {
+    let outside = row == 0 || column == 0 || row > BRICKS.1 || column > BRICKS.0;
+    let brick = if (row + column).is_multiple_of(2) { 0.4 } else { 0.65 };
+    if outside { behind } else { brick }
+}
+
 impl BoxGeometry {
     /// The brightness at the middle of a pixel.
     #[inline]
@@ -297,26 +310,22 @@ impl BoxGeometry {
         let behind = WALL + (TABLE - WALL) * ((py - pose.table) / self.edge + 0.5).clamp(0.0, 1.0);
         let (column, across) = cell(u, self.brick.0 / self.edge, BRICKS.0);
         let (row, down) = cell(v, self.brick.1 / self.edge, BRICKS.1);
-        let look = |r: usize, c: usize| {
-            let outside = r == 0 || c == 0 || r > BRICKS.1 || c > BRICKS.0;
-            // Every sample has the same box, whose bricks alternate between lighter and darker.
-            let brick = if (r + c).is_multiple_of(2) { 0.4 } else { 0.65 };
-            if outside { behind } else { brick }
-        };
-        let upper = look(row, column) + (look(row, column + 1) - look(row, column)) * across;
+        let left = look(behind, row, column);
+        let upper = left + (look(behind, row, column + 1) - left) * across;
         if down == 0.0 {
             return upper;
         }
-        let lower = look(row + 1, column) + (look(row + 1, column + 1) - look(row + 1, column)) * across;
+        let left = look(behind, row + 1, column);
+        let lower = left + (look(behind, row + 1, column + 1) - left) * across;
         upper + (lower - upper) * down
     }
 
     fn draw(draws: Draws, edge_px: f64) -> (BoxGeometry, f32, f32) {
         let (width, height) = (SIZE_M.0 * 1e3 / PIXEL_MM, SIZE_M.1 * 1e3 / PIXEL_MM);
-        let jitter = |k| draws.between(Purpose::Look, k, (-4.0, 4.0));
+        let jitter = [0, 1].map(|k| draws.between(Purpose::Look, k, (-4.0, 4.0)));
         let look = BoxGeometry {
-            left: (-0.5 * width + jitter(0)) as f32,
-            top: (-0.5 * height + jitter(1)) as f32,
+            left: (-0.5 * width + jitter[0]) as f32,
+            top: (-0.5 * height + jitter[1]) as f32,
             brick: ((width / BRICKS.0 as f64) as f32, (height / BRICKS.1 as f64) as f32),
             edge: edge_px as f32,
         };
@@ -333,14 +342,13 @@ impl BoxGeometry {
         near.clear();
         let reach = self.reach();
         let (width, height) = (self.brick.0 * BRICKS.0 as f32, self.brick.1 * BRICKS.1 as f32);
-        let place = |u: f32, v: f32| (pose.x + pose.cos * u - pose.sin * v, pose.y + pose.sin * u + pose.cos * v);
         for k in 0..=BRICKS.0 {
             let u = self.left + self.brick.0 * k as f32;
-            line(place(u, self.top), place(u, self.top + height), reach, near);
+            line(pose.place(u, self.top), pose.place(u, self.top + height), reach, near);
         }
         for k in 0..=BRICKS.1 {
             let v = self.top + self.brick.1 * k as f32;
-            line(place(self.left, v), place(self.left + width, v), reach, near);
+            line(pose.place(self.left, v), pose.place(self.left + width, v), reach, near);
         }
         if table_moves {
             line((0.0, pose.table), (WIDTH as f32, pose.table), reach, near);

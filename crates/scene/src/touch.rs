@@ -75,16 +75,18 @@ pub fn hertz(grip_n: f64, radius_m: f64, nominal_n: f64) -> (f64, f64) {
     (radius, if grip_n > 0.0 { 1.5 * grip_n / (std::f64::consts::PI * radius * radius) * 1e3 } else { 0.0 })
 }
 
-/// Stores the pressure on the taxels of two fingers under a contact of `(radius mm, peak kPa)`. Its
+/// Stores the pressure on the taxels of two fingers under a `contact` of (radius mm, peak kPa). Its
 /// centre lies `shift_mm` beyond `centres` along each finger. `sensed` returns a taxel's pressure,
 /// given its number, its place from the centre, and the contact's pressure there.
 pub(super) fn press(
     pressure: &mut [f64],
     places: &[(f64, f64)],
-    (radius, peak): (f64, f64),
-    (centres, shift_mm): ([(f64, f64); 2], f64),
+    contact: (f64, f64),
+    centres: [(f64, f64); 2],
+    shift_mm: f64,
     mut sensed: impl FnMut(usize, (f64, f64), f64) -> f64,
 ) {
+    let (radius, peak) = contact;
     for (k, pressure) in pressure.iter_mut().enumerate() {
         let ((x, y), (cx, cy)) = (places[k % TAXELS], centres[k / TAXELS]);
         let (dx, dy) = (x - cx, y - cy - shift_mm);
@@ -126,14 +128,14 @@ pub struct Taxels {
 impl Taxels {
     /// Taxels without a deformation. Thresholds are the same for every sample.
     pub fn new(skin: &Skin, draws: Draws, count: usize) -> Self {
-        let taxel = |k| Taxel {
+        let taxels = (0..count).map(|k| Taxel {
             threshold: skin.threshold_kpa
                 * (1.0 + skin.mismatch * Draws::DEVICE.normal(Purpose::TaxelGain, k as u32, 0)).max(0.2),
             crept: 0.0,
             reference: 0.0,
             silent_until: 0,
-        };
-        Taxels { skin: skin.clone(), draws, taxels: (0..count).map(taxel).collect(), step: 0 }
+        });
+        Taxels { skin: skin.clone(), draws, taxels: taxels.collect(), step: 0 }
     }
 
     /// Runs one tick with this pressure on each taxel; calls `event` for each taxel that responds.

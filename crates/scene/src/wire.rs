@@ -83,29 +83,26 @@ impl Wire {
         let seen = self.pulse_slots(events, end_ms, draws);
         let mut reported = Vec::new();
         for channel in 0..CHANNELS {
+            // The first and last slot of each run of matches.
+            let mut runs: Vec<(usize, usize)> = Vec::new();
+            for (word, mut matching) in matches(&seen, &signature(channel)) {
+                while matching != 0 {
+                    let slot = 64 * word + matching.trailing_zeros() as usize;
+                    matching &= matching - 1;
+                    match runs.last_mut() {
+                        Some((_, last)) if *last + 1 == slot => *last = slot,
+                        _ => runs.push((slot, slot)),
+                    }
+                }
+            }
             let mut free = 0;
-            let mut run: Option<(usize, usize)> = None;
-            let mut end = |run: (usize, usize)| {
-                let middle = usize::midpoint(run.0, run.1);
+            for (first, last) in runs {
+                let middle = usize::midpoint(first, last);
                 if middle >= free {
                     reported.push((((middle / SLOTS) as u32).min(end_ms.saturating_sub(1)), channel));
                     free = middle + SLOTS;
                 }
-            };
-            for (word, mut found) in matches(&seen, &signature(channel)) {
-                while found != 0 {
-                    let slot = 64 * word + found.trailing_zeros() as usize;
-                    found &= found - 1;
-                    run = match run {
-                        Some((first, last)) if last + 1 == slot => Some((first, slot)),
-                        before => {
-                            before.into_iter().for_each(&mut end);
-                            Some((slot, slot))
-                        }
-                    };
-                }
             }
-            run.into_iter().for_each(&mut end);
         }
         reported.sort_unstable();
         let carried = count_errors(events, &reported);
@@ -161,18 +158,20 @@ fn matches<'a>(seen: &'a [u64], signature: &'a [usize; PULSES]) -> impl Iterator
     })
 }
 
+/// The times of each channel's events, in order.
+fn times_by_channel(events: &[(u32, u32)]) -> Vec<Vec<u32>> {
+    let mut times = vec![Vec::new(); CHANNELS as usize];
+    for &(ms, channel) in events {
+        times[channel as usize].push(ms);
+    }
+    times.iter_mut().for_each(|times| times.sort_unstable());
+    times
+}
+
 /// Matches each report with the first unmatched event of its channel within a millisecond.
 fn count_errors(sent: &[(u32, u32)], reported: &[(u32, u32)]) -> WireCounts {
-    let of = |events: &[(u32, u32)]| {
-        let mut times = vec![Vec::new(); CHANNELS as usize];
-        for &(ms, channel) in events {
-            times[channel as usize].push(ms);
-        }
-        times.iter_mut().for_each(|times| times.sort_unstable());
-        times
-    };
     let mut carried = WireCounts { sent: sent.len() as u64, ..WireCounts::default() };
-    for (sent, reported) in of(sent).into_iter().zip(of(reported)) {
+    for (sent, reported) in times_by_channel(sent).into_iter().zip(times_by_channel(reported)) {
         let mut sent = sent.into_iter().peekable();
         for report in reported {
             while sent.next_if(|&ms| ms + 1 < report).is_some() {

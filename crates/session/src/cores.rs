@@ -37,16 +37,14 @@ pub struct CoreSpent {
 
 /// Returns a row for each core, with its cost if there is a meter.
 pub fn core_rows(program: &Program, activity: &Activity, meter: Option<&StepMeter>) -> Vec<CoreRow> {
-    let spent = |core: CoreId, counts: CoreCounts| {
-        let table = meter?.tables().first()?;
-        Some(CoreSpent {
+    let priced = meter.and_then(|meter| Some((meter, meter.tables().first()?)));
+    let rows = program.cores().enumerate().zip(activity.cores()).map(|((core, image), &counts)| {
+        let spent = priced.map(|(meter, table)| CoreSpent {
             energy: energy_of_counts(counts, HopCounts::default(), table),
             busy: core_time(&counts, table),
-            slowest_steps: meter?.slowest_steps().get(core.index()).copied().unwrap_or(0),
-        })
-    };
-    let cores = program.cores().enumerate().zip(activity.cores());
-    cores
-        .map(|((core, image), &counts)| CoreRow { core, chip: image.site.chip, counts, spent: spent(core, counts) })
-        .collect()
+            slowest_steps: meter.slowest_steps().get(core.index()).copied().unwrap_or(0),
+        });
+        CoreRow { core, chip: image.site.chip, counts, spent }
+    });
+    rows.collect()
 }

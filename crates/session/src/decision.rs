@@ -75,12 +75,14 @@ impl SpikeBounds {
         let Units::Compartments { neurons, start_step, .. } = &output.units else {
             return SpikeBounds { gaps: Vec::new(), start: 0, reset: None };
         };
-        let start =
-            |index| neuron::fields(&neurons.get(index), *start_step, parts.semantics, parts.threshold).start_step;
-        let gap = |index| neuron::shortest_interval(&neurons.get(index), parts.semantics);
+        let (mut gaps, mut starts) = (Vec::new(), Vec::new());
+        for neuron in (0..output.shape.len()).map(|index| neurons.get(index)) {
+            gaps.push(neuron::shortest_interval(&neuron, parts.semantics));
+            starts.push(neuron::fields(&neuron, *start_step, parts.semantics, parts.threshold).start_step);
+        }
         SpikeBounds {
-            gaps: (0..output.shape.len()).map(gap).collect(),
-            start: (0..output.shape.len()).map(start).min().unwrap_or(*start_step),
+            gaps,
+            start: starts.into_iter().min().unwrap_or(*start_step),
             reset: parts.reset.map(|reset| (reset, *start_step)),
         }
     }
@@ -107,18 +109,25 @@ impl SpikeBounds {
     fn most_spikes(&self, output: usize, free: Option<u64>, from: u64, steps: u64) -> u64 {
         let Some(free) = free else { return 0 };
         let from = from.max(u64::from(self.start)).max(free);
-        let between = |begin: u64, end: u64| match self.gaps[output] {
-            _ if begin >= end => 0,
-            Some(gap) => (end - begin).div_ceil(u64::from(gap.get())),
-            None => 1,
-        };
         match (self.reset, self.next_reset(from + 1)) {
             (Some((reset, _)), Some(first)) if first < steps => {
                 let interval = u64::from(reset.interval);
                 let (whole, rest) = ((steps - first) / interval, (steps - first) % interval);
-                between(from, first) + whole * between(0, interval) + between(0, rest)
+                self.spikes_within(output, first - from)
+                    + whole * self.spikes_within(output, interval)
+                    + self.spikes_within(output, rest)
             }
-            _ => between(from, steps),
+            _ => self.spikes_within(output, steps.saturating_sub(from)),
+        }
+    }
+
+    /// Maximum number of spikes of a compartment in this many steps without a reset, not refractory
+    /// at the first.
+    fn spikes_within(&self, output: usize, steps: u64) -> u64 {
+        match self.gaps[output] {
+            _ if steps == 0 => 0,
+            Some(gap) => steps.div_ceil(u64::from(gap.get())),
+            None => 1,
         }
     }
 }
@@ -136,9 +145,7 @@ pub struct EarlyExit {
 
 impl EarlyExit {
     /// Returns this rule for the output population of a network; decided samples end.
-    ///
-    /// # Errors
-    /// `run.early-exit` where the output decides no class.
+    /// Errors: `run.early-exit` where the output decides no class.
     pub fn new(rule: Rule, network: &Quantised) -> Result<EarlyExit> {
         if !network.decides() {
             let name = &network.populations()[network.parts().output].name;
@@ -234,14 +241,11 @@ impl<'e> Decision<'e> {
     /// spiked and did not.
     fn steps_to_certainty(&self, step: u32) -> u64 {
         let from = u64::from(step) + 1;
-        let reach = |output: usize| {
-            let more = self.exit.bounds.most_spikes(output, self.free[output], from, self.steps);
-            u64::from(self.counts[output]) + more
-        };
         let ahead = self.leader.map_or(0, |leader| u64::from(self.counts[leader]));
         let (mut open, mut highest, mut second) = (false, 0, 0);
         for output in 0..self.counts.len() {
-            let reach = reach(output);
+            let more = self.exit.bounds.most_spikes(output, self.free[output], from, self.steps);
+            let reach = u64::from(self.counts[output]) + more;
             (highest, second) = (highest.max(reach), second.max(reach.min(highest)));
             // A tie goes to the lower index.
             open |= match self.leader {

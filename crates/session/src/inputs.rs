@@ -18,6 +18,7 @@ use nsim_import::spikes::{
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::names::did_you_mean;
+use nsim_ir::base::warning::Warning;
 use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::spikes::{Message, Sample, Spikes, Stimulus};
 use nsim_ir::stimulus::{InputArg, InputSource, SceneArg};
@@ -26,9 +27,7 @@ use nsim_scene::clock::{self, Clock};
 
 /// Reads or generates the samples of a run; without arguments, by the model's own scene. Each
 /// sample ends with the drain steps of the model.
-///
-/// # Errors
-/// [`Error`] when a source cannot be read or does not fit the network.
+/// Errors: [`Error`] when a source cannot be read or does not fit the network.
 pub fn stimulus(
     network: &Quantised,
     arguments: &[String],
@@ -39,27 +38,21 @@ pub fn stimulus(
 }
 
 /// As [`stimulus`], with the model's own scene and a seed; calls `progress` before each sample of a
-/// scene.
-///
-/// # Errors
-/// As [`stimulus`].
+/// scene. Errors: those of [`stimulus`].
 pub fn stimulus_with_progress(
     network: &Quantised,
     arguments: &[String],
     (default, seed): (Option<&str>, Option<u64>),
     progress: Progress<'_>,
 ) -> Result<Stimulus, Error> {
-    let mut stimulus = read_samples(network, arguments, (default, seed), progress)?;
+    let mut stimulus = read_samples(network, arguments, default, seed, progress)?;
     stimulus.samples = with_drain(network, stimulus.samples)?;
     show("", &stimulus.warnings);
     Ok(stimulus)
 }
 
 /// Refuses to estimate the energy of a model without a scene, where no spikes are given. `help`
-/// explains how to give spikes.
-///
-/// # Errors
-/// `energy.input`.
+/// explains how to give spikes. Errors: `energy.input`.
 pub fn require_scene(model: &str, scene: Option<&str>, help: &str) -> Result<(), Diagnostic> {
     scene.map(|_| ()).ok_or_else(|| {
         let message = format!("energy depends on activity, but model {model} has no scene");
@@ -73,9 +66,7 @@ pub const MOST_REPEATS: u32 = 1_000_000;
 const MOST_RUNS: u64 = 1 << 22;
 
 /// Returns the indices of the samples that run, in order: the range, `repeat` times.
-///
-/// # Errors
-/// `input.too-many`, before memory for them is allocated.
+/// Errors: `input.too-many`, before memory for them is allocated.
 pub fn repeated_indices(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnostic> {
     let runs = range.len() as u64 * u64::from(repeat);
     if runs > MOST_RUNS {
@@ -86,10 +77,7 @@ pub fn repeated_indices(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, 
     Ok((0..repeat).flat_map(|_| range.clone()).collect())
 }
 
-/// Returns the samples, each followed by the drain steps of the network.
-///
-/// # Errors
-/// `input.too-long`.
+/// Returns the samples, each followed by the drain steps of the network. Errors: `input.too-long`.
 pub fn with_drain(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>, Diagnostic> {
     let drain = network.parts().drain;
     let steps = samples.iter().map(|sample| u64::from(sample.steps()) + u64::from(drain)).sum::<u64>();
@@ -107,7 +95,8 @@ pub fn with_drain(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sampl
 fn read_samples(
     network: &Quantised,
     arguments: &[String],
-    (default, seed): (Option<&str>, Option<u64>),
+    default: Option<&str>,
+    seed: Option<u64>,
     progress: Progress<'_>,
 ) -> Result<Stimulus, Error> {
     let arguments = match arguments {
@@ -119,34 +108,70 @@ fn read_samples(
         return Ok(scene_stimulus(network, scene, seed, progress)?);
     }
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
-    let mut sources: Vec<Option<Vec<PopulationSpikes>>> = inputs.iter().map(|_| None).collect();
-    let mut clocks: Vec<(usize, Clock)> = Vec::new();
-    let mut warnings = Vec::new();
-    let position =
-        |name: &str| inputs.iter().position(|p| p.name == name).ok_or_else(|| unknown_population(name, &inputs));
+    let mut sources = Sources {
+        timestep_ms: network.parts().timestep_ms,
+        spikes: inputs.iter().map(|_| None).collect(),
+        inputs: &inputs,
+        clocks: Vec::new(),
+        warnings: Vec::new(),
+    };
     for argument in &parsed {
-        let (path, pairs) = match (&argument.source, &argument.population) {
-            (InputSource::Path(path), _) => (path, [].as_slice()),
-            (InputSource::Events(path, pairs), _) => (path, pairs.as_slice()),
+        sources.add(argument)?;
+    }
+    sources.run_clocks()?;
+    let Sources { spikes, warnings, .. } = sources;
+    let mut filled = Vec::new();
+    for (source, Population { name, .. }) in spikes.into_iter().zip(&inputs) {
+        filled.push(source.ok_or_else(|| {
+            Error::Usage(format!("input population '{name}' has no source: add --input {name}=FILE"))
+        })?);
+    }
+    Ok(Stimulus { samples: join_samples(&inputs, filled)?, origin: arguments, seed: None, warnings })
+}
+
+struct Sources<'a> {
+    timestep_ms: f64,
+    inputs: &'a [&'a Population],
+    /// The samples of each input population, once it has a source.
+    spikes: Vec<Option<Vec<PopulationSpikes>>>,
+    /// Clocks and the indices of their populations.
+    clocks: Vec<(usize, Clock)>,
+    warnings: Vec<Warning>,
+}
+
+impl Sources<'_> {
+    fn add(&mut self, argument: &InputArg) -> Result<(), Error> {
+        let population = argument.population.as_deref();
+        match (&argument.source, population) {
+            (InputSource::Path(path), _) => self.add_file(population, path, &[]),
+            (InputSource::Events(path, pairs), _) => self.add_file(population, path, pairs),
             (InputSource::Scene(scene), Some(name)) if scene.name == clock::NAME => {
-                clocks.push((position(name)?, Clock::parse(scene)?));
-                continue;
+                self.clocks.push((self.index_of(name)?, Clock::parse(scene)?));
+                Ok(())
             }
             (InputSource::Scene(_), _) => {
                 let message = "a scene drives all input populations, so it allows no other input except a clock for \
                                one population: POPULATION=scene:clock?span=STEPS";
-                return Err(Error::Usage(message.to_string()));
+                Err(Error::Usage(message.to_string()))
             }
-        };
+        }
+    }
+
+    fn index_of(&self, name: &str) -> Result<usize, Error> {
+        self.inputs.iter().position(|p| p.name == name).ok_or_else(|| unknown_population(name, self.inputs))
+    }
+
+    /// Reads a file for a population, or for all that it serves.
+    fn add_file(&mut self, population: Option<&str>, path: &Path, pairs: &[(String, String)]) -> Result<(), Error> {
         let (pairs, labels) = without_labels(path, pairs)?;
         let is_manifest = FileKind::detect(path)? == FileKind::Ron;
-        let wanted: Vec<usize> = match &argument.population {
-            Some(name) => vec![position(name)?],
-            None if is_manifest => (0..inputs.len()).collect(),
-            None if inputs.len() == 1 => vec![0],
+        let wanted: Vec<usize> = match population {
+            Some(name) => vec![self.index_of(name)?],
+            None if is_manifest => (0..self.inputs.len()).collect(),
+            None if self.inputs.len() == 1 => vec![0],
             None => {
                 let path = path.display();
-                let named: Vec<String> = inputs.iter().map(|p| format!("{}={path}", p.name)).collect();
+                let named: Vec<String> = self.inputs.iter().map(|p| format!("{}={path}", p.name)).collect();
                 let named = named.join(", ");
                 return Err(Error::Usage(format!("--input {path}: the population is missing. Write one of {named}")));
             }
@@ -156,41 +181,46 @@ fn read_samples(
             false => (None, EventOptions::parse(&pairs)?),
         };
         for index in wanted {
-            let population = inputs[index];
-            let dt_ms = network.parts().timestep_ms;
-            let values = matches!(population.message, Message::Value(_));
-            let (units, volume) = (population.shape.len().into(), population.shape.volume());
-            let expected = InputSpec { units, volume, dt_ms, values };
+            let population = self.inputs[index];
+            let expected = InputSpec {
+                units: population.shape.len().into(),
+                volume: population.shape.volume(),
+                dt_ms: self.timestep_ms,
+                values: matches!(population.message, Message::Value(_)),
+            };
             let mut spikes = match &manifest {
                 Some(part) => part.read(&population.name, &expected)?,
                 None => read_spikes(path, &population.name, &expected, &options)?,
             };
-            warnings.extend(warning_of_changes(&population.name, &spikes));
+            self.warnings.extend(warning_of_changes(&population.name, &spikes));
             if let Some(file) = &labels {
                 labels::apply(file, &labels::read(file)?, &mut spikes)?;
             }
-            if sources[index].replace(spikes).is_some() {
-                return Err(Error::Usage(format!("population '{}' has two inputs", population.name)));
-            }
+            self.set(index, spikes)?;
+        }
+        Ok(())
+    }
+
+    fn set(&mut self, index: usize, spikes: Vec<PopulationSpikes>) -> Result<(), Error> {
+        match self.spikes[index].replace(spikes) {
+            None => Ok(()),
+            Some(_) => Err(Error::Usage(format!("population '{}' has two inputs", self.inputs[index].name))),
         }
     }
-    for (index, clock) in clocks {
-        let Some(recorded) = sources.iter().flatten().next() else {
-            return Err(Error::Usage(
-                "a clock needs recordings of other populations, which give the length of a sample".to_string(),
-            ));
-        };
-        let spikes = recorded.iter().map(|sample| clock_spikes(sample, clock, inputs[index])).collect();
-        if sources[index].replace(spikes).is_some() {
-            return Err(Error::Usage(format!("population '{}' has two inputs", inputs[index].name)));
+
+    /// Gives each clock the samples of the recordings.
+    fn run_clocks(&mut self) -> Result<(), Error> {
+        for (index, clock) in std::mem::take(&mut self.clocks) {
+            let Some(recorded) = self.spikes.iter().flatten().next() else {
+                return Err(Error::Usage(
+                    "a clock needs recordings of other populations, which give the length of a sample".to_string(),
+                ));
+            };
+            let spikes = recorded.iter().map(|sample| clock_spikes(sample, clock, self.inputs[index])).collect();
+            self.set(index, spikes)?;
         }
+        Ok(())
     }
-    let filled = sources.into_iter().zip(&inputs).map(|(source, Population { name, .. })| {
-        let message = || format!("input population '{name}' has no source: add --input {name}=FILE");
-        source.ok_or_else(|| Error::Usage(message()))
-    });
-    let filled = filled.collect::<Result<Vec<_>, Error>>()?;
-    Ok(Stimulus { samples: join_samples(&inputs, filled)?, origin: arguments, seed: None, warnings })
 }
 
 /// Returns the spikes of a clock over the steps of a sample.
@@ -304,11 +334,10 @@ pub fn translate_sample(network: &Quantised, other: &Quantised, sample: &Sample)
     for step in 0..sample.steps() {
         let Spikes { ids, values } = sample.input(step);
         for (place, channel) in ids.iter().enumerate() {
-            let unit = |&(from, to, units): &(u32, u32, u32)| {
+            events.extend(moved.iter().find_map(|&(from, to, units)| {
                 let unit = channel.0.checked_sub(from).filter(|&unit| unit < units)?;
                 Some((step, ChannelId(to + unit), values.get(place).copied().unwrap_or(1)))
-            };
-            events.extend(moved.iter().find_map(unit));
+            }));
         }
     }
     Sample::with_values(sample.steps(), &events, sample.label()).ok()

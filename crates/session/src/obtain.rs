@@ -121,13 +121,12 @@ impl<'a> Request<'a> {
             }
             given => Plan::for_stimulus(network, &inputs::stimulus(network, given, None, None)?),
         };
-        let is_probed = |name: &str| self.probed.iter().any(|pattern| fits_pattern(pattern, name));
         let populations = network.populations().enumerate();
-        let probed = populations.filter(|(_, population)| is_probed(&population.name));
+        let probed = populations
+            .filter(|(_, population)| self.probed.iter().any(|pattern| fits_pattern(pattern, &population.name)));
         Ok(Some(plan.probing(probed.map(|(id, _)| id).collect::<Vec<PopulationId>>())))
     }
 
-    /// Returns the network in integers, pruned.
     fn front(&self) -> Result<Front, Error> {
         let front = (self.integers)(self.network)?;
         let Some(plan) = self.plan(front.quantised())? else { return Ok(front) };
@@ -188,9 +187,7 @@ impl Job {
 }
 
 /// Makes a network ready to run.
-///
-/// # Errors
-/// [`Error`] when a part of the request cannot be used, or the network does not fit.
+/// Errors: [`Error`] when a part of the request cannot be used, or the network does not fit.
 pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
     let Request { network, mapping, engine, .. } = *request;
     let scene = network.file().scene.clone();
@@ -227,9 +224,7 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
 }
 
 /// Maps a network in integers, as a [`Request`] with default options does.
-///
-/// # Errors
-/// [`CompileError`].
+/// Errors: [`CompileError`].
 pub fn map_with_defaults(network: Quantised, target: &Target) -> Result<Mapping, CompileError> {
     compile(network, target, &Options::default())
 }
@@ -246,9 +241,7 @@ pub struct MappingSettings {
 }
 
 /// Returns the network in integers, pruned and with relays, and the goal of its mapping.
-///
-/// # Errors
-/// As [`obtain`].
+/// Errors: those of [`obtain`].
 pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings), Error> {
     let Request { network, mapping, .. } = *request;
     let target = match request.target {
@@ -277,9 +270,7 @@ pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings)
 impl MappingSettings {
     /// Returns the mapping of a network from [`prepare_mapping`]: the saved one, or the best
     /// for these firing rates of the sources of one copy.
-    ///
-    /// # Errors
-    /// [`CompileError`]; it names the file of a saved mapping.
+    /// Errors: [`CompileError`]; it names the file of a saved mapping.
     pub fn mapped(&self, front: Front, rates: &Rates) -> Result<Mapping, CompileError> {
         let MappingSettings { target, options, saved } = self;
         let Some((file, path, model)) = saved else { return explore::map(front, target, options, rates) };

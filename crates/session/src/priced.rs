@@ -106,10 +106,7 @@ impl<'c> MeteredMapping<'c> {
         self.offline_with(target, HostWork::for_target(target))
     }
 
-    /// As [`Self::offline`], for this work of the x86 cores.
-    ///
-    /// # Errors
-    /// As [`Self::offline`].
+    /// As [`Self::offline`], for this work of the x86 cores. Errors: those of [`Self::offline`].
     pub fn offline_with(&self, target: &Target, work: HostWork) -> Result<(MeterSettings, Deployment)> {
         let Mapping { placement, options, .. } = self.compiled;
         let deployment = Deployment::from_placement(options.placement.name(), placement, target, options.copies, work);
@@ -134,7 +131,6 @@ impl<'c> MeteredMapping<'c> {
         self.compiled.options.copies
     }
 
-    /// The program that runs.
     fn program(&self) -> &Arc<Program> {
         self.groups.as_ref().map_or(&self.compiled.program, |groups| &groups.program)
     }
@@ -156,10 +152,7 @@ impl<'c> MeteredMapping<'c> {
 
     /// Runs samples and meters each step. Counts by core and sums cover all copies, outcomes the
     /// first copy. Counts by source, skipped updates, and the totals and overflows of an outcome
-    /// cover only the cores that ran.
-    ///
-    /// # Errors
-    /// As [`fast`].
+    /// cover only the cores that ran. Errors: those of [`fast`].
     pub fn run(
         &self,
         settings: MeterSettings,
@@ -167,8 +160,10 @@ impl<'c> MeteredMapping<'c> {
         run_settings: RunSettings<'_>,
     ) -> Result<Run<StepMeter>> {
         let settings = Arc::new(settings);
-        let shared = || ParallelMeter { meter: StepMeter::new(settings.clone()), queue: Vec::new() };
-        let run = self.run_with(samples, run_settings, shared)?;
+        let run = self.run_with(samples, run_settings, || ParallelMeter {
+            meter: StepMeter::new(settings.clone()),
+            queue: Vec::new(),
+        })?;
         // Merging the meters of samples has metered all queued steps.
         Ok(self.extend_to_all_copies(run.map_meter(|shared| shared.meter)))
     }

@@ -62,11 +62,16 @@ pub fn peak_mib() -> Option<f64> {
 /// # Errors
 /// `run.part` when the program is not distributed or is another rank's part: a caller's error.
 pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Diagnostic> {
-    let wrong = |what: String| Diagnostic::new("run.part", what);
     match program.local_rank() {
         Some(rank) if rank == ranks.rank() => Ok(program.clone()),
-        Some(rank) => Err(wrong(format!("rank {} holds the part of rank {rank}", ranks.rank()))),
-        None => Ok(program.part(ranks.rank()).map_err(|error| wrong(error.to_string()))?.into()),
+        Some(rank) => {
+            let message = format!("rank {} holds the part of rank {rank}", ranks.rank());
+            Err(Diagnostic::new("run.part", message))
+        }
+        None => match program.part(ranks.rank()) {
+            Ok(part) => Ok(part.into()),
+            Err(error) => Err(Diagnostic::new("run.part", error.to_string())),
+        },
     }
 }
 

@@ -115,17 +115,13 @@ impl Division {
 }
 
 /// Lays out a program for runs of this division.
-///
-/// # Errors
-/// `run.too-large` when the program's sums could not be exact.
+/// Errors: `run.too-large` when the program's sums could not be exact.
 pub fn lay_out(program: &Arc<Program>, division: Division) -> Result<Arc<Image>, Diagnostic> {
     Image::new(program, division.shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))
 }
 
 /// Runs samples on the machine; a meter is made for each sample and sees its steps.
-///
-/// # Errors
-/// As [`lay_out`].
+/// Errors: those of [`lay_out`].
 pub fn fast<M: Meter>(
     program: &Arc<Program>,
     samples: &[&Sample],
@@ -235,7 +231,7 @@ fn run_in_parallel<M: Meter>(
     let threads = rayon::current_num_threads();
     let parts: Vec<&[&Sample]> = samples.chunks(samples.len().div_ceil(PARTS * threads).max(1)).collect();
     let next = AtomicUsize::new(0);
-    let of_thread = |_| {
+    let of_threads = (0..threads).into_par_iter().with_max_len(1).map(|_| {
         let (mut session, mut runs) = (None, Vec::new());
         loop {
             let place = next.fetch_add(1, Ordering::Relaxed);
@@ -244,8 +240,8 @@ fn run_in_parallel<M: Meter>(
             runs.push((place, run_without_counts(session, part, run_settings, &new_meter)));
         }
         (session, runs)
-    };
-    let (sessions, runs): (Vec<_>, Vec<_>) = (0..threads).into_par_iter().with_max_len(1).map(of_thread).unzip();
+    });
+    let (sessions, runs): (Vec<_>, Vec<_>) = of_threads.unzip();
     let sum = sessions.into_iter().flatten().map(Session::into_engine).reduce(|mut sum, more| {
         sum.absorb(&more);
         sum
@@ -320,7 +316,6 @@ impl<M: Meter> Run<M> {
     }
 }
 
-/// Counts the spikes of a step.
 fn add_spikes(counts: &mut SourceCounts, spikes: &[CompartmentId]) {
     spikes.iter().for_each(|spike| counts.compartments[*spike] += 1);
 }
@@ -341,14 +336,14 @@ pub fn golden(
     let run = run_in_parts(samples, |part| {
         let mut session = Session::new(Golden::new(network), 1);
         let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
-        let run = |sample: &&Sample| {
-            let add = |engine: &Golden, _| add_spikes(&mut counts, engine.spikes());
-            let outcome = session.run(sample, sample_settings, add);
+        let mut outcomes = Vec::with_capacity(part.len());
+        for sample in part {
+            let outcome =
+                session.run(sample, sample_settings, |engine: &Golden, _| add_spikes(&mut counts, engine.spikes()));
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
-            outcome
-        };
-        let outcomes = part.iter().map(run).collect();
+            outcomes.push(outcome);
+        }
         let left = session.engine().overflows().enumerate().filter(|(_, left)| **left != OverflowCounts::default());
         left.for_each(|(compartment, left)| counts.add_overflows(compartment, *left));
         Run { outcomes, counts, ..Run::default() }
@@ -382,24 +377,28 @@ pub fn reference<F: Real>(
     let run = run_in_parts(samples, |part| {
         let mut session = Session::new(Reference::new(model), 1);
         let mut counts = SourceCounts::new(channels as usize, compartments as usize);
-        let run = |sample: &&Sample| {
-            let read = |engine: &Reference<'_, F>, quantity, compartment| match quantity {
-                Quantity::U => engine.current(compartment),
-                _ => engine.potential(compartment),
-            };
-            let mut traces = Recording::new(&sample_settings.probes, sample.steps(), read);
+        let (mut outcomes, mut meter) = (Vec::with_capacity(part.len()), Vec::with_capacity(part.len()));
+        for sample in part {
+            let mut traces = Recording::new(&sample_settings.probes, sample.steps(), real::<F>);
             let outcome = session.run(sample, &plain, |engine: &Reference<'_, F>, range| {
                 traces.observe(engine, range);
                 add_spikes(&mut counts, engine.spikes());
             });
             add_inputs(&mut counts, sample, outcome.steps);
             progress();
-            (outcome, traces.values)
-        };
-        let (outcomes, meter) = part.iter().map(run).unzip();
+            outcomes.push(outcome);
+            meter.push(traces.values);
+        }
         Run { outcomes, counts, meter, ..Run::default() }
     });
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
+}
+
+fn real<F: Real>(engine: &Reference<'_, F>, quantity: Quantity, compartment: CompartmentId) -> f64 {
+    match quantity {
+        Quantity::U => engine.current(compartment),
+        _ => engine.potential(compartment),
+    }
 }
 
 /// Returns the firing rates of all channels and compartments over samples. The golden interpreter

@@ -20,19 +20,15 @@ const WORD: u128 = 64;
 const SMALL: u128 = 1 << 24;
 
 /// Refuses a large network if a compartment needs more synapse memory than a core has, or all
-/// synapses need more cores than the target has.
-///
-/// # Errors
-/// [`CompileError::DoesNotFit`].
+/// synapses need more cores than the target has. Errors: [`CompileError::DoesNotFit`].
 pub fn check(network: &Network, target: &Target, copies: u32) -> Result<(), CompileError> {
     let file = network.file();
     let limit = u64::from(target.limits()[Resource::SynapseWords]);
-    let units = |shape: &[u64]| shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
-    let sizes: HashMap<&str, u64> = file
-        .populations
-        .iter()
-        .filter_map(|population| Some((population.name.as_str(), units(&population.shape)?)))
-        .collect();
+    let sizes = file.populations.iter().filter_map(|population| {
+        let units = population.shape.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))?;
+        Some((population.name.as_str(), units))
+    });
+    let sizes: HashMap<&str, u64> = sizes.collect();
     // Lowering refuses a population that is too large for any network.
     if sizes.len() < file.populations.len() || sizes.values().any(|&size| size > MOST_UNITS) {
         return Ok(());

@@ -162,8 +162,10 @@ pub fn run_recorded(
     for group in groups(samples, layout.columns.len()) {
         let steps: usize = group.iter().map(|sample| sample.steps() as usize).sum();
         let direct = (steps * layout.columns.len() > CELLS).then_some(&out);
-        let meter = || Recorder { direct, ..Recorder::storing(metered, settings.clone(), layout) };
-        let mut run = metered.run_with(group, run_settings, meter)?;
+        let mut run = metered.run_with(group, run_settings, || Recorder {
+            direct,
+            ..Recorder::storing(metered, settings.clone(), layout)
+        })?;
         run.meter.flush();
         let mut writer = out.lock().unwrap_or_else(PoisonError::into_inner);
         let mut cells = run.meter.cells.chunks(layout.columns.len());

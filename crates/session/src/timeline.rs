@@ -17,7 +17,7 @@ use nsim_cost::MeterSettings;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::id::{CompartmentId, Id};
-use nsim_ir::quantised::{Population, Quantised, Units};
+use nsim_ir::quantised::{Quantised, Units};
 use nsim_ir::spikes::Sample;
 
 /// Maximum number of stored steps.
@@ -97,10 +97,7 @@ impl Meter for TimelineMeter<'_> {
 }
 
 impl Timeline {
-    /// Runs a sample on a mapping.
-    ///
-    /// # Errors
-    /// As [`MeteredMapping::run`].
+    /// Runs a sample on a mapping. Errors: those of [`MeteredMapping::run`].
     pub fn new(
         metered: &MeteredMapping<'_>,
         network: &Quantised,
@@ -111,11 +108,11 @@ impl Timeline {
         let (all, sample) = (sample.steps(), &sample.beginning(MOST_STEPS));
         let layout = StepLayout::new(network);
         let settings = Arc::new(settings);
-        let first = |population: &Population| match population.units {
+        let firsts = network.populations().iter().map(|population| match population.units {
             Units::Input(first) => first.0,
             Units::Compartments { first, .. } => first.0,
-        };
-        let firsts: Vec<u32> = network.populations().iter().map(first).collect();
+        });
+        let firsts: Vec<u32> = firsts.collect();
         let rasters = network.populations().iter().enumerate();
         let rasters: Vec<Raster> = rasters
             .map(|(population, of)| {
@@ -123,16 +120,14 @@ impl Timeline {
                 Raster { population, units, every: units.div_ceil(MOST_UNITS).max(1), spikes: Vec::new(), cut: false }
             })
             .collect();
-        let probe = |&first: &CompartmentId| Probe { first, count: 1, quantity };
-        let sample_settings =
-            SampleSettings { probes: traced.iter().map(probe).collect(), ..SampleSettings::new(network.output()) };
-        let meter = || TimelineMeter {
+        let probes = traced.iter().map(|&first| Probe { first, count: 1, quantity }).collect();
+        let sample_settings = SampleSettings { probes, ..SampleSettings::new(network.output()) };
+        let run = metered.run_with(&[sample], RunSettings::new(&sample_settings), || TimelineMeter {
             recorder: Recorder::storing(metered, settings.clone(), &layout),
             firsts: &firsts,
             rasters: rasters.clone(),
             steps: 0,
-        };
-        let run = metered.run_with(&[sample], RunSettings::new(&sample_settings), meter)?;
+        })?;
         let TimelineMeter { recorder, rasters, .. } = run.meter;
         let rows = recorder.cells;
         let outcome = run.outcomes.into_iter().next().unwrap_or_default();
@@ -147,6 +142,7 @@ mod tests {
     use nsim_golden::Golden;
     use nsim_ir::base::id::ChannelId;
     use nsim_ir::base::rng;
+    use nsim_ir::quantised::Population;
     use nsim_ir::spikes::Engine;
     use nsim_testing::{limits, random_network, target};
 

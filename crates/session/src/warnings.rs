@@ -83,12 +83,12 @@ impl NearestCompartment {
 /// populations.
 pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
     let network = run.network;
-    let mut found = [&network.parts().warnings, run.of_input].concat();
+    let mut warnings = [&network.parts().warnings, run.of_input].concat();
     let compartments = network.populations().enumerate().filter(|(_, p)| p.first_compartment().is_some());
     let rows: Vec<(PopulationId, &PopulationCounts)> =
         compartments.map(|(id, _)| id).zip(&run.sums.populations).collect();
-    let is_silent = |row: &PopulationCounts| row.compartments > 0 && row.spikes == 0;
-    let silent: Vec<PopulationId> = rows.iter().filter(|(_, row)| is_silent(row)).map(|(id, _)| *id).collect();
+    let silent = rows.iter().filter(|(_, row)| row.compartments > 0 && row.spikes == 0);
+    let silent: Vec<PopulationId> = silent.map(|(id, _)| *id).collect();
     let inputs = run.sums.inputs.iter().map(|row| (&row.name, row.spikes));
     let counted_spikes = run.sums.populations.iter().map(|row| (&row.name, row.spikes)).chain(inputs);
     let spiking: HashSet<&str> =
@@ -98,7 +98,7 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
     for &(id, row) in &rows {
         let is_output = id == network.parts().output;
         let by_potential = is_output && network.parts().decision != ReadOut::Spikes;
-        let mut add = |code, message| found.push(Warning::of_population(code, &row.name, message));
+        let mut add = |code, message| warnings.push(Warning::of_population(code, &row.name, message));
         if by_potential {
             // An output that decides by its potentials may be silent.
             if let Some(message) = undecided_reason(run, &spiking, id) {
@@ -116,8 +116,8 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
         }
         // Clipping a negative voltage, or a voltage that a spike resets to zero, is harmless.
         if row.cut > 0 {
-            let mine = |(population, _): &&(PopulationId, String)| *population == id && row.cut == row.clipped;
-            let place = first.as_ref().filter(mine).map_or("", |(_, place)| place);
+            let own = first.as_ref().filter(|(population, _)| *population == id && row.cut == row.clipped);
+            let place = own.map_or("", |(_, place)| place);
             add(
                 WarningCode::Clipped,
                 format!("{} clipped{place}: {}", count(row.cut, "voltage"), clipping_advice(network, id)),
@@ -141,13 +141,11 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
             add(WarningCode::WeightsRounded, message);
         }
     }
-    found
+    warnings
 }
 
 /// Runs samples on a mapped network and returns its warnings, for callers without counts.
-///
-/// # Errors
-/// As [`fast`].
+/// Errors: those of [`fast`].
 pub fn run_warnings(network: &Quantised, program: &Arc<Program>, samples: &[&Sample]) -> Result<Vec<Warning>> {
     let sample_settings = SampleSettings::new(program.output());
     let run = fast(program, samples, RunSettings::new(&sample_settings), || ())?;
@@ -165,11 +163,12 @@ pub fn run_warnings(network: &Quantised, program: &Arc<Program>, samples: &[&Sam
 /// Returns why the potentials that should decide the output stay 0; `None` otherwise.
 fn undecided_reason(run: FinishedRun<'_>, spiking: &HashSet<&str>, id: PopulationId) -> Option<String> {
     let decided = run.outcomes.iter().any(|outcome| outcome.class().is_some());
-    let why = || {
-        no_input_reason(run, spiking, id).unwrap_or_else(|| "all weights into it round to zero; raise them".to_string())
-    };
-    let what = "the potentials of the output never leave 0, so no sample is decided";
-    (!decided && !run.outcomes.is_empty()).then(|| format!("{what}: {}", why()))
+    if decided || run.outcomes.is_empty() {
+        return None;
+    }
+    let why = no_input_reason(run, spiking, id);
+    let why = why.as_deref().unwrap_or("all weights into it round to zero; raise them");
+    Some(format!("the potentials of the output never leave 0, so no sample is decided: {why}"))
 }
 
 /// Returns why nothing reaches a population; `None` where input reaches it. `spiking` has the names
@@ -178,13 +177,13 @@ fn no_input_reason(run: FinishedRun<'_>, spiking: &HashSet<&str>, id: Population
     let network = run.network;
     let populations = network.populations();
     let sources: BTreeSet<PopulationId> = network.incoming(id).map(|(_, p)| p.source).collect();
-    let fired = |source: &PopulationId| spiking.contains(populations[*source].name.as_str());
+    let fired = sources.iter().any(|source| spiking.contains(populations[*source].name.as_str()));
     // Driven by a bias or a child compartment.
     let driven = populations[id].any_neuron(|neuron| neuron.bias_mant.get() != 0 || neuron.stack.pops.is_some());
     if sources.is_empty() && !driven {
         return Some("it has no incoming projection; add one, or a bias".to_string());
     }
-    if !sources.is_empty() && !sources.iter().any(fired) && !driven {
+    if !sources.is_empty() && !fired && !driven {
         let names: Vec<String> = sources.iter().take(LISTED).map(|&s| format!("'{}'", populations[s].name)).collect();
         let are = if names.len() == 1 { "is" } else { "are" };
         return Some(format!("it receives no spikes because {} {are} silent; fix that first", names.join(" and ")));
@@ -264,8 +263,7 @@ fn threshold_advice(test: ThresholdTest, nearest: &NearestCompartment) -> String
 /// Empty where the search would take too long.
 fn nearest(run: FinishedRun<'_>, silent: &[PopulationId]) -> Vec<Option<NearestCompartment>> {
     let network = run.network;
-    let size = |&id: &PopulationId| u64::from(network.populations()[id].shape.len());
-    let compartments = silent.iter().map(size).sum::<u64>();
+    let compartments = silent.iter().map(|&id| u64::from(network.populations()[id].shape.len())).sum::<u64>();
     let mut samples = run.samples.to_vec();
     samples.sort_by_key(|sample| std::cmp::Reverse(sample.spikes()));
     let mut reads = 0;
@@ -336,12 +334,13 @@ fn first_overflow(run: FinishedRun<'_>) -> Option<(PopulationId, String)> {
 /// Returns a message on outputs that never spike although the run has samples of their class.
 fn silent_classes(run: FinishedRun<'_>) -> Option<String> {
     let mut silent: BTreeSet<u32> = run.samples.iter().filter_map(|sample| sample.label()).collect();
-    let fired =
-        |class: u32| run.outcomes.iter().any(|outcome| outcome.counts.get(class as usize).is_none_or(|&n| n > 0));
-    silent.retain(|&class| !fired(class));
+    silent.retain(|&class| {
+        !run.outcomes.iter().any(|outcome| outcome.counts.get(class as usize).is_none_or(|&spikes| spikes > 0))
+    });
     let classes = &run.network.parts().classes;
-    let name = |class: &u32| classes.get(*class as usize).cloned().unwrap_or_else(|| class.to_string());
-    let mut names: Vec<String> = silent.iter().take(LISTED).map(name).collect();
+    let names = silent.iter().take(LISTED);
+    let names = names.map(|class| classes.get(*class as usize).cloned().unwrap_or_else(|| class.to_string()));
+    let mut names: Vec<String> = names.collect();
     if silent.len() > LISTED {
         names.push(format!("{} more", silent.len() - LISTED));
     }
@@ -371,13 +370,12 @@ type RoundedNotes<'n> = HashMap<&'n str, Vec<(usize, &'n Note)>>;
 fn rounded_notes(network: &Quantised) -> RoundedNotes<'_> {
     // Real weights are hardly ever multiples of a step, so the size of the steps counts. The network
     // has warnings of changed integers.
-    let is_whole = |note: &Note| {
-        note.rounded
-            .is_some_and(|rounded| rounded.changed == rounded.weights && rounded.real && rounded.worst_share > COARSE)
-    };
     let mut notes = RoundedNotes::new();
-    for (place, note) in network.parts().notes.iter().enumerate().filter(|(_, note)| is_whole(note)) {
-        notes.entry(&note.entity).or_default().push((place, note));
+    for (place, note) in network.parts().notes.iter().enumerate() {
+        let Some(rounded) = note.rounded else { continue };
+        if rounded.changed == rounded.weights && rounded.real && rounded.worst_share > COARSE {
+            notes.entry(&note.entity).or_default().push((place, note));
+        }
     }
     notes
 }

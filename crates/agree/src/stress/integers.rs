@@ -65,7 +65,7 @@ fn fault(error: impl std::fmt::Display) -> (u64, String) {
 
 impl Plan {
     fn network(&self) -> Result<Quantised, Unbuildable> {
-        let neuron = |p: &Parameters| {
+        let neurons = self.neurons.iter().map(|p| {
             Ok::<_, OutOfRange>(Neuron {
                 du: Decay::new(p.du as i64)?,
                 dv: Decay::new(p.dv as i64)?,
@@ -77,8 +77,8 @@ impl Plan {
                 vmax: VmaxExponent::new(p.vmax.into())?,
                 ..Neuron::PLAIN
             })
-        };
-        let neurons = PerCompartment::Each(self.neurons.iter().map(neuron).collect::<Result<_, _>>()?);
+        });
+        let neurons = PerCompartment::Each(neurons.collect::<Result<_, _>>()?);
         let count = self.neurons.len() as u32;
         let population = |name: &str, count, units| Population {
             name: name.to_string(),
@@ -87,7 +87,7 @@ impl Plan {
             message: Message::Spike,
         };
         let units = Units::Compartments { first: CompartmentId(0), neurons, start_step: 0 };
-        let projection = |link: &Link| {
+        let projections = self.links.iter().map(|link| {
             Ok::<_, OutOfRange>(Projection {
                 name: "link".to_string(),
                 source: PopulationId(u32::from(link.recurrent)),
@@ -103,7 +103,7 @@ impl Plan {
                 delay: Delay::new(link.delay.into())?,
                 connectivity: Connectivity::Dense { targets: count, weights: link.weights.concat().into() },
             })
-        };
+        });
         Ok(Quantised::new(Parts {
             name: "stress".to_string(),
             populations: vec![
@@ -111,7 +111,7 @@ impl Plan {
                 population("out", count, units),
             ]
             .into(),
-            projections: self.links.iter().map(projection).collect::<Result<Vec<_>, _>>()?.into(),
+            projections: projections.collect::<Result<Vec<_>, _>>()?.into(),
             output: PopulationId(1),
             ..Parts::default()
         })?)
@@ -304,13 +304,13 @@ pub(super) fn biases(target: &Target) -> Outcome {
         |&(bias_mant, bias_exp)| [0, 128].map(|dv| Parameters { bias_mant, bias_exp, dv, vth: 131_071, ..PLAIN });
     let plan =
         Plan { channels: 1, neurons: ends.iter().flat_map(neuron).collect(), links: vec![uniform(1, 12, -256, 3)] };
-    let drive = |step: u32| if step.is_multiple_of(7) { vec![0] } else { Vec::new() };
-    plan.outcome(target, 2000, drive, |counts| counts.v_clipped > 0 && counts.spikes > 0)
+    let met = |counts: &RunCounts| counts.v_clipped > 0 && counts.spikes > 0;
+    plan.outcome(target, 2000, |step| if step.is_multiple_of(7) { vec![0] } else { Vec::new() }, met)
 }
 
 pub(super) fn refractory(target: &Target) -> Outcome {
-    let of = |refractory| Parameters { refractory, ..PLAIN };
-    let plan = Plan { channels: 1, neurons: [0, 1, 2, 62, 63].map(of).to_vec(), links: vec![uniform(1, 5, 254, 0)] };
+    let neurons = [0, 1, 2, 62, 63].map(|refractory| Parameters { refractory, ..PLAIN }).to_vec();
+    let plan = Plan { channels: 1, neurons, links: vec![uniform(1, 5, 254, 0)] };
     // A compartment that spikes whenever it may spikes 1000, 1000, 500, 17 and 16 times.
     plan.outcome(target, 1000, |_| vec![0], |counts| counts.spikes == 1000 + 1000 + 500 + 17 + 16)
 }
@@ -350,8 +350,12 @@ pub(super) fn delays(target: &Target) -> Outcome {
         links: vec![all(62, 40, false), all(61, -20, false), all(62, 254, true), all(0, -2, true)],
     };
     // The last spikes' deliveries fall after the end.
-    let drive = |step: u32| if step % 61 < 3 || step > 930 { vec![0, 1] } else { Vec::new() };
-    plan.outcome(target, 1000, drive, |counts| counts.spikes > 100)
+    plan.outcome(
+        target,
+        1000,
+        |step| if step % 61 < 3 || step > 930 { vec![0, 1] } else { Vec::new() },
+        |counts| counts.spikes > 100,
+    )
 }
 
 pub(super) fn ten_million(target: &Target) -> Outcome {
@@ -373,7 +377,6 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
             return Err((now, "no period within 1,000,000 steps".to_string()));
         }
     };
-    let expected = |now: usize| trace[if now <= before { now } else { before + 1 + (now - before - 1) % period }];
     let (network, program) = plan.program(target).map_err(fault)?;
     let image = Image::new(&program, 1).map_err(fault)?;
     let mut machine = Machine::new(&image, Settings { skip: true, per_step: false });
@@ -389,10 +392,11 @@ pub(super) fn ten_million(target: &Target) -> Outcome {
             let id = CompartmentId(0);
             let is = (engine.u(id), engine.v(id), !engine.spikes().is_empty());
             spikes += u64::from(is.2);
-            let should = expected(now as usize);
+            let now = now as usize;
+            let should = trace[if now <= before { now } else { before + 1 + (now - before - 1) % period }];
             match is == should {
                 true => Ok(()),
-                false => Err((now.into(), format!("{name}, step {now}: {is:?}, by the period {should:?}"))),
+                false => Err((now as u64, format!("{name}, step {now}: {is:?}, by the period {should:?}"))),
             }
         };
         check("fast", &mut machine)?;

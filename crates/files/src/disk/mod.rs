@@ -13,7 +13,6 @@ pub(super) fn sync_folder(folder: &Path) -> Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
 
-/// The folder of a file.
 pub(super) fn folder_of(path: &Path) -> PathBuf {
     match path.parent() {
         Some(folder) if !folder.as_os_str().is_empty() => folder.to_path_buf(),
@@ -60,7 +59,6 @@ pub struct Input {
 }
 
 impl Input {
-    /// Opens a file.
     pub(super) fn open(path: &Path) -> Result<(Input, Metadata)> {
         let file = File::open(path)?;
         let metadata = file.metadata()?;

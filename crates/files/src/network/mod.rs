@@ -430,8 +430,9 @@ impl NetworkFile {
                 arrays.extend(source.array().map(|array| (array, format!("projections.[{index}].weights"))));
             }
             if let ProjectionKind::Arrays(synapses) = &projection.kind {
-                let path = |name: &str| format!("projections.[{index}].arrays.{name}");
-                arrays.extend(synapses.references().map(|(name, array)| (array.clone(), path(name))));
+                for (name, array) in synapses.references() {
+                    arrays.push((array.clone(), format!("projections.[{index}].arrays.{name}")));
+                }
             }
         }
         arrays

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::{Network, NetworkFile, Parameter, ProjectionDesc, ProjectionKind, Weights, tensor};
+use crate::synapses::SynapsePlace;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::locate::items;
 
@@ -13,9 +14,7 @@ fn seeded(what: &str) -> Diagnostic {
 
 impl Network {
     /// The model with every array in place; synapse arrays become a `Sparse` projection per delay.
-    ///
-    /// # Errors
-    /// `export.unsupported` for seeded arrays.
+    /// Errors: `export.unsupported` for seeded arrays.
     pub fn resolved(&self) -> Result<NetworkFile> {
         let mut model = self.file().clone();
         for population in &mut model.populations {
@@ -27,7 +26,6 @@ impl Network {
             }
         }
         let sizes: BTreeMap<&str, u64> = model.populations.iter().map(|p| (p.name.as_str(), p.units())).collect();
-        let size = |name: &String| sizes.get(name.as_str()).copied().unwrap_or(0);
         let declared = items(self.source().text(), "projections");
         let mut projections = Vec::new();
         for (index, mut projection) in std::mem::take(&mut model.projections).into_iter().enumerate() {
@@ -38,11 +36,13 @@ impl Network {
                 ProjectionKind::Sparse(_) | ProjectionKind::SumPool2d { .. } => {}
                 ProjectionKind::Random { .. } => return Err(seeded("a Random projection")),
                 ProjectionKind::Arrays(arrays) => {
-                    let sources = projection.from.iter().map(size).sum();
-                    let declared = declared.get(index).copied().unwrap_or_default();
-                    let stored = |array| self.array(array);
-                    let sizes = (sources, size(&projection.to));
-                    for (delay, listed) in arrays.read(stored, (self.source(), declared), sizes)? {
+                    let place = SynapsePlace {
+                        text: self.source(),
+                        declared: declared.get(index).copied().unwrap_or_default(),
+                        sources: projection.from.iter().filter_map(|name| sizes.get(name.as_str())).sum(),
+                        targets: sizes.get(projection.to.as_str()).copied().unwrap_or(0),
+                    };
+                    for (delay, listed) in arrays.read(|array| self.array(array), &place)? {
                         let wide = listed.into_iter().map(|(from, to, weight, _)| (from.into(), to.into(), weight));
                         projections.push(ProjectionDesc {
                             kind: ProjectionKind::Sparse(wide.collect()),

@@ -157,18 +157,14 @@ impl NetworkFile {
     }
 
     /// The text of the model, and its long lists, as tensors of `file`.
-    ///
-    /// # Errors
-    /// `write.ron`, which does not happen for models.
+    /// Errors: `write.ron`, which does not happen for models.
     pub fn ron(&self, file: &str) -> Result<(String, BTreeMap<String, Tensor>)> {
         let (model, tensors) = self.clone().split(file);
         Ok((pretty(&model, 2)?, tensors))
     }
 
     /// The network that reading the written files would give; messages name the model `path`.
-    ///
-    /// # Errors
-    /// `write.ron`.
+    /// Errors: `write.ron`.
     pub fn build(&self, path: &Path) -> Result<Network> {
         self.build_changed(path, Ok)
     }
@@ -183,14 +179,12 @@ impl NetworkFile {
         let text = pretty(&model, 2)?;
         let source = change(SourceText::new(path, text.as_str()))?;
         let file = if **source.text() == *text { model } else { NetworkFile::parse(&source)? };
-        let array = |(key, tensor)| (ArrayRef::Safetensors(name.to_string(), key), tensor);
-        Network::new(file, source, tensors.into_iter().map(array).collect())
+        let arrays = tensors.into_iter().map(|(key, tensor)| (ArrayRef::Safetensors(name.to_string(), key), tensor));
+        Network::new(file, source, arrays.collect())
     }
 
     /// Checks that a model is not written under the ending of another format.
-    ///
-    /// # Errors
-    /// `write.ending`.
+    /// Errors: `write.ending`.
     pub fn check_name(path: &Path) -> Result<()> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
         match ending.filter(|ending| OTHERS.contains(&ending.as_str())) {
@@ -208,18 +202,13 @@ impl NetworkFile {
     }
 
     /// Writes the model, and its arrays as `STEM.safetensors` next to it; `-` writes the text
-    /// alone.
-    ///
-    /// # Errors
-    /// `write.*`; `write.arrays` for arrays to stdout.
+    /// alone. Errors: `write.*`; `write.arrays` for arrays to stdout.
     pub fn write(&self, path: &Path, force: bool) -> Result<Vec<String>> {
         self.write_under("", path, force)
     }
 
     /// Writes the model with the lines of a comment at its head.
-    ///
-    /// # Errors
-    /// As [`Self::write`].
+    /// Errors: those of [`Self::write`].
     pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
         Self::check_name(path)?;
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
@@ -237,8 +226,8 @@ impl NetworkFile {
             return Err(Diagnostic::new("write.arrays", "the model has arrays, which need a file next to it")
                 .help("give -o MODEL.ron"));
         }
-        let failed = |error| Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&arrays);
-        let bytes = serialise(&tensors).map_err(failed)?;
+        let bytes = serialise(&tensors)
+            .map_err(|error| Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(&arrays))?;
         let mut batch = write::Batch::new(force);
         batch.add(&arrays, |out| out.write_all(&bytes))?;
         batch.add(path, |out| out.write_all(text.as_bytes()))?;

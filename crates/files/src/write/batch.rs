@@ -19,8 +19,9 @@ fn exists(path: &Path) -> Diagnostic {
         .in_file(path)
 }
 
-pub(super) fn failed(path: &Path, error: &std::io::Error) -> Diagnostic {
-    Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
+/// Makes the diagnostic of a file that cannot be written.
+pub(super) fn failed(path: &Path) -> impl Fn(std::io::Error) -> Diagnostic {
+    move |error| Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
 }
 
 /// Size of write buffers in bytes: an array of a few MB takes some twenty system calls.
@@ -35,7 +36,7 @@ pub(super) fn open_or_make(path: &Path) -> Result<File> {
         }
         _ => {
             let mut options = File::options();
-            options.create(true).truncate(false).write(true).open(path).map_err(|error| failed(path, &error))
+            options.create(true).truncate(false).write(true).open(path).map_err(failed(path))
         }
     }
 }
@@ -49,7 +50,7 @@ pub fn check_free(path: &Path, force: bool) -> Result<()> {
     if is_standard_stream(path) {
         return Ok(());
     }
-    let Some(named) = disk::named(path).map_err(|error| failed(path, &error))? else { return Ok(()) };
+    let Some(named) = disk::named(path).map_err(failed(path))? else { return Ok(()) };
     let kind = path.metadata().map(|metadata| metadata.file_type());
     match kind {
         Ok(kind) if kind.is_dir() => {
@@ -68,10 +69,7 @@ fn not_regular(path: &Path, what: &str) -> Diagnostic {
         .in_file(path)
 }
 
-/// [`check_free`] for each of several files.
-///
-/// # Errors
-/// As [`check_free`].
+/// [`check_free`] for each of several files. Errors: those of [`check_free`].
 pub fn check_all_free(paths: impl IntoIterator<Item: AsRef<Path>>, force: bool) -> Result<()> {
     paths.into_iter().try_for_each(|path| check_free(path.as_ref(), force))
 }
@@ -90,38 +88,32 @@ impl Batch {
     }
 
     /// Writes a file of the batch under a temporary name, through `fill`, and returns its result.
-    ///
-    /// # Errors
-    /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
+    /// Errors: `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
     pub fn add<T>(
         &mut self,
         path: &Path,
         fill: impl FnOnce(&mut (dyn Write + Send)) -> std::io::Result<T>,
     ) -> Result<T> {
         check_free(path, self.force)?;
-        let fail = |error: std::io::Error| failed(path, &error);
         // The target of a symbolic link is replaced, not the link.
         let real = match path.symlink_metadata() {
-            Ok(named) if named.is_symlink() => path.canonicalize().map_err(fail)?,
+            Ok(named) if named.is_symlink() => path.canonicalize().map_err(failed(path))?,
             _ => path.to_path_buf(),
         };
-        let mut temporary = Temporary::new(&disk::folder_of(&real)).map_err(fail)?;
+        let mut temporary = Temporary::new(&disk::folder_of(&real)).map_err(failed(path))?;
         let mut out = BufWriter::with_capacity(BUFFER_BYTES, temporary.file.as_file_mut());
-        let filled = fill(&mut out).map_err(fail)?;
-        out.flush().and_then(|()| out.get_ref().sync_all()).map_err(fail)?;
+        let filled = fill(&mut out).map_err(failed(path))?;
+        out.flush().and_then(|()| out.get_ref().sync_all()).map_err(failed(path))?;
         drop(out);
         self.parts.push((real, temporary));
         Ok(filled)
     }
 
-    /// Renames the files in order and syncs their folders.
-    ///
-    /// # Errors
-    /// `write.exists`, `write.failed`.
+    /// Renames the files in order and syncs their folders. Errors: `write.exists`, `write.failed`.
     pub fn commit(self) -> Result<()> {
         let folders: BTreeSet<PathBuf> = self.parts.iter().map(|(path, _)| disk::folder_of(path)).collect();
         self.name_all()?;
-        folders.iter().try_for_each(|folder| disk::sync_folder(folder).map_err(|error| failed(folder, &error)))
+        folders.iter().try_for_each(|folder| disk::sync_folder(folder).map_err(failed(folder)))
     }
 
     /// Renames the temporary files, in order.
@@ -131,7 +123,7 @@ impl Batch {
             file.persist(&path, force).map_err(|error| match error.kind() {
                 // Another process has created it in the meantime.
                 ErrorKind::AlreadyExists => exists(&path),
-                _ => failed(&path, &error),
+                _ => failed(&path)(error),
             })
         })
     }

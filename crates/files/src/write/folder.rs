@@ -52,18 +52,17 @@ impl Folder {
     /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`; `write.busy` when
     /// another process is writing to the folder.
     pub fn begin(path: &Path, manifest: &str, force: bool) -> Result<Folder> {
-        let fail = |error: std::io::Error| failed(path, &error);
         let (name, manifest) = (manifest, path.join(manifest));
         check_free(&manifest, force)?;
-        std::fs::create_dir_all(path).map_err(fail)?;
+        std::fs::create_dir_all(path).map_err(failed(path))?;
         let marker = path.join(MARKER);
-        let interrupted = is_unfinished(path, name).map_err(fail)?;
+        let interrupted = is_unfinished(path, name).map_err(failed(path))?;
         let file = open_or_make(&marker)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
             return Err(Diagnostic::new("write.busy", "another nsim is writing to this folder").in_file(path));
         }
-        if disk::named(&manifest).map_err(fail)?.is_some() {
-            std::fs::remove_file(&manifest).map_err(fail)?;
+        if disk::named(&manifest).map_err(failed(path))?.is_some() {
+            std::fs::remove_file(&manifest).map_err(failed(path))?;
         }
         if let Ok(mut writing) = WRITING.lock() {
             writing.insert(path.to_path_buf());
@@ -71,20 +70,14 @@ impl Folder {
         Ok(Folder { path: path.to_path_buf(), manifest, _marker: file, replace: force || interrupted })
     }
 
-    /// Writes a file of the folder.
-    ///
-    /// # Errors
-    /// `write.exists`, `write.failed`; as [`Batch::add`].
+    /// Writes a file of the folder. Errors: `write.exists`, `write.failed`; as [`Batch::add`].
     pub fn member(&self, name: &str, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
         let mut batch = Batch::new(self.replace);
         batch.add(&self.path.join(name), |out| fill(out))?;
         batch.name_all()
     }
 
-    /// Writes the manifest.
-    ///
-    /// # Errors
-    /// As [`Batch::add`] and [`Batch::commit`].
+    /// Writes the manifest. Errors: those of [`Batch::add`] and [`Batch::commit`].
     pub fn finish(self, text: &str) -> Result<()> {
         let mut batch = Batch::new(false);
         batch.add(&self.manifest, |out| out.write_all(text.as_bytes()))?;
@@ -93,6 +86,6 @@ impl Folder {
             writing.remove(&self.path);
         }
         let marker = self.path.join(MARKER);
-        std::fs::remove_file(&marker).map_err(|error| failed(&marker, &error))
+        std::fs::remove_file(&marker).map_err(failed(&marker))
     }
 }

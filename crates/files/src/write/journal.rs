@@ -48,19 +48,16 @@ fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
 impl Journal {
     /// Opens a journal and returns the lines after its head. A journal that is absent, truncated
     /// within its head or without lines after it is begun anew.
-    ///
-    /// # Errors
-    /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
+    /// Errors: `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
     pub fn open(path: &Path, head: &str) -> Result<(Journal, Vec<String>)> {
-        let fail = |error: std::io::Error| failed(path, &error);
-        std::fs::create_dir_all(disk::folder_of(path)).map_err(fail)?;
+        std::fs::create_dir_all(disk::folder_of(path)).map_err(failed(path))?;
         let file = open_or_make(path)?;
         if let Err(std::fs::TryLockError::WouldBlock) = file.try_lock() {
             return Err(Diagnostic::new("journal.held", "another process is using this file").in_file(path));
         }
         let mut journal = Journal { path: path.to_path_buf(), file };
         let mut text = Vec::new();
-        disk::Input::open(path).and_then(|(mut input, _)| input.read_to_end(&mut text)).map_err(fail)?;
+        disk::Input::open(path).and_then(|(mut input, _)| input.read_to_end(&mut text)).map_err(failed(path))?;
         // After a crash of the system, unwritten bytes may read as zeros.
         let told = text.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
         text.truncate(told);
@@ -75,7 +72,7 @@ impl Journal {
             // A journal of other work without lines may be replaced.
             (lines, end) = (Vec::new(), 0);
         }
-        journal.file.set_len(end as u64).and_then(|()| journal.file.seek(SeekFrom::End(0))).map_err(fail)?;
+        journal.file.set_len(end as u64).and_then(|()| journal.file.seek(SeekFrom::End(0))).map_err(failed(path))?;
         match lines.is_empty() {
             true => journal.add(head)?,
             false => drop(lines.remove(0)),
@@ -89,20 +86,14 @@ impl Journal {
             .in_file(&self.path)
     }
 
-    /// Adds a line.
-    ///
-    /// # Errors
-    /// `write.failed`, after which no line may be added.
+    /// Adds a line. Errors: `write.failed`, after which no line may be added.
     pub fn add(&mut self, line: &str) -> Result<()> {
-        self.file.write_all(written(line).as_bytes()).map_err(|error| failed(&self.path, &error))
+        self.file.write_all(written(line).as_bytes()).map_err(failed(&self.path))
     }
 
-    /// Removes the file when the work is done.
-    ///
-    /// # Errors
-    /// `write.failed`.
+    /// Removes the file when the work is done. Errors: `write.failed`.
     pub fn remove(self) -> Result<()> {
-        std::fs::remove_file(&self.path).map_err(|error| failed(&self.path, &error))
+        std::fs::remove_file(&self.path).map_err(failed(&self.path))
     }
 }
 

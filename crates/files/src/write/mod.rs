@@ -44,9 +44,7 @@ pub fn is_silent() -> bool {
 }
 
 /// Writes a file through `fill`; an absent folder is created. `-` is stdout.
-///
-/// # Errors
-/// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
+/// Errors: `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
 pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     if is_standard_stream(path) {
         if is_silent() {
@@ -55,7 +53,7 @@ pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::
         let mut out = BufWriter::new(std::io::stdout().lock());
         PRINTING.store(true, Ordering::SeqCst);
         let done = fill(&mut out).and_then(|()| out.flush()).or_else(ignore_closed_pipe);
-        return done.map_err(|error| failed(Path::new("<stdout>"), &error));
+        return done.map_err(failed(Path::new("<stdout>")));
     }
     let mut batch = Batch::new(force);
     batch.add(path, |out| fill(out))?;
@@ -69,19 +67,13 @@ pub fn abandon() -> Vec<PathBuf> {
     folder::unfinished()
 }
 
-/// Writes a text file.
-///
-/// # Errors
-/// As [`file()`].
+/// Writes a text file. Errors: those of [`file()`].
 pub fn text(path: &Path, force: bool, text: &str) -> Result<()> {
     file(path, force, |out| out.write_all(text.as_bytes()))
 }
 
 /// Prints a text to stdout, with unprintable characters replaced. A closed pipe (`nsim .. | head`)
-/// is not an error.
-///
-/// # Errors
-/// `write.failed`.
+/// is not an error. Errors: `write.failed`.
 pub fn stdout(text: &str) -> Result<()> {
     self::text(Path::new("-"), false, &printable(text))
 }

@@ -68,7 +68,6 @@ impl Temporary {
         Ok(Temporary { file, _held })
     }
 
-    /// Renames the file to `path`.
     pub(super) fn persist(self, path: &Path, replace: bool) -> Result<()> {
         let named = if replace { self.file.persist(path) } else { self.file.persist_noclobber(path) };
         named.map(drop).map_err(|error| error.error)

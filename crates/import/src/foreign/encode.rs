@@ -40,14 +40,12 @@ const GREATEST: i64 = 7;
 /// Encodes weights at the exponent `given` in a format of 8 bits.
 pub fn encode(weights: Vec<f64>, given: i64) -> Encoded {
     let bits = WeightBits::MAX;
-    let fits = |x: f64, sign: SignMode| {
-        let (low, high) = sign.range(bits);
-        x >= f64::from(low) && x <= f64::from(high) && x % f64::from(sign.step(bits)) == 0.0
-    };
     for shift in 0..=(GREATEST - given).max(0) {
         let power = (shift as f64).exp2();
         for sign in [SignMode::Mixed, SignMode::Excitatory, SignMode::Inhibitory] {
-            if weights.iter().all(|&weight| fits(weight / power, sign)) {
+            let (low, high) = sign.range(bits);
+            let mut mantissas = weights.iter().map(|&weight| weight / power);
+            if mantissas.all(|x| x >= f64::from(low) && x <= f64::from(high) && x % f64::from(sign.step(bits)) == 0.0) {
                 let weights = if shift == 0 { weights } else { weights.iter().map(|&w| w / power).collect() };
                 return Encoded { weights, exponent: given + shift, sign, changed: 0 };
             }
@@ -55,9 +53,9 @@ pub fn encode(weights: Vec<f64>, given: i64) -> Encoded {
     }
     // The least exponent that clips only mantissas from 255 to 256, up to a step above the range.
     let (low, high) = SignMode::Mixed.range(bits);
-    let within = |x: f64| x >= f64::from(low) - 1.0 && x <= f64::from(high) + 2.0;
+    let within = f64::from(low) - 1.0..=f64::from(high) + 2.0;
     let shift = (0..=(GREATEST - given).max(0))
-        .find(|&shift| weights.iter().all(|&w| within(w / (shift as f64).exp2())))
+        .find(|&shift| weights.iter().all(|&w| within.contains(&(w / (shift as f64).exp2()))))
         .unwrap_or((GREATEST - given).max(0));
     let power = (shift as f64).exp2();
     let mut changed = 0;

@@ -27,7 +27,6 @@ pub const MAGIC: &[u8] = b"\x89HDF\r\n\x1a\n";
 const MOST_OBJECTS: usize = 1 << 16;
 /// The deepest nesting of groups.
 const DEEPEST: usize = 16;
-/// The most axes of an array.
 const MOST_AXES: usize = 8;
 /// The most strings of a data set.
 const MOST_STRINGS: u64 = 1 << 16;
@@ -265,10 +264,7 @@ pub fn read_foreign_file(path: &Path) -> Result<Vec<u8>> {
     })
 }
 
-/// Reads a whole file.
-///
-/// # Errors
-/// `hdf5.format`, `hdf5.link`, `hdf5.too-large`.
+/// Reads a whole file. Errors: `hdf5.format`, `hdf5.link`, `hdf5.too-large`.
 pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     let mut budget = ReadBudget { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
     if let Some(link) = super::hdf5_links::find(&bytes) {
@@ -282,20 +278,22 @@ pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     group(&file.root(), &mut budget, 0)
 }
 
+/// Whether a group of a file has these data sets.
+fn has(root: &hdf5_pure::Group, group: &str, members: &[&str]) -> bool {
+    let group = root.iter_groups().ok().and_then(|mut groups| groups.find(|(name, _)| name == group));
+    let datasets = group.and_then(|(_, group)| group.datasets().ok()).unwrap_or_default();
+    members.iter().all(|member| datasets.iter().any(|name| name == member))
+}
+
 /// Refuses recordings of events by the names of their groups, before decoding: they are large and
 /// compressed by special filters.
 fn refuse_events(root: &hdf5_pure::Group) -> Result<()> {
-    let has = |group: &str, members: &[&str]| {
-        let found = root.iter_groups().ok().and_then(|mut groups| groups.find(|(name, _)| name == group));
-        let found = found.and_then(|(_, group)| group.datasets().ok()).unwrap_or_default();
-        members.iter().all(|member| found.iter().any(|name| name == member))
-    };
     let (what, help) = match () {
-        () if has("CD", &["events"]) => (
+        () if has(root, "CD", &["events"]) => (
             "Metavision's recording of events (CD/events)",
             "convert it with Metavision's tools: metavision_file_to_dat -i FILE",
         ),
-        () if has("events", &["x", "y", "t", "p"]) => (
+        () if has(root, "events", &["x", "y", "t", "p"]) => (
             "a recording of events in the layout of DSEC (events/x, y, t, p)",
             "write its events as rows of text with the header t_us,x,y,p",
         ),
@@ -409,9 +407,7 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut ReadBudget<'_>) -> Result
 }
 
 /// The bytes of a file with this tree. Attributes are written for groups only, as they are read.
-///
-/// # Errors
-/// `hdf5.write` for a tree that the format cannot represent.
+/// Errors: `hdf5.write` for a tree that the format cannot represent.
 pub fn write(root: &Group) -> Result<Vec<u8>> {
     let mut file = FileBuilder::new();
     for (name, item) in &root.items {
@@ -462,10 +458,9 @@ fn build_group(mut builder: GroupBuilder, group: &Group) -> FinishedGroup {
 }
 
 fn build_dataset(builder: &mut DatasetBuilder, item: &Item) {
-    let shape = |axes: &[usize]| axes.iter().map(|&axis| axis as u64).collect::<Vec<_>>();
     match item {
         Item::Numbers(numbers) => {
-            let axes = shape(&numbers.shape);
+            let axes: Vec<u64> = numbers.shape.iter().map(|&axis| axis as u64).collect();
             match numbers.element {
                 Element::F(4) => builder.with_f32_data(&numbers.reals().map(|x| x as f32).collect::<Vec<_>>()),
                 Element::F(_) => builder.with_f64_data(&numbers.reals().collect::<Vec<_>>()),
@@ -476,7 +471,8 @@ fn build_dataset(builder: &mut DatasetBuilder, item: &Item) {
         }
         Item::Texts(axes, texts) => {
             let texts: Vec<&str> = texts.iter().map(String::as_str).collect();
-            builder.with_vlen_strings(&texts).with_shape(&shape(axes));
+            let axes: Vec<u64> = axes.iter().map(|&axis| axis as u64).collect();
+            builder.with_vlen_strings(&texts).with_shape(&axes);
         }
         // Callers pass groups elsewhere, and trees that are written have no `Other`.
         Item::Group(_) | Item::Other(_) => {}

@@ -12,7 +12,6 @@ use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The greatest threshold mantissa, for compartments that should not spike.
 pub(super) const MAX_THRESHOLD: f64 = ThresholdMantissa::MAX.get() as f64;
-/// The greatest delay field.
 pub(super) const LONGEST_DELAY: f64 = Delay::MAX.get() as f64;
 
 /// Options for facts that a file does not contain.
@@ -201,6 +200,25 @@ pub(super) fn shortest_decimal(single: f64) -> f64 {
 }
 
 impl Imported {
+    /// An import without warnings.
+    pub(super) fn new(kind: &'static str, model: NetworkFile, notes: Vec<String>) -> Imported {
+        Imported { kind, model, notes, warnings: Vec::new(), reset: None, layers: Vec::new() }
+    }
+
+    /// The import whose model states its source, and the notes so far.
+    #[must_use]
+    pub(super) fn with_provenance(mut self, source: &str) -> Self {
+        self.model.provenance = Some(format!("imported from {source}; {}", self.notes.join("; ")));
+        self
+    }
+
+    /// The import with warnings, which are notes, too.
+    #[must_use]
+    pub(super) fn with_warnings(mut self, warnings: Vec<Warning>) -> Self {
+        warnings.into_iter().for_each(|warning| self.warn(warning));
+        self
+    }
+
     /// The import with a refractory period of 2 in the populations `names`. The reset to zero of
     /// snnTorch 1.0.0 also removes the input of the next step, except in Leaky (`_base_zero`).
     #[must_use]
@@ -219,8 +237,7 @@ impl Imported {
              that step",
             names.join(", ")
         ));
-        self.model.provenance = Some(format!("imported from snnTorch; {}", self.notes.join("; ")));
-        self
+        self.with_provenance("snnTorch")
     }
 
     /// Adds a warning, which is a note, too.
@@ -235,8 +252,9 @@ impl Imported {
     #[must_use]
     pub(super) fn with_decision(mut self, option: Option<ReadOut>) -> Self {
         let output = self.model.population(&self.model.output).and_then(|output| output.loihi.clone());
-        let parameter = |key: &str| output.as_ref()?.iter().find(|(given, _)| *given == key).map(|(_, value)| value);
-        let never = parameter("vth_mant") == Some(&Parameter::Same(MAX_THRESHOLD));
+        let [du, dv, threshold] = ["du", "dv", "vth_mant"]
+            .map(|key| output.iter().flatten().find(|(given, _)| *given == key).map(|(_, value)| value));
+        let never = threshold == Some(&Parameter::Same(MAX_THRESHOLD));
         if let Some(decision) = option {
             self.model.decision = decision;
             if !never && decision != ReadOut::Spikes {
@@ -252,10 +270,9 @@ impl Imported {
         if option.is_some() || !never {
             return self;
         }
-        let both = |value: f64| [parameter("du"), parameter("dv")].map(|own| own == Some(&Parameter::Same(value)));
-        self.model.decision = match (both(4096.0), both(0.0)) {
-            ([true, true], _) => ReadOut::SumOfV,
-            (_, [true, _] | [_, true]) => ReadOut::LastV,
+        self.model.decision = match (du, dv) {
+            (Some(Parameter::Same(4096.0)), Some(Parameter::Same(4096.0))) => ReadOut::SumOfV,
+            (Some(Parameter::Same(0.0)), _) | (_, Some(Parameter::Same(0.0))) => ReadOut::LastV,
             _ => ReadOut::GreatestV,
         };
         self.notes.push(format!(
@@ -266,7 +283,6 @@ impl Imported {
     }
 }
 
-/// A list of names for messages.
 pub(super) fn name_list(names: &[&str]) -> String {
     if names.is_empty() { "no members".to_string() } else { names.join(", ") }
 }

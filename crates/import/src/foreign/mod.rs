@@ -42,17 +42,13 @@ pub fn is_foreign(path: &Path) -> bool {
 }
 
 /// Reads a foreign model.
-///
-/// # Errors
-/// `import.*` for the content of the file, `hdf5.*` and `io.*` for the file itself.
+/// Errors: `import.*` for the content of the file, `hdf5.*` and `io.*` for the file itself.
 pub fn read(path: &Path, options: &Options) -> Result<Imported> {
     from_bytes(path, hdf5::read_foreign_file(path)?, options)
 }
 
 /// Reads a foreign model from the bytes of its file; the path is for messages and names.
-///
-/// # Errors
-/// As [`read`].
+/// Errors: those of [`read`].
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let imported = match FileKind::from_bytes(&bytes, path) {
         FileKind::Hdf5 => read_hdf5(path, bytes, options),
@@ -73,25 +69,23 @@ pub fn exported(path: &Path, tree: hdf5::Group, model: &NetworkFile) -> Result<V
     let bytes = hdf5::write(&tree)?;
     // Its arrays are in memory again after the reading.
     drop(tree);
-    let refused = |why: String| {
-        Diagnostic::new("export.unsupported", format!("nsim would not read the exported file back: {why}"))
-            .help("a model file of nsim (.ron) has no such limit")
-    };
     if bytes.len() as u64 > MOST_ARRAY {
-        return Err(refused(format!("it would have {} bytes, more than {MOST_ARRAY}", bytes.len())));
+        return Err(refused(&format!("it would have {} bytes, more than {MOST_ARRAY}", bytes.len())));
     }
-    let read = from_bytes(path, bytes.clone(), &Options::default()).map_err(|problem| refused(problem.message))?;
+    let read = from_bytes(path, bytes.clone(), &Options::default()).map_err(|problem| refused(&problem.message))?;
     match read.model.ron("arrays")? == model.ron("arrays")? {
         true => Ok(bytes),
-        false => Err(refused("it would be read as another model".to_string())),
+        false => Err(refused("it would be read as another model")),
     }
 }
 
+fn refused(why: &str) -> Diagnostic {
+    Diagnostic::new("export.unsupported", format!("nsim would not read the exported file back: {why}"))
+        .help("a model file of nsim (.ron) has no such limit")
+}
+
 /// Reads a graph of NIR nodes in memory. The neurons of the nodes `held` get a refractory period of
-/// 2, so v stays 0 in the step after a spike.
-///
-/// # Errors
-/// `import.*` for the content of the nodes.
+/// 2, so v stays 0 in the step after a spike. Errors: `import.*` for the content of the nodes.
 pub fn from_nodes(
     name: &str,
     nodes: hdf5::Group,

@@ -87,68 +87,88 @@ pub fn config(source: &SourceText) -> Result<Neuron> {
             .help("it needs a mapping 'neuron' with 'type'; 'simulation' with 'Ts' is optional")
             .at(source, Span { start: at, end: at })
     })?;
-    let wrong = |message: String| Diagnostic::new("import.yaml", message).in_file(source.path());
     let mut fields = file.neuron;
     let Some(Field::Text(kind)) = fields.remove("type") else {
-        return Err(wrong("field 'type' of the neuron is missing".to_string()).help(KINDS));
+        return Err(wrong(source, "field 'type' of the neuron is missing").help(KINDS));
     };
-    let mut taken = |key: &str| match fields.remove(key) {
-        None => Ok(None),
-        Some(Field::Number(x)) if x.is_finite() => Ok(Some(x)),
-        Some(_) => Err(wrong(format!("the neuron's '{key}' is not a finite number"))),
-    };
-    let need = |key: &str, value: Option<f64>| {
-        value.ok_or_else(|| wrong(format!("field '{key}' of a neuron of type {kind} is missing")))
-    };
-    let share = |key: &str, value: f64| match (0.0..=1.0).contains(&value) {
-        true => Ok(value),
-        false => Err(wrong(format!("the neuron's '{key}' is {value}, outside 0 to 1"))),
-    };
-    let read = match kind.as_str() {
+    let mut unread = UnreadFields { source, kind: &kind, fields };
+    let neuron = match kind.as_str() {
         "LOIHI" => NeuronKind::Loihi {
-            vth_mant: need("vThMant", taken("vThMant")?)?,
-            dv: Some(need("vDecay", taken("vDecay")?)?),
-            du: Some(need("iDecay", taken("iDecay")?)?),
-            refractory: taken("refDelay")?.unwrap_or(1.0),
-            weight_exp: weight_exp(taken("wgtExp")?.unwrap_or(0.0)).map_err(wrong)?,
+            vth_mant: unread.required("vThMant")?,
+            dv: Some(unread.required("vDecay")?),
+            du: Some(unread.required("iDecay")?),
+            refractory: unread.optional("refDelay")?.unwrap_or(1.0),
+            weight_exp: unread.weight_exp("wgtExp")?,
             scale: 1.0,
         },
         "CUBA" => {
-            let mut decay = |key: &str| match taken(key)? {
-                Some(value) => Ok(Some((4096.0 * share(key, value)?).round_ties_even())),
-                None => Ok::<_, Diagnostic>(None),
-            };
-            let (du, dv) = (decay("current_decay")?, decay("voltage_decay")?);
-            let vth_mant = (need("threshold", taken("threshold")?)? * LAVA_SCALE).trunc();
+            let (du, dv) = (unread.decay("current_decay")?, unread.decay("voltage_decay")?);
+            let vth_mant = (unread.required("threshold")? * LAVA_SCALE).trunc();
             NeuronKind::Loihi { vth_mant, dv, du, refractory: 1.0, weight_exp: 0, scale: LAVA_SCALE }
         }
         "SRMALPHA" => NeuronKind::SrmAlpha {
-            theta: need("theta", taken("theta")?)?,
-            tau_sr_ms: need("tauSr", taken("tauSr")?)?,
-            tau_ref_ms: need("tauRef", taken("tauRef")?)?,
-            scale_ref: need("scaleRef", taken("scaleRef")?)?,
+            theta: unread.required("theta")?,
+            tau_sr_ms: unread.required("tauSr")?,
+            tau_ref_ms: unread.required("tauRef")?,
+            scale_ref: unread.required("scaleRef")?,
         },
-        other => return Err(wrong(format!("neuron type '{other}' is not supported")).help(KINDS)),
+        other => return Err(wrong(source, format!("neuron type '{other}' is not supported")).help(KINDS)),
     };
-    fields.retain(|key, value| key != "norm" || !matches!(value, Field::Null(())));
-    match fields.into_keys().find(|key| !TRAINING_FIELDS.split(' ').any(|known| known == key)) {
-        Some(key) => Err(wrong(format!("neurons of type {kind} do not support field '{key}'"))
+    unread.fields.retain(|key, value| key != "norm" || !matches!(value, Field::Null(())));
+    match unread.fields.into_keys().find(|key| !TRAINING_FIELDS.split(' ').any(|known| known == key)) {
+        Some(key) => Err(wrong(source, format!("neurons of type {kind} do not support field '{key}'"))
             .help("remove it if the network does not depend on it; docs/import.md lists the fields of each type")),
-        None => Ok(Neuron { kind: read, dt_ms: file.simulation.and_then(|simulation| simulation.ts) }),
+        None => Ok(Neuron { kind: neuron, dt_ms: file.simulation.and_then(|simulation| simulation.ts) }),
+    }
+}
+
+fn wrong(source: &SourceText, message: impl Into<String>) -> Diagnostic {
+    Diagnostic::new("import.yaml", message).in_file(source.path())
+}
+
+/// The fields of a neuron that no one has read yet.
+struct UnreadFields<'a> {
+    source: &'a SourceText,
+    kind: &'a str,
+    fields: BTreeMap<String, Field>,
+}
+
+impl UnreadFields<'_> {
+    fn optional(&mut self, key: &str) -> Result<Option<f64>> {
+        match self.fields.remove(key) {
+            None => Ok(None),
+            Some(Field::Number(x)) if x.is_finite() => Ok(Some(x)),
+            Some(_) => Err(wrong(self.source, format!("the neuron's '{key}' is not a finite number"))),
+        }
+    }
+
+    fn required(&mut self, key: &str) -> Result<f64> {
+        let message = format!("field '{key}' of a neuron of type {} is missing", self.kind);
+        self.optional(key)?.ok_or_else(|| wrong(self.source, message))
+    }
+
+    /// A decay from 0 to 1, in 4096ths.
+    fn decay(&mut self, key: &str) -> Result<Option<f64>> {
+        match self.optional(key)? {
+            Some(value) if !(0.0..=1.0).contains(&value) => {
+                Err(wrong(self.source, format!("the neuron's '{key}' is {value}, outside 0 to 1")))
+            }
+            value => Ok(value.map(|value| (4096.0 * value).round_ties_even())),
+        }
+    }
+
+    fn weight_exp(&mut self, key: &str) -> Result<i64> {
+        let exponent = self.optional(key)?.unwrap_or(0.0);
+        if exponent.fract() == 0.0 && (-8.0..=7.0).contains(&exponent) {
+            return Ok(exponent as i64);
+        }
+        Err(wrong(self.source, format!("the neuron's '{key}' is {exponent}, expected an integer from -8 to 7")))
     }
 }
 
 /// Help on the neuron types of a config.
 const KINDS: &str = "supported types: LOIHI and SRMALPHA (SLAYER), CUBA (lava-dl); a network of another tool is read in \
                      Python: nsim.from_torch(net, sample)";
-
-/// The weight exponent of a core.
-fn weight_exp(exponent: f64) -> Result<i64, String> {
-    match exponent.fract() == 0.0 && (-8.0..=7.0).contains(&exponent) {
-        true => Ok(exponent as i64),
-        false => Err(format!("the neuron's 'wgtExp' is {exponent}, expected an integer from -8 to 7")),
-    }
-}
 
 /// The byte offset of a line and column, which count from 1.
 fn offset(text: &str, line: usize, column: usize) -> usize {

@@ -170,12 +170,23 @@ impl<'a> Machine<'a> {
         self.stack.last().copied().map_or_else(|| self.wrong("a value is missing"), Ok)
     }
 
+    fn value(&self, id: ValueId) -> &Value {
+        &self.values[id.0 as usize]
+    }
+
     /// Removes the last mark and the values above it, and returns these.
     fn marked(&mut self) -> Result<Vec<ValueId>> {
         match self.marks.pop() {
             Some(height) if height <= self.stack.len() => Ok(self.stack.split_off(height)),
             _ => self.wrong("a mark is missing"),
         }
+    }
+
+    /// Removes and returns the last values of the stack, the lowest first.
+    fn last(&mut self, count: u8) -> Result<Vec<ValueId>> {
+        let mut items = (0..count).map(|_| self.pop()).collect::<Result<Vec<_>>>()?;
+        items.reverse();
+        Ok(items)
     }
 
     fn grow(&mut self, entries: usize) -> Result<()> {
@@ -222,13 +233,13 @@ impl<'a> Machine<'a> {
 
     fn reduce(&mut self) -> Result<()> {
         let (arguments, function) = (self.pop()?, self.pop()?);
-        let Value::Name(module, name) = &self.values[function.0 as usize] else {
+        let Value::Name(module, name) = self.value(function) else {
             return self.wrong("a call of an object without a name");
         };
         if !known(module, name) {
             return Err(PickleError::Class(format!("{module}.{name}")));
         }
-        let Value::Tuple(arguments) = &self.values[arguments.0 as usize] else {
+        let Value::Tuple(arguments) = self.value(arguments) else {
             return self.wrong("a call without arguments");
         };
         let (name, arguments) = (name.clone(), arguments.clone());
@@ -237,9 +248,9 @@ impl<'a> Machine<'a> {
             // Old Pythons pass the pairs as an argument in protocols 0 and 1.
             "OrderedDict" => {
                 let mut pairs = Vec::new();
-                if let Some(Value::List(list)) = arguments.first().map(|&id| &self.values[id.0 as usize]) {
+                if let Some(Value::List(list)) = arguments.first().map(|&id| self.value(id)) {
                     for &pair in list {
-                        match &self.values[pair.0 as usize] {
+                        match self.value(pair) {
                             Value::Tuple(pair) | Value::List(pair) if pair.len() == 2 => pairs.push((pair[0], pair[1])),
                             _ => return self.wrong("an entry that is not a pair"),
                         }
@@ -316,6 +327,29 @@ impl<'a> Machine<'a> {
         }))
     }
 
+    /// Executes an opcode that makes or fills a tuple, a list, a set or a dictionary.
+    fn fill(&mut self, opcode: u8) -> Result<()> {
+        let items = match opcode {
+            0x85..=0x87 => self.last(opcode - 0x84)?,
+            b'a' => self.last(1)?,
+            b's' => self.last(2)?,
+            _ => self.marked()?,
+        };
+        match opcode {
+            b't' | b'l' | 0x91 => {
+                self.grow(items.len())?;
+                self.push(if opcode == b't' { Value::Tuple(items) } else { Value::List(items) })
+            }
+            0x85..=0x87 => self.push(Value::Tuple(items)),
+            b'a' | b'e' | 0x90 => self.append(items),
+            b'd' => {
+                self.push(Value::Dict(Vec::new()))?;
+                self.set(&items)
+            }
+            _ => self.set(&items),
+        }
+    }
+
     /// Executes an opcode that changes the stack, the marks or the memo.
     fn operate(&mut self, opcode: u8) -> Result<()> {
         match opcode {
@@ -337,37 +371,7 @@ impl<'a> Machine<'a> {
             b'0' => self.pop().map(drop),
             b'1' => self.marked().map(drop),
             b'2' => self.top().and_then(|top| self.put(top)),
-            b't' | b'l' | 0x91 => {
-                let items = self.marked()?;
-                self.grow(items.len())?;
-                self.push(if opcode == b't' { Value::Tuple(items) } else { Value::List(items) })
-            }
-            b'd' => {
-                let items = self.marked()?;
-                self.push(Value::Dict(Vec::new()))?;
-                self.set(&items)
-            }
-            0x85..=0x87 => {
-                let mut items = (0x84..opcode).map(|_| self.pop()).collect::<Result<Vec<_>>>()?;
-                items.reverse();
-                self.push(Value::Tuple(items))
-            }
-            b'a' => {
-                let item = self.pop()?;
-                self.append(vec![item])
-            }
-            b'e' | 0x90 => {
-                let items = self.marked()?;
-                self.append(items)
-            }
-            b's' => {
-                let (value, key) = (self.pop()?, self.pop()?);
-                self.set(&[key, value])
-            }
-            b'u' => {
-                let items = self.marked()?;
-                self.set(&items)
-            }
+            b't' | b'l' | 0x91 | b'd' | 0x85..=0x87 | b'a' | b'e' | 0x90 | b's' | b'u' => self.fill(opcode),
             b'q' | b'r' | 0x94 | b'p' | b'h' | b'j' | b'g' => {
                 let key = match opcode {
                     b'q' | b'h' => u8::from_le_bytes(self.fixed()?).into(),
@@ -379,7 +383,7 @@ impl<'a> Machine<'a> {
             }
             0x93 => {
                 let (name, module) = (self.pop()?, self.pop()?);
-                match (&self.values[module.0 as usize], &self.values[name.0 as usize]) {
+                match (self.value(module), self.value(name)) {
                     (Value::Text(module), Value::Text(name)) => self.push(Value::Name(module.clone(), name.clone())),
                     _ => self.wrong("a name that is not text"),
                 }
@@ -388,7 +392,7 @@ impl<'a> Machine<'a> {
             // Attributes of an ordered dictionary, such as PyTorch's `_metadata`, are ignored.
             b'b' => {
                 self.pop()?;
-                match self.values[self.top()?.0 as usize] {
+                match self.value(self.top()?) {
                     Value::Dict(_) => Ok(()),
                     _ => self.wrong("the state of an object without state"),
                 }

@@ -7,7 +7,7 @@
 //! between layers, as on the chip and as `delayShift` does in training. Only training uses the
 //! kernels `srmKernel` and `refKernel` of checkpoints.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::conventions::Tool;
 use super::encode;
@@ -47,12 +47,10 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
             .help("VT_SNN names its files NNN-tact.npy, NNN-vis.npy, NNN-combi.npy, or NNN-fc1.npy, NNN-fc2.npy")
             .in_file(path));
     };
-    let file = |part: &str| -> PathBuf {
-        path.with_file_name(prefix.map_or_else(|| format!("{part}.npy"), |prefix| format!("{prefix}-{part}.npy")))
-    };
     let mut matrices = Vec::new();
     for part in *set {
-        let path = file(part);
+        let name = prefix.map_or_else(|| format!("{part}.npy"), |prefix| format!("{prefix}-{part}.npy"));
+        let path = path.with_file_name(name);
         let may_be_absent = part.starts_with("fc") && *part != "fc1";
         if may_be_absent && !disk::exists(&path).map_err(|error| unreadable(&path, &error))? {
             break;
@@ -107,10 +105,8 @@ pub(super) fn build(
         }
         model.output = matrix.name;
     }
-    model.provenance = Some(format!("imported from {kind}; {}", notes.join("; ")));
-    let mut imported = Imported { kind, model, notes, layers, warnings: Vec::new(), reset: None };
-    warnings.into_iter().for_each(|warning| imported.warn(warning));
-    Ok(imported.with_decision(options.decision))
+    let imported = Imported::new(kind, model, notes).with_provenance(kind).with_warnings(warnings);
+    Ok(Imported { layers, ..imported.with_decision(options.decision) })
 }
 
 /// The note about weights and steps.
@@ -132,8 +128,7 @@ fn rule(kind: &NeuronKind) -> String {
 
 /// Input populations, and the sources of each layer.
 fn inputs(matrices: &[Matrix], options: &Options) -> Result<(Vec<PopulationDesc>, Vec<Vec<String>>)> {
-    let follows = |k: usize| matrices[k].sources == matrices[k - 1].targets;
-    if (1..matrices.len()).all(follows) {
+    if (1..matrices.len()).all(|k| matrices[k].sources == matrices[k - 1].targets) {
         let shape = input_shape(options, matrices[0].sources)?;
         let sources = std::iter::once("input").chain(matrices.iter().map(|matrix| matrix.name.as_str()));
         let sources = sources.take(matrices.len()).map(|name| vec![name.to_string()]).collect();
@@ -153,7 +148,6 @@ fn inputs(matrices: &[Matrix], options: &Options) -> Result<(Vec<PopulationDesc>
     Err(slayer(format!("the layers do not follow each other: {}", shapes.join(", "))))
 }
 
-/// The neurons of a layer.
 fn population(matrix: &Matrix, kind: &NeuronKind) -> Result<PopulationDesc> {
     let (name, shape) = (&matrix.name, vec![matrix.targets as u64]);
     match *kind {
@@ -195,10 +189,12 @@ fn projection(
         let weights = ProjectionKind::Dense(tensor(shape.to_vec(), given));
         return Ok((ProjectionDesc::new("", layer, weights), line));
     };
-    let even = |w: &f64| (scale * w / 2.0).round_ties_even() * 2.0 + 0.0;
+    let mut rounded: Vec<f64> = given.iter().map(|w| (scale * w / 2.0).round_ties_even() * 2.0 + 0.0).collect();
     // lava-dl clips, SLAYER does not.
-    let clipped = |w: f64| if scale == 1.0 { w } else { w.clamp(-256.0, 254.0) };
-    let encoded = encode::encode(given.iter().map(|w| clipped(even(w))).collect(), weight_exp);
+    if scale != 1.0 {
+        rounded.iter_mut().for_each(|w| *w = w.clamp(-256.0, 254.0));
+    }
+    let encoded = encode::encode(rounded, weight_exp);
     if encoded.changed > 0 {
         let message = format!(
             "{} of {} weights do not fit into one synapse format with the others; they are rounded and clipped",

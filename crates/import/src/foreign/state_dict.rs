@@ -65,7 +65,6 @@ const TRAINING_KEYS: [&str; 8] = [
     "scheduler",
 ];
 
-/// A layer's tensors.
 struct Layer {
     name: String,
     weight: Array,
@@ -133,9 +132,13 @@ fn network_key(checkpoint: &torch::Checkpoint, path: &Path) -> Result<Option<Str
     }
 }
 
+/// A text as a literal of Python.
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""))
+}
+
 /// The Python expression of a state dict.
 fn load(path: &Path, key: Option<&str>) -> String {
-    let quoted = |text: &str| format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\""));
     let key = key.map_or_else(String::new, |key| format!("[{}]", quoted(key)));
     format!("torch.load({}, map_location=\"cpu\"){key}", quoted(&path.display().to_string()))
 }
@@ -147,14 +150,12 @@ fn last_part(key: &str) -> &str {
 
 /// The layer of a tensor, and its role there.
 fn role(key: &str) -> Option<(&str, Role)> {
-    let of_layer = |layer: &str| layer.is_empty() || layer.ends_with('.');
     ROLES.iter().find_map(|&(end, role)| {
-        let layer = key.strip_suffix(end).filter(|layer| of_layer(layer))?;
+        let layer = key.strip_suffix(end).filter(|layer| layer.is_empty() || layer.ends_with('.'))?;
         Some((layer.trim_end_matches('.'), role))
     })
 }
 
-/// Whether only lava-dl has a tensor.
 fn is_of_lava(array: &Array) -> bool {
     match role(&array.key) {
         Some((_, Role::CurrentDecay | Role::VoltageDecay)) => true,
@@ -162,7 +163,6 @@ fn is_of_lava(array: &Array) -> bool {
     }
 }
 
-/// Whether SLAYER's networks have a tensor.
 fn is_of_slayer(array: &Array) -> bool {
     SLAYER_KERNELS.contains(&last_part(&array.key)) || array.key.ends_with("weight") && array.shape.len() == WEIGHT_AXES
 }
@@ -282,8 +282,8 @@ fn decay(layer: &Layer, role: Role, targets: usize) -> Result<Option<Vec<f64>>> 
 
 /// Whether decays of the file differ from those of `--neuron`.
 fn differ((du, dv): &(Vec<f64>, Vec<f64>), given_du: Option<f64>, given_dv: Option<f64>) -> bool {
-    let differs = |decays: &[f64], given: Option<f64>| given.is_some_and(|given| decays.iter().any(|&d| d != given));
-    differs(du, given_du) || differs(dv, given_dv)
+    let mut pairs = [(du, given_du), (dv, given_dv)].into_iter();
+    pairs.any(|(decays, given)| given.is_some_and(|given| decays.iter().any(|&d| d != given)))
 }
 
 /// Refuses the kernel of a convolution. A kernel that covers all of its input is a dense layer;
@@ -291,7 +291,7 @@ fn differ((du, dv): &(Vec<f64>, Vec<f64>), given_du: Option<f64>, given_dv: Opti
 fn check_dense(layers: &[Layer], place: usize, options: &Options) -> Result<()> {
     let (layer, axes) = (&layers[place], layers[place].axes());
     let (key, shape, kernel) = (&layer.weight.key, &layer.weight.shape, &axes[1..]);
-    let given = || kernel.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
+    let kernel_shape = kernel.iter().map(usize::to_string).collect::<Vec<_>>().join(",");
     let covers = match (place.checked_sub(1), layers.get(place + 1), &options.input_shape) {
         _ if axes.len() == 2 => true,
         (Some(before), _, _) => layers[before].axes()[0] * axes[0] == layer.weight.numbers.len(),
@@ -300,7 +300,9 @@ fn check_dense(layers: &[Layer], place: usize, options: &Options) -> Result<()> 
         (None, None, None) => {
             let message =
                 format!("'{key}' has shape {shape:?}: it is a convolution, or a dense layer on an image {kernel:?}");
-            return Err(wrong_option(message).help(format!("if it is a dense layer, give --input-shape {}", given())));
+            return Err(
+                wrong_option(message).help(format!("if it is a dense layer, give --input-shape {kernel_shape}"))
+            );
         }
     };
     if covers {
@@ -312,7 +314,6 @@ fn check_dense(layers: &[Layer], place: usize, options: &Options) -> Result<()> 
     )
     .help(format!(
         "a state dict does not contain the stride and padding of a convolution: export it with lava-dl as .net; a \
-         dense layer on an image {kernel:?} is read with --input-shape {}",
-        given()
+         dense layer on an image {kernel:?} is read with --input-shape {kernel_shape}"
     )))
 }

@@ -11,7 +11,6 @@ use std::collections::BTreeMap;
 use super::torch::Checkpoint;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// A tensor of the network.
 pub(super) struct Array {
     pub(super) key: String,
     pub(super) shape: Vec<usize>,
@@ -102,23 +101,26 @@ fn weight_norm(directions: &Array, lengths: &Array) -> Option<Vec<f64>> {
     if !fits || lengths.is_empty() {
         return None;
     }
-    let group = |mut index: usize| {
-        let (mut at, mut step) = (0, 1);
-        for (k, &side) in shape.iter().enumerate().rev() {
-            let axis = axes.get(k).copied().unwrap_or(1);
-            at += if axis == 1 { 0 } else { index % side * step };
-            step *= axis;
-            index /= side;
-        }
-        at
-    };
+    let places = (0..directions.len()).map(|index| length_index(index, shape, axes));
     let mut squares = vec![0.0f64; lengths.len()];
-    for (index, v) in directions.iter().enumerate() {
-        squares[group(index)] += v * v;
+    for (v, place) in directions.iter().zip(places.clone()) {
+        squares[place] += v * v;
     }
-    let scaled = |(index, v): (usize, &f64)| {
-        let norm = squares[group(index)].sqrt();
-        if norm > 0.0 { lengths[group(index)] * v / norm } else { 0.0 }
-    };
-    Some(directions.iter().enumerate().map(scaled).collect())
+    let scaled = directions.iter().zip(places).map(|(v, place)| {
+        let norm = squares[place].sqrt();
+        if norm > 0.0 { lengths[place] * v / norm } else { 0.0 }
+    });
+    Some(scaled.collect())
+}
+
+/// The index of the length that scales a direction.
+fn length_index(mut index: usize, shape: &[usize], axes: &[usize]) -> usize {
+    let (mut at, mut step) = (0, 1);
+    for (k, &side) in shape.iter().enumerate().rev() {
+        let axis = axes.get(k).copied().unwrap_or(1);
+        at += if axis == 1 { 0 } else { index % side * step };
+        step *= axis;
+        index /= side;
+    }
+    at
 }

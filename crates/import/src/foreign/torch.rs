@@ -20,9 +20,7 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 pub const ZIP: &[u8] = b"PK\x03\x04";
 /// The deepest nesting of dictionaries that are searched for tensors.
 const DEEPEST: usize = 4;
-/// The most tensors of a checkpoint.
 const MOST_TENSORS: usize = 1 << 14;
-/// The most files of an archive.
 const MOST_FILES: usize = 1 << 16;
 
 /// Help: how a network is read that its file does not hold as tensors.
@@ -55,7 +53,6 @@ struct View {
     strides: Vec<usize>,
 }
 
-/// The storages of a checkpoint.
 enum Container {
     Zip(Box<ZipArchive<Cursor<Vec<u8>>>>, String, u64),
     /// Bytes of the file, and the range of each storage by key.
@@ -85,9 +82,7 @@ fn pickle_diagnostic(error: &PickleError) -> Diagnostic {
 }
 
 /// Opens a checkpoint.
-///
-/// # Errors
-/// `import.pickle` for a pickled module, `import.torch` for a malformed checkpoint.
+/// Errors: `import.pickle` for a pickled module, `import.torch` for a malformed checkpoint.
 pub fn open(bytes: Vec<u8>) -> Result<Checkpoint> {
     let mut budget = Budget::for_file(bytes.len() as u64, MOST_TENSORS, DEEPEST);
     let checkpoint = if bytes.starts_with(ZIP) { open_zip(bytes) } else { open_legacy(bytes) }?;
@@ -101,14 +96,14 @@ pub fn open(bytes: Vec<u8>) -> Result<Checkpoint> {
 }
 
 fn open_zip(bytes: Vec<u8>) -> Result<Checkpoint> {
-    let broken = |error: &dyn std::fmt::Display| wrong(format!("the archive cannot be read: {error}"));
     let most = bytes.len() as u64;
-    let mut archive = ZipArchive::new(Cursor::new(bytes)).map_err(|error| broken(&error))?;
+    let mut archive =
+        ZipArchive::new(Cursor::new(bytes)).map_err(|error| wrong(format!("the archive cannot be read: {error}")))?;
     if archive.len() > MOST_FILES {
         return Err(wrong(format!("the archive has {} files, more than {MOST_FILES}", archive.len())));
     }
-    let is_pickle = |name: &str| name == "data.pkl" || name.ends_with("/data.pkl");
-    let pickle = archive.file_names().filter_map(Result::ok).find(|name| is_pickle(name));
+    let pickle =
+        archive.file_names().filter_map(Result::ok).find(|name| *name == "data.pkl" || name.ends_with("/data.pkl"));
     let Some(root) = pickle.map(|name| name.trim_end_matches("data.pkl").to_string()) else {
         return Err(wrong("the archive has no data.pkl, so it is not a checkpoint of PyTorch"));
     };
@@ -135,29 +130,31 @@ fn read_entry(archive: &mut ZipArchive<Cursor<Vec<u8>>>, most: u64, name: &str) 
     Ok(bytes)
 }
 
+/// Reads the pickle at `at`, after which `at` is its end.
+fn next_pickle(bytes: &[u8], at: &mut usize, what: &str) -> Result<(Arena, ValueId)> {
+    let (arena, top, taken) = pickle::load(&bytes[*at..]).map_err(|error| match error {
+        PickleError::Class(_) => pickle_diagnostic(&error),
+        other => wrong(format!("{what} of the checkpoint cannot be read: {other}")),
+    })?;
+    *at += taken;
+    Ok((arena, top))
+}
+
 fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
     let mut at = 0;
-    let mut next = |what: &str| {
-        let (arena, top, taken) = pickle::load(&bytes[at..]).map_err(|error| match error {
-            PickleError::Class(_) => pickle_diagnostic(&error),
-            other => wrong(format!("{what} of the checkpoint cannot be read: {other}")),
-        })?;
-        at += taken;
-        Ok::<_, Diagnostic>((arena, top))
-    };
-    next("the magic number")?;
-    let (arena, version) = next("the version")?;
+    next_pickle(&bytes, &mut at, "the magic number")?;
+    let (arena, version) = next_pickle(&bytes, &mut at, "the version")?;
     if arena.get(version) != &Value::Int(1001) {
         return Err(wrong("the checkpoint has an unknown version"));
     }
-    let (arena, system) = next("the machine")?;
+    let (arena, system) = next_pickle(&bytes, &mut at, "the machine")?;
     if entry(&arena, system, "little_endian") == Some(&Value::Bool(false)) {
         return Err(wrong("the checkpoint's numbers are big-endian").help("save it on a little-endian machine"));
     }
-    let (arena, top) = next("the tensors")?;
+    let (arena, top) = next_pickle(&bytes, &mut at, "the tensors")?;
     let views = views(&arena, top)?;
     let dictionaries = dictionaries(&arena, top, &views);
-    let (arena, keys) = next("the list of storages")?;
+    let (arena, keys) = next_pickle(&bytes, &mut at, "the list of storages")?;
     let Value::List(keys) = arena.get(keys) else { return Err(wrong("the list of storages is not a list")) };
     let elements: BTreeMap<&str, Element> =
         views.iter().map(|(_, view)| (view.storage.as_str(), view.element)).collect();
@@ -181,7 +178,6 @@ fn open_legacy(bytes: Vec<u8>) -> Result<Checkpoint> {
     Ok(Checkpoint { container: Container::Legacy(bytes, ranges), views, dictionaries })
 }
 
-/// An entry of a dictionary.
 fn entry<'a>(arena: &'a Arena, dict: ValueId, key: &str) -> Option<&'a Value> {
     let Value::Dict(pairs) = arena.get(dict) else { return None };
     let found = pairs.iter().find(|pair| matches!(arena.get(pair.0), Value::Text(text) if text == key))?;
@@ -254,18 +250,8 @@ fn collect(arena: &Arena, id: ValueId, name: &str, depth: usize, views: &mut Vec
 
 /// Parses the arguments of `_rebuild_tensor_v2(storage, offset, size, stride, ..)`.
 fn view(arena: &Arena, arguments: &[ValueId], name: &str) -> Result<View> {
-    let bad = |what: &str| wrong(format!("tensor '{name}': {what}"));
+    let bad = |what: &str| wrong_tensor(name, what);
     let &[storage, offset, shape, strides, ..] = arguments else { return Err(bad("it lacks arguments")) };
-    let whole = |id: ValueId| match arena.get(id) {
-        Value::Int(x) => usize::try_from(*x).map_err(|_| bad("a negative number")),
-        _ => Err(bad("an invalid number")),
-    };
-    let list = |id: ValueId| match arena.get(id) {
-        Value::Tuple(items) | Value::List(items) if items.len() <= 8 => {
-            items.iter().map(|&item| whole(item)).collect::<Result<Vec<_>, _>>()
-        }
-        _ => Err(bad("a shape that is not a list, or has more than 8 axes")),
-    };
     let Value::Persistent(id) = arena.get(storage) else { return Err(bad("it has no storage")) };
     let Value::Tuple(parts) = arena.get(*id) else { return Err(bad("the description of its storage is invalid")) };
     let (Some(&word), Some(&class), Some(&key)) = (parts.first(), parts.get(1), parts.get(2)) else {
@@ -279,12 +265,33 @@ fn view(arena: &Arena, arguments: &[ValueId], name: &str) -> Result<View> {
         return Err(bad("its storage is a view of another").help("save it again with a later PyTorch"));
     }
     let element = element(class).ok_or_else(|| bad(&format!("numbers of type {class} are not supported")))?;
-    let view =
-        View { storage: key.clone(), element, offset: whole(offset)?, shape: list(shape)?, strides: list(strides)? };
+    let offset = whole(arena, offset, name)?;
+    let (shape, strides) = (whole_numbers(arena, shape, name)?, whole_numbers(arena, strides, name)?);
+    let view = View { storage: key.clone(), element, offset, shape, strides };
     if view.shape.len() != view.strides.len() {
         return Err(bad("its shape and strides differ in length"));
     }
     Ok(view)
+}
+
+fn wrong_tensor(name: &str, what: &str) -> Diagnostic {
+    wrong(format!("tensor '{name}': {what}"))
+}
+
+fn whole(arena: &Arena, id: ValueId, name: &str) -> Result<usize> {
+    match arena.get(id) {
+        Value::Int(x) => usize::try_from(*x).map_err(|_| wrong_tensor(name, "a negative number")),
+        _ => Err(wrong_tensor(name, "an invalid number")),
+    }
+}
+
+fn whole_numbers(arena: &Arena, id: ValueId, name: &str) -> Result<Vec<usize>> {
+    match arena.get(id) {
+        Value::Tuple(items) | Value::List(items) if items.len() <= 8 => {
+            items.iter().map(|&item| whole(arena, item, name)).collect()
+        }
+        _ => Err(wrong_tensor(name, "a shape that is not a list, or has more than 8 axes")),
+    }
 }
 
 impl Checkpoint {
@@ -306,9 +313,7 @@ impl Checkpoint {
     }
 
     /// The numbers of a tensor in C order.
-    ///
-    /// # Errors
-    /// `import.torch` when there is no such tensor, or its storage is too small.
+    /// Errors: `import.torch` when there is no such tensor, or its storage is too small.
     pub fn tensor(&mut self, name: &str) -> Result<Vec<f64>> {
         let Some((_, view)) = self.views.iter().find(|(key, _)| key == name) else {
             return Err(wrong(format!("there is no tensor '{name}'")));
@@ -320,19 +325,18 @@ impl Checkpoint {
             }
             Container::Legacy(bytes, ranges) => match ranges.get(&view.storage) {
                 Some(range) => numbers(&bytes[range.clone()], view, name),
-                None => Err(wrong(format!("tensor '{name}': storage '{}' is missing", view.storage))),
+                None => Err(wrong_tensor(name, &format!("storage '{}' is missing", view.storage))),
             },
         }
     }
 }
 
 fn numbers(bytes: &[u8], view: &View, name: &str) -> Result<Vec<f64>> {
-    let bad = |what: &str| wrong(format!("tensor '{name}': {what}"));
     let size = view.element.bytes();
     let there = bytes.len() / size;
     let count = view.shape.iter().try_fold(1usize, |product, &axis| product.checked_mul(axis));
     let Some(count) = count.filter(|&count| count <= there) else {
-        return Err(bad(&format!("shape {:?} of a storage of {there} numbers", view.shape)));
+        return Err(wrong_tensor(name, &format!("shape {:?} of a storage of {there} numbers", view.shape)));
     };
     if count == 0 {
         return Ok(Vec::new());
@@ -343,7 +347,7 @@ fn numbers(bytes: &[u8], view: &View, name: &str) -> Result<Vec<f64>> {
         .zip(&view.strides)
         .try_fold(view.offset, |end, (&axis, &stride)| end.checked_add(stride.checked_mul(axis.checked_sub(1)?)?));
     if span.is_none_or(|last| last >= there) {
-        return Err(bad(&format!("strides {:?} leave its storage of {there} numbers", view.strides)));
+        return Err(wrong_tensor(name, &format!("strides {:?} leave its storage of {there} numbers", view.strides)));
     }
     let mut index = vec![0usize; view.shape.len()];
     let mut reals = Vec::with_capacity(count);
@@ -351,7 +355,7 @@ fn numbers(bytes: &[u8], view: &View, name: &str) -> Result<Vec<f64>> {
         let at = view.offset + index.iter().zip(&view.strides).map(|(i, stride)| i * stride).sum::<usize>();
         let real = view.element.number(&bytes[at * size..(at + 1) * size], false).real();
         if !real.is_finite() {
-            return Err(bad(&format!("the number at {index:?} is {real}")));
+            return Err(wrong_tensor(name, &format!("the number at {index:?} is {real}")));
         }
         reals.push(real);
         for (place, &axis) in index.iter_mut().zip(&view.shape).rev() {

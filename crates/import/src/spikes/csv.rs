@@ -36,11 +36,11 @@ impl Columns {
 
 /// Whether a row is the header of such a file.
 pub fn is_header(row: &str) -> bool {
-    Columns::from_header(&fields(row).collect::<Vec<_>>()).is_some()
+    Columns::from_header(&fields_of(row).collect::<Vec<_>>()).is_some()
 }
 
 /// The fields of a row, without spaces and quotes around them.
-fn fields(row: &str) -> impl Iterator<Item = &str> {
+fn fields_of(row: &str) -> impl Iterator<Item = &str> {
     row.split(',').map(|field| {
         let field = field.trim();
         field.strip_prefix('"').and_then(|field| field.strip_suffix('"')).unwrap_or(field)
@@ -65,64 +65,56 @@ pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     from_bytes(path, read_bytes(path, MOST_EVENT_TEXT)?, units)
 }
 
-/// Reads the bytes of a file.
-///
-/// # Errors
-/// As [`read`].
+/// Reads the bytes of a file. Errors: those of [`read`].
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>> {
     let size = bytes.len() as u64;
     let source = decode(path, bytes)?;
     let comments = Comments::read(&source)?;
     let mut columns = Columns { step: 0, channel: 1, sample: None };
     let mut first = true;
-    let mut row = Vec::new();
+    let mut fields = Vec::new();
     let mut samples: Vec<Vec<(u32, u32)>> = Vec::new();
     let mut last = None;
     for (at, line) in lines(source.text()) {
         if line.trim().is_empty() || line.starts_with('#') {
             continue;
         }
-        row.clear();
-        row.extend(fields(line));
-        let problem = |code, message: String| problem(&source, at, code, message);
-        if std::mem::take(&mut first) && row.iter().any(|field| field.parse::<f64>().is_err()) {
-            columns = Columns::from_header(&row).ok_or_else(|| {
-                let header = row.join(",");
-                problem("input.csv", format!("header '{}' is not supported", shortened(&header))).help(
+        fields.clear();
+        fields.extend(fields_of(line));
+        let row = Row { source: &source, start: at, fields: &fields };
+        if std::mem::take(&mut first) && fields.iter().any(|field| field.parse::<f64>().is_err()) {
+            columns = Columns::from_header(&fields).ok_or_else(|| {
+                let header = fields.join(",");
+                row.problem("input.csv", format!("header '{}' is not supported", shortened(&header))).help(
                     "columns are timestep,channel or sample,timestep,channel, or t_us,x,y,p for events, in any order",
                 )
             })?;
             continue;
         }
-        if row.len() != columns.count() {
-            let message = format!("the row has {} columns, not {}", row.len(), columns.count());
-            return Err(problem("input.csv", message)
+        if fields.len() != columns.count() {
+            let message = format!("the row has {} columns, not {}", fields.len(), columns.count());
+            return Err(row
+                .problem("input.csv", message)
                 .help("each row is timestep,channel; a third column needs a header that names it 'sample'"));
         }
-        let number = |column: usize, what: &str| {
-            row[column].parse::<u32>().map_err(|_| {
-                let message = format!("{what} '{}' is not a whole number from 0 to 2^32 - 1", shortened(row[column]));
-                problem("input.csv", message)
-            })
-        };
-        let (step, channel) = (number(columns.step, "timestep")?, number(columns.channel, "channel")?);
+        let (step, channel) = (row.number(columns.step, "timestep")?, row.number(columns.channel, "channel")?);
         if u64::from(channel) >= units {
             let message = format!("channel {channel} is outside the population's 0..{units}");
-            return Err(problem("input.channel", message));
+            return Err(row.problem("input.channel", message));
         }
         let limit = comments.steps.unwrap_or(MOST_STEPS);
         if step >= limit {
             let message = format!("timestep {step} is outside the recording's 0..{limit}");
-            return Err(problem("input.step", message));
+            return Err(row.problem("input.step", message));
         }
-        let sample = columns.sample.map_or(Ok(0), |column| number(column, "sample"))? as usize;
+        let sample = columns.sample.map_or(Ok(0), |column| row.number(column, "sample"))? as usize;
         last = last.max(Some(step));
         if sample >= samples.len() {
             // Samples that rows skip are silent and count in full.
             let steps = u64::from(comments.steps.or(last.map(|last| last + 1)).unwrap_or(1));
             if let Err(exceeded) = Budget::for_file(size, MOST_EVENTS, 1).samples(sample as u64 + 1, steps) {
                 let message = format!("sample {sample} makes the recording too long: {exceeded}");
-                return Err(problem("input.step", message));
+                return Err(row.problem("input.step", message));
             }
             samples.resize_with(sample + 1, Vec::new);
         }
@@ -147,8 +139,29 @@ pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<Populat
         return Err(Diagnostic::new("input.step", message).in_file(source.path()));
     }
     let (name, label) = (source.path().display().to_string(), comments.label);
-    let spikes = |events| PopulationSpikes { steps, label, events, name: name.clone(), ..Default::default() };
-    Ok(samples.into_iter().map(spikes).collect())
+    let recording = PopulationSpikes { steps, label, name, ..PopulationSpikes::default() };
+    Ok(samples.into_iter().map(|events| PopulationSpikes { events, ..recording.clone() }).collect())
+}
+
+/// A row of a file, which begins at the byte `start`.
+struct Row<'a> {
+    source: &'a SourceText,
+    start: usize,
+    fields: &'a [&'a str],
+}
+
+impl Row<'_> {
+    fn problem(&self, code: &'static str, message: String) -> Diagnostic {
+        problem(self.source, self.start, code, message)
+    }
+
+    fn number(&self, column: usize, what: &str) -> Result<u32> {
+        let field = self.fields[column];
+        field.parse().map_err(|_| {
+            let message = format!("{what} '{}' is not a whole number from 0 to 2^32 - 1", shortened(field));
+            self.problem("input.csv", message)
+        })
+    }
 }
 
 /// Facts about the recording in comments.

@@ -14,8 +14,8 @@ pub const MANIFEST: &str = "dataset.ron";
 fn sample_name(name: &str) -> Option<(u64, u32)> {
     let (stem, _) = name.rsplit_once('.')?;
     let (index, label) = stem.strip_prefix("sample_")?.split_once("_label_")?;
-    let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-    (plain(index) && plain(label)).then(|| Some((index.parse().ok()?, label.parse().ok()?)))?
+    let plain = [index, label].iter().all(|text| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit()));
+    if plain { Some((index.parse().ok()?, label.parse().ok()?)) } else { None }
 }
 
 /// A sort key that compares the numbers within a name by their value.
@@ -28,9 +28,7 @@ fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
 /// Sample number, label and path of each recording of a folder, sorted by number. When no name has
 /// a number and a label, every recording of events is a sample without a label. They are then
 /// sorted by name, with numbers in names by value.
-///
-/// # Errors
-/// `input.folder` for no recording, or two of one number; `input.unfinished`; `io.*`.
+/// Errors: `input.folder` for no recording, or two of one number; `input.unfinished`; `io.*`.
 pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     let unreadable =
         |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);
@@ -44,7 +42,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
             .help("run `nsim scene .. -o` on this folder again")
             .in_file(folder));
     }
-    let mut found = BTreeMap::new();
+    let mut samples = BTreeMap::new();
     let mut others = Vec::new();
     for path in disk::list(folder).map_err(unreadable)? {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -54,7 +52,7 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
         };
         match named {
             Some((index, label)) => {
-                if found.insert(index, (Some(label), path)).is_some() {
+                if samples.insert(index, (Some(label), path)).is_some() {
                     return Err(Diagnostic::new("input.folder", format!("two files are sample {index}"))
                         .help("keep one file for each sample, sample_<i>_label_<c>.npy")
                         .in_file(folder));
@@ -63,13 +61,13 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
             None => others.push((name, path)),
         }
     }
-    if found.is_empty() {
-        let is_recording = |path: &Path| matches!(FileKind::detect(path), Ok(FileKind::Events(_)));
-        let mut events: Vec<_> = others.iter().filter(|(_, path)| is_recording(path)).collect();
+    if samples.is_empty() {
+        let mut events: Vec<&(String, PathBuf)> = others.iter().collect();
+        events.retain(|(_, path)| matches!(FileKind::detect(path), Ok(FileKind::Events(_))));
         events.sort_by_cached_key(|(name, _)| natural_order(name));
-        found = events.iter().zip(0..).map(|((_, path), index)| (index, (None, path.clone()))).collect();
+        samples = events.iter().zip(0..).map(|((_, path), index)| (index, (None, path.clone()))).collect();
     }
-    if found.is_empty() {
+    if samples.is_empty() {
         others.sort();
         let missing =
             Diagnostic::new("input.folder", "the folder holds no sample_<i>_label_<c>.npy and no recording of events")
@@ -85,5 +83,5 @@ pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
         };
         return Err(missing.help(help));
     }
-    Ok(found.into_iter().map(|(index, (label, path))| (index, label, path)).collect())
+    Ok(samples.into_iter().map(|(index, (label, path))| (index, label, path)).collect())
 }

@@ -52,9 +52,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest> {
 }
 
 /// A manifest from its text; its recordings are in the folder of `source`.
-///
-/// # Errors
-/// As [`read_manifest`].
+/// Errors: those of [`read_manifest`].
 pub fn from_source(source: SourceText) -> Result<Manifest> {
     let set: DataSet = parse(&source, "dataset.syntax")?;
     let whole = |code, message: String| Diagnostic::new(code, message).in_file(source.path());
@@ -142,9 +140,7 @@ impl Manifest {
     }
 
     /// The name in `files` of the recordings for a population of the model.
-    ///
-    /// # Errors
-    /// `dataset.population` with the populations of the data set.
+    /// Errors: `dataset.population` with the populations of the data set.
     pub fn recording_name(&self, population: &str) -> Result<&str> {
         let mut populations = self.set.populations.iter();
         let Some((name, _)) = populations.find(|(_, for_population)| *for_population == population) else {
@@ -162,14 +158,12 @@ impl Manifest {
         let mut labels = BTreeMap::new();
         if self.set.splits.is_empty() {
             let all = 0..samples as u32;
-            let split = |fold: &Spanned<Vec<u32>>| {
+            let splits = self.set.folds.iter().map(|fold| {
                 let tested: BTreeSet<u32> = fold.value.iter().copied().collect();
-                Split {
-                    train: all.clone().filter(|sample| !tested.contains(sample)).collect(),
-                    test: fold.value.clone(),
-                }
-            };
-            return Ok((self.set.folds.iter().map(split).collect(), labels));
+                let train = all.clone().filter(|sample| !tested.contains(sample)).collect();
+                Split { train, test: fold.value.clone() }
+            });
+            return Ok((splits.collect(), labels));
         }
         let mut splits = Vec::new();
         for entry in &self.set.splits {
@@ -201,8 +195,10 @@ impl Manifest {
     /// The result of `read` on a file for a population.
     fn read_recording<T>(
         &self,
-        (name, file): (&str, &Spanned<String>),
-        (population, expected): (&str, &InputSpec),
+        name: &str,
+        file: &Spanned<String>,
+        population: &str,
+        expected: &InputSpec,
         read: impl Fn(&Path, Request<'_>) -> Result<T>,
     ) -> Result<T> {
         let path = sibling_path(self.source.path(), &file.value);
@@ -223,7 +219,7 @@ impl Manifest {
             return Err(Diagnostic::new("dataset.samples", message).in_file(self.source.path()));
         };
         let file = &entry.value.files[name];
-        let mut spikes = self.read_recording((name, file), (population, expected), read_sample)?;
+        let mut spikes = self.read_recording(name, file, population, expected, read_sample)?;
         spikes.label = entry.label.or(spikes.label);
         self.check_steps(&mut spikes, file)?;
         Ok(spikes)
@@ -259,7 +255,7 @@ impl Manifest {
         } else {
             let name = self.recording_name(population)?;
             let file = &self.set.recordings[name];
-            let mut all = self.read_recording((name, file), (population, expected), read)?;
+            let mut all = self.read_recording(name, file, population, expected, read)?;
             for spikes in &mut all {
                 self.check_steps(spikes, file)?;
             }
@@ -280,8 +276,8 @@ impl Manifest {
             *known = Some(label);
         }
         let classes = self.set.classes.len();
-        let beyond = |spikes: &PopulationSpikes| spikes.label.is_some_and(|label| label as usize >= classes);
-        if let Some(sample) = all.iter().position(beyond).filter(|_| classes > 0) {
+        let beyond = all.iter().position(|spikes| spikes.label.is_some_and(|label| label as usize >= classes));
+        if let Some(sample) = beyond.filter(|_| classes > 0) {
             let message = format!("the label of sample {sample} is outside the {classes} classes");
             return Err(Diagnostic::new("dataset.label", message).in_file(self.source.path()));
         }
@@ -308,35 +304,41 @@ impl Manifest {
     }
 }
 
+/// A whole number, which NumPy writes in tables as 1.000e+00.
+fn whole_number(text: &str) -> Option<u32> {
+    let value: f64 = text.parse().ok()?;
+    (value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value)).then_some(value as u32)
+}
+
+fn problem_of_row(code: &'static str, message: String) -> Diagnostic {
+    Diagnostic::new(code, message).help("a row has a sample number, from 0, and a label")
+}
+
 /// The samples of a list of rows `sample label`, which must not contain samples of `other`.
 fn parse_sample_list(source: &SourceText, other: &BTreeSet<u32>, labels: &mut BTreeMap<u32, u32>) -> Result<Vec<u32>> {
     let (mut samples, mut seen) = (Vec::new(), BTreeSet::new());
     for (start, line) in lines(source.text()) {
         let row = line.split('#').next().unwrap_or_default();
         let span = Span { start: start + row.len() - row.trim_start().len(), end: start + row.trim_end().len() };
-        let fields: Vec<&str> = row.split_whitespace().collect();
-        if fields.is_empty() {
+        if row.trim().is_empty() {
             continue;
         }
-        let wrong = |code, message: String| {
-            Err(Diagnostic::new(code, message).help("a row has a sample number, from 0, and a label").at(source, span))
-        };
-        // NumPy writes whole numbers in tables as 1.000e+00.
-        let whole = |text: &str| {
-            let value: f64 = text.parse().ok()?;
-            (value.fract() == 0.0 && (0.0..=f64::from(u32::MAX)).contains(&value)).then_some(value as u32)
-        };
-        let [Some(sample), Some(label)] = *fields.iter().map(|field| whole(field)).collect::<Vec<_>>() else {
-            return wrong("dataset.split", format!("'{}' is not a sample number and a label", row.trim()));
+        let [Some(sample), Some(label)] = *row.split_whitespace().map(whole_number).collect::<Vec<_>>() else {
+            let message = format!("'{}' is not a sample number and a label", row.trim());
+            return Err(problem_of_row("dataset.split", message).at(source, span));
         };
         if !seen.insert(sample) {
-            return wrong("dataset.split", format!("sample {sample} is listed twice"));
+            return Err(problem_of_row("dataset.split", format!("sample {sample} is listed twice")).at(source, span));
         }
         if other.contains(&sample) {
-            return wrong("dataset.split", format!("sample {sample} is also trained on"));
+            return Err(problem_of_row("dataset.split", format!("sample {sample} is also trained on")).at(source, span));
         }
         if let Some(before) = labels.insert(sample, label).filter(|before| *before != label) {
-            return wrong("dataset.label", format!("sample {sample} has label {label} here and {before} before"));
+            return Err(problem_of_row(
+                "dataset.label",
+                format!("sample {sample} has label {label} here and {before} before"),
+            )
+            .at(source, span));
         }
         samples.push(sample);
     }

@@ -22,7 +22,6 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 /// The most bytes of an unpacked array, since few compressed bytes may claim many.
 const MOST_UNPACKED: u64 = 256 << 20;
-/// The most files of an archive.
 const MOST_ARRAYS: usize = 4096;
 const SPIKES: [&str; 4] = ["spikes", "x", "data", "arr_0"];
 const LABELS: [&str; 3] = ["labels", "y", "targets"];

@@ -21,7 +21,6 @@ use nsim_ir::base::warning::{Warning, WarningCode};
 /// The population and the options for which a source is read.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Request<'a> {
-    /// The name of the population.
     pub(super) population: &'a str,
     pub(super) expected: &'a InputSpec,
     /// The options after the `?` of the source.
@@ -106,7 +105,6 @@ pub(super) fn takes_no_options(path: &Path, options: &EventOptions) -> Result<()
     Err(Diagnostic::new("input.kind", message).help(format!("options are for {RECORDINGS}")).in_file(path))
 }
 
-/// The options of an array.
 fn array_options(path: &Path, Request { options, expected, .. }: Request<'_>) -> Result<ArrayOptions> {
     let message = "an array already has timesteps: it supports the options polarity and least only";
     let array = options.array_options().map(|options| ArrayOptions { values: expected.values, ..options });

@@ -49,31 +49,29 @@ impl Detail {
 
     /// Returns a line for each process that ran a part.
     pub fn ranks_text(&self) -> String {
-        let line = |row: &RankRow| {
-            let RankRow { rank, chips, compartments, synapses, peak_mib } = row;
+        let lines = self.ranks.iter().map(|RankRow { rank, chips, compartments, synapses, peak_mib }| {
             let peak = peak_mib.map_or(String::new(), |mib| format!(", {mib:.0} MiB at most"));
             format!("rank {rank}: {chips} chips, {compartments} compartments, {synapses} synapses{peak}\n")
-        };
-        self.ranks.iter().map(line).collect()
+        });
+        lines.collect()
     }
 
     /// Returns a table of the cores that were slowest in most steps, at most `most` of them. Of
     /// cores with equal times in every step, only the first is listed, with their number.
     pub fn slowest_text(&self, most: usize) -> String {
-        let spent = |row: &CoreRow| row.spent.map_or(0, |spent| spent.slowest_steps);
-        let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| spent(row) > 0).collect();
-        rows.sort_by_key(|row| std::cmp::Reverse(spent(row)));
+        let mut rows: Vec<&CoreRow> = self.cores.iter().filter(|row| slowest_steps(row) > 0).collect();
+        rows.sort_by_key(|row| std::cmp::Reverse(slowest_steps(row)));
         rows.truncate(most);
         if rows.is_empty() {
             return String::new();
         }
-        let identical = |row: &CoreRow| self.cores.iter().filter(|other| other.counts == row.counts).count();
-        let rows: Vec<(&CoreRow, usize)> = rows.into_iter().map(|row| (row, identical(row))).collect();
+        let identical = rows.iter().map(|row| self.cores.iter().filter(|other| other.counts == row.counts).count());
+        let rows: Vec<(&CoreRow, usize)> = rows.iter().copied().zip(identical).collect();
         let columns: [Column<(&CoreRow, usize)>; 8] = [
             ("core", |(row, _)| row.core.0.to_string()),
             ("chip", |(row, _)| row.chip.to_string()),
             ("like it", |(_, identical)| identical.to_string()),
-            ("slowest in steps", |(row, _)| row.spent.map_or(0, |spent| spent.slowest_steps).to_string()),
+            ("slowest in steps", |(row, _)| slowest_steps(row).to_string()),
             ("busy us", |(row, _)| row.spent.map_or(0.0, |spent| spent.busy.0 as f64 / 1e6).round().to_string()),
             ("energy nJ", |(row, _)| three(row.spent.map_or(0.0, |spent| spent.energy.total().0 as f64 / 1e6))),
             ("spikes", |(row, _)| row.counts.spikes.to_string()),
@@ -85,9 +83,14 @@ impl Detail {
     }
 }
 
+fn slowest_steps(row: &CoreRow) -> u64 {
+    row.spent.map_or(0, |spent| spent.slowest_steps)
+}
+
 fn rank_rows<S: Serializer>(rows: &[RankRow], serializer: S) -> Result<S::Ok, S::Error> {
-    let rounded = |row: &RankRow| RankRow { peak_mib: row.peak_mib.map(|mib| (mib * 10.0).round() / 10.0), ..*row };
-    serializer.collect_seq(rows.iter().map(rounded))
+    serializer.collect_seq(
+        rows.iter().map(|row| RankRow { peak_mib: row.peak_mib.map(|mib| (mib * 10.0).round() / 10.0), ..*row }),
+    )
 }
 
 fn core_rows<S: Serializer>(rows: &[CoreRow], serializer: S) -> Result<S::Ok, S::Error> {
@@ -101,10 +104,9 @@ fn core_json(row: &CoreRow) -> Value {
         "messages_in": row.counts.messages_in,
     });
     if let Some(spent) = row.spent {
-        let picojoules = |femtojoules: u128| femtojoules as f64 / 1e3;
         let parts = spent.energy.parts().into_iter().filter(|(name, _)| *name != "hop");
-        object["energy_pj"] = json!(picojoules(spent.energy.total().0));
-        object["energy_parts_pj"] = parts.map(|(name, part)| (name.to_string(), json!(picojoules(part.0)))).collect();
+        object["energy_pj"] = json!(spent.energy.total().0 as f64 / 1e3);
+        object["energy_parts_pj"] = parts.map(|(name, part)| (name.to_string(), json!(part.0 as f64 / 1e3))).collect();
         object["busy_us"] = json!(spent.busy.0 as f64 / 1e6);
         object["slowest_steps"] = json!(spent.slowest_steps);
     }

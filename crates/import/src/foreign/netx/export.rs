@@ -87,7 +87,6 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     check_neurons(model)?;
     let mut notes = Vec::new();
     let mut layers = Group::default();
-    let is_input = |population: &PopulationDesc| population.loihi.is_none() && population.srm.is_none();
     let inputs = model.populations.iter().filter(|population| is_input(population)).count();
     let last = model.populations.last().map(|population| &population.name);
     if inputs != 1 || !model.populations.first().is_some_and(is_input) || last != Some(&model.output) {
@@ -117,8 +116,7 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
             layer.insert("bias", numbers(&bias));
         }
         if layer.text("type") == Some("dense") && before.loihi.is_some() && before.shape.len() == 3 {
-            let flat = Group::default().with("type", "flatten").with("shape", ints(&[before.units()]));
-            layers.insert(&number.to_string(), flat);
+            layers.insert(&number.to_string(), typed("flatten", &[before.units()]));
             number += 1;
         }
         layers.insert(&number.to_string(), layer);
@@ -130,6 +128,10 @@ pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     let simulation = Group::default().with("Ts", Numbers::f64(&[], &[model.timestep_ms]));
     let root = Group::default().with("layer", layers).with("simulation", simulation);
     Ok((root.with(GROUP, model_metadata(model)?), notes))
+}
+
+fn is_input(population: &PopulationDesc) -> bool {
+    population.loihi.is_none() && population.srm.is_none()
 }
 
 fn int(number: i64) -> Numbers {
@@ -188,9 +190,45 @@ fn neuron(population: &PopulationDesc, notes: &mut Vec<String>) -> Result<Group>
 /// The bias in units of netx, unless it is 0.
 fn bias(population: &PopulationDesc) -> Option<Parameter> {
     let (unit, mantissa) = (netx_neuron(population.kind)?.bias?, population.parameter("bias_mant")?);
-    let exponent = |at: usize| population.parameter("bias_exp").map_or(0.0, |exponent| exponent.get(at));
-    let each = (0..population.units() as usize).map(|at| mantissa.get(at) * exponent(at).exp2() / unit).collect();
-    Some(Parameter::from_values(each)).filter(|bias| *bias != Parameter::Same(0.0))
+    let biases = (0..population.units() as usize).map(|at| {
+        let exponent = population.parameter("bias_exp").map_or(0.0, |exponent| exponent.get(at));
+        mantissa.get(at) * exponent.exp2() / unit
+    });
+    Some(Parameter::from_values(biases.collect())).filter(|bias| *bias != Parameter::Same(0.0))
+}
+
+fn typed(kind: &str, shape: &[u64]) -> Group {
+    Group::default().with("type", kind).with("shape", ints(shape))
+}
+
+fn pair(pair: (u64, u64)) -> Numbers {
+    ints(&[pair.0, pair.1])
+}
+
+/// A layer with the fields of its window, whose padding at the end is `after`.
+fn with_window(layer: Group, [stride, padding, dilation]: Step, after: (u64, u64), name: &str) -> Result<Group> {
+    match after == padding {
+        true => Ok(layer.with("stride", pair(stride)).with("padding", pair(padding)).with("dilation", pair(dilation))),
+        false => Err(unsupported(format!("the window into '{name}' pads the image differently before and after it"))),
+    }
+}
+
+/// The weights of a projection as `[target][source]`.
+fn matrix(projection: &ProjectionDesc, sources: u64, targets: u64) -> Result<Numbers> {
+    let (rows, columns) = (targets as usize, sources as usize);
+    let weights = match &projection.kind {
+        ProjectionKind::Dense(weights) => weights.tensor().reals().collect(),
+        ProjectionKind::Sparse(synapses) if targets.saturating_mul(sources) <= MOST_MATRIX => {
+            let mut matrix = vec![0.0; rows * columns];
+            synapses.iter().for_each(|&(from, to, w)| matrix[to as usize * columns + from as usize] += w);
+            matrix
+        }
+        _ => {
+            let (kind, name) = (projection.kind_name(), &projection.to);
+            return Err(unsupported(format!("netx does not support the {kind} projection into '{name}'")));
+        }
+    };
+    Ok(Numbers::f64(&[rows, columns], &integer_weights(projection, weights)?))
 }
 
 /// A layer without its neurons: its type, shape and weights.
@@ -221,46 +259,25 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
         if !identity || !is_input || first.weight_exp.unwrap_or(0) != 0 {
             return Err(unsupported(format!("'{name}' sends changes, but does not receive the input unchanged")));
         }
-        return Ok(Group::default().with("type", "input").with("shape", ints(&population.shape)));
+        return Ok(typed("input", &population.shape));
     }
-    let pair = |(y, x): (u64, u64)| ints(&[y, x]);
-    let window = |layer: Group, [stride, padding, dilation]: Step, after: (u64, u64)| match after == padding {
-        true => Ok(layer.with("stride", pair(stride)).with("padding", pair(padding)).with("dilation", pair(dilation))),
-        false => Err(unsupported(format!("the window into '{name}' pads the image differently before and after it"))),
-    };
-    let typed = |kind: &str, shape: &[u64]| Group::default().with("type", kind).with("shape", ints(shape));
     match &first.kind {
         ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups } if into.len() == 1 => {
             let kernel = weights.tensor();
             let weights = integer_weights(first, kernel.reals())?;
             let layer = typed("conv", &population.shape).with("groups", int(*groups as i64));
             let layer = layer.with("weight", Numbers::f64(kernel.shape(), &weights));
-            window(layer, [*stride, *padding, *dilation], *padding_after)
+            with_window(layer, [*stride, *padding, *dilation], *padding_after, name)
         }
         ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight } if into.len() == 1 => {
             let weights = integer_weights(first, vec![*weight; (kernel.0 * kernel.1) as usize])?;
             let weights = Numbers::f64(&[1, 1, kernel.0 as usize, kernel.1 as usize], &weights);
             let layer = typed("pool", &population.shape).with("kernelSize", pair(*kernel)).with("weight", weights);
-            window(layer, [*stride, *padding, (1, 1)], *padding_after)
+            with_window(layer, [*stride, *padding, (1, 1)], *padding_after, name)
         }
         _ => {
-            let matrix = |projection: &&ProjectionDesc| {
-                let sources = before.units() as usize;
-                let weights = match &projection.kind {
-                    ProjectionKind::Dense(weights) => weights.tensor().reals().collect(),
-                    ProjectionKind::Sparse(synapses) if flat[0].saturating_mul(before.units()) <= MOST_MATRIX => {
-                        let mut matrix = vec![0.0; flat[0] as usize * sources];
-                        synapses.iter().for_each(|&(from, to, w)| matrix[to as usize * sources + from as usize] += w);
-                        matrix
-                    }
-                    _ => {
-                        let kind = projection.kind_name();
-                        return Err(unsupported(format!("netx does not support the {kind} projection into '{name}'")));
-                    }
-                };
-                Ok(Numbers::f64(&[flat[0] as usize, sources], &integer_weights(projection, weights)?))
-            };
-            let weights: Vec<Numbers> = into.iter().map(matrix).collect::<Result<_>>()?;
+            let weights = into.iter().map(|projection| matrix(projection, before.units(), flat[0]));
+            let weights: Vec<Numbers> = weights.collect::<Result<_>>()?;
             let weights = match weights.as_slice() {
                 [real, imag] => Item::from(Group::default().with("real", real.clone()).with("imag", imag.clone())),
                 weights => Item::from(weights[0].clone()),
@@ -271,7 +288,6 @@ fn layer(before: &PopulationDesc, population: &PopulationDesc, into: &[&Projecti
     }
 }
 
-/// Weights times their exponent.
 fn integer_weights(projection: &ProjectionDesc, weights: impl IntoIterator<Item = f64>) -> Result<Vec<f64>> {
     let unit = (projection.weight_exp.unwrap_or(0) as f64).exp2();
     let scaled: Vec<f64> = weights.into_iter().map(|weight| weight * unit).collect();

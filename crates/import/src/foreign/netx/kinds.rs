@@ -39,8 +39,7 @@ impl Reader<'_> {
             if layer.numbers(key)?.len() as u64 != count {
                 return Err(layer.wrong(format!("'{key}' does not have {count} numbers")));
             }
-            let dense = |weights| ProjectionKind::Dense(tensor(matrix.clone(), weights));
-            self.project(layer, &source, &name, key, dense)?;
+            self.project(layer, &source, &name, key, |weights| ProjectionKind::Dense(tensor(matrix.clone(), weights)))?;
             if let Some(projection) = self.model.projections.last_mut() {
                 projection.port = port;
             }
@@ -57,8 +56,7 @@ impl Reader<'_> {
             // SLAYER feeds back the spikes of the previous step, so the delay field is 0. The
             // layer's own delay applies to the next layer only.
             let undelayed = LastPopulation { delays: Vec::new(), ..recurrent };
-            let dense = |weights| ProjectionKind::Dense(tensor(square, weights));
-            self.project(layer, &undelayed, &name, key, dense)?;
+            self.project(layer, &undelayed, &name, key, |weights| ProjectionKind::Dense(tensor(square, weights)))?;
         }
         self.delays(layer)
     }
@@ -186,8 +184,7 @@ impl Reader<'_> {
             return Err(layer.wrong(format!("{weights_there} weights for a kernel of {kernel_size}")));
         }
         self.project(layer, &source, &name, "weight", |weights| {
-            let synapse = |(to, from, at)| (from, to, weights[at % weights.len()]);
-            ProjectionKind::Sparse(synapses.map(synapse).collect())
+            ProjectionKind::Sparse(synapses.map(|(to, from, at)| (from, to, weights[at % weights.len()])).collect())
         })?;
         self.delays(layer)
     }

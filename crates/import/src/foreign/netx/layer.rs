@@ -9,7 +9,6 @@ use crate::foreign::imported::wrong_option;
 use crate::foreign::window::Step;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// A layer of the file.
 pub(super) struct Layer<'a> {
     pub(super) number: u32,
     pub(super) kind: String,
@@ -25,7 +24,6 @@ impl Layer<'_> {
         Diagnostic::new("import.unsupported", format!("layer {} ({}): {message}", self.number, self.kind)).help(help)
     }
 
-    /// Whether its weights are complex numbers.
     pub(super) fn is_complex(&self) -> bool {
         self.group.group("weight").is_some()
     }
@@ -43,19 +41,26 @@ impl Layer<'_> {
         }
     }
 
+    /// One number, or its default.
+    pub(super) fn scalar(&self, key: &str, default: f64) -> Result<f64> {
+        match self.group.get(key) {
+            None => Ok(default),
+            Some(_) => self.group.number(key).ok_or_else(|| self.wrong(format!("'{key}' is not one number"))),
+        }
+    }
+
     /// A pair (y, x): two numbers, or one for both, from `least` to 65,535.
     pub(super) fn pair(&self, key: &str, default: (u64, u64), least: u64) -> Result<(u64, u64)> {
         if self.group.get(key).is_none() {
             return Ok(default);
         }
         let numbers = self.reals(key)?;
-        let whole = |x: f64| (x.fract() == 0.0 && (least as f64..=65_535.0).contains(&x)).then_some(x as u64);
-        let pair = match numbers.as_slice() {
-            [both] => whole(*both).map(|both| (both, both)),
-            [y, x] => whole(*y).zip(whole(*x)),
-            _ => None,
-        };
-        pair.ok_or_else(|| self.wrong(format!("'{key}' is {numbers:?}, not two whole numbers from {least}")))
+        let is_whole = numbers.iter().all(|x| x.fract() == 0.0 && (least as f64..=65_535.0).contains(x));
+        match numbers.as_slice() {
+            [both] if is_whole => Ok((*both as u64, *both as u64)),
+            [y, x] if is_whole => Ok((*y as u64, *x as u64)),
+            _ => Err(self.wrong(format!("'{key}' is {numbers:?}, not two whole numbers from {least}"))),
+        }
     }
 
     /// The shape of the layer's units: `[n]` or `[channels, height, width]`.

@@ -24,7 +24,7 @@ use super::nir::unmodified_model;
 use crate::foreign::nir::export::restore;
 use layer::Layer;
 use neuron::set_bias;
-use nsim_files::network::{NetworkFile, PopulationDesc, ProjectionDesc, ProjectionKind};
+use nsim_files::network::{NetworkFile, ProjectionDesc, ProjectionKind};
 use nsim_files::npy;
 use nsim_ir::arithmetic::{ResetDesc, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -36,7 +36,7 @@ use reader::{DEFAULT_BITS, Neurons, Reader, units, wrong};
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut notes = Vec::new();
-    let written = restore(root, export::GROUP, (["layer", "simulation"], "layers"), export::export);
+    let written = restore(root, export::GROUP, ["layer", "simulation"], "layers", export::export);
     if let Some(Ok(_)) = &written {
         options.refuse_unused("a model of nsim, restored unchanged", &[])?;
     }
@@ -152,10 +152,6 @@ impl Reader<'_> {
             Some(_) => Some(self.neuron(layer, &shape)?),
             None => None,
         };
-        let scalar = |key: &str, default: f64| match layer.group.get(key) {
-            None => Ok(default),
-            Some(_) => layer.group.number(key).ok_or_else(|| layer.wrong(format!("'{key}' is not one number"))),
-        };
         match (parameters, &self.options.image) {
             (Some(neurons), image) if neurons.kind != NeuronKind::Loihi => {
                 if image.is_some() {
@@ -164,7 +160,7 @@ impl Reader<'_> {
                 self.encoder(shape, neurons);
             }
             (Some(Neurons { mut parameters, .. }), Some(path)) => {
-                let (weight, bias) = (scalar("weight", 64.0)?.trunc(), scalar("bias", 0.0)?.trunc());
+                let (weight, bias) = (layer.scalar("weight", 64.0)?.trunc(), layer.scalar("bias", 0.0)?.trunc());
                 let drive = image(path, &shape)?;
                 // netx, `create_input`: an image of 0 to 1 becomes -weight to weight, rounded
                 // toward zero.
@@ -219,12 +215,12 @@ impl Reader<'_> {
     fn check_sizes(&mut self, layer: &Layer<'_>) -> Result<()> {
         let all: f64 = layer.reals("shape").unwrap_or_default().iter().product();
         let last = self.last.as_ref();
-        let weights = |key: &str| layer.group.numbers(key).map(Numbers::len);
         let kernel: Vec<f64> = match layer.kind.as_str() {
             "conv" | "convT" => layer.axes("weight", 4)?.iter().map(|&side| side as f64).collect(),
             _ => Vec::new(),
         };
-        let matrix = weights("weight").or(weights("weight/real")).map(|count| count as f64 / all);
+        let weights = layer.group.numbers("weight").or(layer.group.numbers("weight/real"));
+        let matrix = weights.map(|weights| weights.len() as f64 / all);
         for (key, right) in [
             ("outFeatures", vec![all]),
             ("inFeatures", last.map(|last| last.units() as f64).or(matrix).into_iter().collect()),
@@ -237,7 +233,6 @@ impl Reader<'_> {
         Ok(())
     }
 
-    /// Warns of a layer.
     pub(super) fn warn(&mut self, layer: &Layer<'_>, code: WarningCode, message: impl std::fmt::Display) {
         let message = format!("layer {} ({}): {message}", layer.number, layer.kind);
         self.warnings.push(Warning::of_network(code, message));
@@ -300,9 +295,8 @@ impl Reader<'_> {
             }
         }
         let exponents = [("--spike-exp", self.options.spike_exp), ("--state-exp", self.options.state_exp)];
-        let sends_changes = |p: &PopulationDesc| [NeuronKind::SigmaDelta, NeuronKind::Delta].contains(&p.kind);
         if let Some((name, _)) = exponents.iter().find(|(_, given)| given.is_some())
-            && !self.model.populations.iter().any(sends_changes)
+            && !self.model.populations.iter().any(|p| [NeuronKind::SigmaDelta, NeuronKind::Delta].contains(&p.kind))
         {
             let message = format!("{name} applies only to networks with SDNN neurons");
             return Err(wrong_option(message).help("leave it out"));
@@ -313,12 +307,9 @@ impl Reader<'_> {
         if self.model.populations.iter().any(|population| !population.kind.table().registers) {
             self.model.target = Some("oheo-gulch".to_string());
         }
-        let (model, notes, layers) = (self.model, self.notes, self.layers);
-        let mut imported = Imported { kind: "lava-dl netx", model, notes, layers, warnings: Vec::new(), reset: None };
-        self.warnings.into_iter().for_each(|warning| imported.warn(warning));
-        let mut imported = imported.with_decision(self.options.decision);
-        imported.model.provenance = Some(format!("imported from a lava-dl netx file; {}", imported.notes.join("; ")));
-        Ok(imported)
+        let imported = Imported::new("lava-dl netx", self.model, self.notes).with_warnings(self.warnings);
+        let imported = imported.with_decision(self.options.decision).with_provenance("a lava-dl netx file");
+        Ok(Imported { layers: self.layers, ..imported })
     }
 }
 
@@ -341,15 +332,12 @@ fn image(path: &std::path::Path, shape: &[u64]) -> Result<Vec<f64>> {
         [channels, height, width] => (channels, height, width),
         _ => (1, 1, shape.iter().product()),
     };
-    let real = |index: u64| tensor.real(index as usize) / scale;
     let channels_last = axes == [height, width, channels];
     if channels_last || axes == [channels, height, width] || (channels == 1 && axes == [height, width]) || axes == shape
     {
-        let place = |c: u64, p: u64| if channels_last { p * channels + c } else { c * height * width + p };
-        return Ok((0..channels)
-            .flat_map(|c| (0..height * width).map(move |p| (c, p)))
-            .map(|(c, p)| real(place(c, p)))
-            .collect());
+        let pixels = (0..channels).flat_map(|c| (0..height * width).map(move |p| (c, p)));
+        let places = pixels.map(|(c, p)| if channels_last { p * channels + c } else { c * height * width + p });
+        return Ok(places.map(|place| tensor.real(place as usize) / scale).collect());
     }
     Err(Diagnostic::new("import.image", format!("the image is {axes:?}, the input layer is {shape:?}"))
         .help("an image is [height, width, channels] or [channels, height, width]")

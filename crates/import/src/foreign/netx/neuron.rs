@@ -229,7 +229,6 @@ fn check_binary(layer: &Layer<'_>, kind: &str) -> Result<()> {
     }
 }
 
-/// Refuses unknown fields of a neuron.
 fn check_fields(layer: &Layer<'_>, kind: &str, known: &str) -> Result<()> {
     let mut keys = layer.group.group("neuron").into_iter().flat_map(|neuron| neuron.items.keys());
     match keys.find(|key| !known.split(' ').any(|known| known == *key)) {

@@ -25,7 +25,6 @@ pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
 /// The population whose spikes reach the next layer.
 #[derive(Debug, Clone)]
 pub(super) struct LastPopulation {
-    /// Its name.
     pub(super) name: String,
     pub(super) shape: Vec<u64>,
     /// Delay field of each of its units; empty without delays.

@@ -19,7 +19,6 @@ const MOST_GRID_STEPS: f64 = 16_384.0;
 /// Most names in a warning.
 const LISTED: usize = 4;
 
-/// Names for a message.
 fn listed(names: &[&str]) -> String {
     let shown: Vec<String> = names.iter().take(LISTED).map(|name| format!("'{name}'")).collect();
     let more = names.len().saturating_sub(LISTED);
@@ -94,7 +93,7 @@ impl Reader<'_> {
     /// Neurons whose v can equal the threshold, as weights and thresholds are multiples of one
     /// number.
     fn on_a_grid(&self, neurons: &[(&str, &Discrete)]) -> Option<Warning> {
-        let mut found = None;
+        let mut first_grid = None;
         let mut names = Vec::new();
         for &(name, neuron) in neurons {
             let weights = self.weights_to(name);
@@ -104,9 +103,9 @@ impl Reader<'_> {
                 continue;
             };
             names.push(name);
-            found.get_or_insert(grid);
+            first_grid.get_or_insert(grid);
         }
-        found.map(|grid| {
+        first_grid.map(|grid| {
             let message = format!(
                 "weights and thresholds of {} are multiples of {}, so v can equal the threshold, where a neuron does not \
                  spike here (v > threshold). Neurons of sinabs, spikingjelly and Rockpool spike there (v >= threshold): \
@@ -120,15 +119,13 @@ impl Reader<'_> {
 
     /// Neurons whose v may fall without a bound, as they have negative weights.
     fn unbounded(&self, neurons: &[(&str, &Discrete)]) -> Option<Warning> {
-        let negative = |neuron: &Discrete, name: &str| {
-            !all(&neuron.bias, |bias| bias >= 0.0) || self.weights_to(name).iter().any(|&weight| weight < 0.0)
-        };
-        let resetting = |neuron: &Discrete| neuron.reset != Reset::Never;
-        let names: Vec<&str> = neurons
-            .iter()
-            .filter(|(name, neuron)| resetting(neuron) && negative(neuron, name))
-            .map(|(name, _)| *name)
-            .collect();
+        let mut names = Vec::new();
+        for &(name, neuron) in neurons.iter().filter(|(_, neuron)| neuron.reset != Reset::Never) {
+            let has_negative_bias = !all(&neuron.bias, |bias| bias >= 0.0);
+            if has_negative_bias || self.weights_to(name).iter().any(|&weight| weight < 0.0) {
+                names.push(name);
+            }
+        }
         (!names.is_empty()).then(|| {
             let message = format!(
                 "the file does not state a lower bound of v, so none is assumed in {}. Networks that sinabs converts \

@@ -3,12 +3,13 @@
 //! Input: the nodes on a connection. Output: its shape, linear part, bias and delays.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 
 use super::export::by_channel;
 use super::filter::cannot_send;
-use super::linear::{Connection, Linear, Window, at, scaled, spread, sum_of_delays};
-use super::node_types::FILTER;
-use super::state::{MOST_UNITS, Reader, product, reals, unsupported, wrong};
+use super::linear::{Connection, Linear, Window, all_equal, at, scaled, spread, sum_of_delays};
+use super::node_types::{FILTER, Node};
+use super::state::{MOST_UNITS, Reader, axes, product, reals, unsupported, wrong};
 use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
@@ -46,17 +47,19 @@ impl Reader<'_> {
             "Pass" | "Output" => {
                 self.check_shape(name, units)?;
                 // Windows slide over these axes.
-                let axes =
-                    group.numbers("shape").map(|axes| axes.reals().map(|axis| axis as usize).collect::<Vec<_>>());
-                if let Some(volume) = axes.map(|axes| Self::volume(&axes)).filter(|volume| volume.len() == 3) {
-                    connection.shape = volume;
+                if let Some(shape) = group.numbers("shape") {
+                    let volume = Self::volume(&shape.reals().map(|axis| axis as usize).collect::<Vec<_>>());
+                    if volume.len() == 3 {
+                        connection.shape = volume;
+                    }
                 }
             }
             FILTER => self.apply_filter(&mut connection, name, units)?,
             // Populations are flattened in C order; files have no batch axis.
             "Flatten" => {
-                let dim = |key: &str, default: f64| group.number(key).unwrap_or(default);
-                let (start, end, axes) = (dim("start_dim", 1.0), dim("end_dim", -1.0), connection.shape.len() as f64);
+                let start = group.number("start_dim").unwrap_or(1.0);
+                let end = group.number("end_dim").unwrap_or(-1.0);
+                let axes = connection.shape.len() as f64;
                 if !(start == 0.0 || start == 1.0) || !(end == -1.0 || end >= axes - 1.0) {
                     return Err(unsupported(
                         format!("node '{name}' flattens only the axes {start} to {end} of {:?}", connection.shape),
@@ -75,66 +78,77 @@ impl Reader<'_> {
                 connection.linear =
                     scaled(connection.linear, &scale, &connection.shape).ok_or_else(|| self.too_many(name))?;
             }
-            "Linear" | "Affine" => {
-                let numbers = group.numbers("weight").ok_or_else(|| wrong(format!("node '{name}' has no weight")))?;
-                let weights = reals(group, name, "weight")?;
-                let &[targets, sources] = numbers.shape() else {
-                    return Err(wrong(format!("node '{name}': its weight is {:?}", numbers.shape())));
-                };
-                if sources != units {
-                    return Err(wrong(format!(
-                        "node '{name}': its weight is {:?}, but its input has {units} units",
-                        numbers.shape()
-                    )));
-                }
-                self.check_filter(&connection, name)?;
-                self.delays_to_sources(&mut connection, name)?;
-                connection.linear = self.compose_dense(connection.linear, weights, targets, sources, name)?;
-                connection.shape = vec![targets];
-                connection.bias = self.bias(group, name, &connection.shape)?;
-            }
-            "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => {
-                let window = self.window(&connection.shape, name)?;
-                // A pool without padding gives all units of a channel one bias.
-                let pools = node.kind.ends_with("Pool2d") && window.sliding.padding == (0, 0);
-                let (size, mean) = (window.sliding.size, node.kind == "AvgPool2d");
-                let counted = if mean { 1.0 } else { (size.0 * size.1) as f64 };
-                let shape: Vec<u64> = connection.shape.iter().map(|&axis| axis as u64).collect();
-                let shared = pools.then(|| by_channel(connection.bias.as_deref()?, &shape)).flatten();
-                if shared.is_some() {
-                    connection.bias = None;
-                }
-                self.check_filter(&connection, name)?;
-                self.delays_to_sources(&mut connection, name)?;
-                let target = window.sliding.target.to_vec();
-                connection.linear = self.compose_window(connection.linear, window, &connection.shape, name)?;
-                let plane = target[1] * target[2];
-                connection.shape = target;
-                connection.bias = match shared {
-                    Some(each) => {
-                        Some(each.into_iter().flat_map(|bias| std::iter::repeat_n(bias * counted, plane)).collect())
-                    }
-                    None => self.bias(group, name, &connection.shape)?,
-                };
-            }
-            "Delay" => {
-                let delays = reals(group, name, "delay")?;
-                let delays = spread(delays, &connection.shape).ok_or_else(|| {
-                    wrong(format!("node '{name}': its delays do not fit the shape {:?}", connection.shape))
-                })?;
-                let steps = delays.iter().map(|delay| (delay / self.dt).round_ties_even()).collect::<Vec<_>>();
-                if let Some(long) = steps.iter().find(|steps| !(0.0..=LONGEST_DELAY).contains(*steps)) {
-                    return Err(unsupported(
-                        format!("node '{name}' delays by {long} steps of {} ms", self.dt * 1e3),
-                        "the delay field holds 0 to 62 steps",
-                    ));
-                }
-                let steps: Vec<u32> = steps.iter().map(|&steps| steps as u32).collect();
-                connection.delay = sum_of_delays(&connection.delay, &steps);
-            }
+            "Linear" | "Affine" => connection = self.after_matrix(connection, name, units)?,
+            "Conv1d" | "Conv2d" | "SumPool2d" | "AvgPool2d" => connection = self.after_window(connection, name)?,
+            "Delay" => connection.delay = self.later(&connection, name)?,
             other => return Err(wrong(format!("node '{name}' of type '{other}' cannot be between two other nodes"))),
         }
         Ok(connection)
+    }
+
+    /// A connection of `units` units, followed by the weights of a node.
+    fn after_matrix(&self, mut connection: Connection, name: &str, units: usize) -> Result<Connection> {
+        let group = self.flat.nodes[name].group;
+        let numbers = group.numbers("weight").ok_or_else(|| wrong(format!("node '{name}' has no weight")))?;
+        let weights = reals(group, name, "weight")?;
+        let &[targets, sources] = numbers.shape() else {
+            return Err(wrong(format!("node '{name}': its weight is {:?}", numbers.shape())));
+        };
+        if sources != units {
+            return Err(wrong(format!(
+                "node '{name}': its weight is {:?}, but its input has {units} units",
+                numbers.shape()
+            )));
+        }
+        self.check_filter(&connection, name)?;
+        self.delays_to_sources(&mut connection, name)?;
+        connection.linear = self.compose_dense(connection.linear, weights, targets, sources, name)?;
+        connection.shape = vec![targets];
+        connection.bias = self.bias(group, name, &connection.shape)?;
+        Ok(connection)
+    }
+
+    /// A connection followed by a convolution or a pool.
+    fn after_window(&self, mut connection: Connection, name: &str) -> Result<Connection> {
+        let node = &self.flat.nodes[name];
+        let window = WindowNode { name, node, line: node.kind == "Conv1d" }.over(&connection.shape)?;
+        // A pool without padding gives all units of a channel one bias.
+        let pools = node.kind.ends_with("Pool2d") && window.sliding.padding == (0, 0);
+        let (size, mean) = (window.sliding.size, node.kind == "AvgPool2d");
+        let counted = if mean { 1.0 } else { (size.0 * size.1) as f64 };
+        let shared = pools.then(|| by_channel(connection.bias.as_deref()?, &axes(&connection.shape))).flatten();
+        if shared.is_some() {
+            connection.bias = None;
+        }
+        self.check_filter(&connection, name)?;
+        self.delays_to_sources(&mut connection, name)?;
+        let target = window.sliding.target.to_vec();
+        connection.linear = self.compose_window(connection.linear, window, &connection.shape, name)?;
+        let plane = target[1] * target[2];
+        connection.shape = target;
+        connection.bias = match shared {
+            Some(biases) => {
+                Some(biases.into_iter().flat_map(|bias| std::iter::repeat_n(bias * counted, plane)).collect())
+            }
+            None => self.bias(node.group, name, &connection.shape)?,
+        };
+        Ok(connection)
+    }
+
+    /// The delays of a connection with those of a node.
+    fn later(&self, connection: &Connection, name: &str) -> Result<Vec<u32>> {
+        let delays = reals(self.flat.nodes[name].group, name, "delay")?;
+        let delays = spread(delays, &connection.shape)
+            .ok_or_else(|| wrong(format!("node '{name}': its delays do not fit the shape {:?}", connection.shape)))?;
+        let steps = delays.iter().map(|delay| (delay / self.dt).round_ties_even()).collect::<Vec<_>>();
+        if let Some(long) = steps.iter().find(|steps| !(0.0..=LONGEST_DELAY).contains(*steps)) {
+            return Err(unsupported(
+                format!("node '{name}' delays by {long} steps of {} ms", self.dt * 1e3),
+                "the delay field holds 0 to 62 steps",
+            ));
+        }
+        let steps: Vec<u32> = steps.iter().map(|&steps| steps as u32).collect();
+        Ok(sum_of_delays(&connection.delay, &steps))
     }
 
     /// Passes arrivals through an integrator that sends its potential.
@@ -196,7 +210,7 @@ impl Reader<'_> {
             ));
         }
         let delay = std::mem::take(&mut connection.delay);
-        let equal = delay.windows(2).all(|pair| pair[0] == pair[1]);
+        let equal = all_equal(&delay);
         if !equal && !matches!(connection.linear, Linear::Diagonal(_)) {
             return Err(unsupported(
                 format!("each unit has its own delay between node '{name}' and the weights before it"),
@@ -221,98 +235,6 @@ impl Reader<'_> {
             spread(bias, shape).ok_or_else(|| wrong(format!("node '{name}': its bias does not fit {shape:?}")))?;
         let units = product(shape).unwrap_or(0);
         Ok(Some((0..units).map(|unit| at(&bias, unit)).collect()))
-    }
-
-    pub(super) fn window(&self, shape: &[usize], name: &str) -> Result<Window> {
-        let node = &self.flat.nodes[name];
-        let bad = |what: String| wrong(format!("node '{name}': {what}"));
-        let &[channels, height, width] = shape else {
-            return Err(bad(format!("its input of shape {shape:?} has no height and width")));
-        };
-        let line = node.kind == "Conv1d";
-        let pair = |key: &str, default: usize, least: f64| -> Result<(usize, usize)> {
-            if node.group.get(key).is_none() {
-                return Ok((default, default));
-            }
-            let numbers = reals(node.group, name, key)?;
-            if numbers.iter().any(|x| x.fract() != 0.0 || !(least..=65_535.0).contains(x)) {
-                return Err(bad(format!("'{key}' is {numbers:?}")));
-            }
-            match numbers.as_slice() {
-                [one] if line => Ok((default.min(1), *one as usize)),
-                [one] => Ok((*one as usize, *one as usize)),
-                [y, x] if !line => Ok((*y as usize, *x as usize)),
-                _ => Err(bad(format!("'{key}' is {numbers:?}"))),
-            }
-        };
-        let conv = matches!(node.kind.as_str(), "Conv1d" | "Conv2d");
-        if let Some(plane) = node.group.numbers("input_shape") {
-            let plane: Vec<f64> = plane.reals().collect();
-            let arrives = [height as f64, width as f64];
-            if !(plane == arrives || (line && plane == arrives[1..])) {
-                return Err(bad(format!("its input_shape is {plane:?}, but its input is {height} x {width}")));
-            }
-        }
-        let (size, out, groups, kernel) = if conv {
-            let numbers = node.group.numbers("weight").ok_or_else(|| bad("it has no weight".to_string()))?;
-            let (out, per_group, size) = match *numbers.shape() {
-                [out, per_group, kw] if line => (out, per_group, (1, kw)),
-                [out, per_group, kh, kw] if !line => (out, per_group, (kh, kw)),
-                _ => return Err(bad(format!("its weight is {:?}", numbers.shape()))),
-            };
-            let groups = pair("groups", 1, 1.0)?.1;
-            if per_group.checked_mul(groups) != Some(channels) || out % groups != 0 || out == 0 || size.0 * size.1 == 0
-            {
-                return Err(bad(format!(
-                    "its weight is {:?} in {groups} groups, but its input has {channels} channels",
-                    numbers.shape()
-                )));
-            }
-            (size, out, groups, Ok(reals(node.group, name, "weight")?))
-        } else {
-            let size = pair("kernel_size", 1, 1.0)?;
-            let weight = if node.kind == "AvgPool2d" { 1.0 / (size.0 * size.1) as f64 } else { 1.0 };
-            (size, channels, channels, Err(weight))
-        };
-        let stride = pair("stride", 1, 1.0)?;
-        let dilation = if conv { pair("dilation", 1, 1.0)? } else { (1, 1) };
-        // Silent places before and after each axis.
-        let (padding, after) = match node.group.text("padding") {
-            Some("valid") => ((0, 0), (0, 0)),
-            Some("same") => {
-                if stride != (1, 1) {
-                    return Err(unsupported(
-                        format!("node '{name}': padding 'same' with a stride"),
-                        "give the padding as numbers",
-                    ));
-                }
-                // As in torch: for an even window, the greater half is at the end.
-                let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
-                let before = (reach.0 / 2, reach.1 / 2);
-                (before, (reach.0 - before.0, reach.1 - before.1))
-            }
-            Some(other) => return Err(bad(format!("padding '{}'", other.chars().take(40).collect::<String>()))),
-            None => {
-                let (y, x) = pair("padding", 0, 0.0)?;
-                let both = if line { (0, x) } else { (y, x) };
-                (both, both)
-            }
-        };
-        let side = |n: usize, size: usize, stride: usize, padding: usize, dilation: usize| {
-            (n + padding).checked_sub(dilation * (size - 1) + 1).map(|room| room / stride + 1)
-        };
-        let target = (
-            side(height, size.0, stride.0, padding.0 + after.0, dilation.0),
-            side(width, size.1, stride.1, padding.1 + after.1, dilation.1),
-        );
-        let (Some(to_h), Some(to_w)) = target else {
-            return Err(bad(format!("its window is larger than its input of {height} x {width}")));
-        };
-        if product(&[out, to_h, to_w]).is_none() {
-            return Err(bad(format!("it makes more than {MOST_UNITS} units")));
-        }
-        let (source, target) = ([channels, height, width], [out, to_h, to_w]);
-        Ok(Window { sliding: Sliding { source, target, size, stride, padding, dilation, groups }, kernel })
     }
 
     /// Refuses a shape of the file that disagrees with the number of units that arrive.
@@ -412,4 +334,127 @@ impl Reader<'_> {
             Linear::Dense(..) => Err(self.too_many(name)),
         }
     }
+}
+
+/// Reads the fields of a convolution or a pool.
+struct WindowNode<'a> {
+    name: &'a str,
+    node: &'a Node<'a>,
+    /// Whether it slides along one axis: Conv1d.
+    line: bool,
+}
+
+/// The kernel of a window, and the channels that it makes.
+struct Kernel {
+    size: (usize, usize),
+    out: usize,
+    groups: usize,
+    weights: Result<Vec<f64>, f64>,
+}
+
+impl WindowNode<'_> {
+    fn wrong(&self, what: impl Display) -> Diagnostic {
+        wrong(format!("node '{}': {what}", self.name))
+    }
+
+    fn over(&self, shape: &[usize]) -> Result<Window> {
+        let &[channels, height, width] = shape else {
+            return Err(self.wrong(format!("its input of shape {shape:?} has no height and width")));
+        };
+        if let Some(plane) = self.node.group.numbers("input_shape") {
+            let plane: Vec<f64> = plane.reals().collect();
+            let arrives = [height as f64, width as f64];
+            if !(plane == arrives || (self.line && plane == arrives[1..])) {
+                return Err(self.wrong(format!("its input_shape is {plane:?}, but its input is {height} x {width}")));
+            }
+        }
+        let is_conv = matches!(self.node.kind.as_str(), "Conv1d" | "Conv2d");
+        let Kernel { size, out, groups, weights: kernel } =
+            if is_conv { self.convolution(channels) } else { self.pool(channels) }?;
+        let stride = self.pair("stride", 1, 1.0)?;
+        let dilation = if is_conv { self.pair("dilation", 1, 1.0)? } else { (1, 1) };
+        let [padding, after] = self.padding(size, stride, dilation)?;
+        let to_h = outputs(height + padding.0 + after.0, size.0, stride.0, dilation.0);
+        let to_w = outputs(width + padding.1 + after.1, size.1, stride.1, dilation.1);
+        let (Some(to_h), Some(to_w)) = (to_h, to_w) else {
+            return Err(self.wrong(format!("its window is larger than its input of {height} x {width}")));
+        };
+        if product(&[out, to_h, to_w]).is_none() {
+            return Err(self.wrong(format!("it makes more than {MOST_UNITS} units")));
+        }
+        let (source, target) = ([channels, height, width], [out, to_h, to_w]);
+        Ok(Window { sliding: Sliding { source, target, size, stride, padding, dilation, groups }, kernel })
+    }
+
+    fn convolution(&self, channels: usize) -> Result<Kernel> {
+        let numbers = self.node.group.numbers("weight").ok_or_else(|| self.wrong("it has no weight"))?;
+        let (out, per_group, size) = match *numbers.shape() {
+            [out, per_group, kw] if self.line => (out, per_group, (1, kw)),
+            [out, per_group, kh, kw] if !self.line => (out, per_group, (kh, kw)),
+            _ => return Err(self.wrong(format!("its weight is {:?}", numbers.shape()))),
+        };
+        let groups = self.pair("groups", 1, 1.0)?.1;
+        if per_group.checked_mul(groups) != Some(channels) || out % groups != 0 || out == 0 || size.0 * size.1 == 0 {
+            return Err(self.wrong(format!(
+                "its weight is {:?} in {groups} groups, but its input has {channels} channels",
+                numbers.shape()
+            )));
+        }
+        Ok(Kernel { size, out, groups, weights: Ok(reals(self.node.group, self.name, "weight")?) })
+    }
+
+    fn pool(&self, channels: usize) -> Result<Kernel> {
+        let size = self.pair("kernel_size", 1, 1.0)?;
+        let weight = if self.node.kind == "AvgPool2d" { 1.0 / (size.0 * size.1) as f64 } else { 1.0 };
+        Ok(Kernel { size, out: channels, groups: channels, weights: Err(weight) })
+    }
+
+    /// Silent places before and after each axis.
+    fn padding(
+        &self,
+        size: (usize, usize),
+        stride: (usize, usize),
+        dilation: (usize, usize),
+    ) -> Result<[(usize, usize); 2]> {
+        match self.node.group.text("padding") {
+            Some("valid") => Ok([(0, 0); 2]),
+            Some("same") => {
+                if stride != (1, 1) {
+                    return Err(unsupported(
+                        format!("node '{}': padding 'same' with a stride", self.name),
+                        "give the padding as numbers",
+                    ));
+                }
+                // As in torch: for an even window, the greater half is at the end.
+                let reach = (dilation.0 * (size.0 - 1), dilation.1 * (size.1 - 1));
+                let before = (reach.0 / 2, reach.1 / 2);
+                Ok([before, (reach.0 - before.0, reach.1 - before.1)])
+            }
+            Some(other) => Err(self.wrong(format!("padding '{}'", other.chars().take(40).collect::<String>()))),
+            None => {
+                let (y, x) = self.pair("padding", 0, 0.0)?;
+                Ok([if self.line { (0, x) } else { (y, x) }; 2])
+            }
+        }
+    }
+
+    /// A field of one number for each axis, or of one for both, from `least`.
+    fn pair(&self, key: &str, default: usize, least: f64) -> Result<(usize, usize)> {
+        if self.node.group.get(key).is_none() {
+            return Ok((default, default));
+        }
+        let numbers = reals(self.node.group, self.name, key)?;
+        let is_whole = numbers.iter().all(|x| x.fract() == 0.0 && (least..=65_535.0).contains(x));
+        match numbers.as_slice() {
+            [one] if is_whole && self.line => Ok((default.min(1), *one as usize)),
+            [one] if is_whole => Ok((*one as usize, *one as usize)),
+            [y, x] if is_whole && !self.line => Ok((*y as usize, *x as usize)),
+            _ => Err(self.wrong(format!("'{key}' is {numbers:?}"))),
+        }
+    }
+}
+
+/// The number of places of a window along an axis; `None` where it is larger than the axis.
+fn outputs(axis: usize, size: usize, stride: usize, dilation: usize) -> Option<usize> {
+    axis.checked_sub(dilation * (size - 1) + 1).map(|slack| slack / stride + 1)
 }

@@ -36,19 +36,19 @@ impl Reader<'_> {
 
     /// Steps by which spikes between two populations are delayed to align with longer paths.
     pub(super) fn alignment_delay(&mut self, from: &str, to: &str) -> u32 {
-        let depth = |name: &str| self.depths.get(name).copied().unwrap_or(0);
+        let [from_depth, to_depth] = [from, to].map(|name| self.depths.get(name).copied().unwrap_or(0));
         if self.flat.nodes[from].kind == "Input" {
-            return depth(to);
+            return to_depth;
         }
         let looping = self.loops.contains(&(from.to_string(), to.to_string()));
-        let arrives = depth(from) + u32::from(!looping);
-        if arrives > depth(to) {
+        let arrives = from_depth + u32::from(!looping);
+        if arrives > to_depth {
             let message = format!(
                 "the loop from '{from}' to '{to}' takes additional steps ({}), as each layer takes a step on the chip",
-                arrives - depth(to)
+                arrives - to_depth
             );
             self.warnings.push(Warning::of_network(WarningCode::LoopSlower, message));
         }
-        depth(to).saturating_sub(arrives)
+        to_depth.saturating_sub(arrives)
     }
 }

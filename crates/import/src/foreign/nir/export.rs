@@ -37,9 +37,7 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 }
 
 /// Refuses a model with spike response neurons, whose kernels no format of other tools holds.
-///
-/// # Errors
-/// `export.unsupported`.
+/// Errors: `export.unsupported`.
 pub(in crate::foreign) fn check_neurons(model: &NetworkFile) -> Result<()> {
     let Some(population) = model.populations.iter().find(|population| population.srm.is_some()) else { return Ok(()) };
     let message = format!("'{}' has spike response neurons, which other tools do not support", population.name);
@@ -53,9 +51,8 @@ pub(in crate::foreign) fn check_neurons(model: &NetworkFile) -> Result<()> {
 /// Loihi 2, messages that carry integers, lists of synapses beyond 2^24 places.
 pub fn export(model: &NetworkFile) -> Result<(Group, Vec<String>)> {
     check_neurons(model)?;
-    let integers = |population: &&PopulationDesc| population.payload.is_some() || population.message_bits.is_some();
-    if let Some(population) = model.populations.iter().find(integers) {
-        let name = &population.name;
+    let mut populations = model.populations.iter();
+    if let Some(PopulationDesc { name, .. }) = populations.find(|p| p.payload.is_some() || p.message_bits.is_some()) {
         return Err(unsupported(format!("population '{name}' cannot be exported: its messages carry integers")));
     }
     let dt = model.timestep_ms / 1e3;
@@ -109,7 +106,8 @@ pub(in crate::foreign) fn model_metadata(model: &NetworkFile) -> Result<Group> {
 pub(in crate::foreign) fn restore(
     root: &Group,
     metadata: &str,
-    (parts, what): ([&str; 2], &str),
+    parts: [&str; 2],
+    what: &str,
     export: impl Fn(&NetworkFile) -> Result<(Group, Vec<String>)>,
 ) -> Option<Result<NetworkFile, String>> {
     let metadata = root.group(metadata)?;
@@ -147,7 +145,6 @@ fn parse_metadata(metadata: &Group, text: &str) -> Result<NetworkFile, String> {
     network.resolved().map_err(|problem| problem.to_string())
 }
 
-/// A node of the type `kind`.
 fn node(kind: &str) -> Group {
     Group::default().with("type", kind)
 }
@@ -205,6 +202,18 @@ impl<'a> Connectivity<'a> {
         self.populations.get(name).copied()
     }
 
+    /// A population that has to exist.
+    fn find(&self, name: &str) -> Result<&'a PopulationDesc> {
+        self.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
+    }
+
+    /// Whether a projection is written without a delay from all of its sources.
+    fn is_undelayed(&self, projection: &ProjectionDesc) -> bool {
+        let mut sources = projection.from.iter().filter_map(|from| self.population(from));
+        let target = self.population(&projection.to);
+        target.is_some_and(|target| sources.all(|source| written_delay(projection, source, target) == 0))
+    }
+
     fn entering(&self, name: &str) -> &[&'a ProjectionDesc] {
         self.entering.get(name).map_or(&[], |all| all)
     }
@@ -238,13 +247,8 @@ impl Graph {
         }
         let mut sums: BTreeMap<String, Vec<f64>> = BTreeMap::new();
         for projection in wires.leaving(&population.name) {
-            let undelayed = |other: &ProjectionDesc| {
-                let target = wires.population(&other.to);
-                let mut sources = other.from.iter().filter_map(|from| wires.population(from));
-                target.is_some_and(|target| sources.all(|source| written_delay(other, source, target) == 0))
-            };
             let mut others = wires.entering(&projection.to).iter();
-            let other = others.find(|other| !other.from.contains(&population.name) && undelayed(other));
+            let other = others.find(|other| !other.from.contains(&population.name) && wires.is_undelayed(other));
             let (ProjectionKind::Dense(weights), 1, 0, Some(other)) =
                 (&projection.kind, projection.from.len(), projection.delay, other)
             else {
@@ -266,7 +270,6 @@ impl Graph {
         any
     }
 
-    /// A name that no node has.
     fn unused_name(&self, name: &str) -> String {
         let mut free = name.to_string();
         let mut count = 1;
@@ -278,10 +281,8 @@ impl Graph {
     }
 
     fn population(&mut self, population: &PopulationDesc) -> Result<()> {
-        let axes = sides(&population.shape);
-        let units = population.units() as usize;
-        let name = &population.name;
-        if population.units() > MOST_MATRIX {
+        let (name, units) = (&population.name, population.units());
+        if units > MOST_MATRIX {
             return Err(unsupported(format!(
                 "'{name}' has {units} units: a parameter in NIR has one value for each unit"
             )));
@@ -290,46 +291,33 @@ impl Graph {
             self.nodes.insert(name, node("Input").with("shape", shape(&population.shape)));
             return Ok(());
         };
-        let dt = self.dt;
-        let get = |key: &str| population.parameter(key);
-        // dt / tau of each compartment.
-        let fraction = |decay: &str, tau: &str| -> Parameter {
-            match (get(decay), get(tau)) {
-                (Some(decay), _) => decay.map(|d| d / 4096.0),
-                (None, Some(tau)) => tau.map(|tau| -(-dt * 1e3 / tau).exp_m1()),
-                (None, None) => Parameter::Same(1.0),
-            }
-        };
+        let fields = NeuronFields { population, dt: self.dt };
         let (synapse, membrane) = match population.kind {
-            NeuronKind::Loihi | NeuronKind::SoftReset => (fraction("du", "tau_u_ms"), fraction("dv", "tau_v_ms")),
+            NeuronKind::Loihi | NeuronKind::SoftReset => {
+                (fields.fraction("du", "tau_u_ms"), fields.fraction("dv", "tau_v_ms"))
+            }
             NeuronKind::If => (Parameter::Same(1.0), Parameter::Same(0.0)),
             kind => {
                 let kind = kind.name();
                 return Err(unsupported(format!("'{name}' has {kind} neurons, which NIR does not support")));
             }
         };
-        let threshold = get("vth_mant").or(get("vth")).cloned().unwrap_or(Parameter::Same(ABSENT_THRESHOLD));
-        let bias = |unit: usize| match (get("bias_mant"), get("bias")) {
-            (Some(mantissa), _) => mantissa.get(unit) * get("bias_exp").map_or(0.0, |e| e.get(unit)).exp2() / 64.0,
-            (None, Some(real)) => real.get(unit),
-            (None, None) => 0.0,
-        };
-        let each = |f: &dyn Fn(usize) -> f64| Numbers::f64(&axes, &(0..units).map(f).collect::<Vec<_>>());
-        let tau = |fraction: &Parameter, unit: usize| {
-            let fraction = fraction.get(unit);
-            if fraction > 0.0 { dt / fraction } else { dt * NO_DECAY_TAU }
-        };
+        let mantissa = population.parameter("vth_mant");
         // Import gives an integrator the greatest threshold, which is never reached.
-        let integrates = get("vth_mant") == Some(&Parameter::Same(MAX_THRESHOLD));
+        let integrates = mantissa == Some(&Parameter::Same(MAX_THRESHOLD));
         let neuron = node(if integrates { "CubaLI" } else { "CubaLIF" })
-            .with("tau_syn", each(&|unit| tau(&synapse, unit)))
-            .with("tau_mem", each(&|unit| tau(&membrane, unit)))
-            .with("w_in", each(&|unit| tau(&synapse, unit) / dt))
-            .with("r", each(&|unit| tau(&membrane, unit) / dt))
-            .with("v_leak", each(&|unit| bias(unit) * (tau(&membrane, unit) / dt)));
+            .with("tau_syn", fields.array(|unit| fields.tau(&synapse, unit)))
+            .with("tau_mem", fields.array(|unit| fields.tau(&membrane, unit)))
+            .with("w_in", fields.array(|unit| fields.tau(&synapse, unit) / self.dt))
+            .with("r", fields.array(|unit| fields.tau(&membrane, unit) / self.dt))
+            .with("v_leak", fields.array(|unit| fields.bias(unit) * (fields.tau(&membrane, unit) / self.dt)));
+        let threshold = mantissa.or(population.parameter("vth"));
         let neuron = match integrates {
             true => neuron,
-            false => neuron.with("v_reset", each(&|_| 0.0)).with("v_threshold", each(&|unit| threshold.get(unit))),
+            false => neuron.with("v_reset", fields.array(|_| 0.0)).with(
+                "v_threshold",
+                fields.array(|unit| threshold.map_or(ABSENT_THRESHOLD, |threshold| threshold.get(unit))),
+            ),
         };
         self.nodes.insert(name, neuron);
         if population.kind == NeuronKind::SoftReset {
@@ -351,13 +339,9 @@ impl Graph {
     }
 
     fn projection(&mut self, wires: &Connectivity<'_>, projection: &ProjectionDesc, index: usize) -> Result<()> {
-        let find = |name: &str| {
-            wires.population(name).ok_or_else(|| unsupported(format!("'{name}' is not a population of the model")))
-        };
-        let target = find(&projection.to)?;
+        let target = wires.find(&projection.to)?;
         let unit = weight_unit(wires, projection);
-        let matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
-        if matrix && target.shape.len() > 1 {
+        if is_matrix(projection) && target.shape.len() > 1 {
             self.notes.push(format!(
                 "weights from {} flatten '{}' of shape {:?}: Python's nir.read will refuse the file, nsim reads it",
                 projection.from.join(" and "),
@@ -365,14 +349,14 @@ impl Graph {
                 target.shape
             ));
         }
-        let sources = projection.from.iter().map(|name| find(name)).collect::<Result<Vec<_>, _>>()?;
+        let sources = projection.from.iter().map(|name| wires.find(name)).collect::<Result<Vec<_>, _>>()?;
         let together: u64 = sources.iter().map(|source| source.units()).sum();
         let mut first = 0;
-        for (part, source) in sources.iter().enumerate() {
+        for (part, source) in sources.into_iter().enumerate() {
             let name = self.unused_name(&format!("w{index}_{part}"));
-            let undelayed = written_delay(projection, source, target) == 0;
-            let bias = if undelayed { self.bias_for(projection, target) } else { None };
-            let chain = self.weights(projection, (source, target), (first, together), unit, bias)?;
+            let link = Link { projection, source, target, first, together, unit };
+            let bias = if link.delay() == 0 { self.bias_for(projection, target) } else { None };
+            let chain = self.chain(&link, bias)?;
             first += source.units();
             let mut last = source.name.clone();
             for (step, node) in chain.into_iter().enumerate() {
@@ -389,28 +373,20 @@ impl Graph {
     /// Removes and returns the bias of a target, if the node of this projection can have it.
     fn bias_for(&mut self, projection: &ProjectionDesc, target: &PopulationDesc) -> Option<Vec<f64>> {
         let bias = self.biases.get(&target.name)?;
-        let held = match projection.kind {
+        let of_node = match projection.kind {
             ProjectionKind::Dense(_) | ProjectionKind::Sparse(_) => Some(bias.clone()),
             ProjectionKind::Conv2d { .. } => by_channel(bias, &target.shape),
             _ => None,
         }?;
         self.biases.remove(&target.name);
-        Some(held)
+        Some(of_node)
     }
 
     /// The nodes from a source to a target, in order.
-    fn weights(
-        &mut self,
-        projection: &ProjectionDesc,
-        (source, target): (&PopulationDesc, &PopulationDesc),
-        (first, together): (u64, u64),
-        unit: f64,
-        bias: Option<Vec<f64>>,
-    ) -> Result<Vec<Group>> {
-        let (rows, columns) = (target.units(), source.units());
+    fn chain(&mut self, link: &Link<'_>, bias: Option<Vec<f64>>) -> Result<Vec<Group>> {
+        let &Link { projection, source, target, unit, .. } = link;
         let mut chain = Vec::new();
-        let is_matrix = matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_));
-        if is_matrix && source.shape.len() > 1 {
+        if is_matrix(projection) && source.shape.len() > 1 {
             chain.push(
                 node("Flatten")
                     .with("start_dim", Numbers::i64(&[], &[0]))
@@ -418,52 +394,25 @@ impl Graph {
                     .with("input_type", shape(&source.shape)),
             );
         }
-        let matrix = |weights: Vec<f64>| {
-            let weights: Vec<f64> = weights.iter().map(|w| w * unit).collect();
-            let linear = node(if bias.is_some() { "Affine" } else { "Linear" })
-                .with("weight", Numbers::f64(&[rows as usize, columns as usize], &weights));
-            match &bias {
-                Some(bias) => linear.with("bias", Numbers::f64(&[rows as usize], bias)),
-                None => linear,
-            }
-        };
         match &projection.kind {
-            ProjectionKind::Dense(weights) => {
-                let slice = (0..rows).flat_map(|row| (0..columns).map(move |c| (row * together + first + c) as usize));
-                chain.push(matrix(slice.map(|at| weights.tensor().real(at)).collect()));
-            }
-            ProjectionKind::Sparse(synapses) => {
-                if rows.checked_mul(columns).is_none_or(|all| all > MOST_MATRIX) {
-                    return Err(unsupported(format!(
-                        "the listed synapses to '{}' become a matrix of {rows} x {columns} in NIR, more than \
-                         {MOST_MATRIX} numbers",
-                        target.name
-                    )));
-                }
-                let mut weights = vec![0.0; (rows * columns) as usize];
-                for (from, to, weight) in synapses {
-                    if let Some(column) = from.checked_sub(first).filter(|&column| column < columns && *to < rows) {
-                        weights[(to * columns + column) as usize] += weight;
-                    }
-                }
-                chain.push(matrix(weights));
-            }
+            ProjectionKind::Dense(weights) => chain.push(link.matrix(&link.columns(weights.tensor()), bias)),
+            ProjectionKind::Sparse(synapses) => chain.push(link.matrix(&link.listed(synapses)?, bias)),
             ProjectionKind::Conv2d { weights, stride, padding, dilation, groups, .. } => {
                 let weights = weights.tensor();
                 let scaled: Vec<f64> = weights.reals().map(|weight| weight * unit).collect();
-                let kernel = (weights.shape(), scaled.as_slice());
                 let step = [*stride, *padding, *dilation];
-                chain.push(self.convolution((source, target), kernel, step, *groups, bias)?);
+                let kernel = Kernel { axes: weights.shape(), weights: &scaled, step, groups: *groups };
+                chain.push(self.convolution(link, &kernel, bias)?);
             }
             ProjectionKind::SumPool2d { kernel, stride, padding, padding_after, weight }
                 if padding != padding_after =>
             {
                 // NIR's pools have one padding per axis, but a kernel can have zeros.
-                let channels = source.shape.first().copied().unwrap_or(1);
-                let axes = [channels, 1, kernel.0, kernel.1].map(|axis| axis as usize);
+                let groups = source.shape.first().copied().unwrap_or(1);
+                let axes = [groups, 1, kernel.0, kernel.1].map(|axis| axis as usize);
                 let weights = vec![weight * unit; axes.iter().product()];
                 let step = [*stride, *padding, (1, 1)];
-                chain.push(self.convolution((source, target), (&axes, &weights), step, channels, None)?);
+                chain.push(self.convolution(link, &Kernel { axes: &axes, weights: &weights, step, groups }, None)?);
             }
             ProjectionKind::SumPool2d { kernel, stride, padding, weight, .. } => {
                 chain.push(
@@ -472,18 +421,18 @@ impl Graph {
                         .with("stride", shape(&[stride.0, stride.1]))
                         .with("padding", shape(&[padding.0, padding.1])),
                 );
-                let scale = vec![weight * unit; rows as usize];
+                let scale = vec![weight * unit; target.units() as usize];
                 chain.push(node("Scale").with("scale", Numbers::f64(&sides(&target.shape), &scale)));
             }
             ProjectionKind::Arrays(_) | ProjectionKind::Random { .. } => {
                 return Err(unsupported(format!("synapses to '{}' that are not in place", target.name)));
             }
         }
-        let delay = written_delay(projection, source, target);
         // The shape after the weights, which flatten it where they are a matrix.
-        if delay > 0 {
-            let seconds = vec![f64::from(delay) * self.dt; rows as usize];
-            let axes = if is_matrix { vec![rows as usize] } else { sides(&target.shape) };
+        if link.delay() > 0 {
+            let rows = target.units() as usize;
+            let seconds = vec![f64::from(link.delay()) * self.dt; rows];
+            let axes = if is_matrix(projection) { vec![rows] } else { sides(&target.shape) };
             chain.push(node("Delay").with("delay", Numbers::f64(&axes, &seconds)));
         }
         Ok(chain)
@@ -493,26 +442,34 @@ impl Graph {
     /// since `nir.read` of Python uses the height of a kernel as its width. Rows and columns of
     /// zeros around the kernel achieve both. With F before and B after it, at dilation d, a padding
     /// of `before + F d` on both sides acts like `before + d (F - B)` at the end of the axis.
-    fn convolution(
-        &mut self,
-        (source, target): (&PopulationDesc, &PopulationDesc),
-        (axes, weights): (&[usize], &[f64]),
-        [stride, before, dilation]: Step,
-        groups: u64,
-        bias: Option<Vec<f64>>,
-    ) -> Result<Group> {
+    fn convolution(&mut self, link: &Link<'_>, kernel: &Kernel<'_>, bias: Option<Vec<f64>>) -> Result<Group> {
+        let Link { source, target, .. } = link;
+        let &Kernel { axes, weights, step: [stride, before, dilation], groups } = kernel;
         let (&[out, inner, kh, kw], &[_, from_h, from_w], &[_, to_h, to_w]) =
             (axes, source.shape.as_slice(), target.shape.as_slice())
         else {
             return Err(unsupported(format!("the convolution to '{}' does not connect volumes", target.name)));
         };
-        let axis = |(from, to), kernel, stride, before, dilation| Axis { from, to, kernel, stride, before, dilation };
-        let rows = axis((from_h, to_h), kh as u64, stride.0, before.0, dilation.0);
-        let columns = axis((from_w, to_w), kw as u64, stride.1, before.1, dilation.1);
+        let rows = Axis {
+            from: from_h,
+            to: to_h,
+            kernel: kh as u64,
+            stride: stride.0,
+            before: before.0,
+            dilation: dilation.0,
+        };
+        let columns = Axis {
+            from: from_w,
+            to: to_w,
+            kernel: kw as u64,
+            stride: stride.1,
+            before: before.1,
+            dilation: dilation.1,
+        };
         let least = rows.kernel.max(columns.kernel);
-        let sizes = least..=2 * least + rows.before + columns.before + 2;
+        let most = 2 * least + rows.before + columns.before + 2;
         let square =
-            sizes.clone().find_map(|size| Some((rows.with_kernel_size(size)?, columns.with_kernel_size(size)?)));
+            (least..=most).find_map(|size| Some((rows.with_kernel_size(size)?, columns.with_kernel_size(size)?)));
         let (rows, columns) = match square {
             Some(both) => both,
             None => {
@@ -521,8 +478,7 @@ impl Graph {
                      file, nsim reads it",
                     target.name
                 ));
-                let own = |axis: Axis| (axis.kernel..=*sizes.end()).find_map(|size| axis.with_kernel_size(size));
-                own(rows).zip(own(columns)).ok_or_else(|| {
+                rows.padded(most).zip(columns.padded(most)).ok_or_else(|| {
                     unsupported(format!("NIR does not support the paddings of the convolution to '{}'", target.name))
                 })?
             }
@@ -558,6 +514,113 @@ impl Graph {
     }
 }
 
+/// A population's parameters as the fields of a node.
+struct NeuronFields<'a> {
+    population: &'a PopulationDesc,
+    /// Seconds of a timestep.
+    dt: f64,
+}
+
+impl NeuronFields<'_> {
+    /// dt / tau of each compartment.
+    fn fraction(&self, decay: &str, tau: &str) -> Parameter {
+        match (self.population.parameter(decay), self.population.parameter(tau)) {
+            (Some(decay), _) => decay.map(|d| d / 4096.0),
+            (None, Some(tau)) => tau.map(|tau| -(-self.dt * 1e3 / tau).exp_m1()),
+            (None, None) => Parameter::Same(1.0),
+        }
+    }
+
+    /// The time constant of a fraction.
+    fn tau(&self, fraction: &Parameter, unit: usize) -> f64 {
+        let fraction = fraction.get(unit);
+        if fraction > 0.0 { self.dt / fraction } else { self.dt * NO_DECAY_TAU }
+    }
+
+    fn bias(&self, unit: usize) -> f64 {
+        let number = |key: &str| self.population.parameter(key).map(|parameter| parameter.get(unit));
+        match number("bias_mant") {
+            Some(mantissa) => mantissa * number("bias_exp").unwrap_or(0.0).exp2() / 64.0,
+            None => number("bias").unwrap_or(0.0),
+        }
+    }
+
+    /// The array of a number of each compartment.
+    fn array(&self, number: impl Fn(usize) -> f64) -> Numbers {
+        let numbers: Vec<f64> = (0..self.population.units() as usize).map(number).collect();
+        Numbers::f64(&sides(&self.population.shape), &numbers)
+    }
+}
+
+/// A projection from one of its sources.
+struct Link<'a> {
+    projection: &'a ProjectionDesc,
+    source: &'a PopulationDesc,
+    target: &'a PopulationDesc,
+    /// Units of the sources before this one, and of all.
+    first: u64,
+    together: u64,
+    /// A weight of 1 in the file ([`weight_unit`]).
+    unit: f64,
+}
+
+impl Link<'_> {
+    fn delay(&self) -> u32 {
+        written_delay(self.projection, self.source, self.target)
+    }
+
+    /// The weights of this source in a matrix of all sources.
+    fn columns(&self, weights: &Tensor) -> Vec<f64> {
+        let places = (0..self.target.units()).flat_map(|row| {
+            (0..self.source.units()).map(move |column| (row * self.together + self.first + column) as usize)
+        });
+        places.map(|at| weights.real(at)).collect()
+    }
+
+    /// The synapses of this source as a matrix.
+    fn listed(&self, synapses: &[(u64, u64, f64)]) -> Result<Vec<f64>> {
+        let (rows, columns) = (self.target.units(), self.source.units());
+        if rows.checked_mul(columns).is_none_or(|all| all > MOST_MATRIX) {
+            return Err(unsupported(format!(
+                "the listed synapses to '{}' become a matrix of {rows} x {columns} in NIR, more than {MOST_MATRIX} \
+                 numbers",
+                self.target.name
+            )));
+        }
+        let mut weights = vec![0.0; (rows * columns) as usize];
+        for (from, to, weight) in synapses {
+            if let Some(column) = from.checked_sub(self.first).filter(|&column| column < columns && *to < rows) {
+                weights[(to * columns + column) as usize] += weight;
+            }
+        }
+        Ok(weights)
+    }
+
+    /// The node of a matrix of weights.
+    fn matrix(&self, weights: &[f64], bias: Option<Vec<f64>>) -> Group {
+        let (rows, columns) = (self.target.units() as usize, self.source.units() as usize);
+        let weights: Vec<f64> = weights.iter().map(|w| w * self.unit).collect();
+        let weights = Numbers::f64(&[rows, columns], &weights);
+        match bias {
+            Some(bias) => node("Affine").with("weight", weights).with("bias", Numbers::f64(&[rows], &bias)),
+            None => node("Linear").with("weight", weights),
+        }
+    }
+}
+
+/// Whether a projection is written as a matrix.
+fn is_matrix(projection: &ProjectionDesc) -> bool {
+    matches!(projection.kind, ProjectionKind::Dense(_) | ProjectionKind::Sparse(_))
+}
+
+/// A kernel `[out][in / groups][height][width]`.
+struct Kernel<'a> {
+    axes: &'a [usize],
+    weights: &'a [f64],
+    step: Step,
+    groups: u64,
+}
+
 /// A window along one axis.
 #[derive(Clone, Copy)]
 struct Axis {
@@ -579,6 +642,11 @@ struct PaddedWindow {
 }
 
 impl Axis {
+    /// The window with the least kernel, of at most `most` places.
+    fn padded(&self, most: u64) -> Option<PaddedWindow> {
+        (self.kernel..=most).find_map(|size| self.with_kernel_size(size))
+    }
+
     /// The window with a kernel of `size` places, if its number of outputs is unchanged.
     fn with_kernel_size(&self, size: u64) -> Option<PaddedWindow> {
         let zeros = size.checked_sub(self.kernel)?;
@@ -617,8 +685,10 @@ pub(in crate::foreign) fn by_channel(biases: &[f64], shape: &[u64]) -> Option<Ve
     let &[channels, height, width] = shape else { return None };
     let plane = (height * width) as usize;
     let equal = plane > 0 && biases.len() as u64 == channels * height * width;
-    let channel = |chunk: &[f64]| chunk.iter().all(|bias| *bias == chunk[0]).then(|| chunk[0]);
-    if equal { biases.chunks(plane).map(channel).collect() } else { None }
+    if !equal {
+        return None;
+    }
+    biases.chunks(plane).map(|chunk| chunk.iter().all(|bias| *bias == chunk[0]).then(|| chunk[0])).collect()
 }
 
 /// The threshold that is written for neurons without one.

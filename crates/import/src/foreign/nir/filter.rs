@@ -18,7 +18,6 @@ use nsim_ir::base::diagnostic::{Diagnostic, Result};
 /// An integrator whose potential is the input of a neuron.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Filter {
-    /// Its node.
     pub(super) name: String,
     /// Time constant in seconds; none for an integrator without decay.
     pub(super) tau: Option<Parameter>,
@@ -109,17 +108,19 @@ impl Reader<'_> {
     /// The filter of an integrator that sends its potential, of `units` units.
     pub(super) fn filter(&self, name: &str, units: usize) -> Result<Filter> {
         let node = &self.flat.nodes[name];
-        let field = |key: &str, default: f64| optional(node.group, name, key, default);
-        if !all(&field("v_leak", 0.0)?, |leak| leak == 0.0) {
+        let group = node.group;
+        if !all(&optional(group, name, "v_leak", 0.0)?, |leak| leak == 0.0) {
             return Err(cannot_send(name, &node.integrator, "which rests at its v_leak"));
         }
-        let tau = |key: &str| parameter(node.group, name, key);
         let (tau, current) = match node.integrator.as_str() {
-            "CubaLI" => (Some(tau("tau_mem")?), Some((tau("tau_syn")?, field("w_in", 1.0)?))),
-            "LI" => (Some(tau("tau")?), None),
+            "CubaLI" => {
+                let tau = parameter(group, name, "tau_mem")?;
+                (Some(tau), Some((parameter(group, name, "tau_syn")?, optional(group, name, "w_in", 1.0)?)))
+            }
+            "LI" => (Some(parameter(group, name, "tau")?), None),
             _ => (None, None),
         };
-        let filter = Filter { name: name.to_string(), tau, r: field("r", 1.0)?, current };
+        let filter = Filter { name: name.to_string(), tau, r: optional(group, name, "r", 1.0)?, current };
         let other_count = filter.numbers().map(|numbers| numbers.values().len()).find(|&n| n != 1 && n != units);
         match other_count {
             None => Ok(filter),
@@ -136,8 +137,7 @@ impl Reader<'_> {
         }
         let Some(first) = filters.iter().flatten().next().cloned() else { return Ok(None) };
         let kind = self.flat.nodes[&first.name].integrator.as_str();
-        let equal = |filter: &Option<Filter>| filter.as_ref().is_some_and(|filter| filter.equals(&first));
-        if !filters.iter().all(equal) {
+        if !filters.iter().all(|filter| filter.as_ref().is_some_and(|filter| filter.equals(&first))) {
             let why = format!("but '{name}' has other inputs that do not pass the same filter");
             return Err(cannot_send(&first.name, kind, &why));
         }

@@ -29,13 +29,7 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
             return Err(wrong(format!("more than {MOST_NODES} nodes, or a name of more than 512 letters")));
         }
         if kind == "NIRGraph" {
-            let inner = node.group("nodes");
-            let of_kind = |wanted: &str| -> Vec<String> {
-                let is = |item: &Item| matches!(item, Item::Group(group) if group.text("type") == Some(wanted));
-                let members = inner.into_iter().flat_map(|nodes| nodes.items.iter());
-                members.filter(|(_, item)| is(item)).map(|(inner, _)| format!("{full}/{inner}")).collect()
-            };
-            graphs.insert(name, (of_kind("Input"), of_kind("Output")));
+            graphs.insert(name, (nodes_of_kind(node, &full, "Input"), nodes_of_kind(node, &full, "Output")));
             unfold(node, &format!("{full}/"), depth + 1, flat)?;
         } else {
             let kind = if depth > 0 && matches!(kind, "Input" | "Output") { "Pass" } else { kind };
@@ -61,9 +55,10 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
                     .help("remove the edge, or connect the nodes that it should join"));
             }
         }
-        let single = |end: &String| vec![format!("{prefix}{end}")];
-        let from = graphs.get(pair[0].as_str()).map_or_else(|| single(&pair[0]), |ends| ends.1.clone());
-        let to = graphs.get(pair[1].as_str()).map_or_else(|| single(&pair[1]), |ends| ends.0.clone());
+        let from = graphs.get(pair[0].as_str()).map(|ends| ends.1.clone());
+        let to = graphs.get(pair[1].as_str()).map(|ends| ends.0.clone());
+        let from = from.unwrap_or_else(|| vec![format!("{prefix}{}", pair[0])]);
+        let to = to.unwrap_or_else(|| vec![format!("{prefix}{}", pair[1])]);
         if from.is_empty() || to.is_empty() {
             let (graph, end) = if to.is_empty() { (&pair[1], "Input") } else { (&pair[0], "Output") };
             return Err(wrong(format!("an edge ends at graph '{prefix}{graph}', which has no node of type {end}")));
@@ -78,6 +73,13 @@ pub(super) fn unfold<'a>(graph: &'a Group, prefix: &str, depth: usize, flat: &mu
         }
     }
     Ok(())
+}
+
+/// The nodes of a kind in a nested graph.
+fn nodes_of_kind(graph: &Group, name: &str, kind: &str) -> Vec<String> {
+    let members = graph.group("nodes").into_iter().flat_map(|nodes| &nodes.items);
+    let of_kind = members.filter(|(_, item)| matches!(item, Item::Group(group) if group.text("type") == Some(kind)));
+    of_kind.map(|(member, _)| format!("{name}/{member}")).collect()
 }
 
 impl Reader<'_> {

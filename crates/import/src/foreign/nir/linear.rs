@@ -123,7 +123,6 @@ impl Window {
     }
 }
 
-/// The greatest common divisor.
 fn gcd(a: usize, b: usize) -> usize {
     if b == 0 { a } else { gcd(b, a % b) }
 }
@@ -131,6 +130,10 @@ fn gcd(a: usize, b: usize) -> usize {
 /// The delay at an index: a single entry applies to all units, an empty list is 0.
 pub(super) fn delay_at(delays: &[u32], index: usize) -> u32 {
     delays.get(if delays.len() == 1 { 0 } else { index }).copied().unwrap_or(0)
+}
+
+pub(super) fn all_equal(delays: &[u32]) -> bool {
+    delays.windows(2).all(|pair| pair[0] == pair[1])
 }
 
 /// The sum of two lists of delays.

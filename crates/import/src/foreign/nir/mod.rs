@@ -9,7 +9,7 @@
 //! - `timestep`: the timestep; `neuron`: a node with a state; `filter`: potentials that are sent;
 //!   `connection` and `linear`: the nodes of a path; `assumptions`: what the file does not state.
 //! - `projections`: the projections of a path.
-//! - `node`: types of nodes and their fields; `reader`: the model so far, limits and errors.
+//! - `node_types`: types of nodes and their fields; `state`: the model so far, limits and errors.
 //! - `export`: a model as a NIR file.
 //!
 //! The equations are in continuous time (NIR 7232ada, `docs/source/primitives.md`). They are
@@ -51,18 +51,17 @@ use super::hdf5::Group;
 use super::imported::{Imported, MAX_THRESHOLD, Options, wrong_option};
 use graph::unfold;
 use neuron::{Discrete, Reset};
-use node_types::{Flat, Node, WITHOUT_MEANING, fields, is_population};
+use node_types::{Flat, WITHOUT_MEANING, fields, is_population};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc};
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::neurons::NeuronKind;
-use state::{Reader, unsupported, wrong};
+use state::{Reader, axes, unsupported, wrong};
 
 /// Reads the tree of a file.
 pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let graph = root.group("node").ok_or_else(|| wrong("there is no group 'node'"))?;
     let mut notes = Vec::new();
-    let of_graph = (["node/nodes", "node/edges"], "nodes");
-    let written = export::restore(root, "node/metadata", of_graph, export::export);
+    let written = export::restore(root, "node/metadata", ["node/nodes", "node/edges"], "nodes", export::export);
     if let Some(imported) = unmodified_model("NIR", written, options, &mut notes)? {
         let subtracts = imported.model.populations.iter().any(|population| population.kind == NeuronKind::SoftReset);
         let reset = if subtracts { options.reading.reset.unwrap_or(ResetMode::Subtract) } else { ResetMode::Zero };
@@ -93,11 +92,8 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let Reader { model, notes, warnings, .. } = reader;
     let resets = model.populations.iter().any(|population| population.loihi.is_some());
     let reset = resets.then_some(options.reset_of("LIF"));
-    let mut imported = Imported { kind: "NIR", model, notes, layers: Vec::new(), warnings: Vec::new(), reset };
-    warnings.into_iter().for_each(|warning| imported.warn(warning));
-    let mut imported = imported.with_decision(options.decision);
-    imported.model.provenance = Some(format!("imported from a NIR file; {}", imported.notes.join("; ")));
-    Ok(imported)
+    let imported = Imported::new("NIR", model, notes).with_warnings(warnings).with_decision(options.decision);
+    Ok(Imported { reset, ..imported.with_provenance("a NIR file") })
 }
 
 /// The model that nsim wrote into a file, which no option may contradict. `None` if nsim did not
@@ -116,11 +112,12 @@ pub(super) fn unmodified_model(
         }
         None => return Ok(None),
     };
-    let ours = |kind| model.populations.iter().any(|population| population.loihi.is_some() && population.kind == kind);
+    let mut neurons = model.populations.iter().filter(|population| population.loihi.is_some());
+    let subtracts = neurons.any(|population| population.kind == NeuronKind::SoftReset);
     let contradicted = match options.reading.reset {
         None => None,
-        Some(ResetMode::Zero) => ours(NeuronKind::SoftReset).then_some("--reset zero"),
-        Some(_) => (!ours(NeuronKind::SoftReset)).then_some("--reset by subtraction"),
+        Some(ResetMode::Zero) => subtracts.then_some("--reset zero"),
+        Some(_) => (!subtracts).then_some("--reset by subtraction"),
     };
     let other_test = options.threshold.is_some_and(|threshold| threshold != model.threshold).then_some("--threshold");
     let other_step = options.reading.dt_ms.is_some_and(|dt| (dt / model.timestep_ms - 1.0).abs() > 1e-9);
@@ -133,7 +130,7 @@ pub(super) fn unmodified_model(
     }
     model.decision = options.decision.unwrap_or(model.decision);
     let notes = vec!["written by nsim and not modified since: restored unchanged".to_string()];
-    Ok(Some(Imported { kind, model, notes, layers: Vec::new(), warnings: Vec::new(), reset: None }))
+    Ok(Some(Imported::new(kind, model, notes)))
 }
 
 impl Reader<'_> {
@@ -141,9 +138,13 @@ impl Reader<'_> {
         self.check_kinds()?;
         self.find_timestep()?;
         self.find_filters()?;
-        let is_population = |(_, node): &(&String, &Node<'_>)| is_population(&node.kind);
-        let populations: Vec<String> =
-            self.flat.nodes.iter().filter(is_population).map(|(name, _)| name.clone()).collect();
+        let populations: Vec<String> = self
+            .flat
+            .nodes
+            .iter()
+            .filter(|(_, node)| is_population(&node.kind))
+            .map(|(name, _)| name.clone())
+            .collect();
         self.name_populations(&populations)?;
         self.find_shapes(&populations)?;
         let order = self.order(&populations);
@@ -173,8 +174,8 @@ impl Reader<'_> {
 
     /// A node as a population, without its projections and bias.
     fn population(&self, name: &str, neuron: Option<&Discrete>) -> PopulationDesc {
-        let shape: Vec<u64> = self.shapes[name].iter().map(|&axis| axis as u64).collect();
-        let (start_step, input) = (self.depths[name], PopulationDesc::input(&self.names[name], shape));
+        let (start_step, input) =
+            (self.depths[name], PopulationDesc::input(&self.names[name], axes(&self.shapes[name])));
         let Some(neuron) = neuron else { return PopulationDesc { start_step, ..input } };
         let [tau_u, tau_v] = neuron.taus.clone();
         let threshold = match &neuron.threshold {
@@ -197,8 +198,9 @@ impl Reader<'_> {
     fn check_kinds(&self) -> Result<()> {
         for (name, node) in &self.flat.nodes {
             let known = fields(&node.kind);
-            let unknown = |key: &&String| !known.contains(&key.as_str()) && !WITHOUT_MEANING.contains(&key.as_str());
-            if let (false, Some(key)) = (known.is_empty(), node.group.items.keys().find(unknown)) {
+            let mut keys = node.group.items.keys().map(String::as_str);
+            let unknown = keys.find(|key| !known.contains(key) && !WITHOUT_MEANING.contains(key));
+            if let (false, Some(key)) = (known.is_empty(), unknown) {
                 return Err(unsupported(
                     format!("node '{name}' has field '{key}', which nodes of type '{}' do not support", node.kind),
                     "remove it if the network does not depend on it",

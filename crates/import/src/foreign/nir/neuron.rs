@@ -21,7 +21,6 @@ pub(super) enum Reset {
     Never,
 }
 
-/// A discretised neuron.
 pub(super) struct Discrete {
     pub(super) du: Parameter,
     pub(super) dv: Parameter,
@@ -36,7 +35,6 @@ pub(super) struct Discrete {
     pub(super) threshold: Option<Parameter>,
     /// Number that is added to v in each step.
     pub(super) bias: Parameter,
-    /// Change of v by a spike.
     pub(super) reset: Reset,
 }
 
@@ -52,6 +50,15 @@ impl Discrete {
             threshold,
             bias: Parameter::Same(0.0),
             reset: Reset::Mode(ResetMode::Zero),
+        }
+    }
+
+    /// The weight from a unit to itself that completes its reset, in thresholds.
+    pub(super) fn own_weight(&self, unit: usize) -> f64 {
+        match self.reset {
+            Reset::Mode(ResetMode::Zero | ResetMode::Subtract) => 0.0,
+            Reset::Mode(ResetMode::SubtractLater) => -self.dv.get(unit) / 4096.0,
+            Reset::Never => 1.0 - self.dv.get(unit) / 4096.0,
         }
     }
 }
@@ -80,17 +87,11 @@ impl Reader<'_> {
         };
         let neuron = reader.neuron(filter.as_ref())?;
         let (long, rest) = (reader.long.take(), reader.rest);
-        let shown = |value: &Parameter| match value {
+        let [du, dv, gain] = [&neuron.du, &neuron.dv, &neuron.gain].map(|value| match value {
             Parameter::Same(x) => format!("{}", (x * 1e6).round() / 1e6),
             _ => "each its own".to_string(),
-        };
-        self.notes.push(format!(
-            "'{name}' ({}): du {}, dv {}, a weight counts {}",
-            node.kind,
-            shown(&neuron.du),
-            shown(&neuron.dv),
-            shown(&neuron.gain)
-        ));
+        });
+        self.notes.push(format!("'{name}' ({}): du {du}, dv {dv}, a weight counts {gain}", node.kind));
         if let Some(rest) = rest {
             let message = format!("v is counted from its rest potential {rest}, where it begins");
             self.warnings.push(Warning::of_population(WarningCode::RestPotential, &self.names[name], message));
@@ -120,8 +121,8 @@ impl Share {
 
     /// The time constant in ms with `1 - share = exp(-dt / tau)`; none where 4096ths represent it.
     fn tau(&self, dt: f64) -> Option<Parameter> {
-        let in_4096ths = |share: f64| (4096.0 * share - (4096.0 * share).round()).abs() < EXACT;
-        let none = all(&self.share, in_4096ths) || !all(&self.share, |share| share < 1.0);
+        let in_4096ths = all(&self.share, |share| (4096.0 * share - (4096.0 * share).round()).abs() < EXACT);
+        let none = in_4096ths || !all(&self.share, |share| share < 1.0);
         (!none).then(|| self.share.map(|share| -dt * 1e3 / (-share).ln_1p()))
     }
 
@@ -148,7 +149,6 @@ fn zip3(a: &Parameter, b: &Parameter, c: &Parameter, f: impl Fn(f64, f64, f64) -
     }
 }
 
-/// Reads the numbers of one node.
 struct NodeReader<'r> {
     name: &'r str,
     node: &'r Node<'r>,
@@ -296,7 +296,8 @@ impl NodeReader<'_> {
     fn filtering(
         &self,
         current: Option<(Share, Parameter)>,
-        (membrane, voltage): (&Share, Parameter),
+        membrane: &Share,
+        voltage: Parameter,
         threshold: Option<Parameter>,
     ) -> Discrete {
         let (du, tau_u, gain) = match current {
@@ -319,13 +320,13 @@ impl NodeReader<'_> {
         let (rest, threshold, reset) = self.rest_and_threshold()?;
         let leak = zip(&self.parameter("v_leak", Some(0.0))?, &rest, |leak, rest| leak - rest);
         let bias = zip(&membrane.share, &leak, |a, b| a * b);
-        Ok(Discrete { bias, reset, ..self.filtering(current, (membrane, voltage), threshold) })
+        Ok(Discrete { bias, reset, ..self.filtering(current, membrane, voltage, threshold) })
     }
 
     fn integrator(&mut self, current: Option<(Share, Parameter)>) -> Result<Discrete> {
         let (_, threshold, reset) = self.rest_and_threshold()?;
         let voltage = self.checked(snapped(&self.per_step(self.parameter("r", Some(1.0))?)), "r")?;
-        Ok(Discrete { reset, ..self.filtering(current, (&Share::none(), voltage), threshold) })
+        Ok(Discrete { reset, ..self.filtering(current, &Share::none(), voltage, threshold) })
     }
 
     /// A threshold on arrivals, or on the potential of a filter, which a spike does not reset.
@@ -342,7 +343,7 @@ impl NodeReader<'_> {
         };
         let without_current = Filter { current: None, ..filter.clone() };
         let (membrane, voltage) = self.current_of(&without_current)?;
-        Ok(self.filtering(current, (&membrane, voltage), Some(threshold)))
+        Ok(self.filtering(current, &membrane, voltage, Some(threshold)))
     }
 
     /// The potential from which v is counted, the threshold above it, and the reset. A neuron that

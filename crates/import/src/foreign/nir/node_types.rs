@@ -4,7 +4,6 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use crate::foreign::hdf5::Group;
 
-/// A node of the flat graph.
 pub(super) struct Node<'a> {
     pub(super) kind: String,
     /// The type of an integrator that became a [`FILTER`].

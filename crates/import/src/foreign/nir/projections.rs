@@ -5,10 +5,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::linear::{Connection, Linear, Window, delay_at, scaled};
+use super::linear::{Connection, Linear, Window, all_equal, delay_at, scaled};
 use super::neuron::{Discrete, Reset};
-use super::state::{Reader, all, product, unsupported, wrong};
-use crate::foreign::conventions::ResetMode;
+use super::state::{Reader, all, axes, product, unsupported, wrong};
 use crate::foreign::imported::{LONGEST_DELAY, always_spiking, integrator};
 use crate::foreign::window::{MOST_LISTED, by_delay, synapse_list};
 use nsim_files::network::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
@@ -56,12 +55,12 @@ impl Reader<'_> {
         let shape = self.shapes[name].clone();
         let units = product(&shape).unwrap_or(0);
         let mut bias: Vec<f64> = (0..units).map(|unit| neuron.bias.get(unit)).collect();
-        let mut current = vec![0.0; 0];
+        let mut current = Vec::new();
         let memory = !all(&neuron.du, |du| du == 4096.0);
         let mut projections = Vec::new();
-        let mut brought = BTreeSet::new();
+        let mut added_biases = BTreeSet::new();
         for path in self.paths(name)? {
-            let arrived = self.linear_map(&self.shapes[&path[0]].clone(), &path[1..])?;
+            let arrived = self.linear_map(&self.shapes[&path[0]], &path[1..])?;
             if product(&arrived.shape) != Some(units) {
                 return Err(wrong(format!(
                     "'{name}' receives shape {:?}, but its parameters have shape {shape:?}",
@@ -69,10 +68,9 @@ impl Reader<'_> {
                 )));
             }
             // The bias of a node on several paths counts once.
-            let biased = |&at: &usize| self.flat.nodes[&path[at]].group.get("bias").is_some();
-            let mut places = (0..path.len()).rev().filter(biased);
-            let new = brought.insert(path[places.next().unwrap_or(0)..].to_vec());
-            let earlier = places.filter(|&at| brought.insert(path[at..].to_vec())).count();
+            let mut biased = (0..path.len()).rev().filter(|&at| self.flat.nodes[&path[at]].group.get("bias").is_some());
+            let new = added_biases.insert(path[biased.next().unwrap_or(0)..].to_vec());
+            let earlier = biased.filter(|&at| added_biases.insert(path[at..].to_vec())).count();
             if !new && earlier > 0 {
                 return Err(unsupported(
                     format!("'{name}' receives a sum of layers with biases through another layer with a bias"),
@@ -83,15 +81,12 @@ impl Reader<'_> {
                 if arrived.filter.is_some() {
                     // Added to a potential, not to the current that it becomes.
                     self.check_bias_after_filter(name, neuron)?;
-                    bias.iter_mut()
-                        .zip(added)
-                        .enumerate()
-                        .for_each(|(i, (sum, b))| *sum += b * neuron.voltage_gain.get(i));
+                    add(&mut bias, added, &neuron.voltage_gain);
                 } else if memory {
                     current.resize(units, 0.0);
-                    current.iter_mut().zip(added).for_each(|(sum, b)| *sum += b);
+                    add(&mut current, added, &Parameter::Same(1.0));
                 } else {
-                    bias.iter_mut().zip(added).enumerate().for_each(|(i, (sum, b))| *sum += b * neuron.gain.get(i));
+                    add(&mut bias, added, &neuron.gain);
                 }
             }
             projections.extend(self.projections(&path[0], name, arrived, &neuron.gain)?);
@@ -107,43 +102,52 @@ impl Reader<'_> {
         }
         let to = self.names[name].clone();
         projections.extend(self.own_reset(&to, neuron, units)?);
-        let mut parameters = Vec::new();
-        if matches!(neuron.threshold, None | Some(Parameter::Same(0.0))) {
-            // Without a threshold above 0 the scale is free: the largest weight becomes 254, unless
-            // all are mantissas already.
-            let every: Vec<f64> = projections.iter().flat_map(|projection| weights(&projection.kind)).collect();
-            let most = every.iter().fold(0.0, |most: f64, weight| most.max(weight.abs()));
-            let mantissas =
-                neuron.threshold.is_some() && most <= 254.0 && every.iter().all(|weight| weight % 2.0 == 0.0);
-            let scale = if most > 0.0 && !mantissas { 254.0 / most } else { 1.0 };
-            for projection in &mut projections {
-                projection.weight_scale = Some(scale);
-            }
-            if bias.iter().any(|&b| b != 0.0) {
-                let register: Vec<f64> = bias.iter().map(|b| b * scale * 64.0).collect();
-                let exponent = (0..=7)
-                    .find(|&e| register.iter().all(|b| (b / f64::from(1 << e)).abs() <= 4095.0))
-                    .ok_or_else(|| {
-                        unsupported(
-                            format!("the bias of '{name}' is outside the range of its weights"),
-                            "scale it down",
-                        )
-                    })?;
-                let mantissas = register.iter().map(|b| (b / f64::from(1 << exponent)).round_ties_even()).collect();
-                parameters.push(("bias_mant", Parameter::from_values(mantissas)));
-                parameters.push(("bias_exp", Parameter::Same(f64::from(exponent))));
-            }
-            let spikes = if neuron.threshold.is_none() { "never spikes" } else { "spikes above 0" };
-            self.notes.push(format!("'{name}' {spikes}: a potential of 1 in the file is v = {}", scale * 64.0));
+        let parameters = if matches!(neuron.threshold, None | Some(Parameter::Same(0.0))) {
+            self.scale_freely(name, neuron.threshold.is_some(), &bias, &mut projections)?
         } else if bias.iter().any(|&b| b != 0.0) {
-            parameters.push(("bias", Parameter::from_values(bias)));
-        }
+            vec![("bias", Parameter::from_values(bias))]
+        } else {
+            Vec::new()
+        };
         let population = self.model.populations.iter_mut().find(|population| population.name == to);
         if let Some(loihi) = population.and_then(|population| population.loihi.as_mut()) {
             loihi.extend(parameters);
         }
         self.model.projections.extend(projections);
         Ok(())
+    }
+
+    /// Scales the input of a population without a threshold above 0, whose scale is free: the
+    /// largest weight becomes 254, unless all are mantissas already. Returns the bias.
+    fn scale_freely(
+        &mut self,
+        name: &str,
+        spikes: bool,
+        bias: &[f64],
+        projections: &mut [ProjectionDesc],
+    ) -> Result<Vec<(&'static str, Parameter)>> {
+        let every: Vec<f64> = projections.iter().flat_map(|projection| weights(&projection.kind)).collect();
+        let most = every.iter().fold(0.0, |most: f64, weight| most.max(weight.abs()));
+        let mantissas = spikes && most <= 254.0 && every.iter().all(|weight| weight % 2.0 == 0.0);
+        let scale = if most > 0.0 && !mantissas { 254.0 / most } else { 1.0 };
+        for projection in projections {
+            projection.weight_scale = Some(scale);
+        }
+        let mut parameters = Vec::new();
+        if bias.iter().any(|&b| b != 0.0) {
+            let register: Vec<f64> = bias.iter().map(|b| b * scale * 64.0).collect();
+            let exponent = (0..=7)
+                .find(|&e| register.iter().all(|b| (b / f64::from(1 << e)).abs() <= 4095.0))
+                .ok_or_else(|| {
+                    unsupported(format!("the bias of '{name}' is outside the range of its weights"), "scale it down")
+                })?;
+            let mantissas = register.iter().map(|b| (b / f64::from(1 << exponent)).round_ties_even()).collect();
+            parameters.push(("bias_mant", Parameter::from_values(mantissas)));
+            parameters.push(("bias_exp", Parameter::Same(f64::from(exponent))));
+        }
+        let rule = if spikes { "spikes above 0" } else { "never spikes" };
+        self.notes.push(format!("'{name}' {rule}: a potential of 1 in the file is v = {}", scale * 64.0));
+        Ok(parameters)
     }
 
     /// Refuses a bias between the potential of a filter and a threshold, which is no part of v.
@@ -162,15 +166,9 @@ impl Reader<'_> {
     /// theta at the spike: `-(1 - b) theta` a step later adds up to theta, `b theta` to 0.
     fn own_reset(&mut self, name: &str, neuron: &Discrete, units: usize) -> Result<Vec<ProjectionDesc>> {
         let Some(threshold) = &neuron.threshold else { return Ok(Vec::new()) };
-        let share = |unit: usize| match neuron.reset {
-            Reset::Mode(ResetMode::Zero | ResetMode::Subtract) => 0.0,
-            Reset::Mode(ResetMode::SubtractLater) => -neuron.dv.get(unit) / 4096.0,
-            Reset::Never => 1.0 - neuron.dv.get(unit) / 4096.0,
-        };
-        let weight = |unit: usize| share(unit) * threshold.get(unit);
-        let kept = |unit: usize| 1.0 - neuron.du.get(unit) / 4096.0;
-        let first: Vec<f64> = (0..units).map(weight).collect();
-        let second: Vec<f64> = (0..units).map(|unit| -kept(unit) * weight(unit)).collect();
+        let first: Vec<f64> = (0..units).map(|unit| neuron.own_weight(unit) * threshold.get(unit)).collect();
+        let kept_current = |unit: usize| 1.0 - neuron.du.get(unit) / 4096.0;
+        let second = first.iter().enumerate().map(|(unit, weight)| -kept_current(unit) * weight).collect();
         let mut synapses = Vec::new();
         for (delay, weights) in [(0, first), (1, second)] {
             if weights.iter().any(|&weight| weight != 0.0) {
@@ -214,8 +212,7 @@ impl Reader<'_> {
         let units = product(&target).unwrap_or(0);
         let linear = scaled(connection.linear, gain.values(), &connection.shape).ok_or_else(|| self.too_many(to))?;
         let (before, behind) = (connection.source_delay, connection.delay);
-        let equal = |list: &[u32]| list.windows(2).all(|pair| pair[0] == pair[1]);
-        let own_delays = !equal(&before) || !equal(&behind);
+        let own_delays = !all_equal(&before) || !all_equal(&behind);
         let kind = match linear {
             Linear::Dense(mut weights, sources) => {
                 // The product may lack columns for the last sources.
@@ -231,14 +228,14 @@ impl Reader<'_> {
             Linear::Window(Window { sliding, kernel })
                 if target == sliding.target && self.shapes[from] == sliding.source =>
             {
-                let pair = |(y, x): (usize, usize)| (y as u64, x as u64);
-                let [size, stride, padding] = [sliding.size, sliding.stride, sliding.padding].map(pair);
+                let [size, stride, padding, dilation] =
+                    [sliding.size, sliding.stride, sliding.padding, sliding.dilation]
+                        .map(|(y, x)| (y as u64, x as u64));
                 let padding_after = sliding.padding_after();
                 match kernel {
                     Ok(kernel) => {
                         let axes = vec![sliding.target[0], sliding.per_group(), sliding.size.0, sliding.size.1];
-                        let (weights, dilation) = (tensor(axes, kernel), pair(sliding.dilation));
-                        let groups = sliding.groups as u64;
+                        let (weights, groups) = (tensor(axes, kernel), sliding.groups as u64);
                         ProjectionKind::Conv2d { weights, stride, padding, padding_after, dilation, groups }
                     }
                     Err(weight) => ProjectionKind::SumPool2d { kernel: size, stride, padding, padding_after, weight },
@@ -247,8 +244,8 @@ impl Reader<'_> {
             other => ProjectionKind::Sparse(self.synapse_list(other, units, to)?),
         };
         let kind = if own_delays {
-            let axes = |name: &str| self.shapes[name].iter().map(|&axis| axis as u64).collect::<Vec<_>>();
-            ProjectionKind::Sparse(synapse_list(kind, &axes(from), &axes(to)).ok_or_else(too_many_listed)?)
+            let synapses = synapse_list(kind, &axes(&self.shapes[from]), &axes(&target));
+            ProjectionKind::Sparse(synapses.ok_or_else(too_many_listed)?)
         } else {
             kind
         };
@@ -265,12 +262,10 @@ impl Reader<'_> {
                 "the delay field holds 0 to 62 steps: shorten the skip connection",
             ));
         }
-        let projection = |kind| ProjectionDesc::new(&self.names[from], &self.names[to], kind);
+        let like = ProjectionDesc::new(&self.names[from], &self.names[to], ProjectionKind::Sparse(Vec::new()));
         Ok(match kind {
-            ProjectionKind::Sparse(synapses) if own_delays => {
-                by_delay(&projection(ProjectionKind::Sparse(Vec::new())), synapses, delay_of).collect()
-            }
-            kind => vec![ProjectionDesc { delay: delay_of(0, 0), ..projection(kind) }],
+            ProjectionKind::Sparse(synapses) if own_delays => by_delay(&like, synapses, delay_of).collect(),
+            kind => vec![ProjectionDesc { delay: delay_of(0, 0), kind, ..like }],
         })
     }
 
@@ -301,7 +296,7 @@ impl Reader<'_> {
             let message = format!("there are {} outputs; '{output}' is used", outputs.len());
             self.warnings.push(Warning::of_network(WarningCode::OutputAssumed, message));
         }
-        let arrived = self.linear_map(&self.shapes[&path[0]].clone(), &path[1..])?;
+        let arrived = self.linear_map(&self.shapes[&path[0]], &path[1..])?;
         self.check_shape(output, product(&arrived.shape).unwrap_or(0))?;
         let plain = path[1..].iter().all(|name| matches!(self.flat.nodes[name].kind.as_str(), "Pass" | "Flatten"));
         let alone = leading.iter().filter(|(_, end)| end == output).count() == 1;
@@ -315,7 +310,7 @@ impl Reader<'_> {
         let name = self.unused_name("output");
         self.names.insert(output.clone(), name.clone());
         self.shapes.insert(output.clone(), arrived.shape.clone());
-        let shape = arrived.shape.iter().map(|&axis| axis as u64).collect();
+        let shape = axes(&arrived.shape);
         let start_step = if neurons(&path[0]) { self.depths[&path[0]] + 1 } else { 0 };
         self.depths.insert(output.clone(), start_step);
         let population = PopulationDesc::loihi(&name, shape, integrator(4096.0, 4096.0));
@@ -341,7 +336,13 @@ impl Reader<'_> {
     }
 }
 
-/// The weights of a projection.
+/// Adds numbers times the gain of each unit.
+fn add(sums: &mut [f64], numbers: &[f64], gain: &Parameter) {
+    for (unit, (sum, number)) in sums.iter_mut().zip(numbers).enumerate() {
+        *sum += number * gain.get(unit);
+    }
+}
+
 pub(super) fn weights(kind: &ProjectionKind) -> Vec<f64> {
     match kind {
         ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => weights.tensor().reals().collect(),

@@ -16,7 +16,6 @@ pub(super) const DEEPEST: usize = 8;
 pub(super) const MOST_NODES: usize = 1 << 14;
 /// The most paths that end at a node.
 pub(super) const MOST_PATHS: usize = 1 << 12;
-/// The most units of a population.
 pub(super) const MOST_UNITS: usize = 1 << 22;
 
 pub(super) fn wrong(message: impl Into<String>) -> Diagnostic {
@@ -29,6 +28,11 @@ pub(super) fn unsupported(message: impl Into<String>, help: &str) -> Diagnostic 
 
 pub(super) fn product(shape: &[usize]) -> Option<usize> {
     shape.iter().try_fold(1usize, |product, &axis| product.checked_mul(axis)).filter(|&units| units <= MOST_UNITS)
+}
+
+/// A shape with the integer type of model files.
+pub(super) fn axes(shape: &[usize]) -> Vec<u64> {
+    shape.iter().map(|&axis| axis as u64).collect()
 }
 
 /// Fields that may be infinite: exporters write a state that never decays so.

@@ -21,9 +21,7 @@ const PER_SECOND: &str = "1";
 /// A time constant and the factor of its input, of a node.
 struct Ratio<'a> {
     node: &'a str,
-    /// Whether the node is a neuron.
     of_neuron: bool,
-    /// The names of both fields.
     tau: &'static str,
     factor: &'static str,
     /// Pairs of both, one for each unit or one for all; a tau of 1 for IF.
@@ -85,8 +83,10 @@ impl ImpliedSteps {
                 self.steps.push(ImpliedStep { seconds, node, tau: ratio.tau, factor: ratio.factor, independent });
             }
             let field = if ratio.tau == "tau_mem" { "tau" } else { ratio.tau };
-            let equal = |&(other, value): &(&str, f64)| other == field && (value / tau - 1.0).abs() < 1e-6;
-            if self.independent.len() < 2 && !self.independent.iter().any(equal) {
+            let mut known = self.independent.iter();
+            if self.independent.len() < 2
+                && !known.any(|&(other, value)| other == field && (value / tau - 1.0).abs() < 1e-6)
+            {
                 self.independent.push((field, tau));
             }
         }
@@ -96,9 +96,9 @@ impl ImpliedSteps {
     /// differ.
     fn agreed(&self, given: bool) -> Result<Option<ImpliedStep>> {
         let Some(first) = self.steps.first() else { return Ok(None) };
-        let agrees = |step: &ImpliedStep| (step.seconds / first.seconds - 1.0).abs() < 1e-3;
         let seconds = first.seconds;
-        let other = self.steps.iter().find(|step| !agrees(step));
+        // A ratio that is no number agrees with none.
+        let other = self.steps.iter().find(|step| !((step.seconds / seconds - 1.0).abs() < 1e-3));
         match other {
             Some(_) if given => Ok(None),
             Some(other) => Err(ask_for_step(format!(
@@ -136,11 +136,10 @@ impl<'a> Reader<'a> {
         let by_option = given.map(|dt| (dt, "from --dt".to_string()));
         let by_tool = row.and_then(|row| Some((row.dt_ms?, format!("as {} has it", row.title))));
         let by_file = if unit == TimeUnit::Norse { None } else { implied.agreed(given.is_some())? };
-        let nothing_timed = || (1.0, "nothing in the file depends on it".to_string());
         let (dt_ms, why) = match (by_option, unit, &by_file) {
             (Some(option), ..) => option,
             (None, TimeUnit::Seconds, Some(step)) => (step.ms(), step.why(row.is_some())?),
-            _ if !implied.timed => nothing_timed(),
+            _ if !implied.timed => (1.0, "nothing in the file depends on it".to_string()),
             _ => by_tool
                 .ok_or_else(|| ask_for_step("the file has no timestep, and its nodes do not imply one".to_string()))?,
         };

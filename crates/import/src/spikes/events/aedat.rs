@@ -76,37 +76,61 @@ fn streams(text: &str) -> BTreeMap<i32, Stream<'_>> {
 }
 
 /// The diagnostic for events of several streams.
-fn several(streams: &BTreeMap<i32, Stream<'_>>, found: &[i32]) -> Diagnostic {
-    let describe = |number: &i32| match streams.get(number) {
+fn several(streams: &BTreeMap<i32, Stream<'_>>, numbers: &[i32]) -> Diagnostic {
+    let described = numbers.iter().map(|number| match streams.get(number) {
         Some(stream) => {
             let source = stream.source.map_or(String::new(), |source| format!(" of {}", source.escape_debug()));
             let size = stream.size().map_or(String::new(), |(columns, rows)| format!(", {columns} x {rows} pixels"));
             format!("stream {number}{source}{size}")
         }
         None => format!("stream {number}"),
-    };
-    let described: Vec<String> = found.iter().map(describe).collect();
-    let all: Vec<String> = found.iter().map(|number| format!("FILE?stream={number}")).collect();
+    });
+    let described: Vec<String> = described.collect();
+    let all: Vec<String> = numbers.iter().map(|number| format!("FILE?stream={number}")).collect();
     wrong(format!("it holds events of several cameras: {}", described.join("; ")))
         .help(format!("choose one as the source: {}", all.join(" or ")))
 }
 
+/// The number of the stream to read: `chosen`, or the only one with events; none where the header
+/// names no stream.
+fn stream_to_read(chosen: Option<u32>, streams: &BTreeMap<i32, Stream<'_>>) -> Result<Option<i32>> {
+    let with_events: Vec<i32> =
+        streams.iter().filter(|(_, stream)| stream.holds_events()).map(|(number, _)| *number).collect();
+    let number = match (chosen, with_events.as_slice()) {
+        (Some(number), _) => i32::try_from(number).unwrap_or(i32::MAX),
+        (None, [only]) => *only,
+        (None, []) => return Ok(None),
+        (None, numbers) => return Err(several(streams, numbers)),
+    };
+    if streams.is_empty() || streams.get(&number).is_some_and(Stream::holds_events) {
+        return Ok(Some(number));
+    }
+    let numbers: Vec<String> = with_events.iter().map(ToString::to_string).collect();
+    Err(Diagnostic::new("input.option", format!("stream {number} holds no events"))
+        .help(format!("streams with events are: {}", numbers.join(", "))))
+}
+
+/// Reads the first line of a file, with its version.
+fn check_version(input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
+    let mut magic = [0; 14];
+    if fill(input, &mut magic, sink)? && &magic == MAGIC {
+        return Ok(());
+    }
+    let version = magic.strip_prefix(AEDAT).map(|rest| String::from_utf8_lossy(rest).trim().to_string());
+    let what = match &version {
+        Some(version) => format!("AEDAT {} is not supported; AEDAT 4.0 is", version.escape_debug()),
+        None => "this is not an AEDAT4 file".to_string(),
+    };
+    Err(wrong(what).help(
+        "DV converts AEDAT 2 and 3 to AEDAT4 when it opens them; rows of text with the header t_us,x,y,p are supported \
+         too",
+    ))
+}
+
 /// Reads one stream of a file: `chosen`, or the only one with events.
 pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) -> Result<()> {
-    let mut magic = [0; 14];
-    let there = fill(input, &mut magic, sink)?;
-    if !there || &magic != MAGIC {
-        let version = magic.strip_prefix(AEDAT).map(|rest| String::from_utf8_lossy(rest).trim().to_string());
-        let what = match &version {
-            Some(version) => format!("AEDAT {} is not supported; AEDAT 4.0 is", version.escape_debug()),
-            None => "this is not an AEDAT4 file".to_string(),
-        };
-        return Err(wrong(what).help(
-            "DV converts AEDAT 2 and 3 to AEDAT4 when it opens them; rows of text with the header t_us,x,y,p are \
-             supported too",
-        ));
-    }
-    let mut at = magic.len() as u64;
+    check_version(input, sink)?;
+    let mut at = MAGIC.len() as u64;
     let Some(header) = read_packet(input, &mut at, sink)? else {
         return Err(wrong("the file ends within its header"));
     };
@@ -116,21 +140,7 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
     let end: i64 = header.access(1, "IOHeader", "dataTablePosition").map_err(damaged)?.unwrap_or(-1);
     let text = header.access::<&str>(2, "IOHeader", "infoNode").ok().flatten().unwrap_or_default();
     let streams = streams(text);
-    let with_events: Vec<i32> =
-        streams.iter().filter(|(_, stream)| stream.holds_events()).map(|(number, _)| *number).collect();
-    let mut stream = match (chosen, with_events.as_slice()) {
-        (Some(number), _) => Some(i32::try_from(number).unwrap_or(i32::MAX)),
-        (None, [only]) => Some(*only),
-        (None, []) => None,
-        (None, found) => return Err(several(&streams, found)),
-    };
-    if let (Some(number), false) = (stream, streams.is_empty())
-        && !streams.get(&number).is_some_and(Stream::holds_events)
-    {
-        let numbers: Vec<String> = with_events.iter().map(ToString::to_string).collect();
-        return Err(Diagnostic::new("input.option", format!("stream {number} holds no events"))
-            .help(format!("streams with events are: {}", numbers.join(", "))));
-    }
+    let mut stream = stream_to_read(chosen, &streams)?;
     if let Some((columns, rows)) = stream.and_then(|number| streams.get(&number)?.size()) {
         sink.size(columns, rows);
     }
@@ -146,8 +156,8 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
             break;
         }
         at += head.len() as u64;
-        let [number, size] = [[head[0], head[1], head[2], head[3]], [head[4], head[5], head[6], head[7]]];
-        let (number, size) = (i32::from_le_bytes(number), i32::from_le_bytes(size));
+        let [number, size] =
+            [[head[0], head[1], head[2], head[3]], [head[4], head[5], head[6], head[7]]].map(i32::from_le_bytes);
         let size = usize::try_from(size).unwrap_or(usize::MAX);
         let Some(packed) = read_bytes(input, size, &mut at, sink)? else { break };
         let packet = unpack(packed, compression)?;

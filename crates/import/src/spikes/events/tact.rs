@@ -12,7 +12,6 @@ use nsim_ir::base::diagnostic::Result;
 
 /// Number of taxels; an event's x is a taxel.
 pub const TAXELS: u32 = 78;
-/// The longest row.
 const MOST_ROW: usize = 256;
 
 /// Reads a file.

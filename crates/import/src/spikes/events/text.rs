@@ -20,7 +20,6 @@ use crate::spikes::options::TimeUnit;
 use nsim_files::text::TIMES;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The longest row.
 const MOST_ROW: usize = 4096;
 /// The latest time, about 285 years.
 const MOST_US: i64 = 9_000_000_000_000_000;
@@ -159,7 +158,6 @@ pub fn is_header(line: &str) -> bool {
     Columns::from_header(line).is_some()
 }
 
-/// The fields of a line.
 fn fields(line: &str, commas: bool) -> Vec<&str> {
     if commas { line.split(',').map(str::trim).collect() } else { line.split_whitespace().collect() }
 }
@@ -218,7 +216,6 @@ pub fn events(given_unit: Option<TimeUnit>, input: &mut dyn BufRead, sink: &mut 
     rows(input, MOST_ROW, sink, |text, sink| reader.line(text, sink))
 }
 
-/// State of reading a file.
 struct Reader {
     given_unit: Option<TimeUnit>,
     /// The last comment before the first row that could be a header.
@@ -226,7 +223,6 @@ struct Reader {
     columns: Option<Columns>,
     /// Whether a line had the size of the sensor.
     sized: bool,
-    /// The time of the last event.
     latest_us: i64,
 }
 
