@@ -103,7 +103,7 @@ class Network:
         self,
         target: Path = "nahuku-32",
         *,
-        copies: int = 1,
+        copies: Optional[int] = None,
         deployment: str = "spread",
         strategy: str = "multilevel",
         objective: str = "cores",

@@ -58,14 +58,9 @@ pub fn bench<'py>(
     to_python(
         py,
         &json!({
-            "us_per_timestep": timing.us_per_timestep,
-            "fastest_us": timing.fastest,
-            "spread_us": timing.spread,
-            "repeats": timing.repeats,
-            "steps": timing.steps,
-            "spikes_in": per_step(timing.totals.spikes_in),
-            "spikes": per_step(timing.totals.spikes),
-            "synaptic_events": per_step(timing.totals.synaptic_events),
+            "us_per_timestep": timing.us_per_timestep, "fastest_us": timing.fastest, "spread_us": timing.spread,
+            "repeats": timing.repeats, "steps": timing.steps, "spikes_in": per_step(timing.totals.spikes_in),
+            "spikes": per_step(timing.totals.spikes), "synaptic_events": per_step(timing.totals.synaptic_events),
             "compartment_updates": per_step(timing.totals.compartment_updates),
         }),
     )

@@ -1,13 +1,11 @@
 //! Conversion of a network to integers by a search on samples: `nsim convert`.
 //!
-//! Input: a network with real numbers, spikes. Output: a [`Conversion`] with the figures and the
-//! model of the command line.
+//! Input: a network with real numbers, spikes. Output: a [`Conversion`], as the command line's.
 
 use nsim::files::network::NetworkFile;
 use nsim::files::shipped;
 use nsim::report::convert::ConvertReport;
-use nsim::train::convert::calibration;
-use nsim::train::convert::calibration::RunInput;
+use nsim::train::convert::calibration::{self, RunInput};
 use nsim::train::convert::copies::{DEFAULT_COPIES, MOST_COPIES};
 use nsim::train::convert::fine_tune::trainable;
 use nsim::train::convert::job::{FineTuning, Job, SampleSplit};
@@ -39,7 +37,8 @@ impl Conversion {
     /// Converts a network for a target; `built` makes the network of the written model.
     pub fn new(
         py: Python<'_>,
-        (name, network): (&str, &nsim::files::network::Network),
+        name: &str,
+        network: &nsim::files::network::Network,
         target: &str,
         spikes: Option<&Bound<'_, PyAny>>,
         keywords: &Keywords<'_>,
@@ -74,7 +73,7 @@ impl Conversion {
                 Some(samples) => Some(samples),
                 None => calibration::stimulus(&job.integers, &[], run, wanted)?,
             };
-            let split = SampleSplit::new((origin, &samples), apart.as_ref(), wanted);
+            let split = SampleSplit::new(origin, &samples, apart.as_ref(), wanted);
             let done = job.convert(&split, copies, |_| progress())?;
             let tuned = match epochs {
                 0 => None,
@@ -84,7 +83,7 @@ impl Conversion {
                         shipped::path_or_shipped_text(named, shipped::TRAININGS, "training file", "convert.training")
                             .map_err(|error| error.help("training= names the training file of the model"))?;
                     let (converted, held_out) = (&done.converted, split.held_out.as_slice());
-                    let tuning = FineTuning::new(&job, converted, &source, (&train, held_out), epochs)?;
+                    let tuning = FineTuning::new(&job, converted, &source, &train, held_out, epochs)?;
                     Some(tuning.run(converted, held_out, &|| progress(), |_| ())?)
                 }
             };

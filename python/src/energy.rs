@@ -3,16 +3,14 @@
 use std::path::PathBuf;
 
 use nsim::cost::estimate::Convention;
-use nsim::cost::job::Accounting;
-use nsim::cost::job::Mode;
+use nsim::cost::job::{Accounting, Mode};
 use nsim::cost::{Host, Streams, Transport};
 use nsim::energy::evaluate::{DeploymentPlan, Evaluation, evaluate};
 use nsim::energy::options::CostOptions;
-use nsim::energy::report::table::EnergyReport;
+use nsim::energy::report::result::EnergyReport;
 use nsim::energy::workload::Workload;
 use nsim::files::text::sha256;
-use nsim::files::write;
-use nsim::files::write::check_free;
+use nsim::files::write::{self, check_free};
 use nsim::ir::spikes::{Sample, Stimulus};
 use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
@@ -76,7 +74,8 @@ fn read_input(
 /// Runs and prices a mapping; `then` takes the result.
 fn run_and_price<T: Send>(
     py: Python<'_>,
-    (shared, plan): (&Shared, &DeploymentPlan),
+    shared: &Shared,
+    plan: &DeploymentPlan,
     shown: NetworkInput,
     keywords: &Keywords<'_>,
     then: impl FnOnce(&Workload<'_>, Evaluation, (Transport, Progress<'_>)) -> Result<T, nsim::Error> + Send,
@@ -98,7 +97,7 @@ fn run_and_price<T: Send>(
         };
         let program = alone.as_ref().map_or(&compiled.program, |alone| &alone.program);
         let mut evaluated = evaluate(plan, &workload, &options, Some((&compiled.one, program)), |metered, watched| {
-            workload.simulate(metered, watched, true, (progress, None))
+            workload.simulate(metered, watched, true, progress, None)
         })?;
         let warnings = in_python(std::mem::take(&mut evaluated.energy.detail.warnings));
         evaluated.energy.detail.warnings.clone_from(&warnings);
@@ -113,15 +112,17 @@ fn run_and_price<T: Send>(
 /// Writes the page of a run to a path; `force` replaces an existing file.
 pub fn report(
     py: Python<'_>,
-    what: (&Shared, &DeploymentPlan),
+    shared: &Shared,
+    plan: &DeploymentPlan,
     spikes: Option<&Bound<'_, PyAny>>,
     keywords: &Keywords<'_>,
-    (path, force): (PathBuf, bool),
+    path: PathBuf,
+    force: bool,
 ) -> PyResult<PathBuf> {
     check_free(&path, force).map_err(|problem| exception(py, problem))?;
-    let network = &what.0.network;
-    let shown = read_input(py, what.0, spikes, keywords)?;
-    let page = run_and_price(py, what, shown, keywords, |workload, evaluated, (transport, progress)| {
+    let network = &shared.network;
+    let shown = read_input(py, shared, spikes, keywords)?;
+    let page = run_and_price(py, shared, plan, shown, keywords, |workload, evaluated, (transport, progress)| {
         let mut sections = page::sections(workload, &evaluated, transport)?;
         if let Some(trained) = page::trained(workload, network)? {
             sections.agreement = page::agreement(workload, &trained, progress)?;
@@ -147,7 +148,7 @@ impl Energy {
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
         let shown = read_input(py, shared, spikes, keywords)?;
-        run_and_price(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+        run_and_price(py, shared, plan, shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
     /// Runs and prices a mapping for one sample.
@@ -160,7 +161,7 @@ impl Energy {
     ) -> PyResult<Self> {
         let stimulus = Stimulus { samples: vec![sample], origin: vec!["session".to_string()], ..Stimulus::default() };
         let shown = NetworkInput { stimulus, order: vec![0] };
-        run_and_price(py, (shared, plan), shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+        run_and_price(py, shared, plan, shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
     fn total(&self, figure: &str) -> Option<f64> {

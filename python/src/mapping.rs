@@ -36,8 +36,8 @@ pub use nsim::files::network::USUAL_TARGET as TARGET;
 pub struct MappingRequest {
     target: Option<String>,
     file: Option<PathBuf>,
-    /// Copies of the network.
-    pub copies: u32,
+    /// Copies of the network: those of the file unless given, else one.
+    pub copies: Option<u32>,
     /// Options of the compiler.
     pub options: Options,
 }
@@ -47,7 +47,7 @@ impl MappingRequest {
     pub fn new(target: Option<PathBuf>, keywords: &Keywords<'_>) -> PyResult<Self> {
         let usual = Options::default();
         let file: Option<PathBuf> = keywords.take("mapping")?;
-        let copies = keywords.whole("copies", 1..=u32::MAX.into())?.map_or(usual.copies, |copies| copies as u32);
+        let copies = keywords.whole("copies", 1..=u32::MAX.into())?.map(|copies| copies as u32);
         let strategy = keywords.one_of("strategy", &Strategy::ALL, Strategy::name)?.unwrap_or(usual.strategy);
         let objective = keywords.one_of("objective", &Objective::ALL, Objective::name)?.unwrap_or(usual.objective);
         let seed = keywords.take("seed")?.unwrap_or(usual.seed);
@@ -62,7 +62,7 @@ impl MappingRequest {
         let request = Request {
             target: TargetChoice::Named(self.target.as_deref()),
             mapping: self.file.as_deref(),
-            copies: self.file.is_none().then_some(self.copies),
+            copies: self.copies,
             options: self.options,
             ..Request::new(model, network, &integers)
         };
@@ -81,7 +81,8 @@ impl Mapping {
     /// Maps a network, and issues its warnings that are not among those `known`.
     pub fn new(
         py: Python<'_>,
-        (model, known): (&str, &[Warning]),
+        model: &str,
+        known: &[Warning],
         network: &Arc<Network>,
         request: &MappingRequest,
     ) -> PyResult<Self> {
@@ -284,7 +285,7 @@ impl Mapping {
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.0.model, &keywords, None)?;
         plan.check_mapping().map_err(|error| exception(py, error))?;
-        energy::report(py, (&self.0, &plan), spikes, &keywords, (path, force))
+        energy::report(py, &self.0, &plan, spikes, &keywords, path, force)
     }
 
     fn __repr__(&self) -> String {

@@ -10,9 +10,8 @@ use std::path::Path;
 use nsim::files::network::{
     Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor,
 };
-use nsim::import::foreign;
 use nsim::import::foreign::hdf5::{Group, Numbers};
-use nsim::import::foreign::{DecayRule, Imported, Options, Reading, ResetMode, Tool};
+use nsim::import::foreign::{self, DecayRule, Imported, Options, Reading, ResetMode, Tool};
 use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;
@@ -62,8 +61,8 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
     };
     let mut built = PopulationDesc::input(&name, shape);
     let kind: String = keywords.take("kind")?.unwrap_or_else(|| "Loihi".to_string());
-    let found = NeuronKind::ALL.into_iter().find(|known| known.name() == kind);
-    let sends_values = found.map(|kind| kind.table().emits == Emits::Values);
+    let known_kind = NeuronKind::ALL.into_iter().find(|known| known.name() == kind);
+    let sends_values = known_kind.map(|kind| kind.table().emits == Emits::Values);
     if kind == "Input" || sends_values == Some(false) {
         built.payload = keywords.take("payload")?;
     }
@@ -80,7 +79,7 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
         keywords.refuse_unread()?;
         return Ok(PopulationDesc { srm: Some(srm), ..built });
     }
-    let Some(kind) = found else {
+    let Some(kind) = known_kind else {
         let known: Vec<&str> = ["Input", "Srm"].into_iter().chain(NeuronKind::ALL.map(NeuronKind::name)).collect();
         let message = format!("{whose}: kind is '{kind}', which is not supported");
         return Err(usage(message, &format!("kind is one of {}", known.join(", "))));

@@ -56,7 +56,7 @@ pub fn load(py: Python<'_>, model: PathBuf, options: Option<&Bound<'_, PyDict>>)
         Ok::<_, Diagnostic>(network)
     })?;
     let notes = network.conventions().notes.clone();
-    Network::with_notes(py, (format!("{model}: "), model), network, notes)
+    Network::with_notes(py, &format!("{model}: "), model, network, notes)
 }
 
 /// A network from the bytes of a file of another tool.
@@ -156,7 +156,8 @@ impl Network {
     /// `prefix`.
     fn with_notes(
         py: Python<'_>,
-        (prefix, model): (String, String),
+        prefix: &str,
+        model: String,
         network: nsim::files::network::Network,
         notes: Vec<String>,
     ) -> PyResult<Self> {
@@ -179,15 +180,15 @@ impl Network {
         let copies = copies.map(|copies| copies as u32);
         let plan = energy::plan(py, &self.model, keywords, copies)?;
         let mut request = MappingRequest::new(target, &Keywords::new(None)?)?;
-        request.copies = plan.mapped_copies().unwrap_or(1);
+        request.copies = plan.mapped_copies();
         request.options.placement = plan.placement();
-        Ok((Mapping::new(py, (&self.model, &self.warnings), &self.network, &request)?, plan))
+        Ok((Mapping::new(py, &self.model, &self.warnings, &self.network, &request)?, plan))
     }
 
     /// A network that has no file.
     pub fn without_file(py: Python<'_>, network: nsim::files::network::Network, notes: Vec<String>) -> PyResult<Self> {
         let model = memory::memory_name(&network.file().name);
-        Network::with_notes(py, (String::new(), model), network, notes)
+        Network::with_notes(py, "", model, network, notes)
     }
 }
 
@@ -259,20 +260,21 @@ impl Network {
 
     /// This network on the cores of a target.
     ///
-    /// `target` is a target file or a shipped name; `copies` (1), `deployment` ('spread',
-    /// 'packed'), `strategy` ('multilevel', 'greedy', 'sequential'), `objective` ('cores',
-    /// 'energy', 'energy:chip', 'latency') and `seed` (0) are as in `nsim map`; `mapping` is a file
-    /// of `nsim map -o`. Spike response neurons become integers as in `nsim map`.
+    /// `target` is a target file or a shipped name; `copies` (1, or those of `mapping`),
+    /// `deployment` ('spread', 'packed'), `strategy` ('multilevel', 'greedy', 'sequential'),
+    /// `objective` ('cores', 'energy', 'energy:chip', 'latency') and `seed` (0) are as in
+    /// `nsim map`; `mapping` is a file of `nsim map -o`. Spike response neurons become integers as
+    /// in `nsim map`.
     #[pyo3(
         signature = (target=None, **options),
-        text_signature = "($self, target='nahuku-32', *, copies=1, deployment='spread', strategy='multilevel', \
+        text_signature = "($self, target='nahuku-32', *, copies=None, deployment='spread', strategy='multilevel', \
                           objective='cores', seed=0, mapping=None)"
     )]
     fn map(&self, py: Python<'_>, target: Option<PathBuf>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Mapping> {
         let keywords = Keywords::new(options)?;
         let request = MappingRequest::new(target, &keywords)?;
         keywords.refuse_unread()?;
-        Mapping::new(py, (&self.model, &self.warnings), &self.network, &request)
+        Mapping::new(py, &self.model, &self.warnings, &self.network, &request)
     }
 
     /// Energy, time and power of the network on the chip: `nsim energy`.
@@ -318,7 +320,7 @@ impl Network {
         let keywords = Keywords::new(options)?;
         let force = keywords.take("force")?.unwrap_or(false);
         let (mapping, plan) = self.mapping_to_price(py, target, copies, &keywords)?;
-        energy::report(py, (mapping.shared(), &plan), spikes, &keywords, (path, force))
+        energy::report(py, mapping.shared(), &plan, spikes, &keywords, path, force)
     }
 
     /// Disagreement of the integers with the trained network, and its causes: `nsim agree`.
@@ -375,7 +377,7 @@ impl Network {
     ) -> PyResult<Conversion> {
         let target = target.map_or_else(|| TARGET.to_string(), |target| target.to_string_lossy().into_owned());
         let built = |model: &NetworkFile| Ok(Py::new(py, Network::from_model(py, model)?)?.into_any());
-        Conversion::new(py, (&self.model, &self.network), &target, spikes, &Keywords::new(options)?, built)
+        Conversion::new(py, &self.model, &self.network, &target, spikes, &Keywords::new(options)?, built)
     }
 
     /// Writes the network as a model file, and its arrays next to it; `force` replaces existing

@@ -20,12 +20,12 @@ pub fn dictionaries<'py>(py: Python<'py>, network: &Quantised) -> PyResult<Vec<B
 
 fn dictionary<'py>(py: Python<'py>, network: &Quantised, projection: &Projection) -> PyResult<Bound<'py, PyDict>> {
     let [source, target] = [projection.source, projection.target].map(|id| &network.populations()[id]);
-    let found = PyDict::new(py);
-    found.set_item("source", &source.name)?;
-    found.set_item("target", &target.name)?;
-    found.set_item("exponent", projection.format.exponent.get())?;
-    found.set_item("delay", projection.delay.get())?;
-    found.set_item("factor", source.message.factor())?;
+    let object = PyDict::new(py);
+    object.set_item("source", &source.name)?;
+    object.set_item("target", &target.name)?;
+    object.set_item("exponent", projection.format.exponent.get())?;
+    object.set_item("delay", projection.delay.get())?;
+    object.set_item("factor", source.message.factor())?;
     let weights = |weights: Vec<i16>, shape: Vec<usize>| PyArray1::from_vec(py, weights).reshape(shape);
     let set_window = |window: &Window, groups: u32| {
         let window_of = PyDict::new(py);
@@ -34,19 +34,19 @@ fn dictionary<'py>(py: Python<'py>, network: &Quantised, projection: &Projection
         window_of.set_item("dilation", window.dilation)?;
         window_of.set_item("groups", groups)?;
         window_of.set_item("source", window.source)?;
-        found.set_item("window", window_of)
+        object.set_item("window", window_of)
     };
     match &projection.connectivity {
         Connectivity::Conv2d { window, kernel } => {
             set_window(window, window.groups)?;
             let (channels, (height, width)) = (window.target.0, window.kernel);
             let shape = [channels, window.source.0 / window.groups, height, width].map(|n| n as usize);
-            found.set_item("weights", weights(kernel.to_vec(), shape.to_vec())?)?;
+            object.set_item("weights", weights(kernel.to_vec(), shape.to_vec())?)?;
         }
         Connectivity::SumPool2d { window, weight } => {
             set_window(window, window.source.0)?;
             let shape = [window.source.0, 1, window.kernel.0, window.kernel.1].map(|n| n as usize);
-            found.set_item("weights", weights(vec![*weight; shape.iter().product()], shape.to_vec())?)?;
+            object.set_item("weights", weights(vec![*weight; shape.iter().product()], shape.to_vec())?)?;
         }
         connectivity => {
             let shape = [target.shape.len() as usize, source.shape.len() as usize];
@@ -62,8 +62,8 @@ fn dictionary<'py>(py: Python<'py>, network: &Quantised, projection: &Projection
                     matrix[to as usize * shape[1] + from as usize] += i64::from(weight);
                 });
             }
-            found.set_item("weights", PyArray1::from_vec(py, matrix).reshape(shape.to_vec())?)?;
+            object.set_item("weights", PyArray1::from_vec(py, matrix).reshape(shape.to_vec())?)?;
         }
     }
-    Ok(found)
+    Ok(object)
 }

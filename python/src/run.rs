@@ -12,10 +12,9 @@ use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::detail::Detail;
 use nsim::session::neurobench::NeuroBench;
 use nsim::session::populations::CountsByPopulation;
-use nsim::session::samples;
 use nsim::session::samples::{Division, RunSettings, fast, fast_on_image};
 use nsim::session::warnings::{FinishedRun, RunEngine, warnings};
-use nsim::session::{Outcome, Probe, SampleSettings, digest};
+use nsim::session::{Outcome, Probe, SampleSettings, digest, samples};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
@@ -139,8 +138,8 @@ impl Run {
         let (of_input, outcomes) = (&self.shown.stimulus.warnings, &self.run.outcomes);
         let finished = FinishedRun { network, engine, sums: &sums, samples: &samples, of_input, outcomes };
         // The check of a silent population runs samples once more.
-        let found = in_python(on_own_threads(|| warnings(finished)));
-        Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings: found, ranks: Vec::new() }
+        let warnings = in_python(on_own_threads(|| warnings(finished)));
+        Detail { sums, cores: core_rows(program, &self.run.activity, None), warnings, ranks: Vec::new() }
     }
 
     fn with_report<T>(&self, detail: &Detail, read: impl FnOnce(&RunReport<'_>) -> T) -> T {
@@ -270,8 +269,8 @@ impl Run {
     /// A dictionary for each warning of the run: `code`, `population`, `message`.
     #[getter]
     fn warnings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
-        let found = run_detached(py, || self.detail().warnings);
-        to_python(py, &serde_json::json!(found))
+        let warnings = run_detached(py, || self.detail().warnings);
+        to_python(py, &serde_json::json!(warnings))
     }
 
     /// Seconds of simulation.

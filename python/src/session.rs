@@ -201,8 +201,8 @@ impl Session {
         if let Some(inputs) = inputs {
             let network = self.network();
             let mut add = |name: &str, given: &Bound<'_, PyAny>| {
-                let found = network.inputs().find(|(_, population)| population.name == name);
-                let known = found.and_then(|(_, p)| Some((p.first_channel()?.0, p.shape, p.message)));
+                let population = network.inputs().find(|(_, population)| population.name == name);
+                let known = population.and_then(|(_, p)| Some((p.first_channel()?.0, p.shape, p.message)));
                 let Some((first, shape, message)) = known else {
                     let known: Vec<&str> = network.inputs().map(|(_, population)| population.name.as_str()).collect();
                     let message = format!("'{name}' is not an input population");

@@ -149,7 +149,7 @@ fn texts(spikes: &Bound<'_, PyAny>) -> PyResult<Option<Vec<String>>> {
 /// The stimulus of an array or of a dictionary of arrays.
 fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> PyResult<Stimulus> {
     let inputs: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
-    let read_as = (network.parts().timestep_ms, time_first);
+    let dt_ms = network.parts().timestep_ms;
     let names = || inputs.iter().map(|population| population.name.as_str()).collect::<Vec<_>>().join(", ");
     let sources = match spikes.cast::<PyDict>() {
         Ok(by_name) => {
@@ -165,11 +165,11 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
                     return Err(usage(message, &format!("give an array for each of: {}", names())));
                 };
                 let name = format!("spikes['{}']", population.name);
-                sources.push(recordings(&array, &name, population, read_as)?);
+                sources.push(recordings(&array, &name, population, dt_ms, time_first)?);
             }
             sources
         }
-        Err(_) if inputs.len() == 1 => vec![recordings(spikes, "spikes", inputs[0], read_as)?],
+        Err(_) if inputs.len() == 1 => vec![recordings(spikes, "spikes", inputs[0], dt_ms, time_first)?],
         Err(_) => {
             let message = format!("spikes is one array, but there are {} input populations", inputs.len());
             return Err(usage(message, &format!("give a dictionary with an array for each of: {}", names())));
@@ -187,7 +187,8 @@ fn recordings(
     given: &Bound<'_, PyAny>,
     name: &str,
     population: &Population,
-    (dt_ms, time_first): (f64, bool),
+    dt_ms: f64,
+    time_first: bool,
 ) -> PyResult<Vec<PopulationSpikes>> {
     let py = given.py();
     if let Ok(events) = given.cast::<Events>() {
@@ -208,90 +209,21 @@ fn recordings(
     read(py, &Array::new(given, name)?, population, time_first)
 }
 
+/// The samples of an array of spikes or values.
 fn read(
     py: Python<'_>,
     array: &Array<'_>,
     population: &Population,
     time_first: bool,
 ) -> PyResult<Vec<PopulationSpikes>> {
+    let (samples, steps) =
+        samples_and_steps(array, population, time_first).map_err(|problem| exception(py, problem))?;
     let units = population.shape.len() as usize;
-    let (shape, name) = (array.shape(), array.name());
-    if shape.contains(&0) {
-        let empty = Diagnostic::new("input.shape", format!("{name} has shape {shape:?} and is empty"));
-        return Err(exception(
-            py,
-            empty.help("give at least a sample, a channel and a timestep, or None for the model's own scene"),
-        ));
-    }
-    let holds = |axes: &[usize]| matches_shape(population.shape, axes);
-    let fits = |time_first| match (time_first, shape) {
-        (false, [channels @ .., steps]) if holds(channels) => Some((1, *steps)),
-        (false, [samples, channels @ .., steps]) if holds(channels) => Some((*samples, *steps)),
-        (true, [steps, channels @ ..]) if holds(channels) => Some((1, *steps)),
-        (true, [samples, steps, channels @ ..]) if holds(channels) => Some((*samples, *steps)),
-        _ => None,
-    };
-    let Some((samples, steps)) = fits(time_first) else {
-        let (axes, name_of) = (population.shape, &population.name);
-        let message =
-            format!("{name} has shape {shape:?}, which does not fit population '{name_of}' of {axes} channels");
-        let whole = matches!(shape, [_, _, channels @ ..] if holds(channels));
-        let help = match (time_first, fits(!time_first).is_some()) {
-            // The meaning of the two axes before the channels is unknown.
-            (false, true) if whole => {
-                "where it is [samples, T, channels..] give time_first=True, where it is [T, samples, channels..] give \
-                 numpy.moveaxis(numpy.asarray(array), 0, -1)"
-            }
-            (false, true) => {
-                "where it is [T, channels..] give time_first=True, where it is [samples, channels..] of one timestep \
-                 give array[..., None]"
-            }
-            (true, true) => "time comes after the channels: remove time_first=",
-            (false, false) => {
-                "an array is [samples, channels.., T], and the axis samples is optional; channels are one axis or the \
-                 axes of the population, in their order: numpy.moveaxis(array, FROM, TO)"
-            }
-            (true, false) => {
-                "an array is [samples, T, channels..], and the axis samples is optional; channels are one axis or the \
-                 axes of the population, in their order: numpy.moveaxis(array, FROM, TO)"
-            }
-        };
-        return Err(exception(py, Diagnostic::new("input.shape", message).help(help)));
-    };
-    let too_long = |message: String, help: &str| exception(py, Diagnostic::new("input.too-long", message).help(help));
-    if steps > MOST_STEPS as usize {
-        let message = format!("{name} has {steps} timesteps, more than {MOST_STEPS}");
-        return Err(too_long(message, "cut it into samples, or make a timestep longer"));
-    }
-    let numbers = (samples * steps).saturating_mul(units);
-    let budget = Budget::for_file(array.stored_bytes(), 0, 0).samples(samples as u64, steps as u64);
-    if numbers > MOST_NUMBERS || budget.is_err() {
-        let message = format!("{name} has {samples} samples of {steps} timesteps, too many for one call");
-        return Err(too_long(message, "give fewer samples per call: array[FIRST:END]"));
-    }
-    let mut recordings = PopulationSpikes::silent(samples, units as u64, steps as u32, "array".to_string());
+    check_size(array, samples, steps, units).map_err(|problem| exception(py, problem))?;
     // Rows of an array: the steps of a channel, or the channels of a step.
     let (width, rows) = if time_first { (units, steps) } else { (steps, units) };
-    let (mut spikes, mut sample, mut row, mut begin) = (0, 0, 0, 0);
-    let mut add = |index: usize, value: Option<i32>| {
-        while index - begin >= width {
-            begin += width;
-            row += 1;
-            if row == rows {
-                (sample, row) = (sample + 1, 0);
-            }
-        }
-        if spikes == MOST_SPIKES {
-            let problem = Diagnostic::new("input.too-many", format!("{name} has more than {MOST_SPIKES} spikes"));
-            return Err(problem.help("give fewer samples per call: array[FIRST:END]").into());
-        }
-        spikes += 1;
-        let column = index - begin;
-        let (step, channel) = if time_first { (row, column) } else { (column, row) };
-        recordings[sample].events.push((step as u32, channel as u32));
-        recordings[sample].values.extend(value);
-        Ok(())
-    };
+    let recordings = PopulationSpikes::silent(samples, units as u64, steps as u32, "array".to_string());
+    let mut spikes = SpikeRows { recordings, time_first, width, rows, spikes: 0, sample: 0, row: 0, begin: 0 };
     if matches!(population.message, Message::Value(_)) {
         array.each(|index, number| {
             if number == 0.0 {
@@ -302,10 +234,122 @@ fn read(
                 let wrong = array.wrong(index, number, "and a message carries an integer of 32 bits");
                 return Err(wrong.help("scale or round the array first: numpy.rint(64 * array)").into());
             }
-            add(index, Some(value))
+            spikes.add(array, index, Some(value))
         })?;
     } else {
-        array.each_spike(|index| add(index, None))?;
+        array.each_spike(|index| spikes.add(array, index, None))?;
     }
-    Ok(recordings)
+    Ok(spikes.recordings)
+}
+
+/// Samples and timesteps of an array, by its axes; none where they are not the population's.
+fn axes(shape: &[usize], population: &Population, time_first: bool) -> Option<(usize, usize)> {
+    let are_channels = |axes: &[usize]| matches_shape(population.shape, axes);
+    match (time_first, shape) {
+        (false, [channels @ .., steps]) if are_channels(channels) => Some((1, *steps)),
+        (false, [samples, channels @ .., steps]) if are_channels(channels) => Some((*samples, *steps)),
+        (true, [steps, channels @ ..]) if are_channels(channels) => Some((1, *steps)),
+        (true, [samples, steps, channels @ ..]) if are_channels(channels) => Some((*samples, *steps)),
+        _ => None,
+    }
+}
+
+/// Samples and timesteps of an array.
+fn samples_and_steps(
+    array: &Array<'_>,
+    population: &Population,
+    time_first: bool,
+) -> Result<(usize, usize), Diagnostic> {
+    let (shape, name) = (array.shape(), array.name());
+    if shape.contains(&0) {
+        let empty = Diagnostic::new("input.shape", format!("{name} has shape {shape:?} and is empty"));
+        return Err(empty.help("give at least a sample, a channel and a timestep, or None for the model's own scene"));
+    }
+    if let Some(numbers) = axes(shape, population, time_first) {
+        return Ok(numbers);
+    }
+    let (channels, name_of) = (population.shape, &population.name);
+    let message =
+        format!("{name} has shape {shape:?}, which does not fit population '{name_of}' of {channels} channels");
+    let whole = matches!(shape, [_, _, channels @ ..] if matches_shape(population.shape, channels));
+    let help = match (time_first, axes(shape, population, !time_first).is_some()) {
+        // The meaning of the two axes before the channels is unknown.
+        (false, true) if whole => {
+            "where it is [samples, T, channels..] give time_first=True, where it is [T, samples, channels..] give \
+             numpy.moveaxis(numpy.asarray(array), 0, -1)"
+        }
+        (false, true) => {
+            "where it is [T, channels..] give time_first=True, where it is [samples, channels..] of one timestep \
+             give array[..., None]"
+        }
+        (true, true) => "time comes after the channels: remove time_first=",
+        (false, false) => {
+            "an array is [samples, channels.., T], and the axis samples is optional; channels are one axis or the \
+             axes of the population, in their order: numpy.moveaxis(array, FROM, TO)"
+        }
+        (true, false) => {
+            "an array is [samples, T, channels..], and the axis samples is optional; channels are one axis or the \
+             axes of the population, in their order: numpy.moveaxis(array, FROM, TO)"
+        }
+    };
+    Err(Diagnostic::new("input.shape", message).help(help))
+}
+
+/// Refuses an array whose samples would take too much memory.
+fn check_size(array: &Array<'_>, samples: usize, steps: usize, units: usize) -> Result<(), Diagnostic> {
+    let name = array.name();
+    if steps > MOST_STEPS as usize {
+        let message = format!("{name} has {steps} timesteps, more than {MOST_STEPS}");
+        let help = "cut it into samples, or make a timestep longer";
+        return Err(Diagnostic::new("input.too-long", message).help(help));
+    }
+    let numbers = (samples * steps).saturating_mul(units);
+    let budget = Budget::for_file(array.stored_bytes(), 0, 0).samples(samples as u64, steps as u64);
+    if numbers > MOST_NUMBERS || budget.is_err() {
+        let message = format!("{name} has {samples} samples of {steps} timesteps, too many for one call");
+        let help = "give fewer samples per call: array[FIRST:END]";
+        return Err(Diagnostic::new("input.too-long", message).help(help));
+    }
+    Ok(())
+}
+
+/// Spikes of an array that is read row by row.
+struct SpikeRows {
+    recordings: Vec<PopulationSpikes>,
+    time_first: bool,
+    /// Numbers of a row.
+    width: usize,
+    /// Rows of a sample.
+    rows: usize,
+    /// Number of spikes so far.
+    spikes: usize,
+    sample: usize,
+    row: usize,
+    /// Index of the first number of the row.
+    begin: usize,
+}
+
+impl SpikeRows {
+    /// Adds the spike at an index, which is greater than all before.
+    fn add(&mut self, array: &Array<'_>, index: usize, value: Option<i32>) -> Result<(), nsim::Error> {
+        while index - self.begin >= self.width {
+            self.begin += self.width;
+            self.row += 1;
+            if self.row == self.rows {
+                (self.sample, self.row) = (self.sample + 1, 0);
+            }
+        }
+        if self.spikes == MOST_SPIKES {
+            let message = format!("{} has more than {MOST_SPIKES} spikes", array.name());
+            let problem = Diagnostic::new("input.too-many", message);
+            return Err(problem.help("give fewer samples per call: array[FIRST:END]").into());
+        }
+        self.spikes += 1;
+        let column = index - self.begin;
+        let (step, channel) = if self.time_first { (self.row, column) } else { (column, self.row) };
+        let recording = &mut self.recordings[self.sample];
+        recording.events.push((step as u32, channel as u32));
+        recording.values.extend(value);
+        Ok(())
+    }
 }

@@ -113,8 +113,8 @@ pub fn train(py: Python<'_>, config: PathBuf, options: Option<&Bound<'_, PyDict>
         let to_the_end = |plan: &Plan, examples: &[Example], kept: Option<&Checkpoint>| {
             trained_to_the_end(plan, examples, kept, |_: &TrainingState| progress())
         };
-        let kept = checkpoint.map(|path| Checkpoint::new(&path, &job.plan, &data.train));
-        let state = to_the_end(&job.plan, &data.train, kept.as_ref())?;
+        let stored = checkpoint.map(|path| Checkpoint::new(&path, &job.plan, &data.train));
+        let state = to_the_end(&job.plan, &data.train, stored.as_ref())?;
         let each = |plan: &Plan, examples: &[Example]| Ok(to_the_end(plan, examples, None)?.0);
         let trained = job.trained(state, &data, &folds, each)?;
         let report = TrainReport { job: &job, trained: &trained, model: None };
@@ -200,7 +200,7 @@ impl Training {
     fn save(&self, py: Python<'_>, path: PathBuf, force: bool) -> PyResult<[PathBuf; 2]> {
         let (comment, provenance) = (self.report().provenance(&self.changed), self.report().summary());
         let weights = self.job.plan.result(&self.trained.state);
-        try_detached(py, || self.job.write((&path, force), weights, &comment, &provenance))
+        try_detached(py, || self.job.write(&path, force, weights, &comment, &provenance))
     }
 
     /// The epochs as a data frame of pandas, or of polars where only that is installed.

@@ -133,6 +133,11 @@ class SameAsTheCommandLine(unittest.TestCase):
             self.assertEqual(mapping.copies, 2)
             self.assertEqual(mapping.run().digest, network.map().run().digest)
             self.assertEqual(command("run", "vtsnn-slip", "--mapping", path)["digest"], mapping.run().digest)
+            with self.assertRaises(nsim.Error) as caught:
+                network.map(mapping=path, copies=3)
+            self.assertEqual(caught.exception.code, "mapping.copies")
+            self.assertIn("the mapping has 2 copies, not 3", str(caught.exception))
+            self.assertEqual(network.map(mapping=path, copies=2).copies, 2)
 
 
 class Arrays(unittest.TestCase):

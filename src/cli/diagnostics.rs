@@ -89,14 +89,9 @@ fn object(error: &Error) -> serde_json::Value {
     let position = place.and_then(Diagnostic::position);
     let others = place.map_or(&[][..], |d| d.others()).iter().map(|other| object(&other.clone().into()));
     json!({
-        "schema": "nsim.error/1",
-        "code": error.code(),
-        "message": error.to_string(),
-        "help": help,
-        "file": place.and_then(|d| d.file()).map(|file| file.display().to_string()),
-        "line": position.map(|p| p.line),
-        "column": position.map(|p| p.column),
-        "others": others.collect::<Vec<_>>(),
+        "schema": "nsim.error/1", "code": error.code(), "message": error.to_string(), "help": help,
+        "file": place.and_then(|d| d.file()).map(|file| file.display().to_string()), "line": position.map(|p| p.line),
+        "column": position.map(|p| p.column), "others": others.collect::<Vec<_>>(),
     })
 }
 

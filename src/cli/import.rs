@@ -119,8 +119,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     })?;
     show(&args.file.display().to_string(), &imported.warnings);
     let shown = args.output.as_deref().unwrap_or(&args.file);
-    // An error of the model is reported for the foreign file: the user did not write the model's
-    // text.
+    // An error of the model is reported for the foreign file, which the user did write.
     let in_the_file = |mut problem: Diagnostic| {
         problem.place = None;
         problem.in_file(&args.file)

@@ -2,15 +2,15 @@
 
 use std::path::PathBuf;
 
-use serde_json::json;
-
 use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use nsim_compile::explore;
-use nsim_compile::explore::remedy::{self, Refused};
-use nsim_compile::{CompileError, CopyPlacement, DEFAULT_RATE, Effort, Objective, Options, Strategy, refuse_large};
+use nsim_compile::explore::remedy::{self, Refused, Remedy};
+use nsim_compile::{
+    CompileError, CopyPlacement, DEFAULT_RATE, Effort, Mapping, Objective, Options, Reason, Strategy, refuse_large,
+};
 use nsim_files as io;
 use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
@@ -112,35 +112,25 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let most_copies = args.job.anew.copies.most();
     let integers = |network: &Network| integers(network, most_copies);
     let request = Request { copies: args.copies, options: options(args), ..args.job.request(&network, &integers) };
-    let model = &network.file().name;
     let (front, settings) = match obtain::prepare_mapping(&request) {
-        Err(Error::DoesNotFit(reasons)) => {
-            let target = io::target::load_target(network.file().target_or_usual(args.job.target.as_deref()))?;
-            let options = Options { copies: args.copies.unwrap_or(1), ..request.options };
-            let (pruned, remedies, relays, found) = (&[], &[], None, &[]);
-            let question = MapRequest { model, target: &target, options: &options, pruned, remedies, relays, found };
-            let result = MapResult::new(question, MapOutcome::DoesNotFit(&reasons));
-            output::print(context.format, || result.text(), || json!(result), || result.csv())?;
-            return Ok(Answer::No);
-        }
+        Err(Error::DoesNotFit(reasons)) => return print_refusal(args, &request, &reasons, context),
         begun => begun?,
     };
     show("", &front.quantised().parts().warnings);
     let MappingSettings { target, options, .. } = &settings;
-    let in_boxes = front.in_boxes(options.copies);
-    let relays = front.relays().cloned();
+    let tries_remedies = settings.saved.is_none() && !front.in_boxes(options.copies) && args.job.cores_of.is_empty();
+    let (one, relays) = (front.quantised().clone(), front.relays().cloned());
     if !args.profile.is_empty() {
-        refuse_large("--profile", front.quantised(), options.copies)?;
+        refuse_large("--profile", &one, options.copies)?;
     }
     let rates = match args.profile.as_slice() {
         [] => Rates::assumed(DEFAULT_RATE),
-        inputs => profile(front.quantised(), inputs, network.file().scene.as_deref())?,
+        inputs => profile(&one, inputs, network.file().scene.as_deref())?,
     };
-    let (mut found, mut remedies) = (Vec::new(), Vec::new());
-    let one = front.quantised().clone();
+    let mut candidates = Vec::new();
     if args.pareto.is_some() {
         let _busy = output::spinner("mapping in several ways");
-        found = explore::candidates(&front, target, options, &rates).unwrap_or_default();
+        candidates = explore::candidates(&front, target, options, &rates).unwrap_or_default();
     }
     let busy = output::spinner(if settings.saved.is_some() { "checking the mapping" } else { "mapping" });
     let mapped = match settings.mapped(front, &rates) {
@@ -149,32 +139,20 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
         Err(other) => return Err(other.into()),
     };
     drop(busy);
-    if let Err(reasons) = &mapped
-        && settings.saved.is_none()
-        && !in_boxes
-        && args.job.cores_of.is_empty()
-    {
-        let file = network.file();
-        let weight_bits: Vec<_> = file.projections.iter().map(|p| (p.to.clone(), p.weight_bits)).collect();
-        let refused = Refused { one: &one, target, options, reasons, weight_bits: &weight_bits };
-        // Reads model and target again with the proposed changes applied.
-        let changed = |changes: &[String]| {
-            let changes: Vec<Change> =
-                changes.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>().ok()?;
-            with_changes(&changes, || {
-                let network = args.job.reading.load(&args.job.model).ok()?;
-                let (front, settings) = obtain::prepare_mapping(&Request { network: &network, ..request }).ok()?;
-                Some((front, settings.target))
-            })
-        };
-        remedies = remedy::remedies(refused, &larger(target), &changed);
-        // A pruned network cannot have relays, so neither can be proposed.
-        remedies.retain(|remedy| !args.job.anew.relays || !["prune", "relays"].contains(&remedy.kind));
-    }
+    let remedies = match &mapped {
+        Err(reasons) if tries_remedies => remedies(args, &request, &settings, &one, reasons),
+        _ => Vec::new(),
+    };
     let pruned = mapped.as_ref().map_or(one.pruned(), |mapped| mapped.one.pruned()).cloned();
-    let pruned = pruned.as_deref().map_or(&[][..], |pruned| &pruned.rows);
-    let (remedies, relays, found) = (&remedies[..], relays.as_ref(), &found[..]);
-    let question = MapRequest { model, target, options, pruned, remedies, relays, found };
+    let question = MapRequest {
+        model: &network.file().name,
+        target,
+        options,
+        pruned: pruned.as_deref().map_or(&[], |pruned| &pruned.rows),
+        remedies: &remedies,
+        relays: relays.as_ref(),
+        found: &candidates,
+    };
     let outcome = match &mapped {
         Ok(mapped) => {
             let traffic = mapped.traffic();
@@ -184,21 +162,72 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     };
     let result = MapResult::new(question, outcome);
     if let Ok(mapped) = &mapped {
-        if let Some(output) = &args.output {
-            io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
-        }
-        if let Some(path) = &args.plot {
-            output::write_picture(path, &board::svg(mapped, target, &mapped.links()), context)?;
-        }
-        if let Some(path) = &args.pareto {
-            output::write_picture(path, &result.pareto_svg(), context)?;
-        }
+        write_files(args, mapped, &result, target, context)?;
     }
     // A file on stdout replaces the result.
     if !taken || mapped.is_err() {
-        output::print(context.format, || result.text(), || json!(result), || result.csv())?;
+        output::print(context.format, || result.text(), || result.json(), || result.csv())?;
     }
     Ok(if mapped.is_ok() { Answer::Yes } else { Answer::No })
+}
+
+/// Prints the reasons why a network does not fit, which were found before it was mapped.
+fn print_refusal(args: &MapArgs, request: &Request<'_>, reasons: &[Reason], context: Context) -> Result<Answer> {
+    let file = request.network.file();
+    let target = io::target::load_target(file.target_or_usual(args.job.target.as_deref()))?;
+    let options = Options { copies: args.copies.unwrap_or(1), ..request.options };
+    let (model, pruned, remedies, relays, found) = (&file.name, &[], &[], None, &[]);
+    let question = MapRequest { model, target: &target, options: &options, pruned, remedies, relays, found };
+    let result = MapResult::new(question, MapOutcome::DoesNotFit(reasons));
+    output::print(context.format, || result.text(), || result.json(), || result.csv())?;
+    Ok(Answer::No)
+}
+
+/// Changes of model, mapping or target that make the network fit, each tried.
+fn remedies(
+    args: &MapArgs,
+    request: &Request<'_>,
+    settings: &MappingSettings,
+    one: &Quantised,
+    reasons: &[Reason],
+) -> Vec<Remedy> {
+    let MappingSettings { target, options, .. } = settings;
+    let projections = request.network.file().projections.iter();
+    let weight_bits: Vec<_> = projections.map(|p| (p.to.clone(), p.weight_bits)).collect();
+    let refused = Refused { one, target, options, reasons, weight_bits: &weight_bits };
+    // Reads model and target again with the proposed changes applied.
+    let changed = |changes: &[String]| {
+        let changes: Vec<Change> = changes.iter().map(|typed| Change::parse(typed)).collect::<Result<_, _>>().ok()?;
+        with_changes(&changes, || {
+            let network = args.job.reading.load(&args.job.model).ok()?;
+            let (front, settings) = obtain::prepare_mapping(&Request { network: &network, ..*request }).ok()?;
+            Some((front, settings.target))
+        })
+    };
+    let mut remedies = remedy::remedies(refused, &larger(target), &changed);
+    // A pruned network cannot have relays, so neither can be proposed.
+    remedies.retain(|remedy| !args.job.anew.relays || !["prune", "relays"].contains(&remedy.kind));
+    remedies
+}
+
+/// Writes the mapping and the pictures that were asked for.
+fn write_files(
+    args: &MapArgs,
+    mapped: &Mapping,
+    result: &MapResult<'_>,
+    target: &Target,
+    context: Context,
+) -> Result<()> {
+    if let Some(output) = &args.output {
+        io::write::text(output, context.force, &io::mapping::mapping_text(&mapped.mapping_file())?)?;
+    }
+    if let Some(path) = &args.plot {
+        output::write_picture(path, &board::svg(mapped, target, &mapped.links()), context)?;
+    }
+    if let Some(path) = &args.pareto {
+        output::write_picture(path, &result.pareto_svg(), context)?;
+    }
+    Ok(())
 }
 
 /// Most samples of a profile run.

@@ -56,9 +56,16 @@ pub struct NamedProbe {
 enum Source {
     /// A register of compartments.
     Engine(Probe),
-    /// Input channels, by the first and their number: their spikes in the samples, or the integers
-    /// of their messages.
-    Input(ChannelId, u32, Option<Message>),
+    /// Input channels.
+    Input(InputProbe),
+}
+
+/// Spikes of consecutive input channels, or the integers of their messages.
+#[derive(Debug, Clone, Copy)]
+struct InputProbe {
+    first: ChannelId,
+    count: u32,
+    message: Option<Message>,
 }
 
 impl NamedProbe {
@@ -73,23 +80,21 @@ impl NamedProbe {
     fn count(&self) -> u32 {
         match self.source {
             Source::Engine(probe) => probe.count,
-            Source::Input(_, count, _) => count,
+            Source::Input(channels) => channels.count,
         }
     }
 
     fn is_spikes(&self) -> bool {
         match self.source {
             Source::Engine(probe) => probe.quantity == Quantity::Spikes,
-            Source::Input(.., message) => message.is_none(),
+            Source::Input(channels) => channels.message.is_none(),
         }
     }
 }
 
-/// Spikes of channels, or the integers of their messages, `[channels][steps]` for each sample.
-fn input_numbers<'s>(
-    samples: &'s [&Sample],
-    (first, count, message): (ChannelId, u32, Option<Message>),
-) -> impl Iterator<Item = f64> + 's {
+/// The numbers of a probe, `[channels][steps]` for each sample.
+fn input_numbers<'s>(samples: &'s [&Sample], probe: InputProbe) -> impl Iterator<Item = f64> + 's {
+    let InputProbe { first, count, message } = probe;
     samples.iter().flat_map(move |sample| {
         let steps = sample.steps() as usize;
         let mut numbers = vec![0.0; count as usize * steps];
@@ -144,8 +149,8 @@ impl ProbeArgs {
     /// [`Error::Usage`] for a probe that does not exist, is given twice, or takes too much memory;
     /// `run.probe-pruned` and `run.probe-shape`.
     pub fn probes(&self, network: &Quantised, samples: &[&Sample]) -> Result<Vec<NamedProbe>> {
-        let found = self.probe.iter().map(|text| named_probes(network, text)).collect::<Result<Vec<_>, _>>()?;
-        let probes: Vec<NamedProbe> = found.into_iter().flatten().collect();
+        let of_texts = self.probe.iter().map(|text| named_probes(network, text)).collect::<Result<Vec<_>, _>>()?;
+        let probes: Vec<NamedProbe> = of_texts.into_iter().flatten().collect();
         check_room(&probes, samples)?;
         let twice = (1..probes.len()).find(|&index| probes[..index].iter().any(|p| p.name == probes[index].name));
         if let Some(index) = twice {
@@ -170,14 +175,16 @@ impl ProbeArgs {
     pub fn write(
         &self,
         probes: &[NamedProbe],
-        (recorded, given): (ProbeRecordings<'_>, &[&Sample]),
-        (dt_ms, drain): (f64, u32),
+        recorded: ProbeRecordings<'_>,
+        given: &[&Sample],
+        dt_ms: f64,
+        drain: u32,
         batch: &mut io::write::Batch,
     ) -> Result<Vec<String>> {
         let mut files = Vec::new();
         // `check_room` requires samples of one length.
         let steps = given.first().map_or(0, |sample| sample.steps() as usize);
-        let kept = steps.saturating_sub(drain as usize);
+        let written_steps = steps.saturating_sub(drain as usize);
         let mut of_engine = 0;
         for named in probes {
             let path = self.path(named);
@@ -186,11 +193,12 @@ impl ProbeArgs {
                     of_engine += 1;
                     recorded.numbers(of_engine - 1)
                 }
-                Source::Input(first, channels, message) => Box::new(input_numbers(given, (first, channels, message))),
+                Source::Input(probe) => Box::new(input_numbers(given, probe)),
             };
-            let of_input = move |(place, number): (usize, f64)| (place % steps.max(1) < kept).then_some(number);
-            let numbers = numbers.enumerate().filter_map(of_input);
-            let shape = [given.len(), named.count() as usize, kept];
+            let numbers = numbers.enumerate();
+            let numbers =
+                numbers.filter(move |(place, _)| place % steps.max(1) < written_steps).map(|(_, number)| number);
+            let shape = [given.len(), named.count() as usize, written_steps];
             let (population, register) = named.name.rsplit_once('.').unwrap_or((&named.name, ""));
             let trace = Trace { population, register, shape, dt_s: dt_ms / 1e3 };
             match self.probe_format {
@@ -227,8 +235,8 @@ fn source(population: &Population, what: &str) -> Option<Source> {
     match &population.units {
         Units::Compartments { .. } => Probe::named(population, what).map(Source::Engine),
         Units::Input(first) => match what {
-            "spikes" => Some(Source::Input(*first, count, None)),
-            "message" => Some(Source::Input(*first, count, Some(population.message))),
+            "spikes" => Some(Source::Input(InputProbe { first: *first, count, message: None })),
+            "message" => Some(Source::Input(InputProbe { first: *first, count, message: Some(population.message) })),
             _ => None,
         },
     }

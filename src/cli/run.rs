@@ -129,7 +129,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     ranks::leave_to_first();
     let recorded = traces.as_deref().map_or(ProbeRecordings::Integers(&outcomes), ProbeRecordings::Reals);
     let (timestep_ms, drain) = (network.parts().timestep_ms, network.parts().drain);
-    let mut files = args.probes.write(&probes, (recorded, &samples), (timestep_ms, drain), &mut batch)?;
+    let mut files = args.probes.write(&probes, recorded, &samples, timestep_ms, drain, &mut batch)?;
     batch.commit()?;
     files.extend(args.steps.iter().map(|path| path.display().to_string()));
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();

@@ -21,11 +21,10 @@ use nsim_files::write::journal::Journal;
 use nsim_report::charts::picture::FILE;
 use nsim_report::sweep as picture;
 use nsim_session::error::Error;
-use nsim_study::sweep::identity;
 use nsim_study::sweep::row::{Cells, place};
 use nsim_study::sweep::table::{Table, checksum_column, from_line, line};
 use nsim_study::sweep::variants::Sweep;
-use nsim_study::sweep::work;
+use nsim_study::sweep::{identity, work};
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -160,7 +159,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let ties = axes.map_or(Ok(0), |axes| picture::ties(&table, axes))?;
     let done = VariantCounts { wall_s: begin.elapsed().as_secs_f64(), ties, ..done };
-    print_result((&sweep, &table, checksums.as_deref()), &done, (file, &args.columns), context)
+    print_result(&sweep, &table, checksums.as_deref(), &done, file, &args.columns, context)
 }
 
 /// Runs the variants that the journal lacks.
@@ -173,11 +172,11 @@ fn run_variants(
 ) -> Result<(VariantCounts, Option<Journal>), Error> {
     let Shard { number, of } = args.shard.unwrap_or(Shard { number: 1, of: 1 });
     let wanted = |variant: &u64| variant % of == number - 1;
-    let mut kept = None;
+    let mut opened = None;
     if let Some(path) = journal {
         let (journal, lines) = Journal::open(path, &journal_header(args, sweep))?;
         table.rows.extend(lines.iter().filter_map(|line| from_line(line)).filter(|(variant, _)| wanted(variant)));
-        kept = Some(journal);
+        opened = Some(journal);
     }
     let before = table.rows.len() as u64;
     let left: Vec<u64> = (0..sweep.len()).filter(wanted).filter(|variant| !table.rows.contains_key(variant)).collect();
@@ -189,7 +188,7 @@ fn run_variants(
     });
     output::with_progress(context, left.len(), "variants", |progress| {
         work::run(sweep, left, context.threads, |variant, cells| {
-            if let Some(journal) = &mut kept {
+            if let Some(journal) = &mut opened {
                 journal.add(&line(variant, &cells))?;
             }
             table.rows.insert(variant, cells);
@@ -198,7 +197,7 @@ fn run_variants(
             Ok(())
         })
     })?;
-    Ok((VariantCounts { run, before, wall_s: 0.0, ties: 0 }, kept))
+    Ok((VariantCounts { run, before, wall_s: 0.0, ties: 0 }, opened))
 }
 
 /// Arguments that change variants.
@@ -210,9 +209,9 @@ fn variant_arguments(args: &Args) -> impl std::fmt::Debug {
 /// part, the sweep, and the size and time of its files, which need not be opened.
 fn journal_header(args: &Args, sweep: &Sweep) -> String {
     let of_file = |path: &Path| {
-        let found = std::fs::metadata(path).ok();
-        let time = found.as_ref().and_then(|found| found.modified().ok()?.duration_since(UNIX_EPOCH).ok());
-        format!("{:?} {time:?}", found.as_ref().map(std::fs::Metadata::len))
+        let facts = std::fs::metadata(path).ok();
+        let time = facts.as_ref().and_then(|facts| facts.modified().ok()?.duration_since(UNIX_EPOCH).ok());
+        format!("{:?} {time:?}", facts.as_ref().map(std::fs::Metadata::len))
     };
     let digest = digest(&format!("{:?}", (args.shard, variant_arguments(args))), sweep, of_file);
     format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
@@ -250,15 +249,16 @@ const UNREAD: [&str; 10] = [
 ];
 
 fn print_result(
-    (sweep, table, checksums): (&Sweep, &Table<'_>, Option<&str>),
+    sweep: &Sweep,
+    table: &Table<'_>,
+    checksums: Option<&str>,
     done: &VariantCounts,
-    (file, columns): (Option<&Path>, &[String]),
+    file: Option<&Path>,
+    columns: &[String],
     context: Context,
 ) -> Result<Answer, Error> {
-    let count = |name: &str, value: &dyn Fn(&str) -> bool| {
-        table.rows.values().filter(|cells| value(&cells[place(name)])).count()
-    };
-    let (errors, refused) = (count("error", &|cell| !cell.is_empty()), count("fits", &|cell| cell == "false"));
+    let errors = table.rows.values().filter(|cells| !cells[place("error")].is_empty()).count();
+    let refused = table.rows.values().filter(|cells| cells[place("fits")] == "false").count();
     let is_for_people = context.format == Format::Text && std::io::stdout().is_terminal();
     let csv = || match (columns, context.format) {
         (columns @ [_, ..], _) => with_columns(&table.csv(None), |name| columns.iter().any(|one| one == name)),
@@ -300,14 +300,8 @@ fn print_result(
 
 fn json(sweep: &Sweep, table: &Table<'_>, done: &VariantCounts, [errors, refused]: [usize; 2]) -> serde_json::Value {
     json!({
-        "schema": "nsim.sweep/1",
-        "variants": sweep.len(),
-        "rows": table.rows.len(),
-        "run": done.run,
-        "from_before": done.before,
-        "errors": errors,
-        "do_not_fit": refused,
-        "columns": table.columns(),
+        "schema": "nsim.sweep/1", "variants": sweep.len(), "rows": table.rows.len(), "run": done.run,
+        "from_before": done.before, "errors": errors, "do_not_fit": refused, "columns": table.columns(),
         "wall_s": done.wall_s,
     })
 }

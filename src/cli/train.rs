@@ -135,7 +135,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     }
     if let Some(path) = &args.output {
         let (comment, provenance) = (report.provenance(&args.set), report.summary());
-        job.write((path, context.force), job.plan.result(&trained.state), &comment, &provenance)?;
+        job.write(path, context.force, job.plan.result(&trained.state), &comment, &provenance)?;
     }
     if !taken {
         output::print(context.format, || report.text(), || report.json(), || report.csv())?;

@@ -59,8 +59,7 @@ macro_rules! cost_table {
             pub turn: TurnRule,
             /// Whether prices of updates that a model states count.
             pub stated: bool,
-            /// Whether the time of a program is by its instructions: the preset has none of its
-            /// own.
+            /// Whether the time of a program is by its instructions, as the preset has none.
             pub by_instructions: bool,
             /// Barrier times by parts in use, ascending and not empty.
             barrier: Vec<(u64, Picoseconds)>,
@@ -101,14 +100,10 @@ macro_rules! cost_table {
 for_each_constant!(cost_table);
 
 impl CostTable {
-    /// Returns the preset by status (published, calibrated, assumed): other constants are 0, ratios
-    /// stay.
-    ///
-    /// # Errors
-    /// As [`CostTable::new`].
+    /// Returns the preset by status (published, calibrated, assumed), other constants 0.
     pub fn by_status(constants: &Constants) -> Result<[CostTable; 3], Diagnostic> {
         let only = |status: Status| {
-            let mut kept = constants.clone();
+            let mut of_status = constants.clone();
             for (name, constant) in constants.list() {
                 // The power of an x86 core at work is no better known than its share of a step.
                 let known = match name {
@@ -118,21 +113,18 @@ impl CostTable {
                     _ => constant.status,
                 };
                 let goes = known != status && constant.unit != Unit::ratio;
-                if let Some(own) = kept.get_mut(name).filter(|_| goes) {
+                if let Some(own) = of_status.get_mut(name).filter(|_| goes) {
                     own.value = 0.0.into();
                 }
             }
             // What a model states has no source.
-            Ok(CostTable { stated: status == Status::Assumed, ..CostTable::new(&kept)? })
+            Ok(CostTable { stated: status == Status::Assumed, ..CostTable::new(&of_status)? })
         };
         Ok([only(Status::Published)?, only(Status::Calibrated)?, only(Status::Assumed)?])
     }
 
     /// Returns the corners of a preset's bounds: least energies and powers with greatest times,
     /// then greatest energies and powers with least times. `None` where no constant has bounds.
-    ///
-    /// # Errors
-    /// As [`CostTable::new`].
     pub fn corners(constants: &Constants) -> Result<Option<[CostTable; 2]>, Diagnostic> {
         if !constants.is_bounded() {
             return Ok(None);
@@ -174,17 +166,17 @@ impl CostTable {
 
 /// A preset at a corner of its bounds: with `slow`, times are greatest and all else is least.
 fn corner(constants: &Constants, slow: bool) -> Result<CostTable, Diagnostic> {
-    let mut made = constants.clone();
+    let mut at_corner = constants.clone();
     for (name, constant) in constants.list() {
-        if let Some(own) = made.get_mut(name) {
+        if let Some(own) = at_corner.get_mut(name) {
             own.value = at_end(constant, constant.bounds, slow).into();
         }
     }
-    for entry in &mut made.barrier {
+    for entry in &mut at_corner.barrier {
         let bounds = entry.time.bounds.or(constants.barrier_bounds);
         entry.time.value = at_end(&entry.time, bounds, slow).into();
     }
-    let mut table = CostTable::new(&made)?;
+    let mut table = CostTable::new(&at_corner)?;
     if constants.barrier_bounds.is_some() {
         table.barrier = stepped(&table.barrier, slow);
     }
@@ -197,8 +189,7 @@ fn at_end(constant: &Constant, bounds: Option<(f64, f64)>, slow: bool) -> f64 {
     bounds.map_or(constant.value.value, |(low, high)| if slow == is_time { high } else { low })
 }
 
-/// Entries of a barrier such that it takes the time of the next entry between two (`up`), or of the
-/// last: no source has a time between them.
+/// Entries of a barrier as slow as the next entry (`up`) or as the last: no source has a time.
 fn stepped(entries: &[(u64, Picoseconds)], up: bool) -> Vec<(u64, Picoseconds)> {
     let mut all = entries.first().copied().into_iter().collect::<Vec<_>>();
     for pair in entries.windows(2) {
@@ -239,8 +230,8 @@ fn decimal(value: f64, places: usize) -> Option<u64> {
     }
     let text = format!("{value}");
     let (whole, fraction) = text.split_once('.').unwrap_or((&text, ""));
-    let (kept, rest) = fraction.split_at(places.min(fraction.len()));
-    let digits = format!("{}{kept:0<places$}", whole.trim_start_matches('-'));
+    let (decimals, rest) = fraction.split_at(places.min(fraction.len()));
+    let digits = format!("{}{decimals:0<places$}", whole.trim_start_matches('-'));
     let up = u64::from(rest.as_bytes().first().is_some_and(|&digit| digit >= b'5'));
     digits.parse().ok().map(|integer: u64| integer + up).filter(|&integer| integer <= 1_000_000_000_000_000)
 }

@@ -12,10 +12,14 @@ pub mod charged;
 pub mod constants;
 pub mod deployment;
 pub mod estimate;
+mod estimate_input;
+mod intervals;
 pub mod job;
 pub mod meter;
 pub mod model;
+mod power;
 pub mod quantiles;
+mod row;
 pub mod transport;
 
 pub use constants::CostTable;

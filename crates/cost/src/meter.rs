@@ -6,8 +6,7 @@
 //! distribution of a step's energy. Invariant: a meter is a function of the multiset of its
 //! samples, so meters of parallel samples give equal figures in any order of merging.
 //!
-//! The distribution is of the whole energy of a step, so its [`StepPrice`] has to be known in
-//! advance.
+//! The distribution is of the whole energy of a step, so a [`StepPrice`] is known in advance.
 
 use std::sync::Arc;
 
@@ -96,8 +95,7 @@ pub struct StepMeter {
     hops: HopCounts,
     /// Number of steps in which each core was the slowest, under the first preset.
     slowest: Vec<u64>,
-    /// Time of the slowest core of each step by constant, as [`core_time_by_constant`], in ps,
-    /// under the first preset.
+    /// Time of the slowest core by constant, as [`core_time_by_constant`], first preset, ps.
     core_time: [u128; 8],
     /// The time of the last step under the first preset.
     last_time: StepTime,
@@ -173,8 +171,7 @@ impl StepMeter {
         self.add_timed((step, times, decided), &step_times);
     }
 
-    /// Adds these steps sequentially; threads compute the times of their messages in parallel, each
-    /// step in its own memory.
+    /// Adds these steps sequentially; threads compute the times of their messages in parallel.
     pub fn add_all(&mut self, steps: &[(StepActivity, u32, bool)]) {
         self.memory.resize_with(self.memory.len().max(steps.len()), QueueMemory::default);
         let settings = &*self.settings;

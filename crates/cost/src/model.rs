@@ -182,8 +182,7 @@ pub fn update_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64)
 /// Indices of the terms for axon reads, synapses and dendrites.
 const CORE_GROUPS: [Range<usize>; 3] = [0..1, 1..3, 3..8];
 
-/// Time of one core's delivery and update in a step: the sum of its terms (9), or the greatest of
-/// its terms in (21).
+/// Time of one core's delivery and update in a step: sum of its terms (9), or the greatest (21).
 pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
     let terms = core_terms(core, table);
     let groups = CORE_GROUPS.into_iter().map(|group| times(&terms[group]));

@@ -1,7 +1,6 @@
 //! Rows of other hardware in the energy table, and the workloads for which they hold.
 //!
-//! A measured row holds for one network only: for any other, [`Baseline::row`] returns the reason
-//! instead of a row.
+//! A measured row holds for one network only; [`Baseline::row`] gives the reason for no row.
 
 use crate::published::baseline::{BaselineFile, DenseLayer};
 use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
@@ -93,8 +92,7 @@ impl Work {
                 bound(2.0 * synapses * steps, 4.0 * (synapses + (from + to) * steps))
             })
             .sum();
-        // Six operations a neuron and step: two decays, two sums, a comparison, a reset; read once,
-        // written once.
+        // Six operations a neuron and step: two decays, two sums, a comparison, a reset.
         let neurons: f64 =
             self.layers.iter().map(|&size| f64::from(size) * steps).map(|n| bound(6.0 * n, 8.0 * n)).sum();
         products + neurons
@@ -134,6 +132,19 @@ impl Figures {
     }
 }
 
+/// Conditions of a row of other hardware.
+#[derive(Debug, Clone, Copy)]
+pub struct RowConditions {
+    /// Timesteps of a sample; `None` when samples differ.
+    pub steps: Option<u32>,
+    /// Length of a timestep.
+    pub timestep: Picoseconds,
+    /// As fast as possible, or paced by the timestep.
+    pub mode: Mode,
+    /// The definition of energy.
+    pub convention: Convention,
+}
+
 /// A checked baseline.
 #[derive(Debug, Clone)]
 pub struct Baseline {
@@ -143,9 +154,6 @@ pub struct Baseline {
 
 impl Baseline {
     /// Returns a shipped baseline.
-    ///
-    /// # Errors
-    /// A diagnostic when there is none of this name.
     pub fn shipped(name: &str) -> Result<Self, Diagnostic> {
         let unknown = || Diagnostic::new("baseline.unknown", format!("there is no baseline {name}"));
         Baseline::parse(&Shipped::find(BASELINES, name).ok_or_else(unknown)?.source())
@@ -198,14 +206,8 @@ impl Baseline {
     ///
     /// # Errors
     /// The reason for no row: it was measured on another workload, or not in this mode.
-    pub fn row(
-        &self,
-        shape: &NetworkShape,
-        steps: Option<u32>,
-        timestep: Picoseconds,
-        mode: Mode,
-        convention: Convention,
-    ) -> Result<EnergyRow, String> {
+    pub fn row(&self, shape: &NetworkShape, conditions: RowConditions) -> Result<EnergyRow, String> {
+        let RowConditions { steps, timestep, mode, convention } = conditions;
         let on = &self.file.measured_on;
         let name = &self.file.name;
         if *shape != self.shape {
@@ -255,14 +257,8 @@ impl Baseline {
     }
 
     /// Its row for another workload, by its roofline; `None` without one or for unequal samples.
-    pub fn modelled(
-        &self,
-        work: &Work,
-        steps: Option<u32>,
-        timestep: Picoseconds,
-        mode: Mode,
-        convention: Convention,
-    ) -> Option<EnergyRow> {
+    pub fn modelled(&self, work: &Work, conditions: RowConditions) -> Option<EnergyRow> {
+        let RowConditions { steps, timestep, mode, convention } = conditions;
         let window = f64::from(steps.filter(|&steps| steps > 0)?);
         let whole = self.windows(work, window)?;
         let offline = Figures { latency_us: whole.latency_us / window, ..whole };
@@ -303,11 +299,17 @@ pub(crate) mod tests {
 
     const MS: Picoseconds = Picoseconds(1_000_000_000);
 
+    /// Offline and physical, in steps of a millisecond.
+    fn offline(steps: Option<u32>) -> RowConditions {
+        RowConditions { steps, timestep: MS, mode: Mode::Offline, convention: Convention::Physical }
+    }
+
     #[test]
     fn the_gpu_row_is_printed_or_recomputed() {
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
         let row = |mode, convention| {
-            let row = gpu.row(&vtsnn(), Some(150), MS, mode, convention).unwrap();
+            let conditions = RowConditions { steps: Some(150), timestep: MS, mode, convention };
+            let row = gpu.row(&vtsnn(), conditions).unwrap();
             assert!(matches!(row.source, FigureSource::Published));
             (row.energy_uj.unwrap(), row.edp_pjs.unwrap())
         };
@@ -324,7 +326,7 @@ pub(crate) mod tests {
     fn another_workload_gets_a_reason_instead_of_a_row() {
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
         let reason = |shape: &NetworkShape, steps, timestep| {
-            gpu.row(shape, steps, timestep, Mode::Offline, Convention::Physical).unwrap_err()
+            gpu.row(shape, RowConditions { timestep, ..offline(steps) }).unwrap_err()
         };
         let small = NetworkShape::new(vec![156], vec![DenseLayer { from: 156, to: 50 }], 1);
         assert_eq!(
@@ -348,7 +350,7 @@ pub(crate) mod tests {
     #[test]
     fn the_roofline_gives_back_what_it_was_fitted_to_and_predicts_real_time() {
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
-        let row = |mode| gpu.modelled(&measured(), Some(150), MS, mode, Convention::Physical).unwrap();
+        let row = |mode| gpu.modelled(&measured(), RowConditions { mode, ..offline(Some(150)) }).unwrap();
         let (offline, realtime) = (row(Mode::Offline), row(Mode::Realtime));
         assert!(matches!(offline.source, FigureSource::Modelled));
         assert!((offline.latency_us.unwrap() - 21.0).abs() < 0.05, "{offline:?}");
@@ -363,11 +365,11 @@ pub(crate) mod tests {
         let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
         let size = 100_000u32;
         let work = Work { projections: vec![(size, size, 10_000_000_000)], layers: vec![size] };
-        let row = gpu.modelled(&work, Some(1000), MS, Mode::Offline, Convention::Physical).unwrap();
+        let row = gpu.modelled(&work, offline(Some(1000))).unwrap();
         // 2 * 10^10 operations a step at 13.45 * 10^12 a second.
         assert!((row.latency_us.unwrap() / (2e10 / 13.45e6) - 1.0).abs() < 0.01, "{row:?}");
         assert!(row.total_mw.unwrap() > 245_000.0 && row.total_mw.unwrap() <= 250_000.0, "{row:?}");
-        assert!(gpu.modelled(&work, None, MS, Mode::Offline, Convention::Physical).is_none());
+        assert!(gpu.modelled(&work, offline(None)).is_none());
     }
 
     #[test]

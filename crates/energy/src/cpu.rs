@@ -6,8 +6,7 @@
 //! step, without the chip's truncation. *Event-driven* is nsim's own machine, one copy, one thread,
 //! which is exact and skips idle compartments.
 //!
-//! One thread and one sample at a time (batch 1), as a robot's controller would run it; loading
-//! files is not timed.
+//! One thread and one sample at a time (batch 1), as a robot's controller would run it.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -245,9 +244,6 @@ fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
 }
 
 /// Times the dense window over these samples.
-///
-/// # Errors
-/// As [`Dense::new`].
 pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Result<MeasuredTime, String> {
     let dense = Dense::new(network)?;
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();

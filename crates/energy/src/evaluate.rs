@@ -6,18 +6,18 @@
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-use crate::baseline::{Baseline, NetworkShape};
+use crate::baseline::{Baseline, NetworkShape, RowConditions};
 use crate::job::{early_exit_savings, per_decision, report};
 use crate::options::{CostOptions, DeploymentSource, select_constants};
 use crate::other_hardware::{self, CopyWorkload};
 use crate::paper;
 use crate::published::scenario::{ScenarioFile, shipped_for};
-use crate::report::table::{EnergyReport, JobPart};
+use crate::report::result::{EnergyReport, JobPart};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
 use nsim_cost::estimate::{ByStatus, Convention, EnergyRow, EstimateInput, FigureSource, estimate, step_price};
 use nsim_cost::job::{Accounting, DeployedCores};
-use nsim_cost::{CostTable, Deployment, Host, HostWork, MeterSettings, StepMeter};
+use nsim_cost::{CostTable, Deployment, Host, HostWork, MeterSettings, StepMeter, Timing};
 use nsim_files::table::three;
 use nsim_ir::hardware::Target;
 use nsim_ir::hardware::constants::{Constant, Status};
@@ -42,9 +42,6 @@ pub struct DeploymentPlan {
 
 impl DeploymentPlan {
     /// Returns the plan for a model, by path or shipped name, and the requested number of copies.
-    ///
-    /// # Errors
-    /// As [`DeploymentSource::load`].
     pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<DeploymentPlan, Error> {
         let shipped = shipped_for(model)?;
         let named = deployment.unwrap_or(CopyPlacement::default().name());
@@ -97,8 +94,7 @@ impl DeploymentPlan {
         }
     }
 
-    /// The model's measured job on this target, if numbers of cores were given: they are numbers of
-    /// that job, with others.
+    /// The model's measured job on this target, and the numbers of cores given in place of its own.
     fn job_of_numbers(&self, target: &Target) -> Option<(&ScenarioFile, DeployedCores)> {
         let DeploymentSource::Numbers(cores) = self.source else { return None };
         self.shipped.as_ref().filter(|job| job.is_on(target)).map(|job| (job, cores))
@@ -135,29 +131,29 @@ impl DeploymentPlan {
     }
 }
 
-/// Whether the injection of the inputs takes as long as the barrier. Where it does not, injection
-/// is less than half of a step.
-fn may_be_half_of_a_step(
-    workload: &Workload<'_>,
-    deployment: &Deployment,
-    options: &CostOptions,
-    table: &CostTable,
-) -> bool {
+/// Whether injection takes more than half of a step.
+fn is_mostly_injection(step: f64, injection: f64) -> bool {
+    injection > step / 2.0
+}
+
+/// Whether injection may take more than half of a step, whose other time is at least the barrier.
+fn may_be_mostly_injection(workload: &Workload<'_>, timing: Timing, table: &CostTable) -> bool {
     let samples = workload.samples();
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let spikes = samples.iter().map(|sample| sample.spikes() as u64).sum::<u64>() * u64::from(workload.copies);
-    let times = deployment.timing(options.transport, workload.copies).host_and_barrier(spikes, table);
-    times.injection.0 > 0 && times.injection.0 / steps.max(1) >= times.barrier.0
+    let times = timing.host_and_barrier(spikes, table);
+    let (injection, barriers) = (times.injection.0 as f64, times.barrier.0 as f64 * steps as f64);
+    is_mostly_injection(injection + barriers, injection)
 }
 
 /// The job's row with inputs already on the chip, where injection is more than half of a step.
 fn inputs_on_chip(case: &EstimateInput<'_>, without_host: &Deployment) -> Option<EnergyRow> {
     let total = |case: &EstimateInput<'_>| {
-        let found = estimate(case);
-        Some((found.rows.into_iter().find(|row| row.unit == "total")?, found.time_us?[0].1))
+        let estimate = estimate(case);
+        Some((estimate.rows.into_iter().find(|row| row.unit == "total")?, estimate.time_us?[0].1))
     };
     let (row, injection_us) = total(case)?;
-    if injection_us <= row.latency_us? / 2.0 {
+    if !is_mostly_injection(row.latency_us?, injection_us) {
         return None;
     }
     Some(total(&EstimateInput { without_host: true, deployment: without_host, ..*case })?.0)
@@ -174,8 +170,7 @@ pub struct Evaluation {
     pub deployment: Deployment,
 }
 
-/// Remark on the price of an update of each kind that the model declares; `time` is the preset's
-/// time of a program.
+/// Remark on the price of an update of each declared kind; `time` is the preset's, of a program.
 fn kind_notes(network: &Quantised, time: &Constant) -> BTreeSet<String> {
     let kinds = network.populations().iter().map(Population::kind);
     let note = |(name, price): (&str, UpdatePrice)| match price {
@@ -201,11 +196,107 @@ fn kind_notes(network: &Quantised, time: &Constant) -> BTreeSet<String> {
     kinds.filter_map(|kind| Some((kind.name(), kind.own_price()?))).map(note).collect()
 }
 
+/// Target and deployments of a run.
+struct Conditions {
+    target: Target,
+    deployment: Deployment,
+    /// The deployment with inputs already on the chip.
+    without_host: Deployment,
+    /// Indices of the corners of the preset's bounds in the meter's tables.
+    corners: Option<[usize; 2]>,
+}
+
+impl Conditions {
+    fn new(
+        plan: &DeploymentPlan,
+        workload: &Workload<'_>,
+        options: &CostOptions,
+    ) -> Result<(Self, MeterSettings), Error> {
+        let compiled = workload.compiled;
+        let (target, table) = select_constants(workload.target.clone(), options.constants.as_deref())?;
+        let work = options.host_work(&target, workload.mean_steps())?;
+        let copies = plan.copies(workload.copies);
+        let deployment = plan.source.deployment(compiled, &target, copies, work)?;
+        options.check_x86(&deployment, &target)?;
+        let preset = &target.constants()[0];
+        options.check_accounting(&target)?;
+        let price = step_price(&table, &deployment, workload.copies, (options.mode, options.accounting));
+        let corners = if target.is_measured_by(preset) { CostTable::corners(preset)? } else { None };
+        let without_host = plan.source.deployment(compiled, &target, copies, HostWork { host: Host::None, ..work })?;
+        let timing = |deployment: &Deployment| deployment.timing(options.transport, workload.copies);
+        let is_metered_twice = may_be_mostly_injection(workload, timing(&deployment), &table);
+        let tables = std::iter::once(table).chain(corners.iter().flatten().cloned()).collect();
+        let settings = MeterSettings {
+            distribution: Some((0, price)),
+            without_host: is_metered_twice.then(|| timing(&without_host)),
+            ..workload.metered(tables, &deployment, options.transport)
+        };
+        Ok((Conditions { deployment, without_host, corners: corners.map(|_| [1, 2]), target }, settings))
+    }
+}
+
+/// Rows of the published job of a model, where it was measured on the target.
+#[derive(Default)]
+struct MeasuredJob {
+    /// Its total by the report's constants, and its total as printed; with their sources.
+    totals: Vec<(EnergyRow, String)>,
+    /// Its units by the report's constants, unless the report's own rows are the job's.
+    computed: Vec<EnergyRow>,
+    /// Its units as printed, in the published convention.
+    printed: Vec<EnergyRow>,
+}
+
+impl MeasuredJob {
+    fn new(
+        plan: &DeploymentPlan,
+        workload: &Workload<'_>,
+        options: &CostOptions,
+        target: &Target,
+    ) -> Result<Self, Error> {
+        let CostOptions { mode, convention, accounting, .. } = *options;
+        let steps = workload.steps_per_sample();
+        let measured = plan.shipped.as_ref().filter(|job| job.is_on(target) && accounting == Accounting::Profiler);
+        let Some(job) = measured else { return Ok(MeasuredJob::default()) };
+        let (mut totals, mut computed) = (Vec::new(), Vec::new());
+        if plan.job().is_none() {
+            let is_mapped = plan.mapped_job(target).is_some();
+            // The job keeps its own host, whatever is asked for here.
+            let of_job = HostWork { steps_per_sample: workload.mean_steps(), ..HostWork::for_target(target) };
+            computed = paper::rows(workload, is_mapped, job, options, target, of_job)?;
+            let total = computed.iter().find(|row| row.unit == "total").cloned();
+            totals.extend(total.map(|total| (total, "the measured job, by the same constants".to_string())));
+        }
+        totals.extend(paper::printed(job, "total", mode, convention, steps)?);
+        let mut printed = Vec::new();
+        for unit in ["total", "x86", "neuron"] {
+            printed.extend(paper::printed(job, unit, mode, Convention::Published, steps)?.map(|(row, _)| row));
+        }
+        Ok(MeasuredJob { totals, computed, printed })
+    }
+
+    /// Its x86 core and neuron cores; `own` are the report's rows.
+    fn parts(&self, own: &[EnergyRow]) -> Vec<JobPart> {
+        let rows = if self.computed.is_empty() { own } else { &self.computed };
+        let part = |printed: &EnergyRow| {
+            let here = rows.iter().find(|row| row.unit == printed.unit)?.clone();
+            Some(JobPart { here, printed: printed.clone() })
+        };
+        self.printed.iter().filter(|row| row.unit != "total").filter_map(part).collect()
+    }
+}
+
+/// Energy and energy-delay product as printed for the job and other published hardware.
+fn printed_figures(measured: &MeasuredJob, options: &CostOptions, one: CopyWorkload<'_>) -> Vec<[f64; 2]> {
+    let shape = NetworkShape::from_network(one.network);
+    let conditions = RowConditions { convention: Convention::Published, ..one.conditions };
+    let row = |file: &Baseline| file.row(&shape, conditions).ok();
+    let published = options.baselines.files.iter().filter_map(row).filter(|row| row.source == FigureSource::Published);
+    let job = measured.printed.iter().filter(|row| row.unit == "total").cloned();
+    job.chain(published).filter_map(|row| Some([row.energy_uj?, row.edp_pjs?])).collect()
+}
+
 /// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its
 /// program, if there is one, for the rows of other hardware.
-///
-/// # Errors
-/// [`Error`] when an option does not fit the workload; otherwise as `simulate`.
 pub fn evaluate(
     plan: &DeploymentPlan,
     workload: &Workload<'_>,
@@ -214,105 +305,76 @@ pub fn evaluate(
     simulate: impl FnOnce(MeterSettings, Option<EarlyExit>) -> Result<Run<StepMeter>, Error>,
 ) -> Result<Evaluation, Error> {
     let CostOptions { mode, convention, accounting, .. } = *options;
-    let compiled = workload.compiled;
-    let (target, table) = select_constants(workload.target.clone(), options.constants.as_deref())?;
-    let model = &compiled.one.parts().name;
-    let steps_per_sample = workload.steps_per_sample();
-    let work = options.host_work(&target, workload.mean_steps())?;
-    let copies = plan.copies(workload.copies);
-    let deployment = plan.source.deployment(compiled, &target, copies, work)?;
-    options.check_x86(&deployment, &target)?;
-    let preset = &target.constants()[0];
-    options.check_accounting(&target)?;
-    let price = step_price(&table, &deployment, workload.copies, (mode, accounting));
-    let corners = if target.is_measured_by(preset) { CostTable::corners(preset)? } else { None };
-    let without_host = plan.source.deployment(compiled, &target, copies, HostWork { host: Host::None, ..work })?;
-    let may_be_half = may_be_half_of_a_step(workload, &deployment, options, &table);
-    let tables = std::iter::once(table).chain(corners.iter().flatten().cloned()).collect();
-    let metered = MeterSettings {
-        distribution: Some((0, price)),
-        without_host: may_be_half.then(|| without_host.timing(options.transport, workload.copies)),
-        ..workload.metered(tables, &deployment, options.transport)
-    };
+    let network = &workload.compiled.one;
+    let (conditions, settings) = Conditions::new(plan, workload, options)?;
+    let Conditions { target, deployment, .. } = &conditions;
     // Copies receive equal samples and decide equally, so only the first's outputs are watched.
     let rule = options.early_exit.unwrap_or(Rule::Certain);
     let watched = match options.early_exit {
-        Some(rule) => EarlyExit { ends: false, ..EarlyExit::new(rule, &compiled.one)? },
-        None => EarlyExit::recording_only(rule, &compiled.one),
+        Some(rule) => EarlyExit { ends: false, ..EarlyExit::new(rule, network)? },
+        None => EarlyExit::recording_only(rule, network),
     };
-    let run = simulate(metered, Some(watched))?;
+    let run = simulate(settings, Some(watched))?;
+    let preset = &target.constants()[0];
     let by_status = ByStatus::new(preset, deployment.chips_used)?;
     let case = EstimateInput {
         copies_counted: workload.copies,
         hardware: target.chip().hardware(),
         errors: target.errors(preset),
-        corners: corners.map(|_| [1, 2]),
+        corners: conditions.corners,
         by_status: Some(&by_status),
         mode,
         accounting,
         convention,
-        steps_per_sample,
-        ..EstimateInput::new(&run.activity, &run.meter, &deployment)
+        steps_per_sample: workload.steps_per_sample(),
+        ..EstimateInput::new(&run.activity, &run.meter, deployment)
     };
     let one = CopyWorkload {
-        network: alone.map_or(&compiled.one, |(network, _)| network),
+        network: alone.map_or(network, |(network, _)| network),
         program: alone.map(|(_, program)| program),
         samples: &workload.samples(),
-        steps: steps_per_sample,
-        timestep: run.meter.settings().timestep,
+        conditions: RowConditions {
+            steps: case.steps_per_sample,
+            timestep: run.meter.settings().timestep,
+            mode,
+            convention,
+        },
     };
-    let mut others = other_hardware::rows(&options.baselines, one, mode, convention, options.cpu_watts);
+    let mut others = other_hardware::rows(&options.baselines, one, options.cpu_watts);
     #[cfg(feature = "nvml")]
     if let Some(command) = &options.gpu_command {
-        other_hardware::gpu(command, run.activity.steps(), one, mode, convention, &mut others);
+        other_hardware::gpu(command, run.activity.steps(), one, &mut others);
     }
-    let measured_job = plan.shipped.as_ref().filter(|job| job.is_on(&target) && accounting == Accounting::Profiler);
-    let (mut rows, mut as_in) = (Vec::new(), Vec::new());
-    if let Some(job) = measured_job {
-        if plan.job().is_none() {
-            let is_mapped = plan.mapped_job(&target).is_some();
-            // The job keeps its own host, whatever is asked for here.
-            let of_job = HostWork { steps_per_sample: work.steps_per_sample, ..HostWork::for_target(&target) };
-            as_in = paper::rows((workload, is_mapped), job, options, &target, of_job)?;
-            let total = as_in.iter().find(|row| row.unit == "total").cloned();
-            rows.extend(total.map(|total| (total, "the measured job, by the same constants".to_string())));
-        }
-        rows.extend(paper::printed(job, "total", mode, convention, steps_per_sample)?);
+    let mut measured = MeasuredJob::new(plan, workload, options, target)?;
+    others.rows.splice(0..0, std::mem::take(&mut measured.totals));
+    let mut energy = report(&network.parts().name, target, &case, run.outcomes.len() as u64, others.rows);
+    energy.parts = measured.parts(&energy.estimate.rows);
+    energy.printed = printed_figures(&measured, options, one);
+    energy.constant_notes.extend(kind_notes(network, &preset.microcode_time));
+    energy.constant_notes.extend(plan.relays_note(target));
+    if run.meter.settings().without_host.is_some() {
+        energy.inputs_on_chip = inputs_on_chip(&case, &conditions.without_host);
     }
-    others.rows.splice(0..0, rows);
-    let as_printed = |unit| match measured_job {
-        Some(job) => paper::printed(job, unit, mode, Convention::Published, steps_per_sample),
-        None => Ok(None),
-    };
-    let shape = NetworkShape::from_network(one.network);
-    let row = |file: &Baseline| file.row(&shape, one.steps, one.timestep, mode, Convention::Published).ok();
-    let published = options.baselines.files.iter().filter_map(row).filter(|row| row.source == FigureSource::Published);
-    let published = as_printed("total")?.map(|(row, _)| row).into_iter().chain(published);
-    let printed = published.filter_map(|row| Some([row.energy_uj?, row.edp_pjs?])).collect();
-    let mut energy = report(model, &target, &case, run.outcomes.len() as u64, others.rows);
-    let here = if as_in.is_empty() { &energy.estimate.rows } else { &as_in };
-    for unit in ["x86", "neuron"] {
-        let own = here.iter().find(|row| row.unit == unit).cloned();
-        let parts = own.zip(as_printed(unit)?).map(|(here, (printed, _))| JobPart { here, printed });
-        energy.parts.extend(parts);
-    }
-    energy.constant_notes.extend(kind_notes(&compiled.one, &preset.microcode_time));
-    energy.inputs_on_chip = may_be_half.then(|| inputs_on_chip(&case, &without_host)).flatten();
-    energy.constant_notes.extend(plan.relays_note(&target));
-    energy.seed = workload.seed;
-    energy.input.clone_from(&workload.origin);
+    energy.job.clone_from(&plan.shipped);
     let labels = workload.samples().into_iter().map(Sample::label);
     let right = share_correct(&run.outcomes, labels, Outcome::class_when_decided);
     let decision = per_decision(rule, &case, &run.outcomes, right);
-    energy.job.clone_from(&plan.shipped);
     energy.early_exit = options.early_exit.map(|rule| early_exit_savings(rule, &case, &run.outcomes, &decision));
-    energy.comparison.per_decision = compiled.one.decides().then_some(decision);
-    energy.printed = printed;
+    energy.comparison.per_decision = network.decides().then_some(decision);
+    describe_run(workload, &run, &mut energy)?;
+    energy.detail.warnings.extend(others.warnings);
+    Ok(Evaluation { energy, run, deployment: conditions.deployment })
+}
+
+/// Adds to a report what the samples and the run say without constants.
+fn describe_run(workload: &Workload<'_>, run: &Run<StepMeter>, energy: &mut EnergyReport) -> Result<(), Error> {
+    energy.seed = workload.seed;
+    energy.input.clone_from(&workload.origin);
     energy.accuracy = workload.accuracy(&run.outcomes);
     energy.undecided = run.outcomes.iter().filter(|outcome| outcome.class().is_none()).count();
     energy.labelled = workload.samples().iter().filter(|sample| sample.label().is_some()).count() as u64;
-    energy.detail = workload.detail(&run);
-    energy.detail.warnings.extend(energy.estimate.warnings.iter().cloned().chain(others.warnings));
-    energy.expected = Some(workload.expected(&run)?);
-    Ok(Evaluation { energy, run, deployment })
+    energy.detail = workload.detail(run);
+    energy.detail.warnings.extend(energy.estimate.warnings.iter().cloned());
+    energy.expected = Some(workload.expected(run)?);
+    Ok(())
 }

@@ -1,7 +1,7 @@
 //! Makes the report of a finished run.
 
 use crate::report::compared::{Comparison, PerDecision, per_sample, ratios};
-use crate::report::table::{EarlyExitSavings, EnergyReport, constant_entries};
+use crate::report::result::{EarlyExitSavings, EnergyReport, constant_entries};
 use std::collections::BTreeSet;
 
 use nsim_cost::charged::is_charged;
@@ -68,9 +68,22 @@ pub fn per_decision(rule: Rule, case: &EstimateInput<'_>, outcomes: &[Outcome], 
 /// constants without effect, figures without an interval.
 pub fn constant_notes(target: &Target, case: &EstimateInput<'_>, total: &EnergyRow) -> Vec<String> {
     let preset = &target.constants()[case.preset];
-    let theirs = &preset.hardware;
-    let foreign = !target.is_measured_by(preset) && !theirs.is_empty();
-    let inherited = foreign.then(|| format!("Uses constants of {theirs}, also for static power (--constants FILE)."));
+    let foreign = !target.is_measured_by(preset) && !preset.hardware.is_empty();
+    let inherited =
+        foreign.then(|| format!("Uses constants of {}, also for static power (--constants FILE).", preset.hardware));
+    let notes = [
+        inherited,
+        borrowed(preset, case),
+        absent(preset, case),
+        not_counted(target, preset),
+        without_effect(target, preset, case),
+        without_interval(target, preset, total),
+    ];
+    notes.into_iter().flatten().collect()
+}
+
+/// Remark on constants that the preset does not give.
+fn absent(preset: &Constants, case: &EstimateInput<'_>) -> Option<String> {
     let absent = preset
         .list()
         .into_iter()
@@ -79,31 +92,36 @@ pub fn constant_notes(target: &Target, case: &EstimateInput<'_>, total: &EnergyR
         .filter(|(name, _)| !Constants::ADDED.contains(name))
         // Leakage is given by core or by chip.
         .filter(|(name, _)| *name != "chip_static_power" || preset.core_static_power.value.value == 0.0);
-    let absent: Vec<&str> = absent.map(|(name, _)| name).collect();
-    let absent =
-        (!absent.is_empty()).then(|| format!("Not given in {}, counted as 0: {}.", preset.name, absent.join(", ")));
+    let names: Vec<&str> = absent.map(|(name, _)| name).collect();
+    (!names.is_empty()).then(|| format!("Not given in {}, counted as 0: {}.", preset.name, names.join(", ")))
+}
+
+/// Remark on constants of the host that a file states for a chip without x86 cores.
+fn not_counted(target: &Target, preset: &Constants) -> Option<String> {
+    if target.chip().x86_cores > 0 || Shipped::find(CONSTANTS, &preset.name).is_some() {
+        return None;
+    }
     let of_host =
         |name: &str| name.starts_with("x86_") || ["injection_time", "turn_time", "reset_word_time"].contains(&name);
-    let shipped = Shipped::find(CONSTANTS, &preset.name).is_some();
-    let here = |name: &str| !shipped && !preset.stated_in.contains_key(name) && of_host(name);
-    let stated = preset.list().into_iter().filter(|(name, one)| here(name) && one.value.value != 0.0);
-    let stated: Vec<&str> = stated.map(|(name, _)| name).filter(|_| target.chip().x86_cores == 0).collect();
-    let is = if stated.len() == 1 { "is" } else { "are" };
-    let unused = (!stated.is_empty())
-        .then(|| format!("{} {is} not counted: {} has no x86 core.", stated.join(", "), target.chip().hardware()));
-    let set = preset.stated_in.iter().filter(|(_, from)| *from == SET_OPTION).map(|(name, _)| *name);
-    let vain: Vec<&str> = set.filter(|name| !is_charged(case, name)).collect();
-    let vain = (!vain.is_empty()).then(|| {
-        let why = match target.chip().x86_cores_in_use {
-            0 => format!(", and {} uses no x86 core", target.chip().hardware()),
-            _ => String::new(),
-        };
-        format!("Without effect: {}. This run has no cost of this kind{why}.", vain.join(", "))
+    let stated = preset.list().into_iter().filter(|(name, constant)| {
+        !preset.stated_in.contains_key(name) && of_host(name) && constant.value.value != 0.0
     });
-    [inherited, borrowed(preset, case), absent, unused, vain, without_interval(target, preset, total)]
-        .into_iter()
-        .flatten()
-        .collect()
+    let names: Vec<&str> = stated.map(|(name, _)| name).collect();
+    let is = if names.len() == 1 { "is" } else { "are" };
+    (!names.is_empty())
+        .then(|| format!("{} {is} not counted: {} has no x86 core.", names.join(", "), target.chip().hardware()))
+}
+
+/// Remark on set constants of which the run has no cost.
+fn without_effect(target: &Target, preset: &Constants, case: &EstimateInput<'_>) -> Option<String> {
+    let set = preset.stated_in.iter().filter(|(_, from)| *from == SET_OPTION).map(|(name, _)| *name);
+    let names: Vec<&str> = set.filter(|name| !is_charged(case, name)).collect();
+    let why = match target.chip().x86_cores_in_use {
+        0 => format!(", and {} uses no x86 core", target.chip().hardware()),
+        _ => String::new(),
+    };
+    (!names.is_empty())
+        .then(|| format!("Without effect: {}. This run has no cost of this kind{why}.", names.join(", ")))
 }
 
 /// Maximum number of constants of a kind that a remark names as borrowed from other hardware.
@@ -183,8 +201,7 @@ fn without_interval(target: &Target, preset: &Constants, total: &EnergyRow) -> O
     (!names.is_empty()).then(|| format!("No interval of {}: {why}.", names.join(", ")))
 }
 
-/// Returns the report of a finished run, from its counts and the conditions of the estimate, and
-/// rows of other hardware with their sources.
+/// Returns the report of a finished run; `baselines` are rows of other hardware with sources.
 pub fn report(
     model: &str,
     target: &Target,

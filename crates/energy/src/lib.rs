@@ -3,8 +3,7 @@
 //! Input: a mapped network, samples, options of deployment and cost. Output: the run and its
 //! [`evaluate::Evaluation`] report. [`options`] interprets deployments, presets and baselines,
 //! [`workload`] runs, [`job`] makes the report. Errors: a deployment or preset that does not fit
-//! the job. The command line and the Python module both use this crate, so their figures cannot
-//! differ.
+//! the job. The command line and the Python module both use this crate.
 
 pub mod baseline;
 pub mod cpu;

@@ -54,9 +54,6 @@ pub struct CostOptions {
 
 impl CostOptions {
     /// The defaults of `nsim energy`, compared with these baselines: all when `None`.
-    ///
-    /// # Errors
-    /// A name that no baseline has.
     pub fn with_baselines(names: Option<&[String]>) -> Result<Self, Diagnostic> {
         Ok(CostOptions { baselines: baselines(names)?, ..CostOptions::default() })
     }
@@ -111,8 +108,7 @@ impl CostOptions {
 /// a file, or a shipped preset that the target does not name; `None` is the target's first preset.
 ///
 /// # Errors
-/// [`Error::Usage`] for an unknown preset, [`Error::Input`] when a file cannot be used or a
-/// constant is out of range.
+/// [`Error::Usage`] for an unknown preset, [`Error::Input`] for a file or a constant out of range.
 pub fn select_constants(target: Target, asked: Option<&str>) -> Result<(Target, CostTable)> {
     let presets = target.constants();
     let chosen = match asked {
@@ -298,9 +294,6 @@ pub struct BaselineSelection {
 }
 
 /// Returns the requested baselines; all files and this machine's processor when `names` is `None`.
-///
-/// # Errors
-/// A diagnostic for a name that does not exist.
 pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnostic> {
     let all = || BASELINES.iter().map(|shipped| Baseline::shipped(shipped.name)).collect::<Result<Vec<_>, _>>();
     let Some(names) = names else {

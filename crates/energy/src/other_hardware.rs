@@ -4,14 +4,13 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-use crate::baseline::{Figures, NetworkShape, Work};
+use crate::baseline::{Figures, NetworkShape, RowConditions, Work};
 use crate::cpu::{self, MeasuredTime};
 use crate::environment::Environment;
 use crate::options::{BaselineSelection, ROOFLINE, Watts};
 use crate::power::{POWERCAP, PackagePower, Power, PowerMeter};
-use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
+use nsim_cost::estimate::{EnergyRow, FigureSource};
 use nsim_cost::job::Mode;
-use nsim_ir::base::units::Picoseconds;
 use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
@@ -41,10 +40,8 @@ pub struct CopyWorkload<'a> {
     pub program: Option<&'a Arc<Program>>,
     /// Its input samples.
     pub samples: &'a [&'a Sample],
-    /// Timesteps of a sample; `None` when samples differ.
-    pub steps: Option<u32>,
-    /// Length of a timestep.
-    pub timestep: Picoseconds,
+    /// Conditions of its rows.
+    pub conditions: RowConditions,
 }
 
 /// Rows with their sources, and why others are absent.
@@ -63,21 +60,14 @@ impl HardwareRows {
 }
 
 /// Returns the rows of all requested hardware.
-pub fn rows(
-    asked: &BaselineSelection,
-    one: CopyWorkload<'_>,
-    mode: Mode,
-    convention: Convention,
-    watts: Option<Watts>,
-) -> HardwareRows {
+pub fn rows(asked: &BaselineSelection, one: CopyWorkload<'_>, watts: Option<Watts>) -> HardwareRows {
     let mut found = HardwareRows::default();
     let (shape, work) = (NetworkShape::from_network(one.network), Work::from_network(one.network));
     for baseline in &asked.files {
-        match baseline.row(&shape, one.steps, one.timestep, mode, convention) {
+        match baseline.row(&shape, one.conditions) {
             Ok(row) => found.rows.push((row, baseline.source())),
             Err(reason) => {
-                let modelled = || baseline.modelled(&work, one.steps, one.timestep, mode, convention);
-                if let Some(row) = asked.roofline.then(modelled).flatten() {
+                if let Some(row) = asked.roofline.then(|| baseline.modelled(&work, one.conditions)).flatten() {
                     let source = "modelled from its peak rate, bandwidth, overhead a layer and power (equation 18)";
                     found.rows.push((row, format!("{source}: {reason}")));
                 } else {
@@ -87,54 +77,41 @@ pub fn rows(
         }
     }
     if asked.cpu {
-        add_cpu_rows(one, mode, convention, watts, &mut found);
+        add_cpu_rows(one, watts, &mut found);
     }
     found
 }
 
 /// Adds the row of a command on a GPU that processes `steps` timesteps.
 #[cfg(feature = "nvml")]
-pub fn gpu(
-    command: &str,
-    steps: u64,
-    one: CopyWorkload<'_>,
-    mode: Mode,
-    convention: Convention,
-    found: &mut HardwareRows,
-) {
+pub fn gpu(command: &str, steps: u64, one: CopyWorkload<'_>, found: &mut HardwareRows) {
     use crate::gpu;
     let idle = Duration::from_secs(2);
     let measured = gpu::with_nvml(|name, power| (name, gpu::measure(command, steps, idle, power)));
     match measured.and_then(|(name, measured)| Ok((name, measured?))) {
         Err(reason) => found.without(format!("no row for --gpu-command: {reason}")),
         Ok((name, measured)) => {
-            let figures = figures(measured.us_per_timestep, measured.power, one, mode, true);
+            let figures = figures(measured.us_per_timestep, measured.power, one.conditions, true);
             let source = format!(
                 "'{command}', {} timesteps, board power in {} readings by NVML, idle measured first",
                 measured.timesteps, measured.readings
             );
-            found.rows.push((figures.row(&name, convention, one.steps), source));
+            found.rows.push((figures.row(&name, one.conditions.convention, one.conditions.steps), source));
         }
     }
 }
 
 /// Returns measured figures in a mode; with `window`, the hardware waits for a whole window.
-fn figures(latency_us: f64, power: Power, one: CopyWorkload<'_>, mode: Mode, window: bool) -> Figures {
+fn figures(latency_us: f64, power: Power, conditions: RowConditions, window: bool) -> Figures {
     let Power { static_mw, dynamic_mw, source: power_source } = power;
     let figures = Figures { static_mw, dynamic_mw, latency_us, source: FigureSource::Measured, power_source };
-    match mode {
+    match conditions.mode {
         Mode::Offline => figures,
-        Mode::Realtime => figures.in_real_time(one.timestep.microseconds(), window, true),
+        Mode::Realtime => figures.in_real_time(conditions.timestep.microseconds(), window, true),
     }
 }
 
-fn add_cpu_rows(
-    one: CopyWorkload<'_>,
-    mode: Mode,
-    convention: Convention,
-    watts: Option<Watts>,
-    found: &mut HardwareRows,
-) {
+fn add_cpu_rows(one: CopyWorkload<'_>, watts: Option<Watts>, found: &mut HardwareRows) {
     let load_before = load();
     let available = std::thread::available_parallelism().map_or(1, usize::from);
     let busy = load_before.filter(|load| *load > BUSY_SHARE * available as f64);
@@ -146,7 +123,7 @@ fn add_cpu_rows(
         Err(reason) => found.without(format!("no row for {name}: {reason}")),
         Ok(timed) => {
             // Other programs disturbed the fastest repeat least.
-            let figures = figures(timed.fastest, power, one, mode, window);
+            let figures = figures(timed.fastest, power, one.conditions, window);
             let source = format!(
                 "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us \
                  apart{}{}; {}",
@@ -158,8 +135,8 @@ fn add_cpu_rows(
                 if here.profile == "debug" { "; slow, because nsim was built without optimisation" } else { "" },
                 meter.source()
             );
-            let row = EnergyRow { busy, ..figures.row(name, convention, one.steps) };
-            found.rows.push((row, source));
+            let row = figures.row(name, one.conditions.convention, one.conditions.steps);
+            found.rows.push((EnergyRow { busy, ..row }, source));
         }
     };
     add("CPU, dense", true, meter.during(|| cpu::dense(one.network, samples, BUDGET)));

@@ -1,8 +1,7 @@
 //! A published job of a shipped model: mapped as published, priced by equal constants, and compared
 //! with the printed figures.
 //!
-//! Input: a scenario, the network, samples. Output: rows of the energy table. Errors: a job that
-//! does not compile.
+//! Input: a scenario, the network, samples. Output: rows of the energy table.
 
 use super::options::CostOptions;
 use super::workload::Workload;
@@ -23,9 +22,6 @@ use nsim_session::priced::MeteredMapping;
 use nsim_session::samples::RunSettings;
 
 /// Maps one copy of the network of a job, by the details that the job's source gives.
-///
-/// # Errors
-/// When it does not compile.
 pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Result<Mapping, Error> {
     let network = if scenario.input_relays { with_input_relays(one)? } else { one.clone() };
     let target = match scenario.compartments_per_core {
@@ -38,11 +34,9 @@ pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Resu
 /// Returns the rows of a job by a target's first constants, on the workload's samples. Rows are one
 /// x86 core, the neuron cores of one copy, and their total. `is_mapped` says whether the workload's
 /// mapping is the job's.
-///
-/// # Errors
-/// As [`mapped`].
 pub fn rows(
-    (workload, is_mapped): (&Workload<'_>, bool),
+    workload: &Workload<'_>,
+    is_mapped: bool,
     scenario: &ScenarioFile,
     options: &CostOptions,
     target: &Target,
@@ -70,9 +64,6 @@ pub fn rows(
 
 /// The row of a unit (`x86`, `neuron`, `total`) that a job's source printed in this mode. Energy is
 /// power times time, or as printed in the published convention.
-///
-/// # Errors
-/// When a table of measurements cannot be read.
 pub fn printed(
     scenario: &ScenarioFile,
     unit: &'static str,
@@ -86,8 +77,8 @@ pub fn printed(
             continue;
         }
         let cell = |figure: &str| {
-            let found = table.cells.iter().find(|cell| cell.unit.value == unit && cell.figure.value == figure);
-            found.and_then(crate::published::measurement::MeasuredCell::value).map(|(value, _)| value)
+            let printed = table.cells.iter().find(|cell| cell.unit.value == unit && cell.figure.value == figure);
+            printed.and_then(crate::published::measurement::MeasuredCell::value).map(|(value, _)| value)
         };
         let powers = (cell("static_mw").unwrap_or(0.0), cell("dynamic_mw"));
         let hardware = format!("{}, printed", scenario.work);

@@ -93,8 +93,7 @@ fn units(class: &CoreClass) -> Vec<&'static str> {
     synapse_counts(class).into_iter().map(unit).collect()
 }
 
-/// Number of compartments reached by lists of both kinds; SANA-FE charges all their synapses as one
-/// kind.
+/// Compartments reached by lists of both kinds, whose synapses SANA-FE charges as one kind.
 fn mixed(program: &Program) -> u64 {
     let counts = program.cores().ids().flat_map(|core| synapse_counts(program.class_of(core)));
     counts.filter(|[dense, sparse]| *dense > 0 && *sparse > 0).count() as u64
@@ -339,8 +338,8 @@ impl Export<'_> {
         out.push_str("  edges:\n");
         for (port, (corner, channels)) in ports.iter().enumerate() {
             for (index, &channel) in channels.iter().enumerate() {
-                let here = program.parts().channels.get(channel).iter().filter(|m| self.corner(m.core) == *corner);
-                here.for_each(|&message| self.edges(&mut out, &format!("in{port}.{index}"), message));
+                let messages = program.parts().channels.get(channel).iter().filter(|m| self.corner(m.core) == *corner);
+                messages.for_each(|&message| self.edges(&mut out, &format!("in{port}.{index}"), message));
             }
         }
         for (core, image) in program.cores().enumerate() {

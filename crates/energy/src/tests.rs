@@ -13,11 +13,11 @@ use nsim_ir::base::units::Picoseconds;
 use nsim_ir::hardware::Target;
 use nsim_session::error::Error;
 
-use crate::baseline::Baseline;
 use crate::baseline::tests::vtsnn;
+use crate::baseline::{Baseline, RowConditions};
 use crate::job;
 use crate::options::{DeploymentSource, select_constants};
-use crate::report::table::EnergyReport;
+use crate::report::result::EnergyReport;
 
 const MS: Picoseconds = Picoseconds(1_000_000_000);
 
@@ -199,7 +199,7 @@ fn report(deployment: &Deployment, mode: Mode, convention: Convention) -> Energy
     let compiled = mapped(1, CopyPlacement::Spread);
     let (activity, meter) = run(&steps(), vec![table], deployment.tiles_used, &compiled);
     let gpu = Baseline::shipped("rtx-2080-ti").unwrap();
-    let row = gpu.row(&vtsnn(), Some(150), MS, mode, convention).unwrap();
+    let row = gpu.row(&vtsnn(), RowConditions { steps: Some(150), timestep: MS, mode, convention }).unwrap();
     let case = EstimateInput {
         copies_counted: 1,
         hardware: "loihi",

@@ -103,9 +103,6 @@ impl<'j> Workload<'j> {
     }
 
     /// Expected cost of a mean step, by the target's own constants, at the rates of the run.
-    ///
-    /// # Errors
-    /// A constant that does not fit an integer.
     pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
         let rates = Rates::from_counts(&run.counts, &self.compiled.one, run.activity.steps());
         Ok(self.compiled.score_at(&rates, self.target)?)
@@ -117,9 +114,6 @@ impl<'j> Workload<'j> {
     }
 
     /// Runs a sample step by step, with traces of a quantity of compartments of the first copy.
-    ///
-    /// # Errors
-    /// As [`Workload::simulate`].
     pub fn timeline(
         &self,
         settings: MeterSettings,
@@ -138,7 +132,8 @@ impl<'j> Workload<'j> {
         settings: MeterSettings,
         early_exit: Option<EarlyExit>,
         skip: bool,
-        (progress, ranks): (Progress<'_>, Option<&Ranks>),
+        progress: Progress<'_>,
+        ranks: Option<&Ranks>,
     ) -> Result<Run<StepMeter>, Error> {
         let sample_settings = SampleSettings { early_exit, ..SampleSettings::new(self.compiled.program.output()) };
         let run_settings = RunSettings { skip, progress, ranks, ..RunSettings::new(&sample_settings) };

@@ -11,10 +11,10 @@ use std::ops::Range;
 use std::sync::Arc;
 
 use crate::base::csr::Csr;
-use crate::base::id::{CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::partition::Seat;
 use crate::placement::Site;
-use crate::program::{AxonTarget, Compartments, CoreImage, Graded, NotClosed, Parts, Program};
+use crate::program::{AxonTarget, Compartments, CoreClass, CoreImage, Graded, NotClosed, Parts, Program};
 use crate::ranks::RankAssignment;
 
 /// The parts of a program that belong to a group of one kind.
@@ -75,14 +75,15 @@ pub struct GroupMembers {
 /// For each group, the index of the first identical group.
 fn first_identical(program: &Program, one: CopySizes, together: &[GroupMembers]) -> Vec<usize> {
     let mut known = HashMap::new();
-    let key = |group: &GroupMembers| -> Vec<Vec<(usize, u32)>> {
+    let index = |(number, group): (usize, &GroupMembers)| {
         let member = |id: &CompartmentId| {
             let copy = group.copies.binary_search(&(id.0 / one.compartments)).unwrap_or(usize::MAX);
             (copy, id.0 % one.compartments)
         };
-        group.cores.iter().map(|&core| program.cores()[core].ids.iter().map(member).collect()).collect()
+        let ids_of = |&core: &CoreId| program.cores()[core].ids.iter().map(member).collect();
+        *known.entry(group.cores.iter().map(ids_of).collect::<Vec<Vec<_>>>()).or_insert(number)
     };
-    together.iter().enumerate().map(|(number, group)| *known.entry(key(group)).or_insert(number)).collect()
+    together.iter().enumerate().map(index).collect()
 }
 
 impl CoreGroups {
@@ -111,89 +112,126 @@ impl CoreGroups {
         let whole = program.parts();
         let firsts: Vec<usize> =
             (0..first_identical.len()).filter(|&number| first_identical[number] == number).collect();
-        let selected_copies: Vec<u32> =
-            firsts.iter().flat_map(|&first| together[first].copies.iter().copied()).collect();
-        let mut new_core = vec![None; whole.cores.len()];
-        let selected_cores = firsts.iter().flat_map(|&first| &together[first].cores);
-        for (number, core) in selected_cores.clone().enumerate() {
-            new_core[core.index()] = Some(CoreId::new(number));
-        }
-        let new_copy: HashMap<u32, u32> = selected_copies.iter().copied().zip(0..).collect();
-        let closed = || NotClosed("a group of cores sends messages to another".to_string());
-        let core = |core: CoreId| new_core[core.index()].ok_or_else(closed);
-        let target = |to: &AxonTarget| Ok(AxonTarget { core: core(to.core)?, ..*to });
-        let compartment = |id: CompartmentId| {
-            let copy = new_copy.get(&(id.0 / one.compartments)).ok_or_else(closed)?;
-            Ok::<_, NotClosed>(CompartmentId(copy * one.compartments + id.0 % one.compartments))
-        };
-        let (mut cores, mut classes) = (Vec::new(), IdVec::new());
-        let mut new_class = HashMap::new();
-        for &number in selected_cores.clone() {
-            let mut image = whole.cores[number].clone();
-            image.ids = Arc::new(image.ids.iter().map(|&id| compartment(id)).collect::<Result<_, _>>()?);
-            let axons_out = image.axons_out.renumbered(core)?;
-            let old = image.class;
-            let class = *new_class.entry(old).or_insert_with(|| classes.push(whole.classes[old].clone()));
-            cores.push(CoreImage { axons_out, class, ..image });
-        }
-        let (mut channels, mut seats, mut populations) = (Csr::default(), Vec::new(), Vec::new());
-        for (number, &copy) in (0u32..).zip(&selected_copies) {
-            for channel in copy * one.channels..(copy + 1) * one.channels {
-                let list = whole.channels.get(channel as usize).iter();
-                channels.push(list.map(target).collect::<Result<Vec<_>, NotClosed>>()?);
-            }
-            for id in copy * one.compartments..(copy + 1) * one.compartments {
-                let seat = whole.seats[CompartmentId(id)];
-                seats.push(Seat { core: core(seat.core)?, ..seat });
-            }
-            for id in copy * one.populations..(copy + 1) * one.populations {
-                let moved = |of_copy: Compartments| {
-                    let first = number * one.compartments + of_copy.first.0 % one.compartments;
-                    Compartments { first: CompartmentId(first), ..of_copy }
-                };
-                populations.push(whole.populations[PopulationId(id)].map(moved));
-            }
-        }
-        let graded = graded_of(whole, one, &selected_copies);
-        let parts = Parts {
-            classes,
-            cores: cores.into(),
-            channels,
-            seats: Arc::new(seats.into()),
-            populations: populations.into(),
-            graded,
-            assignment: whole.assignment.as_ref().map(|assignment| {
-                let owners: Vec<u32> = selected_cores.clone().map(|&core| assignment.owners[core]).collect();
-                RankAssignment { owners: IdVec::from(owners).into(), ..assignment.clone() }
-            }),
-            ..*whole
-        };
-        let mut kinds: Vec<Kind> = Vec::new();
-        for &first in &firsts {
-            let GroupMembers { cores, copies } = &together[first];
-            let last = kinds.last();
-            let begin = |get: fn(&Kind) -> &Range<u32>| last.map_or(0, |kind| get(kind).end);
-            let next = |begin: u32, many: usize| begin..begin + many as u32;
-            kinds.push(Kind {
-                cores: next(begin(|kind| &kind.cores), cores.len()),
-                channels: next(begin(|kind| &kind.channels), copies.len() * one.channels as usize),
-                compartments: next(begin(|kind| &kind.compartments), copies.len() * one.compartments as usize),
-                copies: copies.len() as u32,
-            });
-        }
+        let selected: Vec<&GroupMembers> = firsts.iter().map(|&first| &together[first]).collect();
         let group = |(group, &first): (&GroupMembers, &usize)| Group {
             kind: firsts.binary_search(&first).expect("each group is like one that comes first"),
             sites: group.cores.iter().map(|&core| whole.cores[core].site).collect(),
             cores: group.cores.clone(),
         };
-        let groups = together.iter().zip(first_identical).map(group).collect();
-        Ok(CoreGroups { program: Program::new(parts)?.into(), kinds, groups })
+        Ok(CoreGroups {
+            program: Program::new(Selection::new(whole, one, &selected).parts()?)?.into(),
+            kinds: consecutive_kinds(one, &selected),
+            groups: together.iter().zip(first_identical).map(group).collect(),
+        })
     }
 
     /// Number of copies of the network in the program.
     pub fn copies(&self) -> u32 {
         self.kinds.iter().map(|kind| kind.copies).sum()
     }
+}
+
+/// Kinds of groups whose parts are numbered consecutively.
+fn consecutive_kinds(one: CopySizes, groups: &[&GroupMembers]) -> Vec<Kind> {
+    let mut kinds: Vec<Kind> = Vec::new();
+    for GroupMembers { cores, copies } in groups {
+        let copies = copies.len() as u32;
+        let ends = kinds.last().map_or([0; 3], |last| [last.cores.end, last.channels.end, last.compartments.end]);
+        kinds.push(Kind {
+            cores: ends[0]..ends[0] + cores.len() as u32,
+            channels: ends[1]..ends[1] + copies * one.channels,
+            compartments: ends[2]..ends[2] + copies * one.compartments,
+            copies,
+        });
+    }
+    kinds
+}
+
+/// Groups of a program, as a program of their own.
+struct Selection<'p> {
+    whole: &'p Parts,
+    one: CopySizes,
+    cores: Vec<CoreId>,
+    copies: Vec<u32>,
+    new_core: Vec<Option<CoreId>>,
+    new_copy: HashMap<u32, u32>,
+}
+
+impl<'p> Selection<'p> {
+    fn new(whole: &'p Parts, one: CopySizes, groups: &[&GroupMembers]) -> Self {
+        let cores: Vec<CoreId> = groups.iter().flat_map(|group| group.cores.iter().copied()).collect();
+        let copies: Vec<u32> = groups.iter().flat_map(|group| group.copies.iter().copied()).collect();
+        let mut new_core = vec![None; whole.cores.len()];
+        for (number, core) in cores.iter().enumerate() {
+            new_core[core.index()] = Some(CoreId::new(number));
+        }
+        let new_copy = copies.iter().copied().zip(0..).collect();
+        Selection { whole, one, cores, copies, new_core, new_copy }
+    }
+
+    fn core(&self, core: CoreId) -> Result<CoreId, NotClosed> {
+        self.new_core[core.index()].ok_or_else(not_closed)
+    }
+
+    fn compartment(&self, id: CompartmentId) -> Result<CompartmentId, NotClosed> {
+        let copy = self.new_copy.get(&(id.0 / self.one.compartments)).ok_or_else(not_closed)?;
+        Ok(CompartmentId(copy * self.one.compartments + id.0 % self.one.compartments))
+    }
+
+    fn parts(&self) -> Result<Parts, NotClosed> {
+        let mut classes = IdVec::new();
+        let cores = self.cores(&mut classes)?;
+        let Selection { whole, one, .. } = *self;
+        let (mut channels, mut seats, mut populations) = (Csr::default(), Vec::new(), Vec::new());
+        for (number, &copy) in (0u32..).zip(&self.copies) {
+            for channel in copy * one.channels..(copy + 1) * one.channels {
+                let list = whole.channels.get(channel as usize).iter();
+                let target = |to: &AxonTarget| Ok(AxonTarget { core: self.core(to.core)?, ..*to });
+                channels.push(list.map(target).collect::<Result<Vec<_>, NotClosed>>()?);
+            }
+            for id in copy * one.compartments..(copy + 1) * one.compartments {
+                let seat = whole.seats[CompartmentId(id)];
+                seats.push(Seat { core: self.core(seat.core)?, ..seat });
+            }
+            for id in copy * one.populations..(copy + 1) * one.populations {
+                populations.push(whole.populations[PopulationId(id)].map(|of_copy| {
+                    let first = number * one.compartments + of_copy.first.0 % one.compartments;
+                    Compartments { first: CompartmentId(first), ..of_copy }
+                }));
+            }
+        }
+        Ok(Parts {
+            classes,
+            cores,
+            channels,
+            seats: Arc::new(seats.into()),
+            populations: populations.into(),
+            graded: graded_of(whole, one, &self.copies),
+            assignment: whole.assignment.as_ref().map(|assignment| {
+                let owners: Vec<u32> = self.cores.iter().map(|&core| assignment.owners[core]).collect();
+                RankAssignment { owners: IdVec::from(owners).into(), ..assignment.clone() }
+            }),
+            ..*whole
+        })
+    }
+
+    /// Its cores; adds their classes.
+    fn cores(&self, classes: &mut IdVec<ClassId, CoreClass>) -> Result<IdVec<CoreId, CoreImage>, NotClosed> {
+        let (mut cores, mut new_class) = (Vec::new(), HashMap::new());
+        for &number in &self.cores {
+            let mut image = self.whole.cores[number].clone();
+            image.ids = Arc::new(image.ids.iter().map(|&id| self.compartment(id)).collect::<Result<_, _>>()?);
+            let axons_out = image.axons_out.renumbered(|core| self.core(core))?;
+            let old = image.class;
+            let class = *new_class.entry(old).or_insert_with(|| classes.push(self.whole.classes[old].clone()));
+            cores.push(CoreImage { axons_out, class, ..image });
+        }
+        Ok(cores.into())
+    }
+}
+
+fn not_closed() -> NotClosed {
+    NotClosed("a group of cores sends messages to another".to_string())
 }
 
 /// Payloads of the sources of these copies, renumbered.
@@ -209,10 +247,10 @@ fn graded_of(whole: &Parts, one: CopySizes, copies: &[u32]) -> Vec<Graded> {
     for (number, &copy) in (0u32..).zip(copies) {
         of_range(copy * one.channels..(copy + 1) * one.channels, number * one.channels);
     }
-    let (before, kept) = (whole.channels.len() as u32, copies.len() as u32 * one.channels);
+    let (before, new_channels) = (whole.channels.len() as u32, copies.len() as u32 * one.channels);
     for (number, &copy) in (0u32..).zip(copies) {
         let from = before + copy * one.compartments;
-        of_range(from..from + one.compartments, kept + number * one.compartments);
+        of_range(from..from + one.compartments, new_channels + number * one.compartments);
     }
     graded
 }

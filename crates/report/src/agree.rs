@@ -159,21 +159,15 @@ pub(super) fn layer_json(row: &LayerRow) -> Value {
     let tally = &row.comparison.tally;
     let divergence = row.comparison.first_divergence.map(|d| {
         json!({
-            "sample": d.sample, "timestep": d.timestep, "neuron": d.neuron,
-            "a": u8::from(d.a), "b": u8::from(d.b),
+            "sample": d.sample, "timestep": d.timestep, "neuron": d.neuron, "a": u8::from(d.a), "b": u8::from(d.b),
             "potential_a": d.potential_a.map(rounded), "potential_b": d.potential_b.map(rounded),
         })
     });
     json!({
-        "name": row.name,
-        "shift": row.shift,
-        "spikes_a": tally.spikes_a,
-        "spikes_b": tally.spikes_b,
+        "name": row.name, "shift": row.shift, "spikes_a": tally.spikes_a, "spikes_b": tally.spikes_b,
         "coincidence": (!is_silent(row)).then(|| rounded(tally.coincidence())),
-        "van_rossum": rounded(tally.van_rossum()),
-        "victor_purpura": rounded(tally.victor_purpura()),
-        "potential_rmse": tally.potential_rmse().map(rounded),
-        "count_error": rounded(tally.count_error()),
+        "van_rossum": rounded(tally.van_rossum()), "victor_purpura": rounded(tally.victor_purpura()),
+        "potential_rmse": tally.potential_rmse().map(rounded), "count_error": rounded(tally.count_error()),
         "first_divergence": divergence,
     })
 }
@@ -203,8 +197,7 @@ fn scores(found: &SearchResult) -> [(&str, &ConversionScore); 2] {
 
 fn score_json(score: &ConversionScore) -> Value {
     json!({
-        "class_agreement": score.classes.agreement().map(rounded),
-        "coincidence": rounded(score.coincidence),
+        "class_agreement": score.classes.agreement().map(rounded), "coincidence": rounded(score.coincidence),
         "count_error": rounded(score.count_error),
     })
 }
@@ -255,13 +248,9 @@ impl AgreeReport<'_> {
 
     fn share_json(share: &Share) -> Value {
         json!({
-            "cause": share.cause.name(),
-            "class_agreement": share.stage.class_agreement.map(rounded),
-            "coincidence": rounded(share.stage.coincidence),
-            "potential_rmse": share.stage.potential_rmse.map(rounded),
-            "share": share.share.map(rounded),
-            "forward": rounded(share.forward),
-            "reversed": rounded(share.reversed),
+            "cause": share.cause.name(), "class_agreement": share.stage.class_agreement.map(rounded),
+            "coincidence": rounded(share.stage.coincidence), "potential_rmse": share.stage.potential_rmse.map(rounded),
+            "share": share.share.map(rounded), "forward": rounded(share.forward), "reversed": rounded(share.reversed),
             "interaction": rounded(share.interaction()),
             "without": {
                 "class_agreement": share.without.class_agreement.map(rounded),
@@ -277,8 +266,7 @@ impl AgreeReport<'_> {
         let populations = self.fits.iter().map(|(name, fit)| {
             json!({
                 "name": name, "du": fit.du.get(), "dv": fit.dv.get(), "refractory": fit.refractory.get(),
-                "threshold": rounded(fit.threshold),
-                "delays": fit.copies.iter().map(|copy| copy.0).collect::<Vec<_>>(),
+                "threshold": rounded(fit.threshold), "delays": fit.copies.iter().map(|copy| copy.0).collect::<Vec<_>>(),
                 "factors": fit.copies.iter().map(|copy| rounded(copy.1)).collect::<Vec<_>>(),
             })
         });
@@ -294,30 +282,21 @@ impl AgreeReport<'_> {
     /// `nsim.agree/1`.
     pub fn json(&self) -> Value {
         json!({
-            "schema": "nsim.agree/1",
-            "model": self.model,
-            "against": self.against,
-            "input": self.input,
-            "seed": self.seed,
-            "samples": self.samples,
-            "compared": self.classes.map(|classes| classes.compared),
+            "schema": "nsim.agree/1", "model": self.model, "against": self.against, "input": self.input,
+            "seed": self.seed, "samples": self.samples, "compared": self.classes.map(|classes| classes.compared),
             "class_agreement": self.class_agreement().map(rounded),
-            "accuracy_a": self.accuracy.map(|(a, _)| rounded(a)),
-            "accuracy_b": self.accuracy.map(|(_, b)| rounded(b)),
-            "layers": self.layers.iter().map(layer_json).collect::<Vec<_>>(),
-            "conversion": self.conversion_json(),
+            "accuracy_a": self.accuracy.map(|(a, _)| rounded(a)), "accuracy_b": self.accuracy.map(|(_, b)| rounded(b)),
+            "layers": self.layers.iter().map(layer_json).collect::<Vec<_>>(), "conversion": self.conversion_json(),
             "disagreement": self.attribution.map(|attribution| rounded(attribution.disagreement)),
             "lost": self.attribution.map_or(&[][..], |a| &a.layers).iter().map(lost_json).collect::<Vec<_>>(),
             "attribution_samples": self.attribution.map(|_| self.attribution_samples),
             "attribution": self.attribution.map_or(&[][..], |a| &a.shares).iter().map(Self::share_json).collect::<Vec<_>>(),
-            "next": self.next.map(next_json),
-            "target": self.target,
+            "next": self.next.map(next_json), "target": self.target,
             "converted_from": self.source.as_ref().map(|(trained, _)| trained),
         })
     }
 
-    /// Message for an accuracy of the deployed network that is lower by a twentieth of the samples
-    /// or more.
+    /// Message where accuracy falls by a twentieth of the samples or more.
     pub fn falls(&self) -> Option<String> {
         let (a, b) = self.accuracy.filter(|(a, b)| a - b >= 0.05)?;
         Some(format!("accuracy falls from {} to {} on simulated cores", three(a), three(b)))
@@ -361,9 +340,9 @@ impl AgreeReport<'_> {
             out += &self.accuracy.map_or(String::new(), |(a, b)| format!("; accuracy {a:.4} (a), {b:.4} (b)"));
             out += ".\n\n";
         }
-        if let Some(found) = self.found {
-            let samples = count(found.samples as u64, "calibration sample");
-            out += &format!("On {samples}:\n\n{}\n", markdown_of(&scores(found), &score_columns()));
+        if let Some(search) = self.found {
+            let samples = count(search.samples as u64, "calibration sample");
+            out += &format!("On {samples}:\n\n{}\n", markdown_of(&scores(search), &score_columns()));
         }
         if !self.fits.is_empty() {
             out += &format!("{}\n", markdown_of(self.fits, &FIT_COLUMNS));
@@ -466,16 +445,12 @@ pub(super) fn lost_json(layer: &LayerLoss) -> Value {
     let by_name =
         |each: &[(Cause, f64)]| each.iter().map(|(cause, loss)| (cause.name(), rounded(*loss))).collect::<Value>();
     json!({
-        "name": layer.name,
-        "disagreement": rounded(layer.disagreement),
-        "causes": by_name(&layer.causes),
-        "back": by_name(&layer.alone),
-        "cause": layer.worst().map(|(cause, _)| cause.name()),
+        "name": layer.name, "disagreement": rounded(layer.disagreement), "causes": by_name(&layer.causes),
+        "back": by_name(&layer.alone), "cause": layer.worst().map(|(cause, _)| cause.name()),
     })
 }
 
-/// SVG of both potentials around the first difference of spikes; `None` without a difference or
-/// without potentials.
+/// SVG of both potentials around the first difference of spikes; `None` without either.
 pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
     let parted = layers.iter().filter_map(|row| {
         let (divergence, excerpt) = (row.comparison.first_divergence?, row.comparison.excerpt.as_ref()?);

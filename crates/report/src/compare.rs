@@ -1,8 +1,7 @@
 //! The result of `nsim compare` as text, JSON (`nsim.compare/1`) and CSV.
 //!
 //! Input: a row for each target: cores, time, energy and power of one copy, or the reasons for
-//! which the network does not fit. Output: strings. JSON and CSV have figures in full precision,
-//! the text three digits.
+//! which the network does not fit. Output: strings. JSON and CSV have full precision.
 
 use serde_json::{Value, json};
 
@@ -33,13 +32,11 @@ pub struct TargetCost {
     pub cores_used: u64,
     /// The row `total` of its energy.
     pub row: EnergyRow,
-    /// Origin of its intervals: the errors of published works, or the bounds of modelled constants;
-    /// `None` without intervals.
+    /// Origin of its intervals: errors of published works, or bounds of modelled constants.
     pub intervals: Option<Intervals>,
     /// Notes on its constants, as `nsim energy` prints them.
     pub constant_notes: Vec<String>,
-    /// Share of a step in which x86 cores inject, take their turn and reset, as `nsim energy`
-    /// prints it; `None` without them.
+    /// Share of a step in which x86 cores inject, take their turn and reset; `None` without them.
     pub x86_share: Option<f64>,
 }
 
@@ -105,8 +102,7 @@ const KEYS: &str = "target,hardware,constants,fits,chips_used,cores_used,latency
 fn row_json(row: &ComparedTarget) -> Value {
     let mut object = json!({
         "target": row.target, "hardware": row.hardware, "constants": row.constants, "fits": row.found.is_ok(),
-        "chips_used": null, "cores_used": null, "intervals": null, "x86_share": null,
-        "reasons": [],
+        "chips_used": null, "cores_used": null, "intervals": null, "x86_share": null, "reasons": [],
     });
     let found = row.found.as_ref();
     for (key, _, figure, end) in FIGURES {

@@ -74,16 +74,8 @@ fn tuned_json(tuned: &TunedIntegers) -> Value {
     let FineTuned { kept, rows, samples, held_out, seed, fingerprint, .. } = &tuned.tuned;
     let (before, after) = tuned.tuned.scores();
     json!({
-        "epochs": tuned.epochs,
-        "kept": kept,
-        "seed": seed,
-        "input": tuned.samples,
-        "samples": samples,
-        "sha256": fingerprint,
-        "before": before,
-        "after": after,
-        "rows": rows,
-        "held_out": held_out,
+        "epochs": tuned.epochs, "kept": kept, "seed": seed, "input": tuned.samples, "samples": samples,
+        "sha256": fingerprint, "before": before, "after": after, "rows": rows, "held_out": held_out,
         "agreement": tuned.held_out.as_ref().map(measured),
     })
 }
@@ -113,22 +105,13 @@ impl ConvertReport<'_> {
         };
         let converted = &self.done.converted;
         let object = json!({
-            "schema": "nsim.convert/1",
-            "model": self.job.graph.facts().name,
-            "model_sha256": self.job.hash,
-            "input": self.input,
-            "samples": converted.calibration.samples,
-            "stages": converted.stages,
-            "layers": converted.layers,
-            "lost": converted.attribution.layers.iter().map(lost_json).collect::<Vec<_>>(),
-            "left": converted.left.iter().map(left).collect::<Vec<_>>(),
-            "next": self.next.map(next_json),
+            "schema": "nsim.convert/1", "model": self.job.graph.facts().name, "model_sha256": self.job.hash,
+            "input": self.input, "samples": converted.calibration.samples, "stages": converted.stages,
+            "layers": converted.layers, "lost": converted.attribution.layers.iter().map(lost_json).collect::<Vec<_>>(),
+            "left": converted.left.iter().map(left).collect::<Vec<_>>(), "next": self.next.map(next_json),
             "class_agreement": converted.calibration.distance.class_agreement,
-            "calibration": measured(&converted.calibration),
-            "held_out": self.done.held_out.as_ref().map(measured),
-            "fine_tune": self.tuned.map(tuned_json),
-            "output": self.files,
-            "seconds": self.done.seconds,
+            "calibration": measured(&converted.calibration), "held_out": self.done.held_out.as_ref().map(measured),
+            "fine_tune": self.tuned.map(tuned_json), "output": self.files, "seconds": self.done.seconds,
         });
         with_rounded(object, rounded)
     }

@@ -1,7 +1,6 @@
 //! The result of `nsim inspect` as text, JSON (`nsim.inspect/1`) and CSV.
 //!
-//! Input: the findings of a file: its kind, facts about the whole, tables of its parts. Output:
-//! strings.
+//! Input: kind, facts and tables of the parts of a file. Output: strings.
 
 use std::fmt::Write as _;
 

@@ -8,14 +8,14 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use serde::{Serialize, Serializer};
-use serde_json::json;
+use serde_json::{Map, Value, json};
 
 use crate::charts::results;
 use nsim_compile::explore::choice::{Candidate, ScoredCandidate, front};
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_compile::explore::remedy::Remedy;
 use nsim_compile::explore::traffic::Traffic;
-use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, Strategy, Tightest, place};
+use nsim_compile::{AddedRelays, DEFAULT_RATE, Effort, Mapping, Options, Reason, Tightest, place};
 use nsim_files::table::{Column, cell, count, csv, csv_text, shell_lines, table, table_of, three, wrapped};
 use nsim_ir::base::id::{CompartmentId, CoreId, PopulationId};
 use nsim_ir::firing_rates::Rates;
@@ -54,8 +54,7 @@ pub enum MapOutcome<'a> {
     DoesNotFit(&'a [Reason]),
 }
 
-/// Seconds of wall clock that were given, if any; the result then depends on the machine and the
-/// moment.
+/// Seconds of wall clock that were given, if any; the result then depends on the machine.
 fn time_budget_s(options: &Options) -> Option<f64> {
     match options.effort {
         Effort::Work(_) => None,
@@ -76,41 +75,14 @@ fn relays_text(AddedRelays { relays, levels, later }: &AddedRelays) -> String {
     }
 }
 
-/// The result, with the fields of the object `nsim.map/1` in their order.
-#[derive(Debug, Serialize)]
+/// The result of a request.
+#[derive(Debug)]
 pub struct MapResult<'a> {
-    schema: &'static str,
-    model: &'a str,
-    target: &'a str,
-    copies: u32,
-    objective: &'static str,
-    strategy: Strategy,
-    placed: &'static str,
-    seed: u64,
-    time_budget_s: Option<f64>,
-    pruned: Vec<PrunedKind<'a>>,
-    relays: Option<&'a AddedRelays>,
-    fits: bool,
-    cores_used: Option<usize>,
-    chips_used: Option<u32>,
-    cores_per_copy: Option<f64>,
-    checked: bool,
-    checked_how: Option<&'static str>,
-    checked_share: Option<f64>,
-    described: bool,
-    cores: Vec<CoreUse<'a>>,
-    limits: &'a Limits,
-    traffic: Option<Traffic>,
-    expected: Option<Score>,
-    #[serde(serialize_with = "object")]
-    seconds: &'a [(&'static str, f64)],
-    reasons: &'a [Reason],
-    remedies: &'a [Remedy],
-    pareto: Vec<ParetoRow>,
-    #[serde(skip)]
-    board: &'a Target,
-    #[serde(skip)]
+    request: MapRequest<'a>,
     outcome: MapOutcome<'a>,
+    pruned: Vec<PrunedKind<'a>>,
+    cores: Vec<CoreUse<'a>>,
+    pareto: Vec<ParetoRow>,
 }
 
 /// Use of a core, also of limits that few chips have: stored synapses, and pools by name.
@@ -169,63 +141,66 @@ fn object<S: Serializer>(pairs: &[(&str, impl Serialize)], serializer: S) -> Res
 impl<'a> MapResult<'a> {
     /// The result of a request and its outcome.
     pub fn new(request: MapRequest<'a>, outcome: MapOutcome<'a>) -> Self {
-        let MapRequest { model, target, options, pruned, remedies, relays, found } = request;
-        let (mapping, traffic, expected, reasons) = match outcome {
+        let cores = match outcome {
+            MapOutcome::Fits(mapping, ..) => core_uses(mapping, request.target.limits()),
+            MapOutcome::DoesNotFit(_) => Vec::new(),
+        };
+        let (pruned, pareto) = (pruned_kinds(request.pruned), pareto_rows(request.found));
+        MapResult { request, outcome, pruned, cores, pareto }
+    }
+
+    /// How cores were placed, or were to be placed.
+    fn placed(&self) -> &'static str {
+        match self.outcome {
+            MapOutcome::Fits(mapping, ..) => mapping.placed,
+            _ if self.request.options.place => place::ANNEALED,
+            _ => place::SEQUENTIAL,
+        }
+    }
+
+    /// The object `nsim.map/1`.
+    pub fn json(&self) -> Value {
+        let MapRequest { model, target, options, remedies, relays, .. } = self.request;
+        let (mapping, traffic, expected, reasons) = match self.outcome {
             MapOutcome::Fits(mapping, traffic, score) => (Some(mapping), Some(traffic), Some(score), &[][..]),
             MapOutcome::DoesNotFit(reasons) => (None, None, None, reasons),
         };
         let per_copy = |mapping: &Mapping| mapping.partition.cores() as f64 / f64::from(mapping.options.copies);
-        let sought = if options.place { place::ANNEALED } else { place::SEQUENTIAL };
-        MapResult {
-            schema: "nsim.map/1",
-            model,
-            target: target.name(),
-            copies: options.copies,
-            objective: options.objective.name(),
-            strategy: options.strategy,
-            placed: mapping.map_or(sought, |mapping| mapping.placed),
-            seed: options.seed,
-            time_budget_s: time_budget_s(options),
-            pruned: pruned_kinds(pruned),
-            relays,
-            fits: mapping.is_some(),
-            cores_used: mapping.map(|mapping| mapping.partition.cores()),
-            chips_used: mapping.map(|mapping| mapping.placement.chips_used()),
-            cores_per_copy: mapping.map(per_copy),
-            checked: mapping.is_some(),
-            checked_how: mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
-            checked_share: mapping.map(|_| 1.0),
-            described: mapping.is_some_and(|mapping| mapping.lattices.is_some()),
-            cores: mapping.map_or(Vec::new(), |mapping| core_uses(mapping, target.limits())),
-            limits: target.limits(),
-            traffic,
-            expected,
-            seconds: mapping.map_or(&[], |mapping| &mapping.seconds),
-            reasons,
-            remedies,
-            pareto: pareto_rows(found),
-            board: target,
-            outcome,
-        }
+        let seconds = mapping.map_or(&[][..], |mapping| &mapping.seconds);
+        json!({
+            "schema": "nsim.map/1", "model": model, "target": target.name(), "copies": options.copies,
+            "objective": options.objective.name(), "strategy": options.strategy, "placed": self.placed(),
+            "seed": options.seed, "time_budget_s": time_budget_s(options), "pruned": self.pruned, "relays": relays,
+            "fits": mapping.is_some(), "cores_used": mapping.map(|mapping| mapping.partition.cores()),
+            "chips_used": mapping.map(|mapping| mapping.placement.chips_used()),
+            "cores_per_copy": mapping.map(per_copy), "checked": mapping.is_some(),
+            "checked_how": mapping.map(|mapping| if mapping.shifts > 0 { "classes" } else { "whole" }),
+            "checked_share": mapping.map(|_| 1.0),
+            "described": mapping.is_some_and(|mapping| mapping.lattices.is_some()), "cores": self.cores,
+            "limits": target.limits(), "traffic": traffic, "expected": expected,
+            "seconds": seconds.iter().map(|&(stage, s)| (stage.to_string(), json!(s))).collect::<Map<_, _>>(),
+            "reasons": reasons, "remedies": remedies, "pareto": self.pareto,
+        })
     }
 
     /// SVG of energy over step time of all candidates, with the front.
     pub fn pareto_svg(&self) -> String {
-        results::pareto(&json!({ "model": self.model, "pareto": self.pareto })).unwrap_or_default()
+        results::pareto(&json!({ "model": self.request.model, "pareto": self.pareto })).unwrap_or_default()
     }
 
     /// Candidates as CSV where there are any, else cores; the reasons when it does not fit.
     pub fn csv(&self) -> String {
-        match self.pareto.as_slice() {
-            [] if self.fits => self.cores_csv(),
-            [] => csv(self.reasons, "code,population,core,resource,need,limit,help"),
-            rows => csv(rows, "strategy,divisor,placed,cores,energy_uj,step_us,static_mw,on_front"),
+        match (self.pareto.as_slice(), self.outcome) {
+            ([], MapOutcome::Fits(..)) => self.cores_csv(),
+            ([], MapOutcome::DoesNotFit(reasons)) => csv(reasons, "code,population,core,resource,need,limit,help"),
+            (rows, _) => csv(rows, "strategy,divisor,placed,cores,energy_uj,step_us,static_mw,on_front"),
         }
     }
 
     /// Cores as CSV: [`CORE_COLUMNS`], stored synapses where limited, and a column for each pool.
     fn cores_csv(&self) -> String {
-        let stored = self.limits.is_limited(Resource::StoredSynapses).then_some("stored_synapses");
+        let limits = self.request.target.limits();
+        let stored = limits.is_limited(Resource::StoredSynapses).then_some("stored_synapses");
         let columns: Vec<&str> = CORE_COLUMNS.split(',').chain(stored).collect();
         let cells = |core: &CoreUse<'_>| {
             let row = json!(core);
@@ -233,100 +208,120 @@ impl<'a> MapResult<'a> {
             own.chain(core.pools.iter().map(|(_, need)| need.to_string())).collect()
         };
         let none = CoreUsage::default();
-        let pools = pools_of(&none, self.limits).into_iter().map(|(name, _)| name);
+        let pools = pools_of(&none, limits).into_iter().map(|(name, _)| name);
         let header = columns.iter().copied().chain(pools).map(str::to_string).collect();
         csv_text(header, self.cores.iter().map(cells))
     }
 
     /// The result as text.
     pub fn text(&self) -> String {
-        let MapResult { model, target, pruned, .. } = self;
-        let copies = count(self.copies, "copy");
-        let (cores, chips) = (count(self.board.cores(), "core"), count(self.board.chips(), "chip"));
-        let mut text = String::new();
-        match self.outcome {
-            MapOutcome::DoesNotFit(reasons) => {
-                text += &wrapped(&format!("{model}, {copies}, does not fit {target}, {cores} on {chips}:"));
-                text += &listed(reasons);
-                if !self.remedies.is_empty() {
-                    text += "these changes were tried, and each makes it fit:\n";
-                }
-                for Remedy { change, cores, copies, .. } in self.remedies {
-                    let copies = if *copies == 1 { String::new() } else { format!(", {copies} copies") };
-                    let takes = format!("({}{copies})", count(u64::from(*cores), "core"));
-                    let line = wrapped(&format!("- {change} {takes}"));
-                    text += &match change.rsplit_once(": --") {
-                        // A command is not wrapped as words are.
-                        Some((words, typed)) if line.lines().count() > 1 => {
-                            let typed = shell_lines(&format!("--{typed}"));
-                            format!("{}{typed}\n", wrapped(&format!("- {words} {takes}:")))
-                        }
-                        _ => line,
-                    };
-                }
-                if !pruned.is_empty() {
-                    text.push('\n');
-                    text += &pruned_table(pruned);
-                }
-            }
+        let mut text = match &self.outcome {
+            MapOutcome::DoesNotFit(reasons) => self.refusal_text(reasons),
             MapOutcome::Fits(compiled, traffic, score) => {
-                text += &wrapped(&format!(
-                    "{model} fits {target}: {copies} on {} of {cores}, on {} of {chips}; checked.",
-                    compiled.partition.cores(),
-                    compiled.placement.chips_used(),
-                ));
-                text.push('\n');
-                text += &table_of(&tightest(compiled, self.board), &TIGHTEST_COLUMNS);
-                text += &words_table(&self.cores, self.limits);
-                let _ = writeln!(
-                    text,
-                    "use of each core: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
-                    self.strategy.name(),
-                    self.objective,
-                    self.placed,
-                    self.seed
-                );
-                if let Some(added) = self.relays {
-                    text += &wrapped(&relays_text(added));
-                }
-                if let Some(seconds) = self.time_budget_s {
-                    text += &format!(
-                        "the best mapping found in {seconds} s on this machine; another run may find a different one\n"
-                    );
-                }
-                if !pruned.is_empty() {
-                    let _ = write!(text, "\n{}\n", pruned_table(pruned));
-                }
-                let rates = match compiled.rates {
-                    Rates::Assumed(_) => {
-                        format!("an assumed {DEFAULT_RATE} spikes a source (--profile scene measures rates)")
-                    }
-                    Rates::Profile { .. } => "the rates of the profile".to_string(),
-                };
-                text += &wrapped(&format!(
-                    "a step at {rates}: {} spikes to other cores (inputs' included), {} hops, {} as \
-                     multicast; links carry {} messages on average, {} at most",
-                    three(traffic.cut_spikes_per_step),
-                    three(traffic.hops_per_step),
-                    three(traffic.hops_multicast_per_step),
-                    three(traffic.mean_link_load),
-                    three(traffic.max_link_load)
-                ));
-                text += &wrapped(&format!(
-                    "expected for such a step, all copies and x86 cores: {} uJ, {} us (nsim energy simulates the \
-                     input); static power {} mW of {}",
-                    three(score.energy_uj),
-                    three(score.step_us),
-                    three(score.static_mw),
-                    count(score.cores, "core")
-                ));
+                self.fit_text(compiled) + &expected_text(&compiled.rates, traffic, score)
             }
-        }
+        };
         if !self.pareto.is_empty() {
             let _ = write!(text, "\n{}", table_of(&self.pareto, &PARETO_COLUMNS));
         }
         text
     }
+
+    /// Cores and chips of the target.
+    fn board_text(&self) -> (String, String) {
+        (count(self.request.target.cores(), "core"), count(self.request.target.chips(), "chip"))
+    }
+
+    /// The reasons why it does not fit, and the changes that make it fit.
+    fn refusal_text(&self, reasons: &[Reason]) -> String {
+        let MapRequest { model, options, remedies, .. } = self.request;
+        let (target, copies, (cores, chips)) =
+            (self.request.target.name(), count(options.copies, "copy"), self.board_text());
+        let mut text = wrapped(&format!("{model}, {copies}, does not fit {target}, {cores} on {chips}:"));
+        text += &listed(reasons);
+        if !remedies.is_empty() {
+            text += "these changes were tried, and each makes it fit:\n";
+        }
+        for Remedy { change, cores, copies, .. } in remedies {
+            let copies = if *copies == 1 { String::new() } else { format!(", {copies} copies") };
+            let takes = format!("({}{copies})", count(u64::from(*cores), "core"));
+            let line = wrapped(&format!("- {change} {takes}"));
+            text += &match change.rsplit_once(": --") {
+                // A command is not wrapped as words are.
+                Some((words, typed)) if line.lines().count() > 1 => {
+                    let typed = shell_lines(&format!("--{typed}"));
+                    format!("{}{typed}\n", wrapped(&format!("- {words} {takes}:")))
+                }
+                _ => line,
+            };
+        }
+        if !self.pruned.is_empty() {
+            text.push('\n');
+            text += &pruned_table(&self.pruned);
+        }
+        text
+    }
+
+    /// The use of the target, and how the mapping was made.
+    fn fit_text(&self, compiled: &Mapping) -> String {
+        let MapRequest { model, target, options, relays, .. } = self.request;
+        let (copies, (cores, chips)) = (count(options.copies, "copy"), self.board_text());
+        let mut text = wrapped(&format!(
+            "{model} fits {}: {copies} on {} of {cores}, on {} of {chips}; checked.",
+            target.name(),
+            compiled.partition.cores(),
+            compiled.placement.chips_used(),
+        ));
+        text.push('\n');
+        text += &table_of(&tightest(compiled, target), &TIGHTEST_COLUMNS);
+        text += &words_table(&self.cores, target.limits());
+        let _ = writeln!(
+            text,
+            "use of each core: --format csv\n\nstrategy {}, objective {}, placed {}, seed {}",
+            options.strategy.name(),
+            options.objective.name(),
+            self.placed(),
+            options.seed
+        );
+        if let Some(added) = relays {
+            text += &wrapped(&relays_text(added));
+        }
+        if let Some(seconds) = time_budget_s(options) {
+            text += &format!(
+                "the best mapping found in {seconds} s on this machine; another run may find a different one\n"
+            );
+        }
+        if !self.pruned.is_empty() {
+            let _ = write!(text, "\n{}\n", pruned_table(&self.pruned));
+        }
+        text
+    }
+}
+
+/// Traffic and cost of a step at these firing rates.
+fn expected_text(rates: &Rates, traffic: &Traffic, score: &Score) -> String {
+    let rates = match rates {
+        Rates::Assumed(_) => format!("an assumed {DEFAULT_RATE} spikes a source (--profile scene measures rates)"),
+        Rates::Profile { .. } => "the rates of the profile".to_string(),
+    };
+    let traffic = wrapped(&format!(
+        "a step at {rates}: {} spikes to other cores (inputs' included), {} hops, {} as \
+         multicast; links carry {} messages on average, {} at most",
+        three(traffic.cut_spikes_per_step),
+        three(traffic.hops_per_step),
+        three(traffic.hops_multicast_per_step),
+        three(traffic.mean_link_load),
+        three(traffic.max_link_load)
+    ));
+    let cost = wrapped(&format!(
+        "expected for such a step, all copies and x86 cores: {} uJ, {} us (nsim energy simulates the \
+         input); static power {} mW of {}",
+        three(score.energy_uj),
+        three(score.step_us),
+        three(score.static_mw),
+        count(score.cores, "core")
+    ));
+    traffic + &cost
 }
 
 /// Rows of the candidates, with the front marked.
@@ -402,8 +397,7 @@ fn pools_of<'a>(used: &CoreUsage, limits: &'a Limits) -> Vec<(&'a str, u64)> {
 /// Most rows of the table of words.
 const SHOWN_CORES: usize = 16;
 
-/// Words of the cores, those with equal words together, under the names that Intel's compiler
-/// prints; nothing where no words are counted.
+/// Words of the cores, equal ones together, by the names of Intel's compiler; else nothing.
 fn words_table(cores: &[CoreUse<'_>], limits: &Limits) -> String {
     if !limits.counts_kernels() {
         return String::new();
@@ -418,9 +412,9 @@ fn words_table(cores: &[CoreUse<'_>], limits: &Limits) -> String {
     }
     let intel = |name: &str| WORDS.iter().find(|word| word.0 == name).map_or("Total", |word| word.1);
     let row = |(core, number): &(&CoreUse<'_>, u64)| {
-        let held: Vec<String> = core.populations.iter().map(|(name, count)| format!("{name}: {count}")).collect();
+        let names: Vec<String> = core.populations.iter().map(|(name, count)| format!("{name}: {count}")).collect();
         let words = core.pools.iter().map(|(_, need)| need.to_string());
-        std::iter::once(held.join(", ")).chain(words).chain([number.to_string()]).collect()
+        std::iter::once(names.join(", ")).chain(words).chain([number.to_string()]).collect()
     };
     let names = cores.first().map_or(&[][..], |core| &core.pools).iter().map(|(name, _)| *name);
     let heading: Vec<&str> = std::iter::once("on a core").chain(names.clone().map(intel)).chain(["cores"]).collect();
@@ -504,7 +498,6 @@ mod tests {
     use nsim_ir::quantised::Quantised;
     use nsim_session::front::front as integers;
     use nsim_testing::{limits, slip, target};
-    use serde_json::Value;
 
     const KEYS: &str = "schema,model,target,copies,objective,strategy,placed,seed,time_budget_s,pruned,relays,fits,\
          cores_used,chips_used,cores_per_copy,checked,checked_how,checked_share,described,cores,limits,\
@@ -531,7 +524,7 @@ mod tests {
         let request = MapRequest { model: "slip", target: &board, options: &options, pruned, remedies, relays, found };
         let compiled = mapped(slip(3150), &board, &options).unwrap();
         let result = MapResult::new(request, fits_with(&compiled, &board));
-        let fits = json!(result);
+        let fits = result.json();
         assert_eq!(keys(&fits), KEYS);
         assert_eq!(
             (&fits["fits"], &fits["checked"], &fits["cores_per_copy"]),
@@ -556,7 +549,7 @@ mod tests {
         let request = MapRequest { target: &small, ..request };
         let Err(CompileError::DoesNotFit(reasons)) = mapped(slip(3150), &small, &options) else { panic!() };
         let result = MapResult::new(request, MapOutcome::DoesNotFit(&reasons));
-        let refused = json!(result);
+        let refused = result.json();
         assert_eq!(keys(&refused), KEYS);
         assert_eq!((&refused["fits"], &refused["cores_used"]), (&json!(false), &Value::Null));
         let reason = &refused["reasons"][0];

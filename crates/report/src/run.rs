@@ -3,7 +3,7 @@
 use serde::Serialize;
 use serde_json::{Value, json};
 
-use crate::map::{PrunedKind, pruned_kinds};
+use crate::map::pruned_kinds;
 use crate::origin;
 use nsim_files::table::{count, csv_text, or_empty, table, three, wrapped};
 use nsim_ir::activity::{Activity, Overflow, Totals};
@@ -78,43 +78,6 @@ fn score_text(score: f64) -> String {
     if score.fract() == 0.0 { format!("{score:.0}") } else { format!("{score:.4}") }
 }
 
-/// The object of `nsim.run/1`; text and CSV are made from it.
-#[derive(Serialize)]
-#[serde(tag = "schema", rename = "nsim.run/1")]
-struct RunResult<'a> {
-    model: &'a str,
-    target: Option<&'a str>,
-    engine: &'static str,
-    fits: Option<bool>,
-    input: &'a [String],
-    seed: Option<u64>,
-    samples: usize,
-    timesteps: u64,
-    drain: u32,
-    predicted: Vec<Option<u32>>,
-    decision: &'static str,
-    undecided: usize,
-    labels: Option<Vec<u32>>,
-    accuracy: Option<f64>,
-    output_counts: Vec<&'a [u32]>,
-    output_scores: Option<Vec<&'a [f64]>>,
-    digest: String,
-    activity: Events,
-    skipped: Value,
-    overflow: Value,
-    decided_at: Vec<Option<u32>>,
-    early_exit: Option<EarlyExit>,
-    wall_s: f64,
-    us_per_timestep: f64,
-    pruned: Vec<PrunedKind<'a>>,
-    notes: Vec<String>,
-    files: &'a [String],
-    #[serde(flatten)]
-    detail: &'a Detail,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    neurobench: Option<&'a NeuroBench>,
-}
-
 #[derive(Serialize)]
 struct Events {
     #[serde(flatten)]
@@ -130,22 +93,6 @@ struct EarlyExit {
     decided: usize,
     median_step: Option<u32>,
     steps_saved: u64,
-}
-
-impl RunResult<'_> {
-    fn early_exit_text(&self) -> String {
-        let Some(EarlyExit { rule, decided, median_step, steps_saved }) = &self.early_exit else {
-            return String::new();
-        };
-        let share = 100.0 * *steps_saved as f64 / (steps_saved + self.timesteps).max(1) as f64;
-        let median = median_step.map_or(String::new(), |step| format!(", in the median after step {step}"));
-        let said = wrapped(&format!(
-            "early exit {rule}: {decided} of {} samples decided before their end{median}; {steps_saved} timesteps \
-             saved ({share:.1} %)",
-            self.samples
-        ));
-        format!("\n{said}")
-    }
 }
 
 impl RunReport<'_> {
@@ -165,74 +112,99 @@ impl RunReport<'_> {
         json!({ "q_wrapped": q_wrapped, "u_wrapped": u_wrapped, "v_clipped": v_clipped, "first": first })
     }
 
-    fn result(&self) -> RunResult<'_> {
-        let (parts, outcomes) = (self.network.parts(), self.outcomes);
-        let timesteps: u64 = outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum();
-        let skipped: u64 = outcomes.iter().map(|outcome| outcome.skipped_steps).sum();
+    fn timesteps(&self) -> u64 {
+        self.outcomes.iter().map(|outcome| u64::from(outcome.steps)).sum()
+    }
+
+    fn us_per_timestep(&self) -> f64 {
+        self.wall_s * 1e6 / self.timesteps().max(1) as f64
+    }
+
+    fn accuracy(&self) -> Option<f64> {
+        accuracy(self.outcomes, self.labels.iter().copied())
+    }
+
+    fn predicted(&self) -> Vec<Option<u32>> {
+        self.outcomes.iter().map(|outcome| outcome.class().filter(|_| self.network.decides())).collect()
+    }
+
+    fn undecided(&self) -> usize {
+        self.predicted().iter().filter(|class| class.is_none()).count() * usize::from(self.network.decides())
+    }
+
+    fn output_scores(&self) -> Option<Vec<&[f64]>> {
+        self.outcomes.iter().map(|one| one.potentials.as_ref().map(Potentials::scores)).collect()
+    }
+
+    fn events(&self) -> Events {
         let mut totals = Totals::default();
-        outcomes.iter().for_each(|outcome| totals += outcome.totals);
-        let class = |outcome: &Outcome| outcome.class().filter(|_| self.network.decides());
-        let predicted: Vec<Option<u32>> = outcomes.iter().map(class).collect();
-        let labels = self.labels.iter().copied().collect::<Option<Vec<u32>>>();
-        RunResult {
-            model: &parts.name,
-            target: self.target,
-            engine: self.engine,
-            fits: self.target.map(|_| true),
-            input: self.input,
-            seed: self.seed,
-            samples: outcomes.len(),
-            timesteps,
-            drain: parts.drain,
-            decision: parts.decision.name(),
-            undecided: predicted.iter().filter(|class| class.is_none()).count() * usize::from(self.network.decides()),
-            predicted,
-            labels: labels.filter(|labels| !labels.is_empty()),
-            accuracy: accuracy(outcomes, self.labels.iter().copied()),
-            output_counts: outcomes.iter().map(|outcome| outcome.counts.as_slice()).collect(),
-            output_scores: outcomes.iter().map(|one| one.potentials.as_ref().map(Potentials::scores)).collect(),
-            digest: digest(outcomes),
-            activity: Events {
-                totals,
-                messages: self.activity.map(Activity::messages),
-                hops: self.activity.map(|activity| activity.hops().total_links()),
-            },
-            skipped: json!({ "timesteps": skipped, "compartment_updates": self.skipped_updates }),
-            overflow: self.overflow_json(),
-            decided_at: outcomes.iter().map(|outcome| outcome.decided_at).collect(),
-            early_exit: self.early_exit.map(|rule| EarlyExit {
-                rule,
-                decided: outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count(),
-                median_step: median_decision(outcomes),
-                steps_saved: outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum(),
-            }),
-            wall_s: self.wall_s,
-            us_per_timestep: self.wall_s * 1e6 / timesteps.max(1) as f64,
-            pruned: pruned_kinds(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
-            notes: parts.notes.iter().map(|note| format!("{}: {}", note.entity, note.message)).collect(),
-            files: self.files,
-            detail: self.detail,
-            neurobench: self.neurobench,
-        }
+        self.outcomes.iter().for_each(|outcome| totals += outcome.totals);
+        let hops = self.activity.map(|activity| activity.hops().total_links());
+        Events { totals, messages: self.activity.map(Activity::messages), hops }
+    }
+
+    fn early_exit(&self) -> Option<EarlyExit> {
+        self.early_exit.map(|rule| EarlyExit {
+            rule,
+            decided: self.outcomes.iter().filter(|outcome| outcome.decided_at.is_some()).count(),
+            median_step: median_decision(self.outcomes),
+            steps_saved: self.outcomes.iter().map(|outcome| u64::from(outcome.steps_saved)).sum(),
+        })
+    }
+
+    fn early_exit_text(&self) -> String {
+        let Some(EarlyExit { rule, decided, median_step, steps_saved }) = self.early_exit() else {
+            return String::new();
+        };
+        let share = 100.0 * steps_saved as f64 / (steps_saved + self.timesteps()).max(1) as f64;
+        let median = median_step.map_or(String::new(), |step| format!(", in the median after step {step}"));
+        let saved = wrapped(&format!(
+            "early exit {rule}: {decided} of {} samples decided before their end{median}; {steps_saved} timesteps \
+             saved ({share:.1} %)",
+            self.outcomes.len()
+        ));
+        format!("\n{saved}")
     }
 
     /// `nsim.run/1`.
     pub fn json(&self) -> Value {
-        json!(self.result())
+        let (parts, outcomes) = (self.network.parts(), self.outcomes);
+        let skipped: u64 = outcomes.iter().map(|outcome| outcome.skipped_steps).sum();
+        let labels = self.labels.iter().copied().collect::<Option<Vec<u32>>>().filter(|labels| !labels.is_empty());
+        let notes = parts.notes.iter().map(|note| format!("{}: {}", note.entity, note.message));
+        let mut result = json!({
+            "schema": "nsim.run/1", "model": parts.name, "target": self.target, "engine": self.engine,
+            "fits": self.target.map(|_| true), "input": self.input, "seed": self.seed, "samples": outcomes.len(),
+            "timesteps": self.timesteps(), "drain": parts.drain, "predicted": self.predicted(),
+            "decision": parts.decision.name(), "undecided": self.undecided(), "labels": labels,
+            "accuracy": self.accuracy(),
+            "output_counts": outcomes.iter().map(|outcome| &outcome.counts).collect::<Vec<_>>(),
+            "output_scores": self.output_scores(), "digest": digest(outcomes), "activity": self.events(),
+            "skipped": { "timesteps": skipped, "compartment_updates": self.skipped_updates },
+            "overflow": self.overflow_json(),
+            "decided_at": outcomes.iter().map(|outcome| outcome.decided_at).collect::<Vec<_>>(),
+            "early_exit": self.early_exit(), "wall_s": self.wall_s, "us_per_timestep": self.us_per_timestep(),
+            "pruned": pruned_kinds(self.network.pruned().map_or(&[], |pruned| pruned.rows.as_slice())),
+            "notes": notes.collect::<Vec<_>>(), "files": self.files,
+        });
+        if let (Value::Object(fields), Value::Object(detail)) = (&mut result, json!(self.detail)) {
+            fields.extend(detail);
+            fields.extend(self.neurobench.map(|metrics| ("neurobench".to_string(), json!(metrics))));
+        }
+        result
     }
 
     /// CSV with a row for each sample.
     pub fn csv(&self) -> String {
-        let RunResult { predicted, output_counts, decided_at, .. } = self.result();
-        let outputs = output_counts.first().map_or(0, |counts| counts.len());
+        let (predicted, outputs) = (self.predicted(), self.outcomes.first().map_or(0, |one| one.counts.len()));
         let head = ["sample", "label", "predicted", "steps", "decided_at", "spikes_in", "spikes", "synaptic_events"];
         let head = head.map(String::from).into_iter().chain((0..outputs).map(|output| format!("output_{output}")));
         let rows = self.outcomes.iter().zip(self.labels).enumerate().map(|(sample, (outcome, &label))| {
             let mut row = vec![sample.to_string(), or_empty(label), or_empty(predicted[sample])];
-            row.extend([outcome.steps.to_string(), or_empty(decided_at[sample])]);
+            row.extend([outcome.steps.to_string(), or_empty(outcome.decided_at)]);
             let totals = outcome.totals;
             row.extend([totals.spikes_in, totals.spikes, totals.synaptic_events].map(|count| count.to_string()));
-            row.extend(output_counts[sample].iter().map(ToString::to_string));
+            row.extend(outcome.counts.iter().map(ToString::to_string));
             row
         });
         csv_text(head.collect(), rows)
@@ -245,21 +217,20 @@ impl RunReport<'_> {
 
     /// The result as text.
     pub fn text(&self) -> String {
-        let result = self.result();
-        let RunResult { model, engine, timesteps: steps, undecided, activity, .. } = &result;
-        let samples = count(result.samples as u64, "sample");
-        let mut out =
-            result.accuracy.map_or(String::new(), |share| format!("accuracy {} over {samples}\n", three(share)));
-        out += &wrapped(&match result.target {
+        let (model, engine, steps) = (&self.network.parts().name, self.engine, self.timesteps());
+        let samples = count(self.outcomes.len() as u64, "sample");
+        let accuracy = self.accuracy();
+        let mut out = accuracy.map_or(String::new(), |share| format!("accuracy {} over {samples}\n", three(share)));
+        out += &wrapped(&match self.target {
             Some(target) => format!("{model} simulated on {target}, engine {engine}"),
             None => format!("{model} interpreted without cores, engine {engine}"),
         });
-        out += &wrapped(&format!("input: {}", origin(result.input, result.seed)));
-        let drain = match result.drain {
+        out += &wrapped(&format!("input: {}", origin(self.input, self.seed)));
+        let drain = match self.network.parts().drain {
             0 => String::new(),
             drain => format!(", of each sample {drain} after its last input step (drain)"),
         };
-        out += &wrapped(&format!("{samples}, {}{drain}", count(*steps, "timestep")));
+        out += &wrapped(&format!("{samples}, {}{drain}", count(steps, "timestep")));
         const SHOWN: usize = 12;
         const OUTPUTS: usize = 24;
         let scores = match self.network.parts().decision {
@@ -269,9 +240,10 @@ impl RunReport<'_> {
             ReadOut::SumOfV => "sum of v of outputs",
             ReadOut::LastV => "last v of outputs",
         };
+        let (predicted, output_scores) = (self.predicted(), self.output_scores());
         let row = |(sample, (&class, &label)): (usize, (&Option<u32>, &Option<u32>))| {
-            let counts = result.output_counts[sample];
-            let mut scores: Vec<String> = match &result.output_scores {
+            let counts = &self.outcomes[sample].counts;
+            let mut scores: Vec<String> = match &output_scores {
                 Some(scores) => scores[sample].iter().take(OUTPUTS).map(|score| score_text(*score)).collect(),
                 None => counts.iter().take(OUTPUTS).map(ToString::to_string).collect(),
             };
@@ -279,41 +251,41 @@ impl RunReport<'_> {
             let label = if label.is_some() { self.class_name(label) } else { "-".to_string() };
             vec![sample.to_string(), label, self.class_name(class), scores.join(" ")]
         };
-        let rows: Vec<Vec<String>> =
-            result.predicted.iter().zip(self.labels).enumerate().take(SHOWN).map(row).collect();
+        let rows: Vec<Vec<String>> = predicted.iter().zip(self.labels).enumerate().take(SHOWN).map(row).collect();
         out += &format!("\n{}", table(&["sample", "label", "predicted", scores], &rows));
-        if result.samples > SHOWN {
-            out += &format!("{} more; all of them with --format csv or json\n", result.samples - SHOWN);
+        if self.outcomes.len() > SHOWN {
+            out += &format!("{} more; all of them with --format csv or json\n", self.outcomes.len() - SHOWN);
         }
         if !self.network.decides() {
             let name = &self.network.populations()[self.network.parts().output].name;
             out += &wrapped(&format!("'{name}' sends values: --probe {name} -o FOLDER stores them."));
         }
-        if *undecided > 0 {
+        let undecided = self.undecided();
+        if undecided > 0 {
             out += &format!("\nundecided {undecided} of {samples}\n");
         }
-        out += &result.early_exit_text();
-        let totals = activity.totals;
+        out += &self.early_exit_text();
+        let Events { totals, messages, hops } = self.events();
         let counts = [
             ("input spikes", Some(totals.spikes_in)),
             ("spikes", Some(totals.spikes)),
             ("synaptic events", Some(totals.synaptic_events)),
             ("compartment updates", Some(totals.compartment_updates)),
             ("of them active", Some(totals.active_updates)),
-            ("messages", activity.messages),
-            ("hops", activity.hops),
+            ("messages", messages),
+            ("hops", hops),
         ];
         let row = |(name, count): (&str, Option<u64>)| {
             let count = count?;
-            Some(vec![name.to_string(), count.to_string(), three(count as f64 / (*steps).max(1) as f64)])
+            Some(vec![name.to_string(), count.to_string(), three(count as f64 / steps.max(1) as f64)])
         };
         let rows: Vec<Vec<String>> = counts.into_iter().filter_map(row).collect();
         out += &format!("\n{}", table(&["activity", "total", "a timestep"], &rows));
         out += &self.neurobench.map_or(String::new(), neurobench_text);
-        out += &format!("\n{}", self.detail.populations_text(*steps));
+        out += &format!("\n{}", self.detail.populations_text(steps));
         out += &self.detail.ranks_text();
-        out += &format!("simulated in {} s, {} us a timestep\n", three(result.wall_s), three(result.us_per_timestep));
-        for file in result.files {
+        out += &format!("simulated in {} s, {} us a timestep\n", three(self.wall_s), three(self.us_per_timestep()));
+        for file in self.files {
             out += &format!("wrote {file}\n");
         }
         out

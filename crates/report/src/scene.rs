@@ -156,19 +156,12 @@ impl SceneReport {
     /// `nsim.scene/1`.
     pub fn json(&self) -> Value {
         json!({
-            "schema": "nsim.scene/1",
-            "scene": self.scene,
-            "seed": self.seed,
-            "samples": self.samples,
-            "steps": self.steps,
-            "timestep_ms": self.timestep_ms,
+            "schema": "nsim.scene/1", "scene": self.scene, "seed": self.seed, "samples": self.samples,
+            "steps": self.steps, "timestep_ms": self.timestep_ms,
             "touch_density": self.density(|class| class.touch_density),
-            "vision_density": self.density(|class| class.vision_density),
-            "classes": self.classes,
+            "vision_density": self.density(|class| class.vision_density), "classes": self.classes,
             "aces": self.wire.map(|wire| json!({
-                "events": wire.sent,
-                "missed": wire.missed,
-                "added": wire.added,
+                "events": wire.sent, "missed": wire.missed, "added": wire.added,
                 "error_rate": (wire.missed + wire.added) as f64 / wire.sent.max(1) as f64,
             })),
             "manifest": self.manifest,

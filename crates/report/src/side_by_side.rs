@@ -125,28 +125,19 @@ impl SideBySideReport<'_> {
         });
         let networks = self.networks.iter().map(|network| {
             json!({
-                "against": network.against,
-                "model": network.name,
-                "cores": network.cores,
-                "compared": network.compared(),
-                "class_agreement": network.class_agreement(),
+                "against": network.against, "model": network.name, "cores": network.cores,
+                "compared": network.compared(), "class_agreement": network.class_agreement(),
                 "accuracy_a": network.agreement.accuracy.map(|(trained, _)| trained),
                 "accuracy_b": network.agreement.accuracy.map(|(_, deployed)| deployed),
             })
         });
         json!({
-            "schema": "nsim.agree/1",
-            "model": self.model,
+            "schema": "nsim.agree/1", "model": self.model,
             "against": self.networks.iter().map(|network| network.against.as_str()).collect::<Vec<_>>(),
-            "input": self.input,
-            "seed": self.seed,
-            "samples": self.samples,
+            "input": self.input, "seed": self.seed, "samples": self.samples,
             "compared": self.networks.iter().map(ComparedNetwork::compared).min().flatten(),
-            "class_agreement": self.class_agreement(),
-            "networks": networks.collect::<Vec<_>>(),
-            "layers": layers.collect::<Vec<_>>(),
-            "conversion": null,
-            "attribution": [],
+            "class_agreement": self.class_agreement(), "networks": networks.collect::<Vec<_>>(),
+            "layers": layers.collect::<Vec<_>>(), "conversion": null, "attribution": [],
         })
     }
 

@@ -17,8 +17,8 @@ use nsim_study::sweep::variants::FIGURES;
 /// Name of a column without its unit, and the unit, if the name ends in one.
 fn name_and_unit(column: &str) -> (&str, Option<&str>) {
     let units = [("_uj", "uJ"), ("_us", "us"), ("_mw", "mW"), ("_pjs", "pJ s")];
-    let found = units.into_iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, Some(unit))));
-    found.unwrap_or((column, None))
+    let name_and_unit = units.into_iter().find_map(|(end, unit)| Some((column.strip_suffix(end)?, Some(unit))));
+    name_and_unit.unwrap_or((column, None))
 }
 
 /// Name of a column in a title.
@@ -47,8 +47,7 @@ pub fn check(columns: &[&str], name: &str) -> Result<usize> {
     })
 }
 
-/// Factor, 1 or -1, after which less of a column is better; `None` without a better direction. Less
-/// is better for swept limits and sizes of a chip.
+/// 1 or -1, after which less of a column is better, as of swept limits; `None` for neither.
 fn to_less(table: &Table<'_>, column: &str) -> Option<f64> {
     if table.sweep().is_of_chip(column) {
         return Some(1.0);

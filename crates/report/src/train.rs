@@ -25,18 +25,11 @@ impl TrainReport<'_> {
     pub fn json(&self) -> Value {
         let Trained { state, train_accuracy, test_accuracy, digest, folds, samples, seconds } = self.trained;
         json!({
-            "schema": "nsim.train/1",
-            "name": self.job.file.name,
-            "epochs": state.epoch,
-            "seed": self.job.plan.seed,
-            "seconds": rounded(*seconds),
-            "samples": samples.0,
-            "test_samples": samples.1,
-            "loss": state.history.last().map(|row| rounded(row.loss)),
-            "train_accuracy": rounded(*train_accuracy),
+            "schema": "nsim.train/1", "name": self.job.file.name, "epochs": state.epoch, "seed": self.job.plan.seed,
+            "seconds": rounded(*seconds), "samples": samples.0, "test_samples": samples.1,
+            "loss": state.history.last().map(|row| rounded(row.loss)), "train_accuracy": rounded(*train_accuracy),
             "test_accuracy": test_accuracy.map(rounded),
-            "folds": folds.iter().copied().map(rounded).collect::<Vec<_>>(),
-            "digest": digest,
+            "folds": folds.iter().copied().map(rounded).collect::<Vec<_>>(), "digest": digest,
             "model": self.model.map(|path| path.display().to_string()),
         })
     }

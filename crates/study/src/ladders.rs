@@ -134,11 +134,8 @@ pub fn ladder_cases(seed: u64, threads: usize) -> Vec<LadderCase> {
         add("delays", &delays, LadderCase { class: Class::Lists { fan_out: 60, delays }, ..base(1) });
     }
     for steps in [2, 8, 32, 128, 512] {
-        add(
-            "steps of a sample",
-            &steps,
-            LadderCase { class: Class::Lists { fan_out: 64, delays: 2 }, steps, ..base(2) },
-        );
+        let class = Class::Lists { fan_out: 64, delays: 2 };
+        add("steps of a sample", &steps, LadderCase { class, steps, ..base(2) });
     }
     for per_mille in [5, 20, 80, 320] {
         add("spikes in 1,000", &per_mille, LadderCase { per_mille, ..base(3) });
@@ -150,11 +147,8 @@ pub fn ladder_cases(seed: u64, threads: usize) -> Vec<LadderCase> {
         add("kernel", &kernel, LadderCase { class: Class::Convolution { kernel, depthwise: false }, ..layer(5) });
     }
     for kernel in [3, 5, 7] {
-        add(
-            "depthwise kernel",
-            &kernel,
-            LadderCase { class: Class::Convolution { kernel, depthwise: true }, ..layer(6) },
-        );
+        let class = Class::Convolution { kernel, depthwise: true };
+        add("depthwise kernel", &kernel, LadderCase { class, ..layer(6) });
     }
     for size in [512, 1_024, 2_048, 4_096] {
         add("dense", &size, LadderCase { class: Class::Dense, size, ..base(7) });
@@ -218,9 +212,6 @@ impl LadderCase {
     }
 
     /// Maps and runs it.
-    ///
-    /// # Errors
-    /// [`Error::Fault`], an internal error, since every rung fits its target.
     pub fn measure(&self) -> Result<LadderRow, Error> {
         let fault = |error: &dyn std::fmt::Display| Error::Fault(format!("{} {}: {error}", self.ladder, self.at));
         let network = self.build().map_err(|error| fault(&error))?;

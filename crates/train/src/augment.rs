@@ -1,5 +1,4 @@
-//! Data augmentation: random variations of training samples in each epoch, from (seed, sample,
-//! epoch).
+//! Data augmentation: variations of training samples, random by (seed, sample, epoch).
 
 use super::raster::Raster;
 use nsim_files::training::AugmentDesc;

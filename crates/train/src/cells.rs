@@ -222,8 +222,7 @@ impl Srm {
                 }
                 Some((_, kernel)) => {
                     for (k, &nu) in kernel.iter().enumerate().skip(1).take_while(|&(k, _)| k <= t) {
-                        // The state marks spikes; earlier potentials already include their
-                        // refractory part.
+                        // The state marks spikes; earlier potentials include their refractory part.
                         for (u, &state) in now.iter_mut().zip(&trace.state[(t - k) * n..]) {
                             if state == SPIKED {
                                 *u += nu;
@@ -309,7 +308,7 @@ impl Loihi {
             for j in 0..n {
                 let f = &self.fields[j];
                 let was = registers[j];
-                let held = f.holds(&was);
+                let is_held = f.holds(&was);
                 let (now, effect) = update(was, z[j] as i32, f);
                 registers[j] = now;
                 // The register reads 0 at a spike; u plus the rest of v crossed the threshold.
@@ -322,7 +321,7 @@ impl Loihi {
                 if effect.spiked {
                     trace.state[t * n + j] = SPIKED;
                     trace.spikes.push(j as u32, 1.0);
-                } else if held {
+                } else if is_held {
                     trace.state[t * n + j] = HELD;
                 }
             }

@@ -56,21 +56,15 @@ fn described(plan: &Plan) -> Value {
         Rule::RmsProp => "rmsprop",
     };
     let mut object = json!({
-        "inputs": topology.inputs,
-        "layers": topology.layers.iter().map(layer).collect::<Vec<_>>(),
+        "inputs": topology.inputs, "layers": topology.layers.iter().map(layer).collect::<Vec<_>>(),
         "loss": {"form": form, "right": loss.right, "wrong": loss.wrong},
         "optimiser": {"rule": rule, "weight_decay": optimiser.weight_decay, "decoupled": optimiser.decoupled},
-        "rates": rates,
-        "last_rate": last_rate,
-        "batch": batch,
-        "epochs": epochs,
+        "rates": rates, "last_rate": last_rate, "batch": batch, "epochs": epochs,
         "augment": [
             f64::from(augment.shift), f64::from(augment.jitter), augment.stretch, augment.drop_channel,
             augment.drop_spike, augment.noise,
         ],
-        "averaging": averaging,
-        "initial": initial,
-        "seed": seed,
+        "averaging": averaging, "initial": initial, "seed": seed,
     });
     // A value of 0 has no key, so that older checkpoints keep their fingerprints.
     for (key, value) in [("l1", optimiser.l1), ("dropout", *dropout)] {
@@ -104,11 +98,8 @@ fn layer(layer: &Layer) -> Value {
         }),
     };
     json!({
-        "name": layer.name,
-        "sources": layer.sources.iter().map(source).collect::<Vec<_>>(),
-        "fan_in": layer.fan_in,
-        "cells": cells,
-        "mantissas": layer.mantissas.map(|mantissas| (mantissas.scale, mantissas.exponent.get())),
+        "name": layer.name, "sources": layer.sources.iter().map(source).collect::<Vec<_>>(), "fan_in": layer.fan_in,
+        "cells": cells, "mantissas": layer.mantissas.map(|mantissas| (mantissas.scale, mantissas.exponent.get())),
         "surrogate": layer.surrogate.numbers(),
     })
 }
@@ -151,9 +142,6 @@ fn digest(state: &TrainingState) -> String {
 }
 
 /// Writes a state; the file is replaced as a whole.
-///
-/// # Errors
-/// `write.*`.
 pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()> {
     let bytes: Vec<(String, Vec<u8>)> = PARTS
         .iter()

@@ -58,9 +58,6 @@ pub trait Forward: Sync {
     type Error;
 
     /// The network with these weights.
-    ///
-    /// # Errors
-    /// Where the weights have no such network.
     fn network(&self, weights: &Weights) -> Result<Self::Network, Self::Error>;
 
     /// Runs a sample and fills [`Workspace::traces`] of all layers, in the trained network's time.
@@ -236,11 +233,11 @@ impl Plan {
         if self.dropout == 0.0 {
             return;
         }
-        let (seed, kept) = (rng::bits(self.seed, DROPOUT, epoch), 1.0 / (1.0 - self.dropout));
+        let (seed, scale) = (rng::bits(self.seed, DROPOUT, epoch), 1.0 / (1.0 - self.dropout));
         let hidden = &self.topology.layers[..self.topology.layers.len() - 1];
         work.factors.extend(hidden.iter().zip(0u64..).map(|(layer, number)| {
             let drawn = |unit: u64| rng::unit(seed, index, number << 32 | unit) < f64::from(self.dropout);
-            (0..layer.cells.count() as u64).map(|unit| if drawn(unit) { 0.0 } else { kept }).collect()
+            (0..layer.cells.count() as u64).map(|unit| if drawn(unit) { 0.0 } else { scale }).collect()
         }));
     }
 

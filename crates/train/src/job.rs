@@ -7,12 +7,11 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use crate::checkpoint;
-use crate::export;
 use crate::fit::{Example, Plan, TrainingState};
 use crate::network::Weights;
 use crate::plan::plan;
 use crate::raster::Raster;
+use crate::{checkpoint, export};
 use nsim_files::network::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_files::shipped;
 use nsim_files::training::TrainingFile;
@@ -151,9 +150,6 @@ impl Job {
     }
 
     /// Samples of the given sources, or of the training file's sources.
-    ///
-    /// # Errors
-    /// As [`Self::examples`]; a source that cannot be read.
     pub fn read(&self, part: Part, given: &[String]) -> Result<Vec<Example>> {
         let (what, named) = match part {
             Part::Train => ("training", &self.file.train),
@@ -168,9 +164,6 @@ impl Job {
     }
 
     /// Training and test samples.
-    ///
-    /// # Errors
-    /// As [`Self::read`].
     pub fn data(&self, train: &[String], test: &[String]) -> Result<Data> {
         Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
     }
@@ -187,9 +180,6 @@ impl Job {
     }
 
     /// Scores a trained state, and for each fold a training without its samples.
-    ///
-    /// # Errors
-    /// Errors of `each`, which trains on the given samples to the end.
     pub fn trained(
         &self,
         (state, seconds): (TrainingState, f64),
@@ -226,14 +216,11 @@ impl Job {
         Ok(export::model(&self.file, &self.plan.topology, weights, provenance)?)
     }
 
-    /// Writes the model of trained weights to a path, and the weights next to it; returns both
-    /// paths. `force` replaces existing files.
-    ///
-    /// # Errors
-    /// As [`Self::model`]; `write.*`.
+    /// Writes the model of trained weights, and the weights next to it; `force` replaces files.
     pub fn write(
         &self,
-        (path, force): (&Path, bool),
+        path: &Path,
+        force: bool,
         weights: &Weights,
         comment: &str,
         provenance: &str,
@@ -246,9 +233,6 @@ impl Job {
     }
 
     /// The network of trained weights, in memory.
-    ///
-    /// # Errors
-    /// As [`Self::model`]; `model.*`.
     pub fn network(&self, weights: &Weights, provenance: &str) -> Result<Network> {
         let place = format!("{} (in memory)", self.file.name);
         Ok(self.model(weights, provenance)?.build(Path::new(&place))?)
@@ -263,9 +247,6 @@ pub fn weights_path(model: &Path) -> PathBuf {
 const FOLD_SEED: u64 = 0;
 
 /// Trains on all samples except a fold's, and scores on the fold; returns accuracy and weights.
-///
-/// # Errors
-/// Errors of `train`.
 pub fn cross_validate(
     plan: &Plan,
     examples: &[Example],
@@ -288,9 +269,6 @@ impl Checkpoint {
     }
 
     /// Saves a state.
-    ///
-    /// # Errors
-    /// `write.*`.
     pub fn save(&self, state: &TrainingState) -> Result<()> {
         Ok(checkpoint::save(&self.path, state, &self.fingerprint)?)
     }

@@ -32,8 +32,7 @@ pub struct Mantissas {
 }
 
 impl Mantissas {
-    /// The nearest even mantissa of 8 signed bits, ties to even multiples of 2 (as
-    /// `nsim_quantise::quantise` rounds).
+    /// The nearest even mantissa of 8 signed bits, ties to even, as `quantise` rounds.
     pub fn mantissa(&self, weight: f32) -> i16 {
         (2.0 * (weight * self.scale / 2.0).round_ties_even()).clamp(-256.0, 254.0) as i16
     }
@@ -126,8 +125,7 @@ impl Topology {
 /// Weights of a minibatch, rounded where the deployed network rounds.
 #[derive(Debug, Clone, Default)]
 pub struct Deployed {
-    /// The contribution of a spike to each target, `[layer][source * targets + target]`; whole
-    /// numbers for Loihi cells.
+    /// Contribution of a spike to each target, `[layer][source * targets + target]`.
     adds: Vec<Vec<f32>>,
     /// The contributions in the units of the trained weights, `[layer][target * sources + source]`.
     transposed: Vec<Vec<f32>>,

@@ -1,5 +1,4 @@
-//! Gradient descent: Adam (Kingma, Ba: ICLR 2015) and RMSprop (Hinton's lecture; constants as
-//! PyTorch's defaults).
+//! Gradient descent: Adam (Kingma, Ba: ICLR 2015) and RMSprop (Hinton), constants as PyTorch's.
 
 use super::network::Weights;
 

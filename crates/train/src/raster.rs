@@ -1,7 +1,6 @@
 //! Spikes of one population over one sample, grouped by step.
 //!
-//! Each event has a value: 1 for a spike, any number in the smoothed network on which gradients are
-//! checked.
+//! An event has a value: 1 for a spike, any number in the smoothed network of gradient checks.
 
 /// Events of `units` channels or neurons over `steps` timesteps.
 #[derive(Debug, Clone, Default, PartialEq)]

@@ -13,7 +13,9 @@ use std::path::Path;
 use serde_json::json;
 
 use crate::cli::agree::args::{answer, deployed_warnings, draw};
+use crate::cli::agree::models::Compared;
 use crate::cli::args::input::select;
+use crate::cli::args::recording::RecordingPair;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
@@ -21,6 +23,7 @@ use nsim_agree::attribution::attribute;
 use nsim_agree::compare::{Counterpart, DeployedNetwork, compare, output_layer};
 use nsim_agree::staged::layers;
 use nsim_compile::refuse_large;
+use nsim_files::network::Network;
 use nsim_files::target::target_with_neurons;
 use nsim_files::warnings::show;
 use nsim_import::foreign::Options;
@@ -40,12 +43,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let is_no_share = args.require_class_agreement.is_some_and(|share| !(0.0..=1.0).contains(&share));
     refuse_if(is_no_share, "--require-class-agreement is a share between 0 and 1")?;
     let network = args.reading.load(&args.model)?;
-    if let Some(check) = &args.check {
-        let options = Options { reading: args.reading.reading(), ..Options::default() };
-        let (equal, lines) = check.lines(&network, Path::new(&args.model), &options)?;
-        let json = || json!({ "schema": "nsim.agree/1", "model": network.file().name, "equal": equal, "check": lines });
-        output::print(context.format, || lines.join("\n") + "\n", json, || lines.join("\n") + "\n")?;
-        return Ok(if equal { Answer::Yes } else { Answer::No });
+    if let Some(pair) = &args.check {
+        return check(args, &network, pair, context);
     }
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
@@ -61,68 +60,85 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     };
     let (target, instead) = target_with_neurons(deployed.file(), args.target.as_deref())?;
     instead.iter().for_each(|instead| tracing::warn!("{instead}"));
-    let (trained, on) = ((&graph, &analytic), (&target, context));
+    let (graph, integers, stimulus, target) = (&graph, &analytic, &stimulus, &target);
+    let trained = Compared { graph, integers, stimulus, samples: &samples, target, context };
     match models.as_slice() {
-        [] => {}
-        [other] => return models::with_one(args, trained, other, (&stimulus, &samples), on),
-        several => return models::with_several(args, trained, several, (&stimulus, &samples), on),
+        [] => with_counterpart(args, &trained, scene.as_deref(), taken),
+        [other] => models::with_one(args, &trained, other),
+        several => models::with_several(args, &trained, several),
     }
-    let against = against(args, &graph, &analytic)?;
+}
 
+/// Compares the reference engine's spikes with those that the model's tool recorded.
+fn check(args: &Args, network: &Network, pair: &RecordingPair, context: Context) -> Result<Answer, Error> {
+    let options = Options { reading: args.reading.reading(), ..Options::default() };
+    let (equal, lines) = pair.lines(network, Path::new(&args.model), &options)?;
+    let json = || json!({ "schema": "nsim.agree/1", "model": network.file().name, "equal": equal, "check": lines });
+    output::print(context.format, || lines.join("\n") + "\n", json, || lines.join("\n") + "\n")?;
+    Ok(if equal { Answer::Yes } else { Answer::No })
+}
+
+/// Compares the deployed network with a form of its own, or with recorded spikes.
+fn with_counterpart(args: &Args, trained: &Compared<'_>, scene: Option<&str>, taken: bool) -> Result<Answer, Error> {
+    let Compared { graph, integers: analytic, samples, context, .. } = *trained;
+    let against = against(args, graph, analytic)?;
     let wanted = args.calibration_samples as usize;
-    let integers = args.conversion.integers((&graph, &analytic), &args.input, scene.as_deref(), &samples, wanted)?;
-    let staged = integers.staged(&graph)?;
-    let Some(compiled) = models::deployed(&args.model, staged.deployed(), on)? else { return Ok(Answer::No) };
+    let integers = args.conversion.integers((graph, analytic), &args.input, scene, samples, wanted)?;
+    let staged = integers.staged(graph)?;
+    let Some(compiled) = trained.deployed(&args.model, staged.deployed())? else { return Ok(Answer::No) };
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
     refuse_if(
         args.plot_causes.is_some() && !attributed,
         "--plot-causes draws the causes of disagreement: it needs --against srm or cuba, with --attribution on",
     )?;
     let (fits, program, steps) = (&integers.fits, &compiled.program, args.steps);
-    let deployed = DeployedNetwork { graph: &graph, fits, staged: &staged, program, samples: &samples, steps };
+    let deployed = DeployedNetwork { graph, fits, staged: &staged, program, samples, steps };
     let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
-    show("", &deployed_warnings(&compiled, &samples)?);
+    show("", &deployed_warnings(&compiled, samples)?);
     let some = &samples[..samples.len().min(args.attribution_samples as usize)];
     let attribution = attributed.then(|| {
         let _busy = output::spinner("attributing the disagreement to causes");
         attribute(&staged, &output_layer(staged.deployed()), some)
     });
-    let words = output::command_words();
-    let drawn = ["--plot".to_string(), "first.svg".to_string()];
-    let closer = args.plot.is_none().then(|| words.iter().cloned().chain(drawn).collect());
-    let typed = CommandWords {
-        words,
-        model: &args.model,
-        conversion: (args.conversion.conversion, args.conversion.copies.most()),
-        closer,
-    };
-    let next = attribution.as_ref().and_then(|attribution| suggest(&typed, (&graph, &staged), attribution, some));
-    let name = &graph.facts().name;
+    let typed = command_words(args);
+    let next = attribution.as_ref().and_then(|attribution| suggest(&typed, graph, &staged, attribution, some));
+    let name = trained.name();
     let bars = attribution.as_ref().map(|attribution| bars(name, attribution));
     if let (Some(path), Some(svg)) = (&args.plot_causes, &bars) {
         output::write_picture(path, svg, context)?;
     }
     let mut files = draw(args, name, &agreement.layers, context)?;
     files.extend(args.plot_causes.iter().map(|path| path.display().to_string()));
-    let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
     let report = AgreeReport {
         found: integers.found.as_ref(),
-        fits: &named_fits(&graph, &integers.fits),
+        fits: &named_fits(graph, fits),
         attribution: attribution.as_ref(),
         attribution_samples: some.len(),
         next: next.as_ref(),
         files: &files,
-        target: Some(target.name()),
-        source: converted_from(&graph)
+        target: Some(trained.target.name()),
+        source: converted_from(graph)
             .filter(|_| matches!(against, Counterpart::Cuba))
             .map(|trained| (trained, format!("nsim agree {trained} --against {}", args.model))),
-        ..AgreeReport::for_counterpart((name, against.name()), shown, &agreement)
+        ..AgreeReport::for_counterpart((name, against.name()), trained.input(), &agreement)
     };
     if let (Some(path), Some(svg)) = (&args.update, &bars) {
         let (mark, picture) = (format!("agree {name}"), format!("agreement-{name}.svg"));
         output::update_section(path, &mark, &report.markdown(&picture), Some((&picture, svg)), context)?;
     }
     answer(args, &report, taken, context)
+}
+
+/// The command as typed, and the same with a picture of the first spike that differs.
+fn command_words(args: &Args) -> CommandWords<'_> {
+    let words = output::command_words();
+    let with_plot = words.iter().cloned().chain(["--plot".to_string(), "first.svg".to_string()]);
+    CommandWords {
+        closer: args.plot.is_none().then(|| with_plot.collect()),
+        words,
+        model: &args.model,
+        conversion: (args.conversion.conversion, args.conversion.copies.most()),
+    }
 }
 
 fn against(args: &Args, graph: &Graph, network: &Quantised) -> Result<Counterpart, Error> {

@@ -27,6 +27,39 @@ use nsim_session::front::real_and_integers;
 use nsim_session::obtain::map_with_defaults;
 use nsim_train::convert::staged::is_real;
 
+/// A trained network and its integers, the samples on which it is compared, and the target.
+pub(super) struct Compared<'c> {
+    pub graph: &'c Graph,
+    pub integers: &'c Quantised,
+    pub stimulus: &'c Stimulus,
+    pub samples: &'c [&'c Sample],
+    pub target: &'c Target,
+    pub context: Context,
+}
+
+impl Compared<'_> {
+    pub fn name(&self) -> &str {
+        &self.graph.facts().name
+    }
+
+    pub fn input(&self) -> (&[String], Option<u64>, usize) {
+        (&self.stimulus.origin, self.stimulus.seed, self.samples.len())
+    }
+
+    /// A network on simulated cores; none where it does not fit, after printing the reasons.
+    pub fn deployed(&self, model: &str, network: &Quantised) -> Result<Option<Mapping>, Error> {
+        match map_with_defaults(network.clone(), self.target) {
+            Ok(compiled) => Ok(Some(compiled)),
+            Err(CompileError::DoesNotFit(reasons)) => {
+                let refusal = Refusal::new(model, self.target.clone(), reasons);
+                refusal.print(nsim_report::agree::empty_result(), self.context)?;
+                Ok(None)
+            }
+            Err(other) => Err(other.into()),
+        }
+    }
+}
+
 /// Model files that `--against` names; none where it names other things.
 ///
 /// # Errors
@@ -48,90 +81,60 @@ pub(super) fn model_files(against: &[String]) -> Result<Vec<&str>, Error> {
     Ok(models)
 }
 
-/// A network on simulated cores; none where it does not fit, after printing the reasons.
-pub(super) fn deployed(
-    model: &str,
-    network: &Quantised,
-    (target, context): (&Target, Context),
-) -> Result<Option<Mapping>, Error> {
-    match map_with_defaults(network.clone(), target) {
-        Ok(compiled) => Ok(Some(compiled)),
-        Err(CompileError::DoesNotFit(reasons)) => {
-            Refusal::new(model, target.clone(), reasons).print(nsim_report::agree::empty_result(), context)?;
-            Ok(None)
-        }
-        Err(other) => Err(other.into()),
-    }
-}
-
 /// Compares the trained network with each file in integers. Returns each comparison with the role
 /// of the file; none where a network does not fit.
 fn compare_each(
     args: &Args,
-    (graph, integers): (&Graph, &Quantised),
+    trained: &Compared<'_>,
     files: &[&str],
-    samples: &[&Sample],
-    (target, context): (&Target, Context),
 ) -> Result<Option<Vec<(ComparedNetwork, &'static str)>>, Error> {
+    let Compared { graph, integers, samples, context, .. } = *trained;
     // A network in real numbers is not mapped: it runs in its trained form.
-    let mapped = if is_real(graph) { None } else { deployed(&args.model, integers, (target, context))? };
+    let mapped = if is_real(graph) { None } else { trained.deployed(&args.model, integers)? };
     if mapped.is_none() && !is_real(graph) {
         return Ok(None);
     }
     let mut all = Vec::new();
     for file in files {
-        let (trained, second) = real_and_integers(&args.reading.load_other(file)?)?;
+        let (other, second) = real_and_integers(&args.reading.load_other(file)?)?;
         refuse_large("nsim agree", &second, 1)?;
-        let Some(compiled) = deployed(file, &second, (target, context))? else { return Ok(None) };
+        let Some(compiled) = trained.deployed(file, &second)? else { return Ok(None) };
         let first = (graph, integers, mapped.as_ref().map(|mapped| &mapped.program));
         let agreement = output::with_progress(context, samples.len(), "samples", |done| {
             compare_models(first, (&second, &compiled.program), samples, args.steps, done)
         })?;
         show("", &deployed_warnings(&compiled, samples)?);
         let (against, name) = ((*file).to_string(), second.parts().name.clone());
-        all.push((ComparedNetwork { against, name, cores: compiled.program.cores().len(), agreement }, role(&trained)));
+        all.push((ComparedNetwork { against, name, cores: compiled.program.cores().len(), agreement }, role(&other)));
     }
     Ok(Some(all))
 }
 
 /// Compares a trained network with another model file.
-pub(super) fn with_one(
-    args: &Args,
-    (graph, integers): (&Graph, &Quantised),
-    other: &str,
-    (stimulus, samples): (&Stimulus, &[&Sample]),
-    (target, context): (&Target, Context),
-) -> Result<Answer, Error> {
-    let all = compare_each(args, (graph, integers), &[other], samples, (target, context))?;
+pub(super) fn with_one(args: &Args, trained: &Compared<'_>, other: &str) -> Result<Answer, Error> {
+    let all = compare_each(args, trained, &[other])?;
     let Some((ComparedNetwork { name, agreement, .. }, second)) = all.and_then(|mut all| all.pop()) else {
         return Ok(Answer::No);
     };
-    let files = draw(args, &graph.facts().name, &agreement.layers, context)?;
-    let shown = (stimulus.origin.as_slice(), stimulus.seed, samples.len());
-    let two = AgreeReport::for_two_networks([(&graph.facts().name, role(graph)), (&name, second)], shown, &agreement);
-    let report = AgreeReport { files: &files, target: Some(target.name()), ..two };
-    answer(args, &report, args.plot.as_deref().is_some_and(io::text::is_standard_stream), context)
+    let files = draw(args, trained.name(), &agreement.layers, trained.context)?;
+    let names = [(trained.name(), role(trained.graph)), (&name, second)];
+    let two = AgreeReport::for_two_networks(names, trained.input(), &agreement);
+    let report = AgreeReport { files: &files, target: Some(trained.target.name()), ..two };
+    answer(args, &report, args.plot.as_deref().is_some_and(io::text::is_standard_stream), trained.context)
 }
 
 /// Compares a trained network with several model files.
-pub(super) fn with_several(
-    args: &Args,
-    (graph, integers): (&Graph, &Quantised),
-    files: &[&str],
-    (stimulus, samples): (&Stimulus, &[&Sample]),
-    (target, context): (&Target, Context),
-) -> Result<Answer, Error> {
+pub(super) fn with_several(args: &Args, trained: &Compared<'_>, files: &[&str]) -> Result<Answer, Error> {
     let shows_one = args.plot.is_some() || args.plot_causes.is_some() || args.update.is_some();
     refuse_if(shows_one, "--plot, --plot-causes and --update show one comparison: give one --against")?;
-    let all = compare_each(args, (graph, integers), files, samples, (target, context))?;
-    let Some(all) = all else { return Ok(Answer::No) };
+    let Some(all) = compare_each(args, trained, files)? else { return Ok(Answer::No) };
     let report = SideBySideReport {
-        model: &graph.facts().name,
-        input: &stimulus.origin,
-        seed: stimulus.seed,
-        samples: samples.len(),
+        model: trained.name(),
+        input: &trained.stimulus.origin,
+        seed: trained.stimulus.seed,
+        samples: trained.samples.len(),
         networks: all.into_iter().map(|(compared, _)| compared).collect(),
     };
-    output::print(context.format, || report.text(), || report.json(), || report.csv())?;
+    output::print(trained.context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(within_bounds(args, report.class_agreement(), report.exact()))
 }

@@ -4,9 +4,8 @@ use std::path::Path;
 
 use crate::cli::args::values::one_of;
 use nsim_files::network::Network;
-use nsim_import::foreign;
 use nsim_import::foreign::{Reading, ResetMode, Tool};
-use nsim_import::model;
+use nsim_import::{foreign, model};
 use nsim_ir::base::diagnostic::Result;
 
 /// Facts on which the file of another tool is read.

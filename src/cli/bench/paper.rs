@@ -1,5 +1,4 @@
-//! `nsim bench paper`: the tables of the paper on visual and tactile sensing next to results of
-//! nsim.
+//! `nsim bench paper`: the tables of the paper on visual and tactile sensing next to nsim's.
 
 use std::path::{Path, PathBuf};
 
@@ -151,7 +150,7 @@ fn trained(args: &PaperArgs, folder: &Path, context: Context) -> Result<Vec<Pape
                     let (trained, weights) = cross_validate(&job.plan, &examples, tested, keeping)?;
                     tracing::info!("{} {loss}: {trained:.4}", cell.name());
                     let said = format!("{loss} loss, seed {}, fold {fold}: accuracy {trained:.4}", job.plan.seed);
-                    job.write((&model, true), &weights, "", &said)?;
+                    job.write(&model, true, &weights, "", &said)?;
                     let model = model.display().to_string();
                     let trial = trial(&model, chosen(&samples, tested), neurons, context)?;
                     let run = trial.accuracy.last().copied().unwrap_or(0.0);

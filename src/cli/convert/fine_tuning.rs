@@ -57,7 +57,7 @@ impl FineTuneArgs {
         let (source, _) = shipped::path_or_shipped_text(named, shipped::TRAININGS, "training file", "convert.training")
             .map_err(|error| error.help("--training names the training file of the model"))?;
         let converted = &done.converted;
-        let tuning = FineTuning::new(job, converted, &source, (&self.train, held_out), epochs)?;
+        let tuning = FineTuning::new(job, converted, &source, &self.train, held_out, epochs)?;
         let best: Arc<Mutex<Option<BestEpoch>>> = Arc::default();
         let _ending = output.map(|(path, provenance)| {
             let (task, best, graph) = (Arc::clone(&tuning.task), Arc::clone(&best), job.graph.clone());

@@ -79,7 +79,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let wanted = args.calibration_samples as usize;
     let run = RunInput { sources: &args.input.input, seed: args.input.seed, scene: scene.as_deref() };
     let apart = calibration::stimulus(&job.integers, &args.calibrate, run, wanted)?;
-    let split = SampleSplit::new((&stimulus.origin, &shown), apart.as_ref(), wanted);
+    let split = SampleSplit::new(&stimulus.origin, &shown, apart.as_ref(), wanted);
     let done = job.convert(&split, args.copies.most(), |population| tracing::info!("searching '{population}'"))?;
     let provenance = job.provenance(&args.model, &split, &done);
     let output = args.output.as_deref().map(|path| (path, provenance.as_str()));
@@ -104,7 +104,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         closer: (!job.resets_are_replaced()).then_some(closer),
         words,
     };
-    let next = suggest(&typed, (&job.graph, &done.converted.staged), &done.converted.attribution, &split.calibration);
+    let next = suggest(&typed, &job.graph, &done.converted.staged, &done.converted.attribution, &split.calibration);
     let report = ConvertReport {
         job: &job,
         done: &done,

@@ -10,7 +10,7 @@ use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::process::ranks;
 use nsim_energy::evaluate::{self, DeploymentPlan, Evaluation};
 use nsim_energy::options::{CostOptions, baselines};
-use nsim_energy::report::table::empty_result;
+use nsim_energy::report::result::empty_result;
 use nsim_energy::workload::Workload;
 use nsim_files::warnings::show;
 use nsim_session::error::Error;

@@ -1,5 +1,4 @@
-//! Runs the selected samples on the mapped program, with a progress bar and an optional file with a
-//! row for each timestep.
+//! Runs the selected samples on the mapped program, with an optional file of its timesteps.
 
 use std::path::Path;
 
@@ -44,7 +43,7 @@ pub fn simulate(
     let (samples, ranks) = (workload.samples(), ranks::several());
     let Some(steps) = steps else {
         return output::with_progress(context, samples.len(), "samples", |progress| {
-            workload.simulate(settings, early_exit, skip, (progress, ranks))
+            workload.simulate(settings, early_exit, skip, progress, ranks)
         });
     };
     let keep = SampleSettings { early_exit, ..SampleSettings::new(workload.compiled.program.output()) };

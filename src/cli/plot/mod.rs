@@ -11,8 +11,7 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use serde_json::Value;
 
-use crate::cli::args::jobs;
-use crate::cli::args::saved;
+use crate::cli::args::{jobs, saved};
 use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
@@ -216,10 +215,10 @@ fn chosen(network: &Quantised, probes: &[String], what: PlotKind) -> Result<Vec<
     if probes.is_empty() {
         return Ok(all.into_iter().map(|id| (id, None)).collect());
     }
-    let mut found = Vec::new();
+    let mut traced = Vec::new();
     for text in probes {
         let (named, index) = pattern(text);
-        let before = found.len();
+        let before = traced.len();
         for &id in all.iter().filter(|&&id| fits_pattern(named, &network.populations()[id].name)) {
             let index = match index {
                 None => None,
@@ -233,15 +232,15 @@ fn chosen(network: &Quantised, probes: &[String], what: PlotKind) -> Result<Vec<
                 }
                 Some(_) => return Err(Error::Usage(format!("--probe {text}: a raster shows whole populations"))),
             };
-            found.push((id, index));
+            traced.push((id, index));
         }
-        if found.len() == before {
+        if traced.len() == before {
             let names: Vec<&str> = all.iter().map(|&id| network.populations()[id].name.as_str()).collect();
             return Err(Error::Usage(format!("--probe {text}: there are {}", names.join(", "))));
         }
     }
-    let first = |at: usize| found[..at].iter().all(|other| *other != found[at]);
-    Ok((0..found.len()).filter(|&at| first(at)).map(|at| found[at]).collect())
+    let first = |at: usize| traced[..at].iter().all(|other| *other != traced[at]);
+    Ok((0..traced.len()).filter(|&at| first(at)).map(|at| traced[at]).collect())
 }
 
 fn write(args: &Args, svg: &str, taken: bool, context: Context) -> Result<Answer, Error> {

@@ -66,8 +66,7 @@ pub fn listen(format: Format) {
     });
     if thread.is_err() {
         handle.close();
-        // Without a thread signals end the process immediately; the next run removes its temporary
-        // files.
+        // Without a thread signals end the process immediately, and temporary files remain.
         for signal in [SIGINT, SIGTERM] {
             let _ = flag::register_conditional_shutdown(signal, 128 + signal, Arc::new(AtomicBool::new(true)));
         }

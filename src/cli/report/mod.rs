@@ -81,8 +81,7 @@ fn saved_results(args: &Args, context: Context) -> Result<Answer, Error> {
 /// Writes the page of a run.
 fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluation, context: Context) -> Result<Answer, Error> {
     let (target, network) = (workload.target, &workload.compiled.one);
-    // A model from a pipe cannot be read again: it is neither compared with its real form nor
-    // hashed.
+    // A model from a pipe cannot be read again: it is neither compared nor hashed.
     let piped = io::text::is_standard_stream(Path::new(&args.cost.job.model));
     let file = (!piped).then(|| args.cost.job.reading.load(&args.cost.job.model)).transpose()?;
     let mut sections = sections(workload, evaluated, args.cost.transport)?;

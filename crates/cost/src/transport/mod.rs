@@ -105,9 +105,18 @@ impl Timing {
     }
 }
 
+fn slowest_core(step: &StepActivity, table: &CostTable) -> Picoseconds {
+    step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default()
+}
+
+/// Time in which the busiest links pass their messages, except for `free` of them.
+fn passing_time(busiest: [u32; 2], table: &CostTable, free: u32) -> u64 {
+    let [link, between] = busiest.map(|load| u64::from(load.saturating_sub(free)));
+    table.link_time.0.saturating_mul(link).max(table.link_chip_time.0.saturating_mul(between))
+}
+
 impl MessageRoutes {
-    /// Returns the times of a step under each preset, (11), (17) or (21); the memory is reused
-    /// between steps.
+    /// Returns the times of a step under each preset, (11), (17) or (21).
     pub fn step_times(
         &self,
         step: &StepActivity,
@@ -119,36 +128,30 @@ impl MessageRoutes {
         let crossed = self.crossed_links_in(step);
         let spikes_in = self.spikes_in(step);
         let mut busiest = [0; 2];
-        let overlaps = |table: &CostTable| table.step == StepForm::Greatest;
-        if timing.transport == Transport::Analytic || tables.iter().any(overlaps) {
-            for here in self.regions.iter().map(|region| region.busiest_links(self, step)) {
-                busiest = std::array::from_fn(|of| busiest[of].max(here[of]));
+        if timing.transport == Transport::Analytic || tables.iter().any(|table| table.step == StepForm::Greatest) {
+            for loads in self.regions.iter().map(|region| region.busiest_links(self, step)) {
+                busiest = std::array::from_fn(|of| busiest[of].max(loads[of]));
             }
         }
-        let cores = |table: &CostTable| step.cores.iter().map(|core| core_time(core, table)).max().unwrap_or_default();
-        // Time in which the busiest link passes its messages, except for `free` of them.
-        let passing = |table: &CostTable, free: u32| {
-            let link = |link: Picoseconds, load: u32| link.0.saturating_mul(load.saturating_sub(free).into());
-            link(table.link_time, busiest[0]).max(link(table.link_chip_time, busiest[1]))
-        };
-        let mut time = |table: &CostTable| {
+        let times = tables.iter().map(|table| {
             let fixed = timing.host_and_barrier(spikes_in, table);
             let (slowest_core, transport) = match timing.transport {
                 // (21): messages pass the busiest link while cores work.
-                _ if overlaps(table) => {
-                    let cores = cores(table);
-                    (cores, Picoseconds(passing(table, 0).saturating_sub(cores.0)))
+                _ if table.step == StepForm::Greatest => {
+                    let cores = slowest_core(step, table);
+                    (cores, Picoseconds(passing_time(busiest, table, 0).saturating_sub(cores.0)))
                 }
                 Transport::Analytic => {
-                    let way = if sent { route_time(crossed.longest, table) } else { Picoseconds(0) };
+                    let route = if sent { route_time(crossed.longest, table) } else { Picoseconds(0) };
                     // The first message finds its link free.
-                    (cores(table), Picoseconds(way.0.saturating_add(passing(table, 1))))
+                    let passing = passing_time(busiest, table, 1);
+                    (slowest_core(step, table), Picoseconds(route.0.saturating_add(passing)))
                 }
                 Transport::Queued => self.simulated(step, table, fixed.injection, memory),
             };
             StepTime { slowest_core, transport, ..fixed }
-        };
-        tables.iter().map(&mut time).collect()
+        });
+        times.collect()
     }
 
     /// Returns the busiest core's own time and the time that the mesh adds, over all regions.

@@ -6,15 +6,14 @@
 //! The queue is semi-analytic, like SANA-FE's `detailed` schedule (schedule.cpp, read as a
 //! description). A message does not move link by link; its time follows from the messages in flight
 //! along its route when it leaves. Unlike in SANA-FE, messages that can never meet do not wait for
-//! each other. Not modelled: arbitration in routers, virtual channels and flits; barrier messages,
-//! whose time is a constant.
+//! each other. Not modelled: arbitration in routers, virtual channels, flits, barrier messages.
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
 use crate::constants::CostTable;
 use crate::model::{route_time, times, update_terms};
-use crate::transport::routes::{Message, MessageRoutes, Region};
+use crate::transport::routes::{InputTimes, Message, MessageRoutes, Region};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::id::{ChannelId, CoreId, Id};
 use nsim_ir::base::units::Picoseconds;
@@ -31,11 +30,16 @@ struct Ready {
     handling: u64,
 }
 
+impl Ready {
+    fn new(after: u64, to: usize, message: &Message, table: &CostTable) -> Self {
+        Ready { after, to: to as u32, handling: message.handling(table) }
+    }
+}
+
 /// One message of occupancy, in fixed point, so that subtraction exactly undoes addition.
 const MESSAGE: u64 = 1 << 32;
 
-/// Reusable memory of the queue. Every number is 0 between two steps, except for the numbers that
-/// each step rewrites (`Queue::prepare`).
+/// Memory of the queue. Between steps a number is 0 unless `Queue::prepare` rewrites it.
 #[derive(Debug, Clone, Default)]
 pub struct QueueMemory {
     /// Occupancy of each link between tiles, in parts of a [`MESSAGE`].
@@ -85,11 +89,14 @@ impl<'w> Queue<'w> {
         table: &'w CostTable,
         memory: &'w mut QueueMemory,
     ) -> Self {
-        let grow = |numbers: &mut Vec<u64>, size: usize| numbers.resize(numbers.len().max(size), 0);
-        grow(&mut memory.occupied, region.links());
-        grow(&mut memory.leaving, region.tiles.len());
-        grow(&mut memory.free, region.links());
-        grow(&mut memory.done, region.cores);
+        for (numbers, size) in [
+            (&mut memory.occupied, region.links()),
+            (&mut memory.leaving, region.tiles.len()),
+            (&mut memory.free, region.links()),
+            (&mut memory.done, region.cores),
+        ] {
+            numbers.resize(numbers.len().max(size), 0);
+        }
         Queue { routes, region, table, memory, handling: 0 }
     }
 
@@ -131,61 +138,74 @@ impl<'w> Queue<'w> {
     /// The k-th input spike of a chip enters the mesh after k / n of the injection time. There are
     /// n = `most` spikes at the chip with most of them. Cores begin when all spikes are injected.
     fn prepare(&mut self, step: &StepActivity, injection: u64, most: u64, skip: bool) {
-        let (routes, region, table) = (self.routes, self.region, self.table);
-        let ready = |after: u64, to: usize, message: &Message| Ready {
-            after,
-            to: to as u32,
-            handling: message.handling(table),
-        };
+        let region = self.region;
         let skipped = if skip && self.inputs_never_meet(step, injection, most) { u128::from(most) - 1 } else { 0 };
-        let quick = routes.input_times(table).filter(|_| skipped > 0);
-        let QueueMemory { senders, received: skipped_handling, visits, fired, passed, .. } = &mut *self.memory;
+        let QueueMemory { senders, received, .. } = &mut *self.memory;
         senders.resize_with(region.tiles.len().max(senders.len()), Default::default);
         for (messages, after) in senders.iter_mut() {
             messages.clear();
             *after = 0;
         }
-        zeros(skipped_handling, region.cores);
-        if let (Some(times), Some((last, before))) = (quick, step.channels.split_last()) {
-            for time in before.iter().filter_map(|channel| times.channels[channel.index()]) {
-                skipped_handling[time.to as usize] += time.handling;
-            }
-            for message in routes.inputs.get(last.index()) {
-                let to = message.core.index();
-                senders[region.port(to)].0.push(ready(injection, to, message));
-            }
+        zeros(received, region.cores);
+        match self.routes.input_times(self.table).filter(|_| skipped > 0) {
+            Some(times) => self.prepare_last_input(times, step, injection),
+            None => self.prepare_inputs(step, injection, most, skipped),
         }
-        if quick.is_none() {
-            // Chips are served in parallel: a spike counts at the port of its first message.
-            let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
-            let mut ports = region.ports(routes, step);
-            for &(kind, first) in &region.groups {
-                let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
-                for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
-                    let number = &mut spikes[ports.next().expect("a port for each spike")];
-                    *number += 1;
-                    if *number <= skipped {
-                        for message in routes.inputs.get(channel.index()) {
-                            skipped_handling[first + message.core.index() - cores.start as usize] +=
-                                message.handling(table);
-                        }
-                        continue;
-                    }
-                    let now = (u128::from(injection) * *number / u128::from(most)) as u64;
+        let senders = &mut self.memory.senders;
+        senders[region.cores..].iter_mut().for_each(|(_, passed)| *passed = 0);
+        senders[..region.cores].iter_mut().for_each(|(_, after)| *after = injection);
+        self.prepare_cores(step);
+    }
+
+    /// Writes the messages of the last input spike; handling of all others is summed by receiver.
+    fn prepare_last_input(&mut self, times: &InputTimes, step: &StepActivity, injection: u64) {
+        let QueueMemory { senders, received, .. } = &mut *self.memory;
+        let Some((last, before)) = step.channels.split_last() else { return };
+        for time in before.iter().filter_map(|channel| times.channels[channel.index()]) {
+            received[time.to as usize] += time.handling;
+        }
+        for message in self.routes.inputs.get(last.index()) {
+            let to = message.core.index();
+            senders[self.region.port(to)].0.push(Ready::new(injection, to, message, self.table));
+        }
+    }
+
+    /// Writes messages of input spikes at their ports; a chip's first `skipped` are summed.
+    fn prepare_inputs(&mut self, step: &StepActivity, injection: u64, most: u64, skipped: u128) {
+        let (routes, region, table) = (self.routes, self.region, self.table);
+        let QueueMemory { senders, received, .. } = &mut *self.memory;
+        // Chips are served in parallel: a spike counts at the port of its first message.
+        let mut spikes = vec![0u128; region.tiles.len() - region.cores + 1];
+        let mut ports = region.ports(routes, step);
+        for &(kind, first) in &region.groups {
+            let Kind { cores, channels, .. } = &routes.kinds[kind].kind;
+            for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
+                let number = &mut spikes[ports.next().expect("a port for each spike")];
+                *number += 1;
+                if *number <= skipped {
                     for message in routes.inputs.get(channel.index()) {
-                        let to = first + message.core.index() - cores.start as usize;
-                        // Between messages, a port's busy time stores the time so far.
-                        let (messages, passed) = &mut senders[region.port(to)];
-                        // A copy's spike for another chip may come after later spikes of that chip.
-                        let until = now.max(*passed);
-                        messages.push(ready(until - std::mem::replace(passed, until), to, message));
+                        received[first + message.core.index() - cores.start as usize] += message.handling(table);
                     }
+                    continue;
+                }
+                let now = (u128::from(injection) * *number / u128::from(most)) as u64;
+                for message in routes.inputs.get(channel.index()) {
+                    let to = first + message.core.index() - cores.start as usize;
+                    // Between messages, a port's busy time stores the time so far.
+                    let (messages, passed) = &mut senders[region.port(to)];
+                    // A copy's spike for another chip may come after later spikes of that chip.
+                    let until = now.max(*passed);
+                    messages.push(Ready::new(until - std::mem::replace(passed, until), to, message, table));
                 }
             }
         }
-        senders[region.cores..].iter_mut().for_each(|(_, passed)| *passed = 0);
-        senders[..region.cores].iter_mut().for_each(|(_, after)| *after = injection);
-        // Visits are in slot order, each with the mean time of a visit on its core.
+    }
+
+    /// Writes the messages of spikes of cores, which visit their compartments in slot order; a
+    /// visit takes the mean time of the visits on its core.
+    fn prepare_cores(&mut self, step: &StepActivity) {
+        let (routes, region, table) = (self.routes, self.region, self.table);
+        let QueueMemory { senders, visits, fired, passed, .. } = &mut *self.memory;
         visits.clear();
         visits.extend(step.cores.iter().map(|core| {
             let [updates, microcode] = update_terms(core, table);
@@ -197,22 +217,23 @@ impl<'w> Queue<'w> {
         zeros(passed, region.cores);
         for &(kind, first) in &region.groups {
             let Kind { cores, .. } = &routes.kinds[kind].kind;
-            let here = |core: CoreId| first + core.index() - cores.start as usize;
             let begin = fired.partition_point(|((core, ..), _)| core.0 < cores.start);
             for &((core, slot, slots), compartment) in
                 fired[begin..].iter().take_while(|((core, ..), _)| core.0 < cores.end)
             {
                 let until = (u128::from(visits[core.index()]) * u128::from(slot + 1) / u128::from(slots.max(1))) as u64;
-                let sender = &mut senders[here(core)];
+                let from = first + core.index() - cores.start as usize;
+                let sender = &mut senders[from];
                 // The time of a spike without messages delays the next message.
-                sender.1 += until - std::mem::replace(&mut passed[here(core)], until) + table.spike_time.0;
+                sender.1 += until - std::mem::replace(&mut passed[from], until) + table.spike_time.0;
                 for message in routes.spikes.get(compartment) {
+                    let to = first + message.core.index() - cores.start as usize;
                     let after = std::mem::take(&mut sender.1) + table.axon_out_time.0;
-                    sender.0.push(ready(after, here(message.core), message));
+                    sender.0.push(Ready::new(after, to, message, table));
                 }
             }
             for core in cores.clone() {
-                let at = here(CoreId(core));
+                let at = first + (core - cores.start) as usize;
                 senders[at].1 += visits[core as usize] - passed[at];
             }
         }

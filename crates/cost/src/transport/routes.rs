@@ -73,8 +73,7 @@ pub(super) struct InputTimes {
 }
 
 impl InputTimes {
-    /// Returns the times for one group of cores on one chip whose inputs send at most one message,
-    /// else `None`.
+    /// The times for one group of cores on one chip, each input sending at most one message.
     fn new(routes: &MessageRoutes, table: &CostTable) -> Option<Self> {
         let ([_], [region]) = (routes.kinds.as_slice(), routes.regions.as_slice()) else { return None };
         if !region.is_simple() {
@@ -173,19 +172,68 @@ fn messages(program: &Program, sources: Range<u32>) -> Csr<Message> {
     let mut all = Csr::default();
     let pieces: Vec<u32> = sources.clone().step_by(PIECE as usize).collect();
     for some in pieces.chunks(PIECES * rayon::current_num_threads()) {
-        let found: Vec<Csr<Message>> = some.par_iter().map(piece).collect();
-        found.iter().flat_map(Csr::iter).for_each(|list| all.push(list.iter().copied()));
+        let lists: Vec<Csr<Message>> = some.par_iter().map(piece).collect();
+        lists.iter().flat_map(Csr::iter).for_each(|list| all.push(list.iter().copied()));
     }
     all.shrink_to_fit();
     all
 }
 
-/// The key of identical regions: number of chips from west to east and from north to south, kind of
-/// each group, and tile of each of its cores.
-type RegionKey = (u32, u32, Vec<(usize, Vec<(u32, u32)>)>);
+/// What identical regions have in common.
+#[derive(PartialEq, Eq, Hash)]
+struct RegionShape {
+    chips_x: u32,
+    chips_y: u32,
+    /// Kind of each group, and tile of each of its cores.
+    groups: Vec<(usize, Vec<(u32, u32)>)>,
+}
 
-/// Returns the regions of groups on a board: the first of identical ones, with their number.
-fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
+/// The least number, and the length of the range to the greatest.
+fn extent(numbers: impl Iterator<Item = u32> + Clone) -> (u32, u32) {
+    let low = numbers.clone().min().unwrap_or(0);
+    (low, numbers.max().unwrap_or(0) - low + 1)
+}
+
+impl RegionShape {
+    fn new(mesh: Mesh, groups: &[(usize, &[Site])]) -> Self {
+        let chips = groups.iter().flat_map(|(_, sites)| sites.iter()).map(|site| site.chip);
+        let (left, chips_x) = extent(chips.clone().map(|chip| chip % mesh.chips_x));
+        let (top, chips_y) = extent(chips.map(|chip| chip / mesh.chips_x));
+        let tile = |site: &Site| {
+            let (x, y) = mesh.tile(*site);
+            (x - left * mesh.width, y - top * mesh.height)
+        };
+        let groups = groups.iter().map(|(kind, sites)| (*kind, sites.iter().map(tile).collect()));
+        RegionShape { chips_x, chips_y, groups: groups.collect() }
+    }
+
+    fn region(&self, mesh: Mesh) -> Region {
+        let RegionShape { chips_x, chips_y, .. } = *self;
+        let (mut groups, mut tiles) = (Vec::new(), Vec::new());
+        for (kind, of_group) in &self.groups {
+            groups.push((*kind, tiles.len()));
+            tiles.extend_from_slice(of_group);
+        }
+        let cores = tiles.len();
+        tiles.extend((0..chips_x * chips_y).map(|chip| (chip % chips_x * mesh.width, chip / chips_x * mesh.height)));
+        Region {
+            columns: chips_x * mesh.width,
+            rows: chips_y * mesh.height,
+            chip_width: mesh.width,
+            chip_height: mesh.height,
+            chips_x,
+            tiles,
+            cores,
+            groups,
+            entries: Vec::new(),
+            between: Vec::new(),
+        }
+        .with_entries()
+    }
+}
+
+/// Joins the chips that exchange messages, and those that their messages cross.
+fn joined_chips(mesh: Mesh, groups: &[(usize, &[Site])]) -> UnionFind<usize> {
     let mut joined = UnionFind::new((mesh.chips_x * mesh.chips_y) as usize);
     for (_, sites) in groups {
         let chips: BTreeSet<u32> = sites.iter().map(|site| site.chip).collect();
@@ -199,57 +247,30 @@ fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
             row.chain(column).for_each(|chip| _ = joined.union(from as usize, chip as usize));
         }
     }
-    let mut members: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (number, (_, sites)) in groups.iter().enumerate() {
-        if let Some(site) = sites.first() {
-            members.entry(joined.find_mut(site.chip as usize)).or_default().push(number);
+    joined
+}
+
+/// Returns the regions of groups on a board: the first of identical ones, with their number.
+fn regions(mesh: Mesh, groups: &[(usize, &[Site])]) -> Vec<(Region, u64)> {
+    let mut joined = joined_chips(mesh, groups);
+    let mut members: BTreeMap<usize, Vec<(usize, &[Site])>> = BTreeMap::new();
+    for group in groups {
+        if let Some(site) = group.1.first() {
+            members.entry(joined.find_mut(site.chip as usize)).or_default().push(*group);
         }
     }
-    let mut found: Vec<(Region, u64)> = Vec::new();
-    let mut known: HashMap<RegionKey, usize> = HashMap::new();
-    for numbers in members.values() {
-        let sites = || numbers.iter().flat_map(|&number| groups[number].1);
-        let bounds = |axis: fn(u32, u32) -> u32| {
-            let along = || sites().map(|site| axis(site.chip, mesh.chips_x));
-            let low = along().min().unwrap_or(0);
-            (low, along().max().unwrap_or(0) - low + 1)
-        };
-        let ((left, chips_x), (top, chips_y)) = (bounds(|chip, wide| chip % wide), bounds(|chip, wide| chip / wide));
-        let tile = |site: &Site| {
-            let (x, y) = mesh.tile(*site);
-            (x - left * mesh.width, y - top * mesh.height)
-        };
-        let held = numbers.iter().map(|&number| (groups[number].0, groups[number].1.iter().map(tile).collect()));
-        let key: RegionKey = (chips_x, chips_y, held.collect());
-        if let Some(&alike) = known.get(&key) {
-            found[alike].1 += 1;
+    let mut regions: Vec<(Region, u64)> = Vec::new();
+    let mut known: HashMap<RegionShape, usize> = HashMap::new();
+    for groups in members.values() {
+        let shape = RegionShape::new(mesh, groups);
+        if let Some(&first) = known.get(&shape) {
+            regions[first].1 += 1;
             continue;
         }
-        let mut first = 0;
-        let starts = key.2.iter().map(|(kind, tiles)| {
-            first += tiles.len();
-            (*kind, first - tiles.len())
-        });
-        let starts = starts.collect();
-        let corner = |chip: u32| (chip % chips_x * mesh.width, chip / chips_x * mesh.height);
-        let cores = key.2.iter().flat_map(|(_, tiles)| tiles.iter().copied());
-        let region = Region {
-            columns: chips_x * mesh.width,
-            rows: chips_y * mesh.height,
-            chip_width: mesh.width,
-            chip_height: mesh.height,
-            chips_x,
-            tiles: cores.chain((0..chips_x * chips_y).map(corner)).collect(),
-            cores: first,
-            groups: starts,
-            entries: Vec::new(),
-            between: Vec::new(),
-        }
-        .with_entries();
-        known.insert(key, found.len());
-        found.push((region, 1));
+        regions.push((shape.region(mesh), 1));
+        known.insert(shape, regions.len() - 1);
     }
-    found
+    regions
 }
 
 impl MessageRoutes {
@@ -296,12 +317,12 @@ impl MessageRoutes {
         for (region, times) in regions {
             for &(kind, first) in &region.groups {
                 let Kind { cores, channels, compartments, .. } = &self.kinds[kind].kind;
-                let here = |core: CoreId| first + core.index() - cores.start as usize;
+                let in_region = |core: CoreId| first + core.index() - cores.start as usize;
                 let mut add = |source: usize, from: Option<CoreId>, list: &[Message]| {
                     let CrossedLinks { hops, longest } = &mut crossed[source];
                     for message in list {
-                        let to = here(message.core);
-                        let route = region.route(from.map_or_else(|| region.port(to), here), to);
+                        let to = in_region(message.core);
+                        let route = region.route(from.map_or_else(|| region.port(to), in_region), to);
                         hops.add_routes(route, *times);
                         *longest = longest.max(route);
                     }
@@ -404,8 +425,7 @@ impl Region {
         Route { east_west: fx.abs_diff(tx), north_south: fy.abs_diff(ty), chip }
     }
 
-    /// For each direction (east, west, south, north): tiles of a chip along it, tiles of the region
-    /// along it, and number of lines of tiles.
+    /// By direction (east, west, south, north): tiles of a chip, of the region, and lines.
     fn lines(&self) -> [(u32, u32, u32); 4] {
         let (rows, columns) = ((self.chip_width, self.columns, self.rows), (self.chip_height, self.rows, self.columns));
         [rows, rows, columns, columns]
@@ -419,14 +439,14 @@ impl Region {
 
     /// Whether each link joins two chips; no link leads to the first tile of a line.
     pub(super) fn between_chips(&self) -> Vec<bool> {
-        let of_direction = |(direction, (chip, tiles, lines)): (usize, (u32, u32, u32))| {
-            let joins = move |at: u32| {
+        let mut between = Vec::with_capacity(self.links());
+        for (direction, (chip, tiles, lines)) in self.lines().into_iter().enumerate() {
+            for at in (0..lines).flat_map(|_| 0..tiles) {
                 let crossed = if direction % 2 == 0 { at } else { tiles - at };
-                crossed.is_multiple_of(chip)
-            };
-            (0..lines).flat_map(move |_| (0..tiles).map(move |at| at > 0 && joins(at)))
-        };
-        self.lines().into_iter().enumerate().flat_map(of_direction).collect()
+                between.push(at > 0 && crossed.is_multiple_of(chip));
+            }
+        }
+        between
     }
 
     /// The links on a message's route, along its row first, each part in the order of crossing.
@@ -483,16 +503,16 @@ impl Region {
     ) {
         for &(kind, first) in &self.groups {
             let Kind { cores, channels, compartments, .. } = &routes.kinds[kind].kind;
-            let here = |core: CoreId| first + core.index() - cores.start as usize;
+            let in_region = |core: CoreId| first + core.index() - cores.start as usize;
             for channel in step.channels.iter().filter(|channel| channels.contains(&channel.0)) {
                 for message in routes.inputs.get(channel.index()) {
-                    let to = here(message.core);
+                    let to = in_region(message.core);
                     see(self.port(to), to, message);
                 }
             }
             for compartment in step.fired.iter().filter(|compartment| compartments.contains(&compartment.0)) {
-                let sender = here(routes.seats[compartment.index()].0);
-                routes.spikes.get(compartment.index()).iter().for_each(|m| see(sender, here(m.core), m));
+                let sender = in_region(routes.seats[compartment.index()].0);
+                routes.spikes.get(compartment.index()).iter().for_each(|m| see(sender, in_region(m.core), m));
             }
         }
     }

@@ -1,5 +1,4 @@
-//! Types of baseline files (`mapping/baselines`): measured power and time of other hardware for a
-//! network.
+//! Types of baseline files (`mapping/baselines`): measured power and time of other hardware.
 
 use serde::Deserialize;
 

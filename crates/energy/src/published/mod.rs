@@ -1,5 +1,4 @@
-//! Files of published data: figures of other hardware, tables of measurements, measured jobs,
-//! rebuilt workloads.
+//! Files of published data: other hardware, measurements, measured jobs, rebuilt workloads.
 
 pub mod baseline;
 pub mod measurement;

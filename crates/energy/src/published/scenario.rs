@@ -21,8 +21,7 @@ pub struct ScenarioFile {
     pub name: String,
     /// The model that ran.
     pub model: String,
-    /// Channels of its input populations: networks with equal ones run in its place. Without them
-    /// the job is of its model alone.
+    /// Channels of its input populations: networks with equal ones serve as well.
     #[serde(default)]
     pub inputs: Vec<u32>,
     /// The target that it ran on.
@@ -65,9 +64,6 @@ impl ScenarioFile {
 }
 
 /// Returns the shipped scenario of a model, if any; a path names no shipped model.
-///
-/// # Errors
-/// As [`scenario`].
 pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
     if shipped::is_path(model) {
         return Ok(None);
@@ -76,11 +72,7 @@ pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
     Ok(scenarios?.into_iter().find(|scenario| scenario.model == model))
 }
 
-/// Returns the shipped scenario that `paper` names for a model: its own, else the first that serves
-/// other networks.
-///
-/// # Errors
-/// As [`scenario`].
+/// The shipped scenario that `paper` names for a model: its own, else the first that serves others.
 pub fn paper_for(model: &str) -> Result<Option<ScenarioFile>> {
     let own = shipped_for(model)?;
     let mut all = shipped::SCENARIOS.iter().map(|shipped| scenario(&shipped.source()));

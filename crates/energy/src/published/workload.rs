@@ -241,8 +241,7 @@ pub struct LayerCores {
     pub layers: Vec<Spanned<String>>,
     /// Cores of one copy, filled evenly.
     pub cores: u32,
-    /// Whether a core holds consecutive columns, with all rows and channels, rather than
-    /// consecutive compartments.
+    /// Whether a core holds whole columns, all rows and channels, not consecutive compartments.
     #[serde(default)]
     pub stripes: bool,
     /// Whether the source does not print the fullest core: an even cut is predicted, and the upper
@@ -392,9 +391,6 @@ fn is_ordered(range: Between) -> bool {
 }
 
 /// Returns every shipped workload, in the order of tables.
-///
-/// # Errors
-/// As [`workload`].
 pub fn shipped() -> Result<Vec<WorkloadFile>> {
     let families = shipped::WORKLOADS.iter().map(|file| Ok(cases(workload(&file.source())?)));
     Ok(families.collect::<Result<Vec<_>>>()?.concat())

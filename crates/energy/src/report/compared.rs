@@ -96,7 +96,7 @@ pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> 
 }
 
 /// Comparison with other hardware.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Comparison {
     /// Other hardware over the chip.
     pub ratios: Vec<Ratio>,
@@ -107,8 +107,7 @@ pub struct Comparison {
 }
 
 impl Comparison {
-    /// Text with the shares of samples that are right when decided and at their end, and with the
-    /// time and energy of a decision.
+    /// Text with the shares of right samples, decided and at their end, and the cost of a decision.
     pub(super) fn decisions(&self, whole: Option<f64>) -> String {
         let Some(decision) = &self.per_decision else { return String::new() };
         let right = decision.accuracy.zip(whole);

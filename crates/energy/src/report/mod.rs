@@ -1,4 +1,6 @@
 //! The results of `nsim energy`: the table with its breakdown, and comparisons.
 
 pub mod compared;
-pub mod table;
+pub mod result;
+mod table;
+mod text;

@@ -12,8 +12,7 @@ use nsim_study::mapping::MeasuredMapping;
 const KEYS: &str = "network,strategy,placed,objective,cores,chips,cut_spikes,hops,hops_multicast,mean_link_load,\
                     max_link_load,simulated,energy_uj,step_us,seconds,peak_mib";
 
-/// Least ratio of a network in a geometric mean, so that a network within one tile does not make
-/// the mean zero.
+/// Least ratio of a network in a geometric mean, which is then not zero.
 const LEAST_RATIO: f64 = 0.05;
 
 /// A figure of a step; expected ones are marked by `~`.
@@ -46,22 +45,13 @@ fn against_sequential(rows: &[MeasuredMapping], strategy: Strategy, objective: O
 pub fn json(environment: &Environment, rows: &[MeasuredMapping]) -> Value {
     let row = |row: &MeasuredMapping| {
         json!({
-            "network": row.network,
-            "strategy": row.strategy.name(),
-            "placed": row.placed,
-            "objective": row.objective.name(),
-            "cores": row.cores,
-            "chips": row.chips,
-            "cut_spikes": rounded(row.traffic.cut_spikes_per_step),
-            "hops": rounded(row.traffic.hops_per_step),
+            "network": row.network, "strategy": row.strategy.name(), "placed": row.placed,
+            "objective": row.objective.name(), "cores": row.cores, "chips": row.chips,
+            "cut_spikes": rounded(row.traffic.cut_spikes_per_step), "hops": rounded(row.traffic.hops_per_step),
             "hops_multicast": rounded(row.traffic.hops_multicast_per_step),
-            "mean_link_load": rounded(row.traffic.mean_link_load),
-            "max_link_load": rounded(row.traffic.max_link_load),
-            "simulated": row.simulated,
-            "energy_uj": rounded(row.energy_uj),
-            "step_us": rounded(row.step_us),
-            "seconds": rounded(row.seconds),
-            "peak_mib": row.peak_mib.map(rounded),
+            "mean_link_load": rounded(row.traffic.mean_link_load), "max_link_load": rounded(row.traffic.max_link_load),
+            "simulated": row.simulated, "energy_uj": rounded(row.energy_uj), "step_us": rounded(row.step_us),
+            "seconds": rounded(row.seconds), "peak_mib": row.peak_mib.map(rounded),
         })
     };
     let rows: Vec<Value> = rows.iter().map(row).collect();

@@ -47,14 +47,14 @@ pub struct Grid {
 }
 
 impl Grid {
-    /// A grid without the columns and the rows that are empty; none where all are.
-    fn new(title: &str, header: &[String], rows: &[Vec<String>]) -> Option<Grid> {
+    /// A grid without empty columns and rows, if any is left. Rows begin with a name.
+    fn new(title: &str, columns: &[&str], rows: &[Vec<String>]) -> Option<Grid> {
         let used = |place: &usize| *place == 0 || rows.iter().any(|row| !row[*place].is_empty());
-        let places: Vec<usize> = (0..header.len()).filter(used).collect();
-        let kept = |row: &[String]| places.iter().map(|&place| row[place].clone()).collect();
+        let places: Vec<usize> = (0..=columns.len()).filter(used).collect();
+        let header = places.iter().map(|&place| if place == 0 { "" } else { columns[place - 1] }.to_string()).collect();
         let full = rows.iter().filter(|row| row[1..].iter().any(|cell| !cell.is_empty()));
-        let rows: Vec<Vec<String>> = full.map(|row| kept(row)).collect();
-        (!rows.is_empty()).then(|| Grid { title: title.to_string(), header: kept(header), rows })
+        let rows: Vec<Vec<String>> = full.map(|row| places.iter().map(|&place| row[place].clone()).collect()).collect();
+        (!rows.is_empty()).then(|| Grid { title: title.to_string(), header, rows })
     }
 
     /// The grid as text.
@@ -69,8 +69,7 @@ impl Grid {
     }
 }
 
-/// The networks of the tables of accuracy: the name in a grid, the table, the loss, and the prefix
-/// of a row's note.
+/// Networks of the tables of accuracy: name in a grid, table, loss, beginning of the row's note.
 const NETWORKS: [(&str, &str, Option<&str>, &str); 6] = [
     ("SNN (L), chip", "accuracy", Some("count"), ""),
     ("SNN (L_w), chip", "accuracy", Some("weighted"), ""),
@@ -92,53 +91,25 @@ fn here_and_printed(here: Option<String>, printed: Option<String>) -> String {
     }
 }
 
+/// The row of a figure; `note` begins its note.
+fn find<'r>(
+    rows: &'r [PaperRow],
+    table: &str,
+    [task, senses, quantity]: [&str; 3],
+    loss: Option<&str>,
+    note: &str,
+) -> Option<&'r PaperRow> {
+    rows.iter().find(|row| {
+        [&*row.table, &row.task, &row.modality, &row.quantity] == [table, task, senses, quantity]
+            && row.loss.as_deref() == loss
+            && row.note.starts_with(note)
+    })
+}
+
 /// The grids that have rows: accuracies of each task, hardware, accuracy by time.
 pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
-    let header = |names: &[&str]| [""].iter().chain(names).map(|name| (*name).to_string()).collect::<Vec<_>>();
-    let found = |table: &str, [task, senses, quantity]: [&str; 3], loss: Option<&str>, note: &str| {
-        rows.iter().find(|row| {
-            [&*row.table, &row.task, &row.modality, &row.quantity] == [table, task, senses, quantity]
-                && row.loss.as_deref() == loss
-                && row.note.starts_with(note)
-        })
-    };
-    let accuracy = |(task, title): (&str, &str)| {
-        let network = |(name, table, loss, note): &(&str, &str, Option<&str>, &str)| {
-            let cell = |(senses, _)| {
-                let row = found(table, [task, senses, "accuracy"], *loss, note);
-                row.map_or(String::new(), |row| {
-                    let folds = if row.deviation.is_some() { "" } else { "*" };
-                    let here = row.measured.map(|share| format!("{share:.3}{folds}"));
-                    here_and_printed(here, row.published.map(|share| format!("{share:.2}")))
-                })
-            };
-            let epochs = SENSES.map(|(senses, _)| {
-                let row = found(table, [task, senses, "accuracy"], *loss, note)?;
-                row.note.split_once(" epochs")?.0.split(' ').next_back()
-            });
-            let epochs: Vec<&str> = epochs.into_iter().flatten().collect();
-            std::iter::once((*name).to_string()).chain(SENSES.map(cell)).chain([epochs.join(", ")]).collect()
-        };
-        let rows: Vec<Vec<String>> = NETWORKS.iter().map(network).collect();
-        let names: Vec<&str> = SENSES.iter().map(|(_, name)| *name).chain(["epochs"]).collect();
-        Grid::new(&format!("{title}: accuracy here (in the paper)"), &header(&names), &rows)
-    };
-    let hardware = |title: &str, units: &[(&str, &str)], columns: &[(&str, &str)]| {
-        let kinds = [("offline", "offline"), ("realtime", "real time")];
-        let row = |(table, how): (&str, &str), (name, before): &(&str, &str)| {
-            let cell = |(_, quantity): &(&str, &str)| {
-                let row = found(table, ["slip", "both", &format!("{before}{quantity}")], None, "");
-                row.map_or(String::new(), |row| {
-                    here_and_printed(row.measured.map(three), row.published.map(|figure| figure.to_string()))
-                })
-            };
-            std::iter::once(format!("{name}, {how}")).chain(columns.iter().map(cell)).collect()
-        };
-        let rows: Vec<Vec<String>> = kinds.iter().flat_map(|kind| units.iter().map(|unit| row(*kind, unit))).collect();
-        let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
-        Grid::new(title, &header(&names), &rows)
-    };
     let powers = hardware(
+        rows,
         "One x86 core and one of 32 copies: modelled here (in the paper)",
         &[("x86 core", "x86_"), ("neuron cores", "neuron_"), ("Loihi", ""), ("RTX 2080 Ti", "gpu_")],
         &[
@@ -149,33 +120,76 @@ pub fn grids(rows: &[PaperRow]) -> Vec<Grid> {
         ],
     );
     let energies = hardware(
+        rows,
         "Energy as in the paper (power / 150), and times latency: here (in the paper)",
         &[("Loihi", ""), ("RTX 2080 Ti", "gpu_")],
         &[("energy (mW/150)", "mw_per_step"), ("EDP (pJ s)", "edp_pjs")],
     );
-    let early = |(task, title): (&str, &str)| {
-        let of_time = |row: &PaperRow| row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.parse().ok();
-        let above_chance = |row: &&PaperRow| row.low.is_none_or(|low| low > chance(task));
-        let of_task = rows.iter().filter(|row| row.table == "early" && row.task == task).filter(above_chance);
-        let times: BTreeSet<u32> = of_task.filter_map(of_time).collect();
-        let row = |(table, neurons): (&str, &str), ((senses, name), loss): ((&str, &str), &str)| {
-            let share = |quantity: &str| found(table, [task, senses, quantity], Some(loss), "")?.measured;
-            let by = times.iter().map(|time| share(&format!("accuracy_by_{time}_ms")));
-            let by = by.map(|share| share.map_or(String::new(), |share| format!("{share:.2}")));
-            let name = format!("{name} ({}), {neurons}", if loss == "count" { "L" } else { "L_w" });
+    let whole = TASKS.map(|(task, title)| accuracies(rows, task, title));
+    let by_time = TASKS.map(|(task, title)| accuracies_by_time(rows, task, title));
+    whole.into_iter().chain([powers, energies]).chain(by_time).flatten().collect()
+}
+
+fn accuracies(rows: &[PaperRow], task: &str, title: &str) -> Option<Grid> {
+    let mut lines = Vec::new();
+    for (name, table, loss, note) in NETWORKS {
+        let (mut line, mut epochs) = (vec![name.to_string()], Vec::new());
+        for (senses, _) in SENSES {
+            let row = find(rows, table, [task, senses, "accuracy"], loss, note);
+            line.push(row.map_or(String::new(), |row| {
+                let folds = if row.deviation.is_some() { "" } else { "*" };
+                let here = row.measured.map(|share| format!("{share:.3}{folds}"));
+                here_and_printed(here, row.published.map(|share| format!("{share:.2}")))
+            }));
+            epochs.extend(row.and_then(|row| row.note.split_once(" epochs")?.0.split(' ').next_back()));
+        }
+        line.push(epochs.join(", "));
+        lines.push(line);
+    }
+    let names: Vec<&str> = SENSES.iter().map(|(_, name)| *name).chain(["epochs"]).collect();
+    Grid::new(&format!("{title}: accuracy here (in the paper)"), &names, &lines)
+}
+
+/// Figures of hardware; `units` and `columns` are names in the grid with parts of the quantity.
+fn hardware(rows: &[PaperRow], title: &str, units: &[(&str, &str)], columns: &[(&str, &str)]) -> Option<Grid> {
+    let mut lines = Vec::new();
+    for (table, mode) in [("offline", "offline"), ("realtime", "real time")] {
+        for (name, before) in units {
+            let mut line = vec![format!("{name}, {mode}")];
+            for (_, quantity) in columns {
+                let row = find(rows, table, ["slip", "both", &format!("{before}{quantity}")], None, "");
+                line.push(row.map_or(String::new(), |row| {
+                    here_and_printed(row.measured.map(three), row.published.map(|figure| figure.to_string()))
+                }));
+            }
+            lines.push(line);
+        }
+    }
+    let names: Vec<&str> = columns.iter().map(|(name, _)| *name).collect();
+    Grid::new(title, &names, &lines)
+}
+
+fn accuracies_by_time(rows: &[PaperRow], task: &str, title: &str) -> Option<Grid> {
+    let above_chance = rows
+        .iter()
+        .filter(|row| row.table == "early" && row.task == task && row.low.is_none_or(|low| low > chance(task)));
+    let times: BTreeSet<u32> = above_chance
+        .filter_map(|row| row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.parse().ok())
+        .collect();
+    let mut lines = Vec::new();
+    for (table, neurons) in [("early", "chip"), ("srm", "SRM")] {
+        for ((senses, name), loss) in SENSES.into_iter().flat_map(|senses| LOSSES.map(|loss| (senses, loss))) {
+            let share = |quantity: &str| find(rows, table, [task, senses, quantity], Some(loss), "")?.measured;
+            let by_time = times.iter().map(|time| share(&format!("accuracy_by_{time}_ms")));
+            let by_time = by_time.map(|share| share.map_or(String::new(), |share| format!("{share:.2}")));
             let when = ["decided_ms", "certain_ms"].map(|quantity| share(quantity).map_or(String::new(), three));
-            std::iter::once(name).chain(by).chain(when).collect()
-        };
-        let networks = SENSES.into_iter().flat_map(|senses| LOSSES.map(|loss| (senses, loss)));
-        let cells: Vec<Vec<String>> = [("early", "chip"), ("srm", "SRM")]
-            .into_iter()
-            .flat_map(|neurons| networks.clone().map(move |network| row(neurons, network)))
-            .collect();
-        let times: Vec<String> = times.iter().map(u32::to_string).collect();
-        let names: Vec<&str> = times.iter().map(String::as_str).chain(["for good", "certain"]).collect();
-        Grid::new(&format!("{title}: accuracy here by time (ms), and when it stays"), &header(&names), &cells)
-    };
-    TASKS.into_iter().map(accuracy).chain([powers, energies]).chain(TASKS.into_iter().map(early)).flatten().collect()
+            let name = format!("{name} ({}), {neurons}", if loss == "count" { "L" } else { "L_w" });
+            lines.push(std::iter::once(name).chain(by_time).chain(when).collect());
+        }
+    }
+    let times: Vec<String> = times.iter().map(u32::to_string).collect();
+    let names: Vec<&str> = times.iter().map(String::as_str).chain(["for good", "certain"]).collect();
+    Grid::new(&format!("{title}: accuracy here by time (ms), and when it stays"), &names, &lines)
 }
 
 /// The grids of a document; `before` begins the line of a title, `of` makes a table of CSV.
@@ -229,8 +243,8 @@ fn table_with_notes(rows: &[&PaperRow]) -> String {
         lines.push([cell, row.quantity.clone()].into_iter().chain(figures).chain([note]).collect());
     }
     let is_modelled = rows.iter().all(|row| ["offline", "realtime"].contains(&&*row.table));
-    let here = if is_modelled { "modelled" } else { "measured" };
-    let mut heads = vec!["cell", "quantity", "published", here, "95 % interval", "note"];
+    let own_heading = if is_modelled { "modelled" } else { "measured" };
+    let mut heads = vec!["cell", "quantity", "published", own_heading, "95 % interval", "note"];
     if lines.iter().all(|line| line[4].is_empty()) {
         heads.remove(4);
         lines.iter_mut().for_each(|line| drop(line.remove(4)));

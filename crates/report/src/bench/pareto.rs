@@ -44,14 +44,8 @@ impl ParetoReport<'_> {
     /// `nsim.bench/1`.
     pub fn json(&self) -> Value {
         json!({
-            "schema": "nsim.bench/1",
-            "name": "pareto",
-            "model": self.model,
-            "input": self.input,
-            "seed": self.seed,
-            "samples": self.samples,
-            "environment": self.environment,
-            "rows": with_rounded(json!(self.rows), rounded),
+            "schema": "nsim.bench/1", "name": "pareto", "model": self.model, "input": self.input, "seed": self.seed,
+            "samples": self.samples, "environment": self.environment, "rows": with_rounded(json!(self.rows), rounded),
         })
     }
 

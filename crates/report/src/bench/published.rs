@@ -36,24 +36,12 @@ const KEYS: &str = "work,workload,chip,quantity,kind,unit,published,predicted,lo
 pub fn json(rows: &[PublishedRow]) -> Value {
     let row = |row: &PublishedRow| {
         json!({
-            "work": row.work,
-            "workload": row.workload,
-            "chip": row.chip,
-            "quantity": row.quantity.name(),
-            "kind": row.quantity.kind(),
-            "unit": row.quantity.unit(),
-            "published": row.published,
-            "predicted": row.predicted,
-            "low": row.interval.map(|interval| interval.0),
-            "high": row.interval.map(|interval| interval.1),
-            "left_out": row.left_out,
-            "judged": row.judged,
-            "first_hand": row.first_hand,
-            "accounting": row.quantity.accounting(),
-            "activity": row.activity,
-            "assumed": row.assumed,
-            "source": row.source,
-            "cause": row.cause,
+            "work": row.work, "workload": row.workload, "chip": row.chip, "quantity": row.quantity.name(),
+            "kind": row.quantity.kind(), "unit": row.quantity.unit(), "published": row.published,
+            "predicted": row.predicted, "low": row.interval.map(|interval| interval.0),
+            "high": row.interval.map(|interval| interval.1), "left_out": row.left_out, "judged": row.judged,
+            "first_hand": row.first_hand, "accounting": row.quantity.accounting(), "activity": row.activity,
+            "assumed": row.assumed, "source": row.source, "cause": row.cause,
         })
     };
     json!({ "schema": "nsim.bench/1", "name": "published", "rows": rows.iter().map(row).collect::<Vec<_>>() })

@@ -17,11 +17,9 @@ pub struct StepRow {
     pub skip: bool,
     /// Its timing.
     pub measured: StepTiming,
-    /// Bytes of the machine, state and flattened tables, divided by synapses; without the mapped
-    /// program.
+    /// Bytes of the machine, state and flattened tables, divided by synapses.
     pub bytes_per_synapse: f64,
-    /// Milliseconds of the sums by core (messages, hops), once a run: the machine notes who spiked
-    /// and multiplies at the end.
+    /// Milliseconds of the sums by core (messages, hops), once a run, from the sources that spiked.
     pub sums_ms: f64,
     /// Number of processes that ran it.
     pub ranks: u32,
@@ -46,18 +44,11 @@ pub(super) fn rounded(x: f64) -> f64 {
 pub fn json(environment: &Environment, rows: &[StepRow]) -> Value {
     let row = |row: &StepRow| {
         json!({
-            "network": row.network,
-            "threads": row.threads,
-            "ranks": row.ranks,
-            "skip": row.skip,
-            "us_per_timestep": rounded(row.measured.us_per_timestep),
-            "spread": rounded(row.measured.spread),
-            "synaptic_events_per_step": rounded(row.events()),
-            "bytes_per_synapse": rounded(row.bytes_per_synapse),
-            "sums_ms": rounded(row.sums_ms),
-            "fastest_us": rounded(row.measured.fastest),
-            "spikes_per_step": rounded(row.spikes()),
-            "repeats": row.measured.repeats,
+            "network": row.network, "threads": row.threads, "ranks": row.ranks, "skip": row.skip,
+            "us_per_timestep": rounded(row.measured.us_per_timestep), "spread": rounded(row.measured.spread),
+            "synaptic_events_per_step": rounded(row.events()), "bytes_per_synapse": rounded(row.bytes_per_synapse),
+            "sums_ms": rounded(row.sums_ms), "fastest_us": rounded(row.measured.fastest),
+            "spikes_per_step": rounded(row.spikes()), "repeats": row.measured.repeats,
             "steps_per_repeat": row.measured.steps,
         })
     };

@@ -14,6 +14,7 @@ use nsim_compile::explore::traffic::Links;
 use nsim_files::table::{count, three};
 use nsim_ir::base::id::{CoreId, Id, PopulationId};
 use nsim_ir::hardware::Target;
+use nsim_ir::placement::Mesh;
 use nsim_ir::resource::Resource;
 
 const CORE: f64 = 15.0;
@@ -37,25 +38,13 @@ const BARS: [(Resource, &str); 4] = [
 
 /// The picture.
 pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
-    let mesh = compiled.placement.mesh();
-    let side = f64::from(mesh.cores_per_tile).sqrt().ceil().max(1.0);
-    let tile = side * CORE + LINK;
-    let used: BTreeSet<u32> = compiled.placement.sites().iter().map(|site| site.chip).collect();
-    let rank = |of: &dyn Fn(u32) -> u32| -> BTreeMap<u32, usize> {
-        let all: BTreeSet<u32> = used.iter().map(|&chip| of(chip)).collect();
-        all.into_iter().enumerate().map(|(rank, at)| (at, rank)).collect()
-    };
-    let (columns, rows) = (rank(&|chip| chip % mesh.chips_x), rank(&|chip| chip / mesh.chips_x));
-    let (wide, high) = (f64::from(mesh.width) * tile + GAP, f64::from(mesh.height) * tile + GAP);
-    let corner = |chip: u32| {
-        let (column, row) = (columns[&(chip % mesh.chips_x)], rows[&(chip / mesh.chips_x)]);
-        (LEFT + column as f64 * wide, TOP + row as f64 * high)
-    };
-    let bars_top = TOP + rows.len() as f64 * high + 8.0;
+    let layout = Layout::new(compiled);
+    let bars_top = TOP + layout.rows.len() as f64 * layout.chip_height() + 8.0;
     let cores = compiled.partition.cores();
-    let held = || compiled.one.populations().iter().filter(|population| population.first_compartment().is_some());
-    let names = held().count().min(MOST_NAMES);
-    let width = (LEFT * 2.0 + columns.len() as f64 * wide).max(560.0) + LEGEND + 5.0;
+    let populations = compiled.one.populations();
+    let with_compartments = || populations.enumerate().filter(|(_, one)| one.first_compartment().is_some());
+    let names = with_compartments().count().min(MOST_NAMES);
+    let width = (LEFT * 2.0 + layout.columns.len() as f64 * layout.chip_width()).max(560.0) + LEGEND + 5.0;
     let bars_height = if cores <= MOST_BARS { BARS.len() as f64 * (BAR_HEIGHT + 22.0) + 20.0 } else { 20.0 };
     let height = (bars_top + bars_height).max(TOP + 130.0 + 18.0 * names as f64);
     let (of_cores, of_chips) = (count(cores as u64, "core"), count(u64::from(compiled.placement.chips_used()), "chip"));
@@ -65,53 +54,12 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
     let words = "fill: use of a core's fullest resource; the busiest link carries";
     sheet.text((LEFT, 40.0), GREY, &format!("{words} {busiest:.3} messages a step"));
     // Links first, so that cores lie above them.
-    for &chip in &used {
-        let (x0, y0) = corner(chip);
-        let size = [x0 - 4.0, y0 - 4.0, wide - GAP + 8.0 - LINK, high - GAP + 8.0 - LINK];
-        sheet.rect(size, &stroked("#999", 1.0, ""));
-        let (left, top) = ((chip % mesh.chips_x) * mesh.width, (chip / mesh.chips_x) * mesh.height);
-        let middle = |x: u32, y: u32| {
-            let half = side * CORE / 2.0;
-            (x0 + f64::from(x) * tile + half, y0 + f64::from(y) * tile + half)
-        };
-        for (x, y) in (0..mesh.height).flat_map(|y| (0..mesh.width).map(move |x| (x, y))) {
-            let (from_x, from_y) = middle(x, y);
-            for (load, to) in [
-                (links.east_west(left + x, top + y), (x + 1 < mesh.width).then(|| middle(x + 1, y))),
-                (links.north_south(left + x, top + y), (y + 1 < mesh.height).then(|| middle(x, y + 1))),
-            ] {
-                if let Some((to_x, to_y)) = to.filter(|_| load > 0.0) {
-                    sheet.titled(&format!("{load:.4} messages a step"), |sheet| {
-                        sheet.line([from_x, from_y, to_x, to_y], &link(load / busiest.max(f64::MIN_POSITIVE)));
-                    });
-                }
-            }
-        }
-    }
-    let mut known = BTreeSet::new();
-    for (core, usage) in compiled.partition.usage().enumerate() {
-        let site = compiled.placement.site(core);
-        let (x0, y0) = corner(site.chip);
-        let x = x0 + f64::from(site.x) * tile + f64::from(site.core % side as u32) * CORE;
-        let y = y0 + f64::from(site.y) * tile + f64::from(site.core / side as u32) * CORE;
-        let parts = target.limits().against(usage.of);
-        let (resource, most) = parts
-            .map(|(capacity, need, limit)| (capacity, need as f64 / limit.max(1) as f64))
-            .max_by(|a, b| a.1.total_cmp(&b.1))
-            .unwrap_or((Resource::Compartments.into(), 0.0));
-        let population = mostly(compiled, core);
-        known.insert(population);
-        let name = compiled.one.populations().get(population).map_or("", |population| &population.name);
-        let compartments = usage[Resource::Compartments];
-        let resource = resource.name();
-        let said = format!("{core}: {compartments} compartments, mostly {name}; {:.0} % of {resource}", 100.0 * most);
-        sheet.titled(&said, |sheet| square(sheet, (x, y), most, colour(population)));
-    }
+    layout.used.iter().for_each(|&chip| draw_chip(&mut sheet, &layout, chip, links, busiest));
+    let shown = draw_cores(&mut sheet, &layout, compiled, target);
     let x = width - LEGEND;
-    let all = compiled.one.populations().enumerate().filter(|(_, one)| one.first_compartment().is_some());
-    for (index, (id, population)) in all.take(MOST_NAMES).enumerate() {
+    for (index, (id, population)) in with_compartments().take(MOST_NAMES).enumerate() {
         let y = TOP + 18.0 * index as f64;
-        let (full, note) = if known.contains(&id) { (1.0, "") } else { (0.0, " (with others)") };
+        let (full, note) = if shown.contains(&id) { (1.0, "") } else { (0.0, " (with others)") };
         square(&mut sheet, (x, y), full, colour(id));
         sheet.text((x + 19.0, y + 11.0), "", &format!("{}{note}", population.name));
     }
@@ -120,6 +68,102 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
         bars(&mut sheet, compiled, target, bars_top, width - LEGEND - 25.0);
     }
     sheet.svg()
+}
+
+/// Positions of chips and cores on the sheet.
+struct Layout {
+    mesh: Mesh,
+    /// Chips with cores in use.
+    used: BTreeSet<u32>,
+    /// Rank of each column, and of each row, of the board that has such chips.
+    columns: BTreeMap<u32, usize>,
+    rows: BTreeMap<u32, usize>,
+    /// Cores along a side of a tile.
+    side: f64,
+    /// Distance of neighbouring tiles.
+    tile: f64,
+}
+
+impl Layout {
+    fn new(compiled: &Mapping) -> Self {
+        let mesh = *compiled.placement.mesh();
+        let side = f64::from(mesh.cores_per_tile).sqrt().ceil().max(1.0);
+        let used: BTreeSet<u32> = compiled.placement.sites().iter().map(|site| site.chip).collect();
+        let columns = ranks(used.iter().map(|chip| chip % mesh.chips_x));
+        let rows = ranks(used.iter().map(|chip| chip / mesh.chips_x));
+        Layout { mesh, used, columns, rows, side, tile: side * CORE + LINK }
+    }
+
+    fn chip_width(&self) -> f64 {
+        f64::from(self.mesh.width) * self.tile + GAP
+    }
+
+    fn chip_height(&self) -> f64 {
+        f64::from(self.mesh.height) * self.tile + GAP
+    }
+
+    /// The corner of a tile of a chip.
+    fn tile(&self, chip: u32, x: u32, y: u32) -> (f64, f64) {
+        let (column, row) = (self.columns[&(chip % self.mesh.chips_x)], self.rows[&(chip / self.mesh.chips_x)]);
+        let (left, top) = (LEFT + column as f64 * self.chip_width(), TOP + row as f64 * self.chip_height());
+        (left + f64::from(x) * self.tile, top + f64::from(y) * self.tile)
+    }
+
+    fn middle(&self, chip: u32, x: u32, y: u32) -> (f64, f64) {
+        let ((left, top), half) = (self.tile(chip, x, y), self.side * CORE / 2.0);
+        (left + half, top + half)
+    }
+}
+
+/// The rank of each distinct number.
+fn ranks(numbers: impl Iterator<Item = u32>) -> BTreeMap<u32, usize> {
+    let distinct: BTreeSet<u32> = numbers.collect();
+    distinct.into_iter().enumerate().map(|(rank, number)| (number, rank)).collect()
+}
+
+fn draw_chip(sheet: &mut Sheet, layout: &Layout, chip: u32, links: &Links, busiest: f64) {
+    let (mesh, (x0, y0)) = (&layout.mesh, layout.tile(chip, 0, 0));
+    let (width, height) = (layout.chip_width(), layout.chip_height());
+    let size = [x0 - 4.0, y0 - 4.0, width - GAP + 8.0 - LINK, height - GAP + 8.0 - LINK];
+    sheet.rect(size, &stroked("#999", 1.0, ""));
+    let (left, top) = ((chip % mesh.chips_x) * mesh.width, (chip / mesh.chips_x) * mesh.height);
+    for (x, y) in (0..mesh.height).flat_map(|y| (0..mesh.width).map(move |x| (x, y))) {
+        let (from_x, from_y) = layout.middle(chip, x, y);
+        for (load, to) in [
+            (links.east_west(left + x, top + y), (x + 1 < mesh.width).then(|| layout.middle(chip, x + 1, y))),
+            (links.north_south(left + x, top + y), (y + 1 < mesh.height).then(|| layout.middle(chip, x, y + 1))),
+        ] {
+            if let Some((to_x, to_y)) = to.filter(|_| load > 0.0) {
+                sheet.titled(&format!("{load:.4} messages a step"), |sheet| {
+                    sheet.line([from_x, from_y, to_x, to_y], &link(load / busiest.max(f64::MIN_POSITIVE)));
+                });
+            }
+        }
+    }
+}
+
+/// All cores; returns the populations that have a core in their colour.
+fn draw_cores(sheet: &mut Sheet, layout: &Layout, compiled: &Mapping, target: &Target) -> BTreeSet<PopulationId> {
+    let mut shown = BTreeSet::new();
+    for (core, usage) in compiled.partition.usage().enumerate() {
+        let site = compiled.placement.site(core);
+        let (left, top) = layout.tile(site.chip, site.x, site.y);
+        let x = left + f64::from(site.core % layout.side as u32) * CORE;
+        let y = top + f64::from(site.core / layout.side as u32) * CORE;
+        let parts = target.limits().against(usage.of);
+        let (resource, most) = parts
+            .map(|(capacity, need, limit)| (capacity, need as f64 / limit.max(1) as f64))
+            .max_by(|a, b| a.1.total_cmp(&b.1))
+            .unwrap_or((Resource::Compartments.into(), 0.0));
+        let population = mostly(compiled, core);
+        shown.insert(population);
+        let name = compiled.one.populations().get(population).map_or("", |population| &population.name);
+        let compartments = usage[Resource::Compartments];
+        let resource = resource.name();
+        let words = format!("{core}: {compartments} compartments, mostly {name}; {:.0} % of {resource}", 100.0 * most);
+        sheet.titled(&words, |sheet| square(sheet, (x, y), most, colour(population)));
+    }
+    shown
 }
 
 /// A core, filled from below.

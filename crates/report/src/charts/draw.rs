@@ -221,8 +221,7 @@ impl Scale {
         share.is_finite().then_some(self.from + share * (self.to - self.from))
     }
 
-    /// The logarithm of a number over the lowest; the ratio of the greatest to the smallest number
-    /// overflows.
+    /// The logarithm of a number over the lowest, since a ratio of numbers may overflow.
     fn above_low(&self, number: f64) -> f64 {
         let ratio = number / self.low;
         if ratio.is_finite() { ratio.ln() } else { number.ln() - self.low.ln() }

@@ -58,9 +58,6 @@ impl PictureFormat {
     }
 
     /// The file of a picture.
-    ///
-    /// # Errors
-    /// A message when it cannot be drawn; the charts of this crate can be.
     pub fn bytes(self, svg: &str) -> Result<Vec<u8>, String> {
         match self {
             PictureFormat::Svg => Ok(with_font(svg).into_bytes()),
@@ -99,8 +96,7 @@ mod drawn {
 
     const FONT: &[u8] =
         include_bytes!(concat!(env!("CARGO_MANIFEST_DIR"), env!("ASSETS"), "/roboto/roboto-subset.ttf"));
-    /// Pixels of a picture for each of its units, unless it is so large that this would make more
-    /// than [`MOST_PIXELS`].
+    /// Pixels of a picture for each of its units, fewer where there were more than [`MOST_PIXELS`].
     const SCALE: f32 = 3.0;
     const MOST_PIXELS: f32 = 6e7;
 

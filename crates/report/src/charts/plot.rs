@@ -122,8 +122,7 @@ fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
 /// A number, and the ends of its interval, if known.
 pub type Marked = (f64, Option<(f64, f64)>);
 
-/// A chart with a row a category and a panel a series, each with its own logarithmic axis: points
-/// with their values and intervals.
+/// A chart with a row a category and a panel a series, each on its own logarithmic axis.
 pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<Marked>>)]) -> String {
     let (left, wide, tall, top) = (215.0, 150.0, 38.0, TOP + 24.0);
     let bottom = top + tall * categories.len() as f64;
@@ -200,8 +199,7 @@ fn barred(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f6
     sheet.svg()
 }
 
-/// Writes labels next to points, where there is room. A label that would overlap labels or points
-/// everywhere is omitted; a front's come first.
+/// Writes labels next to points where there is room, a front's first; others are omitted.
 fn write_labels(sheet: &mut Sheet, mut labels: Vec<(bool, f64, f64, String)>) {
     labels.sort_by_key(|(first, ..)| !first);
     // Left end, right end and middle height of each label and each point.

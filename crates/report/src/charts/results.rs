@@ -70,8 +70,7 @@ pub fn hardware(result: &Value) -> Option<String> {
     totals.iter().any(|row| number(&row["energy_uj"]).is_some()).then(|| plot::panels(&title, &names, &columns))
 }
 
-/// Breakdown of the energy of a timestep, of `nsim.energy/1`: all of it, and the dynamic part of
-/// the neuron cores.
+/// Energy of a timestep of `nsim.energy/1` by part: all, and dynamic energy of the neuron cores.
 pub fn energy(result: &Value) -> Option<String> {
     let chip = &rows(&result["rows"]).first()?["hardware"];
     let unit = |unit: &str| rows(&result["rows"]).iter().find(|row| row["hardware"] == *chip && row["unit"] == unit);
@@ -110,23 +109,20 @@ pub fn time(result: &Value) -> Option<String> {
         .then(|| plot::bars(&title, "time of a mean timestep (us)", &labels, &[(String::new(), values)]))
 }
 
-/// Run time against error of `nsim bench pareto`, or energy against time of `nsim map --pareto`,
-/// with the front.
+/// Run time against error (`bench pareto`) or energy against time (`map --pareto`), with the front.
 pub fn pareto(result: &Value) -> Option<String> {
     let benched = result["name"] == "pareto";
     let all = rows(if benched { &result["rows"] } else { &result["pareto"] });
     let point = |row: &Value| {
         Some(match benched {
-            true => (
-                number(&row["us_per_timestep"])?,
-                1.0 - number(&row["coincidence"])?,
-                words(&row["variant"]).to_string(),
-            ),
-            false => (
-                number(&row["step_us"])?,
-                number(&row["energy_uj"])?,
-                row["cores"].as_u64().map_or(String::new(), |cores| format!("{cores} cores")),
-            ),
+            true => {
+                let error = 1.0 - number(&row["coincidence"])?;
+                (number(&row["us_per_timestep"])?, error, words(&row["variant"]).to_string())
+            }
+            false => {
+                let cores = row["cores"].as_u64().map_or(String::new(), |cores| format!("{cores} cores"));
+                (number(&row["step_us"])?, number(&row["energy_uj"])?, cores)
+            }
         })
     };
     let mut points: Vec<_> = all.iter().filter_map(|row| Some((point(row)?, row["on_front"] == true))).collect();
@@ -150,8 +146,7 @@ pub fn pareto(result: &Value) -> Option<String> {
     Some(plot::chart(&title, &x, &y, &plot::front_series(points.into_iter())))
 }
 
-/// Causes of disagreement of `nsim agree`, forward and reversed; without them, the coincidence of
-/// each layer.
+/// Causes of disagreement of `nsim agree`, both ways; without them, the coincidence of each layer.
 pub fn agreement(result: &Value) -> Option<String> {
     let model = words(&result["model"]);
     let shares = rows(&result["attribution"]);

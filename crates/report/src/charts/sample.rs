@@ -27,8 +27,7 @@ const MOST_PANELS: usize = 24;
 /// Content of a panel.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Content {
-    /// Spikes of `n` channels as (step, channel), under the name of their kind; channel 0 is at
-    /// the top.
+    /// Spikes of `n` channels as (step, channel), under the name of their kind, the first on top.
     Spikes(u32, Vec<(String, Vec<(u32, u32)>)>),
     /// A potential in thresholds, by steps.
     Potential(Vec<(usize, f64)>),
@@ -190,13 +189,11 @@ pub fn traces(title: &str, network: &Quantised, timeline: &Timeline, traced: &[T
 pub struct Traced {
     /// Population and index.
     pub name: String,
-    /// Its threshold; none for a kind whose potential is a word of state, which no threshold of
-    /// Loihi's form is compared with.
+    /// Its threshold; none for a kind whose potential is a word of state.
     pub threshold: Option<f64>,
 }
 
-/// At most `most` compartments that have the quantity to draw: of each population the named unit,
-/// or the given number of units that spike most.
+/// At most `most` compartments to draw: of each population the named unit, or the most active.
 pub fn traced(
     network: &Quantised,
     populations: impl IntoIterator<Item = (PopulationId, Option<u32>, usize)>,

@@ -38,9 +38,7 @@ pub fn json(compiled: &Mapping, target: &Target, links: &Links) -> Value {
         "target": target.name(),
         "columns": ["core", "chip", "x", "y", "core of tile", "population", "compartments", "axons_in", "axons_out",
                     "synapse_words", "synapses"],
-        "cores": cores,
-        "limits": resources.map(|resource| limits[resource]),
-        "links": loaded,
+        "cores": cores, "limits": resources.map(|resource| limits[resource]), "links": loaded,
         "mesh": { "chips_x": mesh.chips_x, "chips_y": mesh.chips_y, "width": mesh.width, "height": mesh.height,
                   "cores_per_tile": mesh.cores_per_tile },
     })

@@ -2,7 +2,6 @@
 //!
 //! Input: a priced run, and the network of its file. Output: [`Sections`] for `report::page`. The
 //! first sample is shown step by step. A network in real numbers is compared with its trained form.
-//! Omitted on purpose: files.
 
 use serde_json::Value;
 
@@ -37,9 +36,6 @@ const WATCHED: usize = 12;
 const MOST_COMPARED: u64 = 4_000_000;
 
 /// The sections of a page, but for the comparison with the network as it was trained.
-///
-/// # Errors
-/// The errors of a second run of the first sample, step by step.
 pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Transport) -> Result<Sections, Error> {
     let Evaluation { energy, run, deployment } = evaluated;
     let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
@@ -64,11 +60,7 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Tran
     Ok(sections)
 }
 
-/// The trained network and its integers, from its file, if it has real numbers, neurons that run in
-/// them, and is small enough to be compared.
-///
-/// # Errors
-/// As [`real_and_integers`].
+/// The trained network and its integers, if it has real neurons and is small enough to compare.
 pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<(Graph, Quantised)>, Error> {
     let both = real_and_integers(file)?;
     let few = workload.compiled.one.synapses() <= MOST_COMPARED;
@@ -81,11 +73,7 @@ pub fn compared(workload: &Workload<'_>) -> usize {
 }
 
 /// Agreement of the integer network with the trained one, for [`Sections`]. Calls `progress` after
-/// each sample. Relays and pruning are omitted: neither changes a decision, and the trained network
-/// has no such populations.
-///
-/// # Errors
-/// As [`map_with_defaults`] and [`compare_models`].
+/// each sample. Relays and pruning are omitted, since neither changes a decision.
 pub fn agreement(
     workload: &Workload<'_>,
     (trained, network): &(Graph, Quantised),
@@ -101,8 +89,7 @@ pub fn agreement(
     Ok(report.json())
 }
 
-/// The compartments whose potentials or messages are drawn: the most active ones of the output, then
-/// of each other population.
+/// Compartments that are drawn: the most active ones of the output, then of each population.
 fn watched(network: &Quantised, quantity: Quantity, counts: &SourceCounts) -> (Vec<CompartmentId>, Vec<Traced>) {
     let output = network.parts().output;
     let others = network.populations().ids().filter(|&id| id != output);

@@ -2,8 +2,7 @@
 //!
 //! Input: counts and costs of a run, as JSON; its network, mapping and first sample. Output: HTML
 //! that includes the data, the program that draws them (`page.js`), and Apache ECharts
-//! (`assets/echarts`, Apache License 2.0), unchanged. Large data are reduced for drawing; the page
-//! states by how much.
+//! (`assets/echarts`, Apache License 2.0), unchanged. The page states by how much data are reduced.
 
 pub mod fit;
 pub mod job;
@@ -64,18 +63,9 @@ pub struct Sections {
 pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String {
     let Sections { results, network, fit, sample, confusion, agreement } = sections;
     let data = json!({
-        "schema": "nsim.report/1",
-        "nsim": env!("CARGO_PKG_VERSION"),
-        "title": title,
-        "colours": COLOURS,
-        "command": provenance.command,
-        "origins": provenance.origins,
-        "results": results,
-        "network": network,
-        "fit": fit,
-        "sample": sample,
-        "confusion": confusion,
-        "agreement": agreement,
+        "schema": "nsim.report/1", "nsim": env!("CARGO_PKG_VERSION"), "title": title, "colours": COLOURS,
+        "command": provenance.command, "origins": provenance.origins, "results": results, "network": network,
+        "fit": fit, "sample": sample, "confusion": confusion, "agreement": agreement,
     });
     // `</script` would end the script, and `<!--<script` would hide its end. `<` occurs in strings
     // only, where it can be escaped.

@@ -24,8 +24,7 @@ pub fn drawn(network: &Quantised) -> Vec<PopulationId> {
     drawn
 }
 
-/// The populations that are drawn and the projections between them, in the order of the file, and
-/// the totals of both.
+/// The populations that are drawn, the projections between them, and the totals of both.
 pub fn json(network: &Quantised) -> Value {
     let parts = network.parts();
     let drawn = drawn(network);
@@ -47,16 +46,10 @@ pub fn json(network: &Quantised) -> Value {
             let Projection { name, source, target, format, delay, connectivity } = projection;
             let rounded = parts.notes.iter().filter(|note| note.entity == *name).find_map(|note| note.rounded);
             json!({
-                "name": name,
-                "from": network.populations()[*source].name,
-                "to": network.populations()[*target].name,
-                "kind": kind(connectivity),
-                "synapses": network.synapses_of(id),
-                "delay": delay.get(),
-                "weight_exponent": format.exponent.get(),
-                "weight_bits": format.bits.get(),
-                "weights": histogram(connectivity),
-                "rounded": rounded,
+                "name": name, "from": network.populations()[*source].name, "to": network.populations()[*target].name,
+                "kind": kind(connectivity), "synapses": network.synapses_of(id), "delay": delay.get(),
+                "weight_exponent": format.exponent.get(), "weight_bits": format.bits.get(),
+                "weights": histogram(connectivity), "rounded": rounded,
             })
         })
         .collect();
@@ -71,15 +64,9 @@ pub fn json(network: &Quantised) -> Value {
         .map(|note| json!({ "entity": note.entity, "message": note.message }))
         .collect();
     json!({
-        "name": parts.name,
-        "timestep_ms": parts.timestep_ms,
-        "output": network.populations()[parts.output].name,
-        "classes": parts.classes,
-        "populations": populations,
-        "populations_in_all": network.populations().len(),
-        "projections": projections,
-        "projections_in_all": network.projections().len(),
-        "notes": notes,
+        "name": parts.name, "timestep_ms": parts.timestep_ms, "output": network.populations()[parts.output].name,
+        "classes": parts.classes, "populations": populations, "populations_in_all": network.populations().len(),
+        "projections": projections, "projections_in_all": network.projections().len(), "notes": notes,
     })
 }
 
@@ -116,8 +103,7 @@ fn kind(connectivity: &Connectivity) -> &'static str {
     }
 }
 
-/// Histogram of the stored weights; of a convolution, of its kernel. Null for weights that are
-/// generated from a seed.
+/// Histogram of the stored weights, of a kernel's for a convolution; null for generated weights.
 fn histogram(connectivity: &Connectivity) -> Value {
     let weights: &[i16] = match connectivity {
         Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => weights,

@@ -67,17 +67,10 @@ pub fn json(
         })
     };
     json!({
-        "steps": kept,
-        "steps_of_sample": all,
-        "steps_a_point": group,
-        "label": sample.label(),
-        "predicted": outcome.class(),
-        "decides": network.decides(),
-        "by_spikes": network.parts().decision == ReadOut::Spikes,
-        "of_messages": is_message,
-        "decided_at": outcome.decided_at,
-        "curves": curves,
-        "potentials": potentials,
+        "steps": kept, "steps_of_sample": all, "steps_a_point": group, "label": sample.label(),
+        "predicted": outcome.class(), "decides": network.decides(),
+        "by_spikes": network.parts().decision == ReadOut::Spikes, "of_messages": is_message,
+        "decided_at": outcome.decided_at, "curves": curves, "potentials": potentials,
         "rasters": drawn.into_iter().map(|id| raster(&timeline.rasters[id.index()])).collect::<Vec<_>>(),
     })
 }

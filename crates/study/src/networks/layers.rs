@@ -57,8 +57,7 @@ impl Layers {
         }
     }
 
-    /// Adds convolutions with random weights, each of the previous layer: (channels, kernel,
-    /// stride, padding).
+    /// Adds convolutions with random weights: (channels, kernel, stride, padding) of each.
     pub fn convolve(&mut self, layers: &[(u32, u32, u32, u32)]) -> Result<(), OutOfRange> {
         layers.iter().try_for_each(|&(channels, kernel, stride, padding)| {
             self.convolve_window(self.window(channels, kernel, stride, padding, 1))

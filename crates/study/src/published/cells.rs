@@ -20,8 +20,7 @@ const PAPER: &str = "paper-";
 /// The losses of the tables, by name.
 pub const LOSSES: [&str; 2] = ["count", "weighted"];
 
-/// Coefficients of `omega(t) = beta t^2 + gamma` over a sample of length 1. The paper asks for a
-/// beta below 0 and prints neither.
+/// Coefficients of `omega(t) = beta t^2 + gamma`, length 1. The paper asks for beta below 0 only.
 const OMEGA: (f64, f64) = (-1.0, 1.0);
 
 /// A task and the senses that a network has.
@@ -201,8 +200,7 @@ pub fn chance(task: &str) -> f64 {
 
 /// Times at which each sense leads: a sentence for each task, loss and neurons with both senses.
 ///
-/// A sense leads at a time when the whole interval of its accuracy is above the other's interval
-/// and above [`chance`].
+/// A sense leads where its whole interval is above the other's interval and above [`chance`].
 pub fn leads(rows: &[PaperRow]) -> Vec<String> {
     let mut said = Vec::new();
     let cells = ["slip", "container"].iter().flat_map(|task| LOSSES.map(|loss| (*task, loss)));

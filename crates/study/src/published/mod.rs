@@ -64,9 +64,6 @@ impl PublishedRow {
 /// authors. The second row judges the model, where activity and layout are known. Figures known
 /// second-hand have no second row. The first preset of their target predicts figures of hardware
 /// other than the constants'.
-///
-/// # Errors
-/// [`Error`] where a workload cannot be compiled or run.
 pub fn rows(
     workloads: &[WorkloadFile],
     constants: &Constants,
@@ -137,8 +134,7 @@ pub fn rows(
     Ok(rows)
 }
 
-/// Median factor of each work's figures of time, or of other kinds, without its own findings, on a
-/// chip.
+/// Median factor of each work on a chip, of time or of other kinds, without its own findings.
 pub fn factors_by_work<'r>(rows: &'r [PublishedRow], chip: &str, time: bool) -> BTreeMap<&'r str, f64> {
     let mut by_work: BTreeMap<&str, Vec<f64>> = BTreeMap::new();
     let counted = |row: &&PublishedRow| row.judged && row.chip == chip;

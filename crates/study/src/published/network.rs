@@ -104,8 +104,8 @@ pub fn build(file: &WorkloadFile, choice: RateChoice) -> Result<(Quantised, Samp
         }
     }
     let place = |name: &str| {
-        let found = file.populations.iter().position(|population| population.parts().0 == name);
-        ids[found.unwrap_or_default()]
+        let place = file.populations.iter().position(|population| population.parts().0 == name);
+        ids[place.unwrap_or_default()]
     };
     for (index, projection) in file.projections.iter().enumerate() {
         let [source, target] = projection.ends().map(place);

@@ -68,9 +68,6 @@ pub fn stored(provenance: &serde_json::Value, rows: &[PaperRow]) -> String {
 }
 
 /// Printed figures joined with the given and the stored ones.
-///
-/// # Errors
-/// `paper.results` for a stored file that cannot be read.
 pub fn rows(more: Vec<PaperRow>) -> Result<Vec<PaperRow>> {
     let (mut printed, mut measured) = (Vec::new(), more);
     for (name, text) in STORED {
@@ -87,8 +84,8 @@ pub fn rows(more: Vec<PaperRow>) -> Result<Vec<PaperRow>> {
     for mut row in printed {
         match measured.iter().position(|found| same(found, &row)) {
             Some(at) => {
-                let found = measured.remove(at);
-                row = PaperRow { published: row.published, published_deviation: row.published_deviation, ..found };
+                let own_row = measured.remove(at);
+                row = PaperRow { published: row.published, published_deviation: row.published_deviation, ..own_row };
             }
             None if row.note.is_empty() => row.note = "not measured".to_string(),
             None => row.note += "; not measured",

@@ -34,8 +34,7 @@ fn failed(file: &WorkloadFile, problem: impl std::fmt::Display) -> Error {
     Error::Fault(format!("{}: {problem}", file.name))
 }
 
-/// The compartments of each core of one copy: each part of the layout fills its cores evenly, or as
-/// unevenly as an upper bound asks.
+/// Compartments of each core of one copy: a part fills its cores evenly, or as a bound asks.
 fn members(file: &WorkloadFile, choice: RateChoice, network: &Quantised) -> IdVec<CoreId, Vec<CompartmentId>> {
     let is_fullest = choice(Between { value: 0.0, low: 0.0, high: 1.0 }) > 0.0;
     let mut cores = Vec::new();
@@ -116,7 +115,8 @@ fn figure(
     asked: &PublishedFigure,
     job: &JobPower,
     lane: &Lane,
-    (deployment, paced): (&Deployment, bool),
+    deployment: &Deployment,
+    paced: bool,
 ) -> Option<f64> {
     let steps = lane.whole.steps.max(1) as f64;
     let [injection, turn, .., reset] = lane.whole.parts.map(|part| part as f64 / 1e6 / steps);
@@ -197,7 +197,7 @@ pub fn predict(
         let lane = &meter.lanes()[preset];
         let job = case.job(&meter.tables()[preset], &lane.whole);
         let figures = file.figures.iter();
-        let of = |asked| figure(file, asked, &job, lane, (&deployment, file.paced_us.is_some())).unwrap_or(f64::NAN);
+        let of = |asked| figure(file, asked, &job, lane, &deployment, file.paced_us.is_some()).unwrap_or(f64::NAN);
         figures.map(of).collect()
     };
     Ok((0..tables.len()).map(priced).collect())

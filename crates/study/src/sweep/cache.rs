@@ -31,9 +31,6 @@ pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl<K: Hash + Eq, V> SharedCache<K, V> {
     /// The value of a key.
-    ///
-    /// # Errors
-    /// The errors of `make`.
     pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<V, E>) -> Result<Arc<V>, E> {
         let place = {
             let mut places = lock(&self.0);
@@ -42,12 +39,12 @@ impl<K: Hash + Eq, V> SharedCache<K, V> {
             }
             places.entry(key).or_default().clone()
         };
-        let mut made = lock(&place);
-        if let Some(value) = &*made {
+        let mut stored = lock(&place);
+        if let Some(value) = &*stored {
             return Ok(value.clone());
         }
         let value = Arc::new(make()?);
-        *made = Some(value.clone());
+        *stored = Some(value.clone());
         Ok(value)
     }
 }

@@ -108,8 +108,7 @@ pub struct SweepFile {
     /// A training file or the name of a shipped one, instead of a model.
     #[serde(default)]
     pub train: Option<String>,
-    /// A target file or the name of a shipped target; the model's own, or the usual one, when
-    /// omitted.
+    /// A target file or the name of a shipped target; else the model's own, or the usual one.
     #[serde(default)]
     pub target: Option<String>,
     /// Sources of spikes, as `--input`; the model's scene when omitted.

@@ -17,21 +17,21 @@ const MOST_BYTES: u64 = 1 << 30;
 
 /// Each file of a sweep; `set` has the values of `--set`.
 pub fn files(sweep: &Sweep, set: &str) -> BTreeSet<PathBuf> {
-    let mut found = Files::default();
+    let mut named = Files::default();
     for name in sweep.names() {
         // An input can name its population, and options of its reader.
         let source = name.split_once('=').map_or(name.as_str(), |(_, source)| source);
         let path = source.split_once('?').map_or(source, |(path, _)| path);
-        [name.as_str(), source, path].into_iter().for_each(|name| found.add(Path::new(name)));
+        [name.as_str(), source, path].into_iter().for_each(|name| named.add(Path::new(name)));
     }
-    while let Some(path) = found.unread.pop() {
+    while let Some(path) = named.unread.pop() {
         let text = std::fs::read_to_string(&path).unwrap_or_default();
-        found.add_named_in(&text, &path);
+        named.add_named_in(&text, &path);
         // Values that a sweep or --set gives to a model name files next to the model.
-        found.add_named_in(sweep.text(), &path);
-        found.add_named_in(set, &path);
+        named.add_named_in(sweep.text(), &path);
+        named.add_named_in(set, &path);
     }
-    found.files
+    named.files
 }
 
 /// The files found so far.

@@ -102,8 +102,7 @@ pub fn place(figure: &str) -> usize {
     FIGURES.iter().position(|name| *name == figure).unwrap_or_default()
 }
 
-/// Two cells: a resource with its use, such as `synapse words 81.3 %`, and its use alone, the need
-/// in per cent of the limit with one decimal.
+/// A resource with its use, such as `synapse words 81.3 %`, and its use alone, with one decimal.
 fn share(of: Option<(&Capacity, u64, u64)>) -> [String; 2] {
     of.map_or_else(Default::default, |(resource, need, limit)| {
         let percent = (1e3 * need as f64 / limit.max(1) as f64).round() / 10.0;
@@ -120,9 +119,6 @@ fn tightest(compiled: &Mapping, target: &Target) -> Option<(Capacity, u64, u64)>
 
 impl Runner {
     /// The cells of a variant.
-    ///
-    /// # Errors
-    /// [`Error`] that concerns the whole sweep.
     pub fn row(&self, job: &Job) -> Result<Cells, Error> {
         match self.figures(job) {
             Err(error) if stops_sweep(&error) => Err(error),

@@ -132,8 +132,7 @@ impl<'s> Table<'s> {
     /// [`checksum_column`] of this sweep and its files, without which only a whole table is added.
     ///
     /// # Errors
-    /// `sweep.shard` for a table of another sweep or of other files, a truncated or changed one, or
-    /// a repeated variant.
+    /// `sweep.shard` for a table of another sweep or of other files, truncated, changed, repeated.
     pub fn add_csv(&mut self, text: &str, expected: Option<&str>) -> Result<bool> {
         if !text.ends_with('\n') {
             return Err(wrong("the part is truncated: its last line has no end"));
@@ -201,9 +200,6 @@ impl<'s> Table<'s> {
     }
 
     /// Adds the table, as by [`Self::csv`], to a batch of files.
-    ///
-    /// # Errors
-    /// `write.*`.
     pub fn write(&self, path: &Path, checksums: Option<&str>, batch: &mut Batch) -> Result<()> {
         batch.add(path, |out| out.write_all(self.csv(checksums).as_bytes()))
     }

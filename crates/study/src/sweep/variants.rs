@@ -92,8 +92,7 @@ pub struct Job {
     pub training: Option<Training>,
     /// Facts that the file of another tool does not state.
     pub reading: Reading,
-    /// A target file or the name of a shipped target; the model's own, or the usual one, when
-    /// `None`.
+    /// A target file or the name of a shipped target; else the model's own, or the usual one.
     pub target: Option<String>,
     /// Sources of spikes; the model's scene when empty.
     pub input: Vec<String>,
@@ -134,8 +133,7 @@ fn number<T: std::str::FromStr>(value: &str) -> Result<T, String> {
     value.parse().map_err(|_| "not a number of this kind".to_string())
 }
 
-/// Range `A..B` of samples; either end may be missing. `None` for text that is no range, or an
-/// empty one.
+/// Range `A..B` of samples; either end may be missing. `None` for other text or an empty range.
 pub fn sample_range(text: &str) -> Option<Range<usize>> {
     let (from, to) = text.split_once("..")?;
     let from = if from.is_empty() { 0 } else { from.parse().ok()? };
@@ -199,8 +197,7 @@ impl Job {
         Ok(())
     }
 
-    /// Sets a field of the job; returns whether the path is one of its fields. The error completes
-    /// the sentence "VALUE is ..".
+    /// Sets a field of the job, if the path is one. The error completes "VALUE is ..".
     fn assign_own(&mut self, path: (&str, &str), value: &str) -> Result<bool, String> {
         match path {
             ("model", "") => self.model = value.to_string(),

@@ -104,7 +104,8 @@ pub fn candidates(
     task: Arrivals<'_>,
     srm: &SrmParameters,
     timestep_ms: f64,
-    (most, room): (usize, u32),
+    most: usize,
+    room: u32,
 ) -> Vec<(f64, f64, Copies)> {
     let tau = srm.tau_sr_ms / timestep_ms;
     let latest = (LATEST * tau).min(f64::from(room));

@@ -51,9 +51,8 @@ pub struct SampleSplit<'s> {
 }
 
 impl<'s> SampleSplit<'s> {
-    /// Splits samples. With separate samples for the search (`apart`), all of `shown` is held out;
-    /// otherwise the search takes its first half.
-    pub fn new((origin, shown): (&'s [String], &[&'s Sample]), apart: Option<&'s Stimulus>, wanted: usize) -> Self {
+    /// Splits samples: without others for the search (`apart`), it takes the first half of `shown`.
+    pub fn new(origin: &'s [String], shown: &[&'s Sample], apart: Option<&'s Stimulus>, wanted: usize) -> Self {
         match apart {
             Some(apart) => SampleSplit {
                 origin: &apart.origin,
@@ -115,9 +114,6 @@ impl Job {
     }
 
     /// Searches for integers; `searching` receives the name of each population.
-    ///
-    /// # Errors
-    /// As `nsim_quantise::quantise`.
     pub fn convert(
         &self,
         samples: &SampleSplit<'_>,
@@ -135,13 +131,13 @@ impl Job {
     /// The origin of the integers for their model file; `model` is the network's file or name.
     pub fn provenance(&self, model: &str, samples: &SampleSplit<'_>, done: &ConversionRun) -> String {
         let ConversionRun { converted, held_out, .. } = done;
-        let kept: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();
+        let stages: Vec<&str> = converted.stages.iter().filter(|row| row.kept).map(|row| row.name.as_str()).collect();
         let mut provenance = format!(
             "nsim convert {model}; SHA-256 of its text {}; {} calibration samples of {}; stages: {}; on these {}",
             self.hash,
             converted.calibration.samples,
             samples.origin.join(" "),
-            kept.join(", "),
+            stages.join(", "),
             distance_text(&converted.calibration)
         );
         if let Some(held) = held_out {
@@ -187,7 +183,8 @@ impl FineTuning {
         job: &Job,
         converted: &Converted,
         training: &SourceText,
-        (sources, held_out): (&[String], &[&Sample]),
+        sources: &[String],
+        held_out: &[&Sample],
         epochs: u32,
     ) -> Result<Self> {
         let file = TrainingFile::parse(training)?;
@@ -220,9 +217,6 @@ impl FineTuning {
     }
 
     /// Trains; `shown` is called after each sample, `after` with each new best epoch.
-    ///
-    /// # Errors
-    /// As [`Task::integers`].
     pub fn run(
         self,
         converted: &Converted,

@@ -159,26 +159,26 @@ fn distance_text(distance: &Distance) -> String {
 /// The next command; `None` if almost nothing is lost, or nothing is left to try.
 pub fn suggest(
     typed: &CommandWords<'_>,
-    (graph, staged): (&Graph, &StagedNetwork),
+    graph: &Graph,
+    staged: &StagedNetwork,
     attribution: &Attribution,
     samples: &[&Sample],
 ) -> Option<Suggestion> {
     let worst = attribution.worst();
     let lossy = attribution.layers.iter().any(LayerLoss::is_lossy);
-    let found = worst.and_then(|cause| remedy(typed, (graph, staged), cause, attribution, samples));
-    let found = found.or_else(|| {
+    let changed = worst.and_then(|cause| remedy(typed, graph, staged, cause, attribution, samples));
+    let searched = changed.or_else(|| {
         let (what, command) = search(typed).filter(|_| lossy && graph.has_srm())?;
         Some(Suggestion { cause: worst, what: what.to_string(), command })
     });
-    found.or_else(|| {
+    searched.or_else(|| {
         let words = typed.closer.as_ref().filter(|_| lossy)?;
         let what = "draws both potentials around the first spike that differs".to_string();
         Some(Suggestion { cause: None, what, command: command(words) })
     })
 }
 
-/// The next call in Python, where the model's file cannot be changed; `None` if almost nothing is
-/// lost. `target` names the target.
+/// The next call in Python, for a target of this name; `None` if almost nothing is lost.
 pub fn suggest_in_python(attribution: &Attribution, target: Option<&str>) -> Option<Suggestion> {
     attribution.worst().filter(|_| attribution.layers.iter().any(LayerLoss::is_lossy))?;
     let target = target.map_or(String::new(), |target| format!(", target='{target}'"));
@@ -191,7 +191,8 @@ pub fn suggest_in_python(attribution: &Attribution, target: Option<&str>) -> Opt
 
 fn remedy(
     typed: &CommandWords<'_>,
-    (graph, staged): (&Graph, &StagedNetwork),
+    graph: &Graph,
+    staged: &StagedNetwork,
     cause: Cause,
     attribution: &Attribution,
     samples: &[&Sample],

@@ -3,8 +3,7 @@
 //!
 //! Input: a network as its file says. Output: its integers. Spike response neurons become Loihi
 //! compartments as by `nsim convert`, on samples of the model's own scene, or by analysis if it has
-//! none. The result is deterministic, so a saved mapping fits the network again. Errors: a network
-//! that cannot be converted.
+//! none. The result is deterministic, so a saved mapping fits the network again.
 
 use crate::convert::calibration::{self, RunInput};
 use crate::convert::search::search;
@@ -19,9 +18,6 @@ use nsim_session::front::{has_srm, real_and_integers};
 const CALIBRATION_SAMPLES: usize = 60;
 
 /// A network in integers, with at most this many delayed input copies a population.
-///
-/// # Errors
-/// [`Error`] when the network cannot be used.
 pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     if !has_srm(network) {
         return Ok(nsim_session::front::front(network)?);
@@ -38,14 +34,14 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
         return Ok(start.warned(Warning::of_network(WarningCode::Converted, message)).into());
     };
     let samples: Vec<&Sample> = stimulus.samples.iter().collect();
-    let found = search(&graph, &samples, most_copies, |_| ())?;
+    let search_result = search(&graph, &samples, most_copies, |_| ())?;
     let message = format!(
         "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes \
          agree in {:.4}, coincidence {:.3}; `nsim convert -o` writes them",
-        found.samples,
-        found.end.classes.share_reproduced(),
-        found.end.coincidence
+        search_result.samples,
+        search_result.end.classes.share_reproduced(),
+        search_result.end.coincidence
     );
-    let integers = found.conversion.integers(&graph)?.with_chosen_rounding();
+    let integers = search_result.conversion.integers(&graph)?.with_chosen_rounding();
     Ok(integers.warned(Warning::of_network(WarningCode::Converted, message)).into())
 }

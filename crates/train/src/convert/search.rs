@@ -115,17 +115,11 @@ pub struct Conversion {
 
 impl Conversion {
     /// The comparison stages from the network to these integers.
-    ///
-    /// # Errors
-    /// As `nsim_quantise::quantise`.
     pub fn staged(&self, graph: &Graph) -> Result<StagedNetwork> {
         StagedNetwork::with_exponents(graph, &self.fits, self.detail)
     }
 
     /// The integers.
-    ///
-    /// # Errors
-    /// As `nsim_quantise::quantise`.
     pub fn integers(&self, graph: &Graph) -> Result<Quantised> {
         quantise_with(&analytic::with_fits(graph, &self.fits), self.detail)
     }
@@ -343,24 +337,24 @@ pub fn search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl Fn
     };
     let analysis = Conversion { fits: starts.clone(), detail: Detail::Groups };
     let start = score(&analysis)?;
-    let (fits, tried) = pipeline(graph, &layers, (samples, &trained), starts, most, progress);
-    let found = Conversion { fits, detail: Detail::Carried };
-    let end = score(&found)?;
+    let (fits, tried) = pipeline(graph, &layers, samples, &trained, starts, most, progress);
+    let searched = Conversion { fits, detail: Detail::Carried };
+    let end = score(&searched)?;
     let stages = vec![
         (Stage::Start, analysis.clone()),
-        (Stage::Shape, Conversion { detail: Detail::Groups, ..found.clone() }),
-        (Stage::Rounding, found.clone()),
+        (Stage::Shape, Conversion { detail: Detail::Groups, ..searched.clone() }),
+        (Stage::Rounding, searched.clone()),
     ];
-    let (conversion, end) = if end.distance() < start.distance() { (found, end) } else { (analysis, start) };
+    let (conversion, end) = if end.distance() < start.distance() { (searched, end) } else { (analysis, start) };
     Ok(SearchResult { conversion, start, end, stages, tried, samples: samples.len() })
 }
 
-/// Goes through the populations from the input on. Returns the fits that replace the first ones,
-/// and the number of candidates tried.
+/// Searches populations from the input on; returns the fits, and the number of candidates tried.
 fn pipeline(
     graph: &Graph,
     layers: &[Layer],
-    (samples, trained): (&[&Sample], &[Trace]),
+    samples: &[&Sample],
+    trained: &[Trace],
     mut fits: Vec<Option<Fit>>,
     most: usize,
     mut progress: impl FnMut(&str),
@@ -379,8 +373,8 @@ fn pipeline(
         progress(&population.name);
         let output = node == graph.output();
         let count_weight = if output { 0.5 } else { 0.2 };
-        let task = task(graph, node, layer, (samples, &as_trained, trained), count_weight);
-        let Some(shape) = best_shape(&task, graph, (node, srm), most, &mut tried) else {
+        let task = task(graph, node, layer, samples, &as_trained, trained, count_weight);
+        let Some(shape) = best_shape(&task, graph, node, srm, most, &mut tried) else {
             let name = &population.name;
             tracing::warn!("{name}: it receives no spikes in these samples, so its integers follow from analysis only");
             continue;
@@ -394,8 +388,8 @@ fn pipeline(
 
 /// A trace one step earlier, as a converted layer responds.
 fn earlier(trace: &Trace) -> Trace {
-    let train = |train: &Vec<u32>| train.iter().filter_map(|&t| t.checked_sub(1)).collect();
-    Trace { trains: trace.trains.iter().map(train).collect(), ..trace.clone() }
+    let trains = trace.trains.iter().map(|train| train.iter().filter_map(|step| step.checked_sub(1)).collect());
+    Trace { trains: trains.collect(), ..trace.clone() }
 }
 
 fn scored(
@@ -435,7 +429,9 @@ fn task(
     graph: &Graph,
     node: NodeIndex,
     layer: &Layer,
-    (samples, converted, trained): (&[&Sample], &[Trace], &[Trace]),
+    samples: &[&Sample],
+    converted: &[Trace],
+    trained: &[Trace],
     count_weight: f64,
 ) -> Task {
     let (neurons, firsts) = (layer.count as usize, first_indices(graph));
@@ -478,11 +474,65 @@ fn task(
     Task { neurons, arrivals, wanted, count_weight }
 }
 
+/// A shape and its distance, with the price of its copies.
+#[derive(Clone, Copy)]
+struct RatedShape {
+    shape: Shape,
+    distance: f64,
+}
+
+/// Trials of shapes for one population.
+struct Trials<'t> {
+    srm: &'t SrmParameters,
+    timestep_ms: f64,
+    /// Synapses of one copy.
+    synapses: f64,
+    /// Number of candidates tried.
+    tried: &'t mut u64,
+}
+
+impl Trials<'_> {
+    fn rated(&self, task: &Task, shape: Shape, copied: &[Vec<f64>]) -> RatedShape {
+        let distance = task.distance(&shape.candidate(self.srm, self.timestep_ms), copied);
+        RatedShape { shape, distance: distance + shape.price(self.synapses) }
+    }
+
+    /// The shapes, the nearest first.
+    fn ranked(&mut self, task: &Task, shapes: &[Shape]) -> Vec<RatedShape> {
+        *self.tried += shapes.len() as u64;
+        let rated = shapes.par_iter().map(|shape| self.rated(task, *shape, &task.copied(&shape.copies)));
+        let mut rated: Vec<RatedShape> = rated.collect();
+        rated.sort_by(|a, b| a.distance.total_cmp(&b.distance));
+        rated
+    }
+
+    /// The nearest shape that is reached by steps of these factors, each while it helps.
+    fn descend(&mut self, task: &Task, from: RatedShape, steps: &[f64]) -> RatedShape {
+        let mut best = from;
+        let copied = task.copied(&from.shape.copies);
+        for &step in steps {
+            // A bound on the rounds, with room to reach any value in range.
+            for _ in 0..12 {
+                let near = near(&best.shape, step);
+                *self.tried += near.len() as u64;
+                let rated: Vec<_> = near.par_iter().map(|shape| self.rated(task, *shape, &copied)).collect();
+                let nearest = rated.into_iter().reduce(|a, b| if b.distance < a.distance { b } else { a });
+                match nearest {
+                    Some(next) if next.distance < best.distance - 1e-6 => best = next,
+                    _ => break,
+                }
+            }
+        }
+        best
+    }
+}
+
 /// The shape nearest to the trained spikes; `None` where no spikes arrive.
 fn best_shape(
     task: &Task,
     graph: &Graph,
-    (node, srm): (NodeIndex, &SrmParameters),
+    node: NodeIndex,
+    srm: &SrmParameters,
     most: usize,
     tried: &mut u64,
 ) -> Option<Shape> {
@@ -506,41 +556,12 @@ fn best_shape(
         Shape { keep_u, keep_v, copies: copies.scaled(1.0 / unit), threshold, given_back: 1.15, refractory: 1.0 }
     };
     let shapes: Vec<Shape> =
-        copies::candidates(sketch.arrived(), srm, timestep_ms, (most, room)).into_iter().map(shape).collect();
-    let rated = |task: &Task, shape: &Shape, copied: &[Vec<f64>]| {
-        task.distance(&shape.candidate(srm, timestep_ms), copied) + shape.price(synapses)
-    };
-    let ranked = |task: &Task, shapes: &[Shape], tried: &mut u64| {
-        *tried += shapes.len() as u64;
-        let distance = |shape: &Shape| rated(task, shape, &task.copied(&shape.copies));
-        let distances: Vec<f64> = shapes.par_iter().map(distance).collect();
-        let mut order: Vec<usize> = (0..shapes.len()).collect();
-        order.sort_by(|&a, &b| distances[a].total_cmp(&distances[b]));
-        order.into_iter().map(|place| (shapes[place], distances[place])).collect::<Vec<_>>()
-    };
-    let descend = |task: &Task, from: (Shape, f64), steps: &[f64], tried: &mut u64| {
-        let mut best = from;
-        let copied = task.copied(&from.0.copies);
-        for &step in steps {
-            // A bound on the rounds, with room to reach any value in range.
-            for _ in 0..12 {
-                let near = near(&best.0, step);
-                *tried += near.len() as u64;
-                let distances: Vec<f64> = near.par_iter().map(|shape| rated(task, shape, &copied)).collect();
-                let next =
-                    near.into_iter().zip(distances).reduce(|best, next| if next.1 < best.1 { next } else { best });
-                match next {
-                    Some(next) if next.1 < best.1 - 1e-6 => best = next,
-                    _ => break,
-                }
-            }
-        }
-        best
-    };
-    let few: Vec<(Shape, f64)> = ranked(&sketch, &shapes, tried).into_iter().take(3).collect();
-    let found: Vec<Shape> = few.into_iter().map(|from| descend(&sketch, from, &[1.1, 1.05], tried).0).collect();
-    let best = *ranked(&drawing, &found, tried).first()?;
-    Some(descend(&drawing, best, &[1.02], tried).0)
+        copies::candidates(sketch.arrived(), srm, timestep_ms, most, room).into_iter().map(shape).collect();
+    let mut trials = Trials { srm, timestep_ms, synapses, tried };
+    let few: Vec<RatedShape> = trials.ranked(&sketch, &shapes).into_iter().take(3).collect();
+    let refined: Vec<Shape> = few.into_iter().map(|from| trials.descend(&sketch, from, &[1.1, 1.05]).shape).collect();
+    let best = *trials.ranked(&drawing, &refined).first()?;
+    Some(trials.descend(&drawing, best, &[1.02]).shape)
 }
 
 /// Shapes one step away.
