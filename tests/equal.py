@@ -24,11 +24,13 @@ ENERGY = ["--baseline", "--baseline --mode realtime", "--baseline --convention p
 AGREE = ["--samples 0..4 --attribution off"]
 
 
-def printed(program, line):
-    """The exit code of a command and its JSON, `None` where it prints none."""
-    done = subprocess.run([program, *line.split(), "--format", "json"], capture_output=True, text=True, timeout=1800)
+def printed(program, words, seconds=1800):
+    """The exit code of a command, or `timeout`, and its JSON, `None` where it prints none."""
     try:
+        done = subprocess.run([program, *words, "--format", "json"], capture_output=True, text=True, timeout=seconds)
         return done.returncode, json.loads(done.stdout)
+    except subprocess.TimeoutExpired:
+        return "timeout", None
     except ValueError:
         return done.returncode, None
 
@@ -58,7 +60,7 @@ def main():
                 for command, all_flags in (("map", MAP), ("run", RUN), ("energy", ENERGY), ("agree", AGREE)) for flags in all_flags]
     keys, different, refused = set(), 0, 0
     for line in commands:
-        (code, before), (code_now, now) = printed(old, line), printed(new, line)
+        (code, before), (code_now, now) = printed(old, line.split()), printed(new, line.split())
         if before is None and now is None and code == code_now:
             refused += 1
             continue

@@ -128,7 +128,9 @@ fn recorded_trace(
 }
 
 /// Returns a function from a sample to the trace in real numbers, potentials in thresholds.
-/// Errors: `model.no-real-form`.
+///
+/// # Errors
+/// `model.no-real-form`.
 pub fn real_trace(graph: &Graph, integers: &Quantised) -> Result<impl Fn(&Sample) -> Trace + Sync + use<>> {
     let recorded = (integers.compartments(), integers.output());
     let (model, thresholds) = (Model::<f64>::new(graph, Options::default())?, model_thresholds(graph));
@@ -260,7 +262,9 @@ fn agreement(
 type TraceOf<'a> = Box<dyn Fn(usize, &Sample) -> Trace + Sync + 'a>;
 
 /// Runs both networks on all samples and compares them.
-/// Errors: `agree.samples` when a recording has another number of samples; `run.too-large`.
+///
+/// # Errors
+/// `agree.samples` when a recording has another number of samples; `run.too-large`.
 pub fn compare(deployed: DeployedNetwork<'_>, counterpart: &Counterpart, progress: Progress<'_>) -> Result<Agreement> {
     let DeployedNetwork { graph, fits, staged, program, samples, steps } = deployed;
     let network = staged.deployed();

@@ -79,13 +79,13 @@ pub struct StagedNetwork {
 
 impl StagedNetwork {
     /// The stages of a network; `fits` are in the order of its populations.
-    /// Errors: those of [`quantise`](nsim_quantise::quantise::quantise).
+    /// Errors are those of [`quantise`](nsim_quantise::quantise::quantise).
     pub fn new(graph: &Graph, fits: &[Option<Fit>]) -> Result<StagedNetwork, Diagnostic> {
         StagedNetwork::with_exponents(graph, fits, Detail::default())
     }
 
     /// The stages of a network with exponents chosen at this level of detail.
-    /// Errors: those of [`quantise`](nsim_quantise::quantise::quantise).
+    /// Errors are those of [`quantise`](nsim_quantise::quantise::quantise).
     pub fn with_exponents(graph: &Graph, fits: &[Option<Fit>], detail: Detail) -> Result<StagedNetwork, Diagnostic> {
         let timestep_ms = graph.facts().timestep_ms;
         let plain: Vec<Option<Fit>> = graph

@@ -100,7 +100,11 @@ macro_rules! cost_table {
 for_each_constant!(cost_table);
 
 impl CostTable {
-    /// Returns the preset by status (published, calibrated, assumed), other constants 0.
+    /// Returns the preset by status (published, calibrated, assumed): other constants are 0, ratios
+    /// stay.
+    ///
+    /// # Errors
+    /// As [`CostTable::new`].
     pub fn by_status(constants: &Constants) -> Result<[CostTable; 3], Diagnostic> {
         let only = |status: Status| {
             let mut of_status = constants.clone();
@@ -125,6 +129,9 @@ impl CostTable {
 
     /// Returns the corners of a preset's bounds: least energies and powers with greatest times,
     /// then greatest energies and powers with least times. `None` where no constant has bounds.
+    ///
+    /// # Errors
+    /// As [`CostTable::new`].
     pub fn corners(constants: &Constants) -> Result<Option<[CostTable; 2]>, Diagnostic> {
         if !constants.is_bounded() {
             return Ok(None);

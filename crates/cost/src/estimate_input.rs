@@ -31,6 +31,9 @@ fn least_trusted(constants: &Constants, names: impl Fn(&str) -> bool) -> Status 
 
 impl ByStatus {
     /// Splits constants, for a number of chips: links between chips count where there are several.
+    ///
+    /// # Errors
+    /// As [`CostTable::new`].
     pub fn new(constants: &Constants, chips: u64) -> Result<Self, Diagnostic> {
         let one = |name: &'static str| least_trusted(constants, |own| own == name);
         let mesh = |name: &str| name.ends_with("hop_time") || name.starts_with("link_");

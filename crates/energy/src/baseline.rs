@@ -154,6 +154,9 @@ pub struct Baseline {
 
 impl Baseline {
     /// Returns a shipped baseline.
+    ///
+    /// # Errors
+    /// A diagnostic when there is none of this name.
     pub fn shipped(name: &str) -> Result<Self, Diagnostic> {
         let unknown = || Diagnostic::new("baseline.unknown", format!("there is no baseline {name}"));
         Baseline::parse(&Shipped::find(BASELINES, name).ok_or_else(unknown)?.source())

@@ -244,6 +244,9 @@ fn order(network: &Quantised) -> Option<Vec<PopulationId>> {
 }
 
 /// Times the dense window over these samples.
+///
+/// # Errors
+/// As [`Dense::new`].
 pub fn dense(network: &Quantised, samples: &[&Sample], budget: Duration) -> Result<MeasuredTime, String> {
     let dense = Dense::new(network)?;
     let timesteps = samples.iter().map(|sample| u64::from(sample.steps())).sum();

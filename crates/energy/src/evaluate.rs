@@ -42,6 +42,9 @@ pub struct DeploymentPlan {
 
 impl DeploymentPlan {
     /// Returns the plan for a model, by path or shipped name, and the requested number of copies.
+    ///
+    /// # Errors
+    /// As [`DeploymentSource::load`].
     pub fn new(model: &str, deployment: Option<&str>, copies: Option<u32>) -> Result<DeploymentPlan, Error> {
         let shipped = shipped_for(model)?;
         let named = deployment.unwrap_or(CopyPlacement::default().name());
@@ -297,6 +300,9 @@ fn printed_figures(measured: &MeasuredJob, options: &CostOptions, one: CopyWorkl
 
 /// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its
 /// program, if there is one, for the rows of other hardware.
+///
+/// # Errors
+/// [`Error`] when an option does not fit the workload; otherwise as `simulate`.
 pub fn evaluate(
     plan: &DeploymentPlan,
     workload: &Workload<'_>,

@@ -88,6 +88,9 @@ pub fn measure(
 }
 
 /// Calls `f` with the first GPU's name and a reader of its power through NVML.
+///
+/// # Errors
+/// The reason why there is none.
 #[cfg(feature = "nvml")]
 pub fn with_nvml<T>(f: impl FnOnce(String, &mut dyn FnMut() -> Result<f64, String>) -> T) -> Result<T, String> {
     let nvml = nvml_wrapper::Nvml::init().map_err(|error| format!("NVML: {error}"))?;

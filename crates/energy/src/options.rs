@@ -54,6 +54,9 @@ pub struct CostOptions {
 
 impl CostOptions {
     /// The defaults of `nsim energy`, compared with these baselines: all when `None`.
+    ///
+    /// # Errors
+    /// A name that no baseline has.
     pub fn with_baselines(names: Option<&[String]>) -> Result<Self, Diagnostic> {
         Ok(CostOptions { baselines: baselines(names)?, ..CostOptions::default() })
     }
@@ -294,6 +297,9 @@ pub struct BaselineSelection {
 }
 
 /// Returns the requested baselines; all files and this machine's processor when `names` is `None`.
+///
+/// # Errors
+/// A diagnostic for a name that does not exist.
 pub fn baselines(names: Option<&[String]>) -> Result<BaselineSelection, Diagnostic> {
     let all = || BASELINES.iter().map(|shipped| Baseline::shipped(shipped.name)).collect::<Result<Vec<_>, _>>();
     let Some(names) = names else {

@@ -22,6 +22,9 @@ use nsim_session::priced::MeteredMapping;
 use nsim_session::samples::RunSettings;
 
 /// Maps one copy of the network of a job, by the details that the job's source gives.
+///
+/// # Errors
+/// When it does not compile.
 pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Result<Mapping, Error> {
     let network = if scenario.input_relays { with_input_relays(one)? } else { one.clone() };
     let target = match scenario.compartments_per_core {
@@ -34,6 +37,9 @@ pub fn mapped(one: &Quantised, scenario: &ScenarioFile, target: &Target) -> Resu
 /// Returns the rows of a job by a target's first constants, on the workload's samples. Rows are one
 /// x86 core, the neuron cores of one copy, and their total. `is_mapped` says whether the workload's
 /// mapping is the job's.
+///
+/// # Errors
+/// As [`mapped`].
 pub fn rows(
     workload: &Workload<'_>,
     is_mapped: bool,
@@ -64,6 +70,9 @@ pub fn rows(
 
 /// The row of a unit (`x86`, `neuron`, `total`) that a job's source printed in this mode. Energy is
 /// power times time, or as printed in the published convention.
+///
+/// # Errors
+/// When a table of measurements cannot be read.
 pub fn printed(
     scenario: &ScenarioFile,
     unit: &'static str,

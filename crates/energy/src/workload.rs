@@ -103,6 +103,9 @@ impl<'j> Workload<'j> {
     }
 
     /// Expected cost of a mean step, by the target's own constants, at the rates of the run.
+    ///
+    /// # Errors
+    /// A constant that does not fit an integer.
     pub fn expected(&self, run: &Run<StepMeter>) -> Result<Score, Error> {
         let rates = Rates::from_counts(&run.counts, &self.compiled.one, run.activity.steps());
         Ok(self.compiled.score_at(&rates, self.target)?)
@@ -114,6 +117,9 @@ impl<'j> Workload<'j> {
     }
 
     /// Runs a sample step by step, with traces of a quantity of compartments of the first copy.
+    ///
+    /// # Errors
+    /// As [`Workload::simulate`].
     pub fn timeline(
         &self,
         settings: MeterSettings,

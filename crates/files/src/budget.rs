@@ -86,24 +86,34 @@ impl Budget {
     }
 
     /// Subtracts `count` samples of `steps` timesteps, without their spikes.
-    /// Errors: [`Exceeded::Bytes`].
+    ///
+    /// # Errors
+    /// [`Exceeded::Bytes`].
     pub fn samples(&mut self, count: u64, steps: u64) -> Result<(), Exceeded> {
         self.bytes(count.saturating_mul(STEP.saturating_mul(steps).saturating_add(SAMPLE)))
     }
 
     /// Subtracts `count` numbers that are stored in `width` bytes each and become reals.
-    /// Errors: [`Exceeded::Bytes`].
+    ///
+    /// # Errors
+    /// [`Exceeded::Bytes`].
     pub fn numbers(&mut self, count: u64, width: u64) -> Result<(), Exceeded> {
         self.bytes(count.saturating_mul(width.saturating_add(8)))
     }
 
-    /// Subtracts `bytes` bytes. Errors: [`Exceeded::Bytes`].
+    /// Subtracts `bytes` bytes.
+    ///
+    /// # Errors
+    /// [`Exceeded::Bytes`].
     pub fn bytes(&mut self, bytes: u64) -> Result<(), Exceeded> {
         self.bytes = self.bytes.checked_sub(bytes).ok_or(Exceeded::Bytes { fixed: self.fixed, ratio: self.ratio })?;
         Ok(())
     }
 
-    /// Subtracts an item at `depth`. Errors: [`Exceeded::Items`], [`Exceeded::Depth`].
+    /// Subtracts an item at `depth`.
+    ///
+    /// # Errors
+    /// [`Exceeded::Items`], [`Exceeded::Depth`].
     pub fn item(&mut self, depth: usize) -> Result<(), Exceeded> {
         if depth > self.deepest {
             return Err(Exceeded::Depth(self.deepest));

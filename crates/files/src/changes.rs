@@ -42,7 +42,9 @@ impl Change {
     }
 
     /// Checks that its path can name a field and that its value is one RON value.
-    /// Errors: `set.path`, `set.value`.
+    ///
+    /// # Errors
+    /// `set.path`, `set.value`.
     pub fn check(&self) -> Result<()> {
         let Change { path, value } = self;
         if ["target", "constants"].contains(&path.as_str()) || path.split('.').any(|part| part.trim().is_empty()) {
@@ -116,7 +118,7 @@ pub fn set(typed: &[String]) -> Result<(), String> {
 }
 
 /// Checks the changes of this process, before it reads files.
-/// Errors: those of [`Change::check`].
+/// Errors are those of [`Change::check`].
 pub fn check() -> Result<()> {
     process_changes().iter().try_for_each(Change::check)
 }
@@ -152,7 +154,10 @@ fn path_error(path: &str, message: &str) -> Diagnostic {
         .help("paths consist of names of fields: nsim show NAME prints a shipped file with its fields")
 }
 
-/// The text of a model with the values that are set. Errors: `set.path`.
+/// The text of a model with the values that are set.
+///
+/// # Errors
+/// `set.path`.
 pub fn model(source: SourceText) -> Result<SourceText> {
     let changes = changes(None);
     if changes.is_empty() {
@@ -165,7 +170,9 @@ pub fn model(source: SourceText) -> Result<SourceText> {
 }
 
 /// The changed fields of the target, as text of a target file; `None` without changes.
-/// Errors: `set.path`.
+///
+/// # Errors
+/// `set.path`.
 pub fn target_fields() -> Result<Option<String>> {
     let mut changes = changes(Some("target"));
     for (path, _) in &mut changes {
@@ -197,7 +204,10 @@ fn with_parents(text: &str, changes: &[(String, String)]) -> Result<String, (usi
     locate::all_replaced(&text, &pairs)
 }
 
-/// Replaces the constants that are set. Errors: `set.path`, `set.value`.
+/// Replaces the constants that are set.
+///
+/// # Errors
+/// `set.path`, `set.value`.
 pub fn constants(constants: &mut Constants) -> Result<()> {
     for (path, value) in changes(Some("constants")) {
         let constant = constants

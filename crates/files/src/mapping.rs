@@ -25,7 +25,9 @@ pub fn load_mapping(path: &Path) -> Result<MappingFile> {
 
 /// Parses a mapping. A checksum that does not match its content stays in it, for
 /// [`check_unchanged`](nsim_ir::mapping::check_unchanged).
-/// Errors: `mapping.syntax`; `mapping.copies` for 0 copies.
+///
+/// # Errors
+/// `mapping.syntax`; `mapping.copies` for 0 copies.
 pub fn mapping(source: &SourceText) -> Result<MappingFile> {
     let mut mapping: MappingFile = parse(source, "mapping.syntax")?;
     if mapping.copies == 0 {
@@ -45,14 +47,18 @@ fn checksum(mapping: &MappingFile) -> Result<String> {
 }
 
 /// A mapping as RON with its checksum; a line has one core, or one chip of a layer.
-/// Errors: `write.ron`, which does not happen for mappings.
+///
+/// # Errors
+/// `write.ron`, which does not happen for mappings.
 pub fn mapping_text(mapping: &MappingFile) -> Result<String> {
     let sealed = MappingFile { checksum: Some(checksum(mapping)?), ..mapping.clone() };
     pretty(&sealed, if mapping.layers.is_empty() { 2 } else { 4 })
 }
 
 /// A value as RON; values nested deeper than `lines` brackets share one line.
-/// Errors: `write.ron` when the value's type cannot be written.
+///
+/// # Errors
+/// `write.ron` when the value's type cannot be written.
 pub fn pretty(value: &impl Serialize, lines: usize) -> Result<String> {
     let config = PrettyConfig::new().depth_limit(lines).struct_names(true).new_line("\n").indentor("    ");
     let mut text = options()

@@ -145,19 +145,21 @@ fn in_c_order(numbers: &[u8], shape: &[usize], size: usize) -> Vec<u8> {
     ordered
 }
 
-/// Opens a file. Errors: those of [`read_bytes`] and [`Array::from_bytes`].
+/// Opens a file. Errors are those of [`read_bytes`] and [`Array::from_bytes`].
 pub fn open(path: &Path) -> Result<Array> {
     Array::from_bytes(path, read_bytes(path, MOST_ARRAY)?)
 }
 
-/// Reads a whole file into a tensor. Errors: those of [`open`] and [`Array::tensor`].
+/// Reads a whole file into a tensor. Errors are those of [`open`] and [`Array::tensor`].
 pub fn read(path: &Path) -> Result<Tensor> {
     open(path)?.tensor()
 }
 
 impl Array {
     /// An array from the bytes of its file; the path is for messages.
-    /// Errors: `npy.format`, `npy.dtype`, `npy.shape`, `npy.truncated`, `npy.trailing`.
+    ///
+    /// # Errors
+    /// `npy.format`, `npy.dtype`, `npy.shape`, `npy.truncated`, `npy.trailing`.
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
         let problem = |code, message: String| Diagnostic::new(code, message).in_file(path);
         if !bytes.starts_with(NPY_MAGIC) {
@@ -272,7 +274,9 @@ impl Array {
     }
 
     /// All numbers in C order.
-    /// Errors: `npy.value` for an integer beyond 32 bits and for NaN or infinity, with its index.
+    ///
+    /// # Errors
+    /// `npy.value` for an integer beyond 32 bits and for NaN or infinity, with its index.
     pub fn tensor(&self) -> Result<Tensor> {
         let data = &self.bytes[self.data..];
         if self.dtype.ends_with("b1")

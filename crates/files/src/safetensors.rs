@@ -45,7 +45,10 @@ pub fn open(path: &Path) -> Result<TensorFile> {
 }
 
 impl TensorFile {
-    /// Parses a file from its bytes; the path is for messages. Errors: `safetensors.format`.
+    /// Parses a file from its bytes; the path is for messages.
+    ///
+    /// # Errors
+    /// `safetensors.format`.
     pub fn from_bytes(path: &Path, bytes: Vec<u8>) -> Result<Self> {
         let budget = RefCell::new(Budget::for_file(bytes.len() as u64, MOST_TENSORS, 1));
         let file = TensorFile { path: path.into(), bytes, budget };
@@ -60,7 +63,10 @@ impl TensorFile {
         })
     }
 
-    /// Its tensors, by key. Errors: `safetensors.format`.
+    /// Its tensors, by key.
+    ///
+    /// # Errors
+    /// `safetensors.format`.
     pub fn entries(&self) -> Result<Vec<Entry>> {
         let view = self.view()?;
         let mut entries: Vec<Entry> = view

@@ -20,7 +20,9 @@ use nsim_ir::resource::Limits;
 use nsim_ir::spanned::{Spanned, parse};
 
 /// Loads a target: a path, `-`, or a shipped name.
-/// Errors: `target.*`, `chip.*`, `constants.*`, `io.*`.
+///
+/// # Errors
+/// `target.*`, `chip.*`, `constants.*`, `io.*`.
 pub fn load_target(argument: &str) -> Result<Target> {
     let (source, origin) = shipped::path_or_shipped_text(argument, shipped::TARGETS, "target", "target.unknown")?;
     let mut target = target(&source, origin)?;
@@ -36,7 +38,7 @@ pub fn load_target(argument: &str) -> Result<Target> {
 
 /// The target `named`, else the model's or the usual one. Where an unnamed target lacks a kind of
 /// the model's neurons, returns the first shipped target that has all kinds, and a sentence about
-/// it. Errors: those of [`load_target`].
+/// it. Errors are those of [`load_target`].
 pub fn target_with_neurons(file: &NetworkFile, named: Option<&str>) -> Result<(Target, Option<String>)> {
     let target = load_target(file.target_or_usual(named))?;
     let neurons = file.populations.iter().filter(|population| population.loihi.is_some());
@@ -63,7 +65,7 @@ pub fn shipped_with_kinds(kinds: &BTreeSet<NeuronKind>) -> Vec<Target> {
     targets.filter(|target| has_kinds(target, kinds)).collect()
 }
 
-/// Loads a target from its text. Errors: those of [`load_target`].
+/// Loads a target from its text. Errors are those of [`load_target`].
 pub fn target(source: &SourceText, origin: Origin) -> Result<Target> {
     target_within(source, origin, DEEPEST)
 }
@@ -153,7 +155,10 @@ fn presets(source: &SourceText, origin: Origin, names: &[Spanned<String>]) -> Re
     Ok(presets)
 }
 
-/// A chip from its text. Errors: `chip.syntax`, and the errors of [`Chip::check`].
+/// A chip from its text.
+///
+/// # Errors
+/// `chip.syntax`, and the errors of [`Chip::check`].
 pub fn parse_chip(source: &SourceText) -> Result<Chip> {
     let chip: Chip = parse(source, "chip.syntax")?;
     chip.check(source)?;
@@ -161,7 +166,10 @@ pub fn parse_chip(source: &SourceText) -> Result<Chip> {
 }
 
 /// A preset of constants from its text, which may list only differences from another preset
-/// (`base`). Errors: `constants.syntax`, `constants.base`, and the errors of [`Constants::check`].
+/// (`base`).
+///
+/// # Errors
+/// `constants.syntax`, `constants.base`, and the errors of [`Constants::check`].
 pub fn parse_constants(source: &SourceText) -> Result<Constants> {
     constants_within(source, DEEPEST)
 }
@@ -197,7 +205,10 @@ fn constants_within(source: &SourceText, deepest: u32) -> Result<Constants> {
     Ok(constants)
 }
 
-/// Loads a preset of constants: a path, `-`, or a shipped name. Errors: `constants.*`, `io.*`.
+/// Loads a preset of constants: a path, `-`, or a shipped name.
+///
+/// # Errors
+/// `constants.*`, `io.*`.
 pub fn load_constants(argument: &str) -> Result<Constants> {
     let (source, _) =
         shipped::path_or_shipped_text(argument, shipped::CONSTANTS, "preset of constants", "constants.unknown")?;

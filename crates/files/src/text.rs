@@ -53,7 +53,9 @@ pub fn not_regular(path: &Path) -> Diagnostic {
 
 /// Opens a regular file, or an open descriptor. Others are refused: a named pipe may have no
 /// writer, and a device may have no end.
-/// Errors: `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
 pub fn open(path: &Path) -> Result<(Input, Metadata)> {
     let found = path.metadata().map_err(|error| unreadable(path, &error))?;
     if !found.is_file() && !found.is_dir() && !is_descriptor(path) {
@@ -66,7 +68,10 @@ pub fn open(path: &Path) -> Result<(Input, Metadata)> {
     Ok((file, metadata))
 }
 
-/// Refuses a file that begins as a Git-LFS pointer. Errors: `io.lfs-pointer`.
+/// Refuses a file that begins as a Git-LFS pointer.
+///
+/// # Errors
+/// `io.lfs-pointer`.
 pub fn refuse_pointer(path: &Path, begin: &[u8]) -> Result<()> {
     if !begin.starts_with(LFS) {
         return Ok(());
@@ -109,7 +114,9 @@ pub fn sha256(bytes: &[u8]) -> String {
 }
 
 /// SHA-256 of a file, read in pieces.
-/// Errors: `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
+///
+/// # Errors
+/// `io.missing`, `io.folder`, `io.denied`, `io.not-regular`, `io.read`.
 pub fn sha256_of_file(path: &Path) -> Result<String> {
     let (mut file, _) = open(path)?;
     let (mut hash, mut piece) = (Sha256::new(), vec![0; 1 << 16]);
@@ -134,7 +141,9 @@ pub fn read_text(path: &Path) -> Result<SourceText> {
 }
 
 /// Bytes as the text of a file.
-/// Errors: `io.utf8` with the position of the first byte that is not UTF-8.
+///
+/// # Errors
+/// `io.utf8` with the position of the first byte that is not UTF-8.
 pub fn decode(path: &Path, bytes: Vec<u8>) -> Result<SourceText> {
     let name = if is_standard_stream(path) { Path::new("<stdin>") } else { path };
     match String::from_utf8(bytes) {

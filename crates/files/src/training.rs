@@ -283,7 +283,10 @@ fn ones() -> (f64, f64) {
 }
 
 impl TrainingFile {
-    /// Parses a training file. Errors: `train.syntax` with the position.
+    /// Parses a training file.
+    ///
+    /// # Errors
+    /// `train.syntax` with the position.
     pub fn parse(source: &SourceText) -> Result<Self> {
         parse(source, "train.syntax")
     }

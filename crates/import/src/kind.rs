@@ -102,7 +102,9 @@ impl fmt::Display for FileKind {
 
 impl FileKind {
     /// The kind of the file or folder at a path.
-    /// Errors: `io.*` when it cannot be opened, `io.lfs-pointer`.
+    ///
+    /// # Errors
+    /// `io.*` when it cannot be opened, `io.lfs-pointer`.
     pub fn detect(path: &Path) -> Result<FileKind> {
         if is_standard_stream(path) {
             return Ok(FileKind::Stream);

@@ -45,7 +45,9 @@ pub fn load_model_with(argument: &str, reading: &Reading) -> Result<Network> {
 }
 
 /// Returns the model of a file of nsim's own if no given fact contradicts it.
-/// Errors: `model.timestep`; `import.option` for a tool or a reset.
+///
+/// # Errors
+/// `model.timestep`; `import.option` for a tool or a reset.
 pub fn check_reading(network: Network, reading: &Reading) -> Result<Network> {
     let own = network.file().timestep_ms;
     let of_others = [("--from", reading.tool.is_some()), ("--reset", reading.reset.is_some())];
@@ -63,7 +65,7 @@ pub fn check_reading(network: Network, reading: &Reading) -> Result<Network> {
 }
 
 /// Loads a model from its text; its arrays are in the folder of `source`, or shipped.
-/// Errors: those of [`load_model`].
+/// Errors are those of [`load_model`].
 pub fn network(source: SourceText, origin: Origin) -> Result<Network> {
     parse_network(changes::model(source)?, origin)
 }
@@ -100,7 +102,7 @@ impl BaseModel {
     }
 
     /// The model that [`load_model`] would read under the current changes of the process and of the
-    /// thread. Errors: those of [`load_model`].
+    /// thread. Errors are those of [`load_model`].
     pub fn with_changes(&self) -> Result<Network> {
         let source = changes::model(self.network.source().clone())?;
         let file = NetworkFile::parse(&source)?;

@@ -28,7 +28,7 @@ pub struct Trace<'a> {
 
 impl Trace<'_> {
     /// Writes rows `sample,timestep,channel` for spikes, `sample,timestep,compartment,value` for
-    /// other registers. Errors: those of [`write::Batch::add`].
+    /// other registers. Errors are those of [`write::Batch::add`].
     pub fn csv(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
         let [_, units, steps] = self.shape;
         let spikes = self.register == "spikes";
@@ -52,7 +52,10 @@ impl Trace<'_> {
     }
 
     /// Writes a file of NIR data, with the population as its node and the register as its
-    /// observable. Errors: `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
+    /// observable.
+    ///
+    /// # Errors
+    /// `write.too-large` beyond 2^26 numbers; as [`write::Batch::add`].
     pub fn nir(&self, path: &Path, batch: &mut write::Batch, numbers: impl Iterator<Item = f64>) -> Result<()> {
         let [samples, units, steps] = self.shape;
         if samples * units * steps > MOST_GRIDDED {

@@ -38,7 +38,7 @@ pub fn stimulus(network: &Quantised, scene: &SceneArg) -> Result<Stimulus> {
 }
 
 /// As [`stimulus`]; calls `progress` before each sample, from any thread: where it panics, those
-/// that are left take no time. Errors: those of [`stimulus`].
+/// that are left take no time. Errors are those of [`stimulus`].
 pub fn stimulus_with_progress(network: &Quantised, scene: &SceneArg, progress: &(dyn Fn() + Sync)) -> Result<Stimulus> {
     match scene.name.as_str() {
         "noise" => noise::stimulus(network, &noise::Noise::parse(network, scene)?, progress),
@@ -73,7 +73,10 @@ enum Scene {
 }
 
 impl RecordedScene {
-    /// Reads `scene:NAME?..`. Errors: `scene.unknown`, `scene.parameter`.
+    /// Reads `scene:NAME?..`.
+    ///
+    /// # Errors
+    /// `scene.unknown`, `scene.parameter`.
     pub fn parse(scene: &SceneArg) -> Result<Self> {
         match scene.name.as_str() {
             "slip" => {

@@ -91,7 +91,9 @@ macro_rules! parameters {
 
             /// Reads `scene:NAME?key=value&..`; a parameter that is random for each sample is a
             /// value or `low..high`.
-            /// Errors: `scene.parameter` for an unknown key or a value out of range.
+            ///
+            /// # Errors
+            /// `scene.parameter` for an unknown key or a value out of range.
             pub fn parse(scene: &SceneArg) -> Result<Self> {
                 let mut $set = Self::default();
                 for (key, value) in &scene.parameters {

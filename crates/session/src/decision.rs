@@ -145,7 +145,9 @@ pub struct EarlyExit {
 
 impl EarlyExit {
     /// Returns this rule for the output population of a network; decided samples end.
-    /// Errors: `run.early-exit` where the output decides no class.
+    ///
+    /// # Errors
+    /// `run.early-exit` where the output decides no class.
     pub fn new(rule: Rule, network: &Quantised) -> Result<EarlyExit> {
         if !network.decides() {
             let name = &network.populations()[network.parts().output].name;

@@ -15,7 +15,10 @@ pub fn has_srm(network: &Network) -> bool {
     network.file().populations.iter().any(|population| population.srm.is_some())
 }
 
-/// Returns a network in integers, with the seconds of each stage. Errors: [`CompileError::Input`].
+/// Returns a network in integers, with the seconds of each stage.
+///
+/// # Errors
+/// [`CompileError::Input`].
 pub fn front(network: &Network) -> Result<Front, CompileError> {
     let start = Instant::now();
     let graph = lower(network)?;
@@ -41,7 +44,7 @@ pub fn check(network: &Network) -> Result<(), Diagnostic> {
 }
 
 /// Returns a network in real numbers, as the file states it, and in integers.
-/// Errors: those of [`lower`] and [`integers`].
+/// Errors are those of [`lower`] and [`integers`].
 pub fn real_and_integers(network: &Network) -> Result<(Graph, Quantised), Diagnostic> {
     let graph = lower(network)?;
     let integers = integers(&graph)?;

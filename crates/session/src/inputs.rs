@@ -27,7 +27,9 @@ use nsim_scene::clock::{self, Clock};
 
 /// Reads or generates the samples of a run; without arguments, by the model's own scene. Each
 /// sample ends with the drain steps of the model.
-/// Errors: [`Error`] when a source cannot be read or does not fit the network.
+///
+/// # Errors
+/// [`Error`] when a source cannot be read or does not fit the network.
 pub fn stimulus(
     network: &Quantised,
     arguments: &[String],
@@ -38,7 +40,7 @@ pub fn stimulus(
 }
 
 /// As [`stimulus`], with the model's own scene and a seed; calls `progress` before each sample of a
-/// scene. Errors: those of [`stimulus`].
+/// scene. Errors are those of [`stimulus`].
 pub fn stimulus_with_progress(
     network: &Quantised,
     arguments: &[String],
@@ -52,7 +54,10 @@ pub fn stimulus_with_progress(
 }
 
 /// Refuses to estimate the energy of a model without a scene, where no spikes are given. `help`
-/// explains how to give spikes. Errors: `energy.input`.
+/// explains how to give spikes.
+///
+/// # Errors
+/// `energy.input`.
 pub fn require_scene(model: &str, scene: Option<&str>, help: &str) -> Result<(), Diagnostic> {
     scene.map(|_| ()).ok_or_else(|| {
         let message = format!("energy depends on activity, but model {model} has no scene");
@@ -66,7 +71,9 @@ pub const MOST_REPEATS: u32 = 1_000_000;
 const MOST_RUNS: u64 = 1 << 22;
 
 /// Returns the indices of the samples that run, in order: the range, `repeat` times.
-/// Errors: `input.too-many`, before memory for them is allocated.
+///
+/// # Errors
+/// `input.too-many`, before memory for them is allocated.
 pub fn repeated_indices(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, Diagnostic> {
     let runs = range.len() as u64 * u64::from(repeat);
     if runs > MOST_RUNS {
@@ -77,7 +84,10 @@ pub fn repeated_indices(range: Range<usize>, repeat: u32) -> Result<Vec<usize>, 
     Ok((0..repeat).flat_map(|_| range.clone()).collect())
 }
 
-/// Returns the samples, each followed by the drain steps of the network. Errors: `input.too-long`.
+/// Returns the samples, each followed by the drain steps of the network.
+///
+/// # Errors
+/// `input.too-long`.
 pub fn with_drain(network: &Quantised, samples: Vec<Sample>) -> Result<Vec<Sample>, Diagnostic> {
     let drain = network.parts().drain;
     let steps = samples.iter().map(|sample| u64::from(sample.steps()) + u64::from(drain)).sum::<u64>();

@@ -187,7 +187,9 @@ impl Job {
 }
 
 /// Makes a network ready to run.
-/// Errors: [`Error`] when a part of the request cannot be used, or the network does not fit.
+///
+/// # Errors
+/// [`Error`] when a part of the request cannot be used, or the network does not fit.
 pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
     let Request { network, mapping, engine, .. } = *request;
     let scene = network.file().scene.clone();
@@ -224,7 +226,9 @@ pub fn obtain(request: &Request<'_>) -> Result<Job, Error> {
 }
 
 /// Maps a network in integers, as a [`Request`] with default options does.
-/// Errors: [`CompileError`].
+///
+/// # Errors
+/// [`CompileError`].
 pub fn map_with_defaults(network: Quantised, target: &Target) -> Result<Mapping, CompileError> {
     compile(network, target, &Options::default())
 }
@@ -241,7 +245,7 @@ pub struct MappingSettings {
 }
 
 /// Returns the network in integers, pruned and with relays, and the goal of its mapping.
-/// Errors: those of [`obtain`].
+/// Errors are those of [`obtain`].
 pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings), Error> {
     let Request { network, mapping, .. } = *request;
     let target = match request.target {
@@ -270,7 +274,9 @@ pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings)
 impl MappingSettings {
     /// Returns the mapping of a network from [`prepare_mapping`]: the saved one, or the best
     /// for these firing rates of the sources of one copy.
-    /// Errors: [`CompileError`]; it names the file of a saved mapping.
+    ///
+    /// # Errors
+    /// [`CompileError`]; it names the file of a saved mapping.
     pub fn mapped(&self, front: Front, rates: &Rates) -> Result<Mapping, CompileError> {
         let MappingSettings { target, options, saved } = self;
         let Some((file, path, model)) = saved else { return explore::map(front, target, options, rates) };

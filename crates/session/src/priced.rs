@@ -106,7 +106,7 @@ impl<'c> MeteredMapping<'c> {
         self.offline_with(target, HostWork::for_target(target))
     }
 
-    /// As [`Self::offline`], for this work of the x86 cores. Errors: those of [`Self::offline`].
+    /// As [`Self::offline`], for this work of the x86 cores. Errors are those of [`Self::offline`].
     pub fn offline_with(&self, target: &Target, work: HostWork) -> Result<(MeterSettings, Deployment)> {
         let Mapping { placement, options, .. } = self.compiled;
         let deployment = Deployment::from_placement(options.placement.name(), placement, target, options.copies, work);
@@ -152,7 +152,7 @@ impl<'c> MeteredMapping<'c> {
 
     /// Runs samples and meters each step. Counts by core and sums cover all copies, outcomes the
     /// first copy. Counts by source, skipped updates, and the totals and overflows of an outcome
-    /// cover only the cores that ran. Errors: those of [`fast`].
+    /// cover only the cores that ran. Errors are those of [`fast`].
     pub fn run(
         &self,
         settings: MeterSettings,

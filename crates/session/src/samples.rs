@@ -115,13 +115,15 @@ impl Division {
 }
 
 /// Lays out a program for runs of this division.
-/// Errors: `run.too-large` when the program's sums could not be exact.
+///
+/// # Errors
+/// `run.too-large` when the program's sums could not be exact.
 pub fn lay_out(program: &Arc<Program>, division: Division) -> Result<Arc<Image>, Diagnostic> {
     Image::new(program, division.shards).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))
 }
 
 /// Runs samples on the machine; a meter is made for each sample and sees its steps.
-/// Errors: those of [`lay_out`].
+/// Errors are those of [`lay_out`].
 pub fn fast<M: Meter>(
     program: &Arc<Program>,
     samples: &[&Sample],

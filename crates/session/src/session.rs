@@ -149,7 +149,10 @@ impl<E: Engine + ?Sized> Session<E> {
 
     /// Runs one timestep in which these channels of each copy spike, in any order. Each has the
     /// value of its message, 1 for a plain spike. Of a channel given twice the first value counts;
-    /// a value of 0 is no message. Errors: `session.channel`; the session stays as it was.
+    /// a value of 0 is no message.
+    ///
+    /// # Errors
+    /// `session.channel`; the session stays as it was.
     pub fn step(&mut self, input: impl IntoIterator<Item = (ChannelId, i32)>) -> Result<()> {
         let step_input = &mut self.step_input;
         step_input.clear();
@@ -248,7 +251,9 @@ impl Session {
 
     /// Sets the learning rule of all plastic projections, and resets the session to before the
     /// first step.
-    /// Errors: `session.rule.epoch`, `session.rule.not-plastic`; the session stays as it was.
+    ///
+    /// # Errors
+    /// `session.rule.epoch`, `session.rule.not-plastic`; the session stays as it was.
     pub fn set_rule(&mut self, rule: Arc<dyn LearningRule>) -> Result<()> {
         if !(1..=LONGEST_EPOCH).contains(&rule.epoch()) {
             let message = format!("a rule has epochs of {} steps", rule.epoch());
@@ -266,7 +271,9 @@ impl Session {
 
     /// Returns the weights of a plastic projection, source by source, in the order of its synapses.
     /// After the last step of a learning epoch, they include the changes of that epoch.
-    /// Errors: `session.weights.not-plastic`.
+    ///
+    /// # Errors
+    /// `session.weights.not-plastic`.
     pub fn weights(&self, projection: ProjectionId) -> Result<Vec<i16>> {
         Ok(self.plastic(projection)?.places[0].iter().map(|&place| self.engine.weight(place)).collect())
     }

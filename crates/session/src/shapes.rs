@@ -20,7 +20,10 @@ const WORD: u128 = 64;
 const SMALL: u128 = 1 << 24;
 
 /// Refuses a large network if a compartment needs more synapse memory than a core has, or all
-/// synapses need more cores than the target has. Errors: [`CompileError::DoesNotFit`].
+/// synapses need more cores than the target has.
+///
+/// # Errors
+/// [`CompileError::DoesNotFit`].
 pub fn check(network: &Network, target: &Target, copies: u32) -> Result<(), CompileError> {
     let file = network.file();
     let limit = u64::from(target.limits()[Resource::SynapseWords]);

@@ -97,7 +97,7 @@ impl Meter for TimelineMeter<'_> {
 }
 
 impl Timeline {
-    /// Runs a sample on a mapping. Errors: those of [`MeteredMapping::run`].
+    /// Runs a sample on a mapping. Errors are those of [`MeteredMapping::run`].
     pub fn new(
         metered: &MeteredMapping<'_>,
         network: &Quantised,

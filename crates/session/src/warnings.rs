@@ -145,7 +145,7 @@ pub fn warnings(run: FinishedRun<'_>) -> Vec<Warning> {
 }
 
 /// Runs samples on a mapped network and returns its warnings, for callers without counts.
-/// Errors: those of [`fast`].
+/// Errors are those of [`fast`].
 pub fn run_warnings(network: &Quantised, program: &Arc<Program>, samples: &[&Sample]) -> Result<Vec<Warning>> {
     let sample_settings = SampleSettings::new(program.output());
     let run = fast(program, samples, RunSettings::new(&sample_settings), || ())?;

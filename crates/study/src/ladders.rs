@@ -212,6 +212,9 @@ impl LadderCase {
     }
 
     /// Maps and runs it.
+    ///
+    /// # Errors
+    /// [`Error::Fault`], an internal error, since every rung fits its target.
     pub fn measure(&self) -> Result<LadderRow, Error> {
         let fault = |error: &dyn std::fmt::Display| Error::Fault(format!("{} {}: {error}", self.ladder, self.at));
         let network = self.build().map_err(|error| fault(&error))?;

@@ -95,6 +95,9 @@ struct Study<'s> {
 }
 
 /// Maps a case in all ways; calls `row` with each result as soon as it is ready.
+///
+/// # Errors
+/// [`Error::Fault`], which no network of the suite gives.
 pub fn map_all(
     case: &SuiteCase,
     bench: &BenchNetwork,

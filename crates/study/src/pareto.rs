@@ -163,6 +163,9 @@ pub struct Subject<'a> {
 
 impl<'a> Subject<'a> {
     /// Prepares a network: runs it as trained and on the golden interpreter.
+    ///
+    /// # Errors
+    /// As [`quantise`].
     pub fn new(
         graph: &'a Graph,
         fits: &[Option<Fit>],
@@ -321,6 +324,9 @@ impl<'a> Subject<'a> {
     }
 
     /// Measures one variant.
+    ///
+    /// # Errors
+    /// [`Error`] when the variant cannot be made or run.
     pub fn measure(&self, variant: Variant) -> Result<VariantRow, Error> {
         let kernel = |convolution| if convolution { Kernel::Truncated } else { Kernel::Exact };
         match variant {

@@ -61,6 +61,9 @@ pub struct SuiteCase {
 
 impl SuiteCase {
     /// The network with its input.
+    ///
+    /// # Errors
+    /// [`BuildError`] never in practice; the tests build all.
     pub fn build(&self) -> Result<BenchNetwork, BuildError> {
         (self.make)(self.name)
     }

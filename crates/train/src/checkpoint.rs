@@ -142,6 +142,9 @@ fn digest(state: &TrainingState) -> String {
 }
 
 /// Writes a state; the file is replaced as a whole.
+///
+/// # Errors
+/// `write.*`.
 pub fn save(path: &Path, state: &TrainingState, fingerprint: &str) -> Result<()> {
     let bytes: Vec<(String, Vec<u8>)> = PARTS
         .iter()

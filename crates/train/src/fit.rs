@@ -58,6 +58,9 @@ pub trait Forward: Sync {
     type Error;
 
     /// The network with these weights.
+    ///
+    /// # Errors
+    /// Where the weights have no such network.
     fn network(&self, weights: &Weights) -> Result<Self::Network, Self::Error>;
 
     /// Runs a sample and fills [`Workspace::traces`] of all layers, in the trained network's time.

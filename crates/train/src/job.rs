@@ -150,6 +150,9 @@ impl Job {
     }
 
     /// Samples of the given sources, or of the training file's sources.
+    ///
+    /// # Errors
+    /// As [`Self::examples`]; a source that cannot be read.
     pub fn read(&self, part: Part, given: &[String]) -> Result<Vec<Example>> {
         let (what, named) = match part {
             Part::Train => ("training", &self.file.train),
@@ -164,6 +167,9 @@ impl Job {
     }
 
     /// Training and test samples.
+    ///
+    /// # Errors
+    /// As [`Self::read`].
     pub fn data(&self, train: &[String], test: &[String]) -> Result<Data> {
         Ok(Data { train: self.read(Part::Train, train)?, test: self.read(Part::Test, test)? })
     }
@@ -180,6 +186,9 @@ impl Job {
     }
 
     /// Scores a trained state, and for each fold a training without its samples.
+    ///
+    /// # Errors
+    /// Errors of `each`, which trains on the given samples to the end.
     pub fn trained(
         &self,
         (state, seconds): (TrainingState, f64),
@@ -216,7 +225,11 @@ impl Job {
         Ok(export::model(&self.file, &self.plan.topology, weights, provenance)?)
     }
 
-    /// Writes the model of trained weights, and the weights next to it; `force` replaces files.
+    /// Writes the model of trained weights to a path, and the weights next to it; returns both
+    /// paths. `force` replaces existing files.
+    ///
+    /// # Errors
+    /// As [`Self::model`]; `write.*`.
     pub fn write(
         &self,
         path: &Path,
@@ -233,6 +246,9 @@ impl Job {
     }
 
     /// The network of trained weights, in memory.
+    ///
+    /// # Errors
+    /// As [`Self::model`]; `model.*`.
     pub fn network(&self, weights: &Weights, provenance: &str) -> Result<Network> {
         let place = format!("{} (in memory)", self.file.name);
         Ok(self.model(weights, provenance)?.build(Path::new(&place))?)
@@ -247,6 +263,9 @@ pub fn weights_path(model: &Path) -> PathBuf {
 const FOLD_SEED: u64 = 0;
 
 /// Trains on all samples except a fold's, and scores on the fold; returns accuracy and weights.
+///
+/// # Errors
+/// Errors of `train`.
 pub fn cross_validate(
     plan: &Plan,
     examples: &[Example],
@@ -269,6 +288,9 @@ impl Checkpoint {
     }
 
     /// Saves a state.
+    ///
+    /// # Errors
+    /// `write.*`.
     pub fn save(&self, state: &TrainingState) -> Result<()> {
         Ok(checkpoint::save(&self.path, state, &self.fingerprint)?)
     }

@@ -45,6 +45,9 @@ impl RecordingPair {
 
     /// Lines on a network of a file: whether it spikes as recorded, and by which conventions it
     /// would.
+    ///
+    /// # Errors
+    /// As [`compare_recording`]; files that cannot be read.
     pub fn lines(&self, network: &Network, file: &Path, options: &Options) -> Result<(bool, Vec<String>), Error> {
         let result = self.compare(network)?;
         let is_equal = result.differing == 0;

@@ -64,6 +64,9 @@ impl ScenarioFile {
 }
 
 /// Returns the shipped scenario of a model, if any; a path names no shipped model.
+///
+/// # Errors
+/// As [`scenario`].
 pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
     if shipped::is_path(model) {
         return Ok(None);
@@ -72,7 +75,11 @@ pub fn shipped_for(model: &str) -> Result<Option<ScenarioFile>> {
     Ok(scenarios?.into_iter().find(|scenario| scenario.model == model))
 }
 
-/// The shipped scenario that `paper` names for a model: its own, else the first that serves others.
+/// Returns the shipped scenario that `paper` names for a model: its own, else the first that serves
+/// other networks.
+///
+/// # Errors
+/// As [`scenario`].
 pub fn paper_for(model: &str) -> Result<Option<ScenarioFile>> {
     let own = shipped_for(model)?;
     let mut all = shipped::SCENARIOS.iter().map(|shipped| scenario(&shipped.source()));

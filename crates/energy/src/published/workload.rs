@@ -391,6 +391,9 @@ fn is_ordered(range: Between) -> bool {
 }
 
 /// Returns every shipped workload, in the order of tables.
+///
+/// # Errors
+/// As [`workload`].
 pub fn shipped() -> Result<Vec<WorkloadFile>> {
     let families = shipped::WORKLOADS.iter().map(|file| Ok(cases(workload(&file.source())?)));
     Ok(families.collect::<Result<Vec<_>>>()?.concat())

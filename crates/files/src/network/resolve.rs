@@ -14,7 +14,9 @@ fn seeded(what: &str) -> Diagnostic {
 
 impl Network {
     /// The model with every array in place; synapse arrays become a `Sparse` projection per delay.
-    /// Errors: `export.unsupported` for seeded arrays.
+    ///
+    /// # Errors
+    /// `export.unsupported` for seeded arrays.
     pub fn resolved(&self) -> Result<NetworkFile> {
         let mut model = self.file().clone();
         for population in &mut model.populations {

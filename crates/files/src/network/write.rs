@@ -157,14 +157,18 @@ impl NetworkFile {
     }
 
     /// The text of the model, and its long lists, as tensors of `file`.
-    /// Errors: `write.ron`, which does not happen for models.
+    ///
+    /// # Errors
+    /// `write.ron`, which does not happen for models.
     pub fn ron(&self, file: &str) -> Result<(String, BTreeMap<String, Tensor>)> {
         let (model, tensors) = self.clone().split(file);
         Ok((pretty(&model, 2)?, tensors))
     }
 
     /// The network that reading the written files would give; messages name the model `path`.
-    /// Errors: `write.ron`.
+    ///
+    /// # Errors
+    /// `write.ron`.
     pub fn build(&self, path: &Path) -> Result<Network> {
         self.build_changed(path, Ok)
     }
@@ -184,7 +188,9 @@ impl NetworkFile {
     }
 
     /// Checks that a model is not written under the ending of another format.
-    /// Errors: `write.ending`.
+    ///
+    /// # Errors
+    /// `write.ending`.
     pub fn check_name(path: &Path) -> Result<()> {
         let ending = path.extension().map(|ending| ending.to_string_lossy().to_ascii_lowercase());
         match ending.filter(|ending| OTHERS.contains(&ending.as_str())) {
@@ -202,13 +208,16 @@ impl NetworkFile {
     }
 
     /// Writes the model, and its arrays as `STEM.safetensors` next to it; `-` writes the text
-    /// alone. Errors: `write.*`; `write.arrays` for arrays to stdout.
+    /// alone.
+    ///
+    /// # Errors
+    /// `write.*`; `write.arrays` for arrays to stdout.
     pub fn write(&self, path: &Path, force: bool) -> Result<Vec<String>> {
         self.write_under("", path, force)
     }
 
     /// Writes the model with the lines of a comment at its head.
-    /// Errors: those of [`Self::write`].
+    /// Errors are those of [`Self::write`].
     pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
         Self::check_name(path)?;
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());

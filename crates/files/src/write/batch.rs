@@ -69,7 +69,7 @@ fn not_regular(path: &Path, what: &str) -> Diagnostic {
         .in_file(path)
 }
 
-/// [`check_free`] for each of several files. Errors: those of [`check_free`].
+/// [`check_free`] for each of several files. Errors are those of [`check_free`].
 pub fn check_all_free(paths: impl IntoIterator<Item: AsRef<Path>>, force: bool) -> Result<()> {
     paths.into_iter().try_for_each(|path| check_free(path.as_ref(), force))
 }
@@ -88,7 +88,9 @@ impl Batch {
     }
 
     /// Writes a file of the batch under a temporary name, through `fill`, and returns its result.
-    /// Errors: `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
+    ///
+    /// # Errors
+    /// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
     pub fn add<T>(
         &mut self,
         path: &Path,
@@ -109,7 +111,10 @@ impl Batch {
         Ok(filled)
     }
 
-    /// Renames the files in order and syncs their folders. Errors: `write.exists`, `write.failed`.
+    /// Renames the files in order and syncs their folders.
+    ///
+    /// # Errors
+    /// `write.exists`, `write.failed`.
     pub fn commit(self) -> Result<()> {
         let folders: BTreeSet<PathBuf> = self.parts.iter().map(|(path, _)| disk::folder_of(path)).collect();
         self.name_all()?;

@@ -70,14 +70,17 @@ impl Folder {
         Ok(Folder { path: path.to_path_buf(), manifest, _marker: file, replace: force || interrupted })
     }
 
-    /// Writes a file of the folder. Errors: `write.exists`, `write.failed`; as [`Batch::add`].
+    /// Writes a file of the folder.
+    ///
+    /// # Errors
+    /// `write.exists`, `write.failed`; as [`Batch::add`].
     pub fn member(&self, name: &str, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
         let mut batch = Batch::new(self.replace);
         batch.add(&self.path.join(name), |out| fill(out))?;
         batch.name_all()
     }
 
-    /// Writes the manifest. Errors: those of [`Batch::add`] and [`Batch::commit`].
+    /// Writes the manifest. Errors are those of [`Batch::add`] and [`Batch::commit`].
     pub fn finish(self, text: &str) -> Result<()> {
         let mut batch = Batch::new(false);
         batch.add(&self.manifest, |out| out.write_all(text.as_bytes()))?;

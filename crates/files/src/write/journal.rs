@@ -48,7 +48,9 @@ fn whole_lines(text: &[u8]) -> (Vec<String>, usize) {
 impl Journal {
     /// Opens a journal and returns the lines after its head. A journal that is absent, truncated
     /// within its head or without lines after it is begun anew.
-    /// Errors: `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
+    ///
+    /// # Errors
+    /// `journal.other`, `journal.held`, `io.not-regular`, `write.failed`.
     pub fn open(path: &Path, head: &str) -> Result<(Journal, Vec<String>)> {
         std::fs::create_dir_all(disk::folder_of(path)).map_err(failed(path))?;
         let file = open_or_make(path)?;
@@ -86,12 +88,18 @@ impl Journal {
             .in_file(&self.path)
     }
 
-    /// Adds a line. Errors: `write.failed`, after which no line may be added.
+    /// Adds a line.
+    ///
+    /// # Errors
+    /// `write.failed`, after which no line may be added.
     pub fn add(&mut self, line: &str) -> Result<()> {
         self.file.write_all(written(line).as_bytes()).map_err(failed(&self.path))
     }
 
-    /// Removes the file when the work is done. Errors: `write.failed`.
+    /// Removes the file when the work is done.
+    ///
+    /// # Errors
+    /// `write.failed`.
     pub fn remove(self) -> Result<()> {
         std::fs::remove_file(&self.path).map_err(failed(&self.path))
     }

@@ -44,7 +44,9 @@ pub fn is_silent() -> bool {
 }
 
 /// Writes a file through `fill`; an absent folder is created. `-` is stdout.
-/// Errors: `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
+///
+/// # Errors
+/// `write.exists`, `write.folder`, `write.not-regular`, `write.failed`.
 pub fn file(path: &Path, force: bool, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<()> {
     if is_standard_stream(path) {
         if is_silent() {
@@ -67,13 +69,16 @@ pub fn abandon() -> Vec<PathBuf> {
     folder::unfinished()
 }
 
-/// Writes a text file. Errors: those of [`file()`].
+/// Writes a text file. Errors are those of [`file()`].
 pub fn text(path: &Path, force: bool, text: &str) -> Result<()> {
     file(path, force, |out| out.write_all(text.as_bytes()))
 }
 
 /// Prints a text to stdout, with unprintable characters replaced. A closed pipe (`nsim .. | head`)
-/// is not an error. Errors: `write.failed`.
+/// is not an error.
+///
+/// # Errors
+/// `write.failed`.
 pub fn stdout(text: &str) -> Result<()> {
     self::text(Path::new("-"), false, &printable(text))
 }

@@ -264,7 +264,10 @@ pub fn read_foreign_file(path: &Path) -> Result<Vec<u8>> {
     })
 }
 
-/// Reads a whole file. Errors: `hdf5.format`, `hdf5.link`, `hdf5.too-large`.
+/// Reads a whole file.
+///
+/// # Errors
+/// `hdf5.format`, `hdf5.link`, `hdf5.too-large`.
 pub fn tree(path: &Path, bytes: Vec<u8>) -> Result<Group> {
     let mut budget = ReadBudget { path, budget: Budget::for_file(bytes.len() as u64, MOST_OBJECTS, DEEPEST) };
     if let Some(link) = super::hdf5_links::find(&bytes) {
@@ -407,7 +410,9 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut ReadBudget<'_>) -> Result
 }
 
 /// The bytes of a file with this tree. Attributes are written for groups only, as they are read.
-/// Errors: `hdf5.write` for a tree that the format cannot represent.
+///
+/// # Errors
+/// `hdf5.write` for a tree that the format cannot represent.
 pub fn write(root: &Group) -> Result<Vec<u8>> {
     let mut file = FileBuilder::new();
     for (name, item) in &root.items {

@@ -42,13 +42,15 @@ pub fn is_foreign(path: &Path) -> bool {
 }
 
 /// Reads a foreign model.
-/// Errors: `import.*` for the content of the file, `hdf5.*` and `io.*` for the file itself.
+///
+/// # Errors
+/// `import.*` for the content of the file, `hdf5.*` and `io.*` for the file itself.
 pub fn read(path: &Path, options: &Options) -> Result<Imported> {
     from_bytes(path, hdf5::read_foreign_file(path)?, options)
 }
 
 /// Reads a foreign model from the bytes of its file; the path is for messages and names.
-/// Errors: those of [`read`].
+/// Errors are those of [`read`].
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported> {
     let imported = match FileKind::from_bytes(&bytes, path) {
         FileKind::Hdf5 => read_hdf5(path, bytes, options),
@@ -85,7 +87,10 @@ fn refused(why: &str) -> Diagnostic {
 }
 
 /// Reads a graph of NIR nodes in memory. The neurons of the nodes `held` get a refractory period of
-/// 2, so v stays 0 in the step after a spike. Errors: `import.*` for the content of the nodes.
+/// 2, so v stays 0 in the step after a spike.
+///
+/// # Errors
+/// `import.*` for the content of the nodes.
 pub fn from_nodes(
     name: &str,
     nodes: hdf5::Group,

@@ -82,7 +82,9 @@ fn pickle_diagnostic(error: &PickleError) -> Diagnostic {
 }
 
 /// Opens a checkpoint.
-/// Errors: `import.pickle` for a pickled module, `import.torch` for a malformed checkpoint.
+///
+/// # Errors
+/// `import.pickle` for a pickled module, `import.torch` for a malformed checkpoint.
 pub fn open(bytes: Vec<u8>) -> Result<Checkpoint> {
     let mut budget = Budget::for_file(bytes.len() as u64, MOST_TENSORS, DEEPEST);
     let checkpoint = if bytes.starts_with(ZIP) { open_zip(bytes) } else { open_legacy(bytes) }?;
@@ -313,7 +315,9 @@ impl Checkpoint {
     }
 
     /// The numbers of a tensor in C order.
-    /// Errors: `import.torch` when there is no such tensor, or its storage is too small.
+    ///
+    /// # Errors
+    /// `import.torch` when there is no such tensor, or its storage is too small.
     pub fn tensor(&mut self, name: &str) -> Result<Vec<f64>> {
         let Some((_, view)) = self.views.iter().find(|(key, _)| key == name) else {
             return Err(wrong(format!("there is no tensor '{name}'")));

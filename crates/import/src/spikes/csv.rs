@@ -65,7 +65,7 @@ pub fn read(path: &Path, units: u64) -> Result<Vec<PopulationSpikes>> {
     from_bytes(path, read_bytes(path, MOST_EVENT_TEXT)?, units)
 }
 
-/// Reads the bytes of a file. Errors: those of [`read`].
+/// Reads the bytes of a file. Errors are those of [`read`].
 pub fn from_bytes(path: &Path, bytes: Vec<u8>, units: u64) -> Result<Vec<PopulationSpikes>> {
     let size = bytes.len() as u64;
     let source = decode(path, bytes)?;

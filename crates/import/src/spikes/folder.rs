@@ -28,7 +28,9 @@ fn natural_order(name: &str) -> Vec<(Option<u128>, String)> {
 /// Sample number, label and path of each recording of a folder, sorted by number. When no name has
 /// a number and a label, every recording of events is a sample without a label. They are then
 /// sorted by name, with numbers in names by value.
-/// Errors: `input.folder` for no recording, or two of one number; `input.unfinished`; `io.*`.
+///
+/// # Errors
+/// `input.folder` for no recording, or two of one number; `input.unfinished`; `io.*`.
 pub fn list_folder(folder: &Path) -> Result<Vec<(u64, Option<u32>, PathBuf)>> {
     let unreadable =
         |error: std::io::Error| Diagnostic::new("io.read", format!("cannot be read: {error}")).in_file(folder);

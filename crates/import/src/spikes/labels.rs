@@ -11,12 +11,18 @@ use super::population::PopulationSpikes;
 use nsim_files::npy;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The labels of a `.npy` file. Errors: `input.labels`, `npy.*`, `io.*`.
+/// The labels of a `.npy` file.
+///
+/// # Errors
+/// `input.labels`, `npy.*`, `io.*`.
 pub fn read(path: &Path) -> Result<Vec<u32>> {
     from_array(&npy::open(path)?)
 }
 
-/// The labels of an array. Errors: `input.labels`, `npy.value`.
+/// The labels of an array.
+///
+/// # Errors
+/// `input.labels`, `npy.value`.
 pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
     let wrong = |message: String| Diagnostic::new("input.labels", message).in_file(array.path());
     let length: usize = array.shape().iter().product();
@@ -36,7 +42,10 @@ pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
     labels.collect()
 }
 
-/// Sets the labels of samples. Errors: `input.labels`.
+/// Sets the labels of samples.
+///
+/// # Errors
+/// `input.labels`.
 pub fn apply(path: &Path, labels: &[u32], samples: &mut [PopulationSpikes]) -> Result<()> {
     let wrong = |message: String| Diagnostic::new("input.labels", message).in_file(path);
     if labels.len() != samples.len() {

@@ -52,7 +52,7 @@ pub fn read_manifest(path: &Path) -> Result<Manifest> {
 }
 
 /// A manifest from its text; its recordings are in the folder of `source`.
-/// Errors: those of [`read_manifest`].
+/// Errors are those of [`read_manifest`].
 pub fn from_source(source: SourceText) -> Result<Manifest> {
     let set: DataSet = parse(&source, "dataset.syntax")?;
     let whole = |code, message: String| Diagnostic::new(code, message).in_file(source.path());
@@ -140,7 +140,9 @@ impl Manifest {
     }
 
     /// The name in `files` of the recordings for a population of the model.
-    /// Errors: `dataset.population` with the populations of the data set.
+    ///
+    /// # Errors
+    /// `dataset.population` with the populations of the data set.
     pub fn recording_name(&self, population: &str) -> Result<&str> {
         let mut populations = self.set.populations.iter();
         let Some((name, _)) = populations.find(|(_, for_population)| *for_population == population) else {

@@ -139,7 +139,10 @@ pub(super) struct Entries<'a> {
 }
 
 impl Entries<'_> {
-    /// Whether a number is a spike. Errors: `input.value` for a fraction, without a least number.
+    /// Whether a number is a spike.
+    ///
+    /// # Errors
+    /// `input.value` for a fraction, without a least number.
     pub(super) fn is_spike(&mut self, index: usize, number: f64) -> Result<bool> {
         match self.options.least {
             Some(least) => Ok(number >= least),
@@ -156,7 +159,10 @@ impl Entries<'_> {
         }
     }
 
-    /// Refuses numbers that spikes without a value would lose. Errors: `input.value`.
+    /// Refuses numbers that spikes without a value would lose.
+    ///
+    /// # Errors
+    /// `input.value`.
     pub(super) fn finish(self) -> Result<()> {
         let Some((_, message)) = self.values.loss().filter(|_| !self.options.values) else { return Ok(()) };
         let path = self.path.display();
@@ -227,7 +233,9 @@ impl EventOptions {
     }
 
     /// Parses the `key=value` pairs of an argument.
-    /// Errors: `input.option` with the keys that exist.
+    ///
+    /// # Errors
+    /// `input.option` with the keys that exist.
     pub fn parse(pairs: &[(String, String)]) -> Result<Self> {
         let mut options = EventOptions::default();
         for (key, value) in pairs {

@@ -58,6 +58,9 @@ impl PictureFormat {
     }
 
     /// The file of a picture.
+    ///
+    /// # Errors
+    /// A message when it cannot be drawn; the charts of this crate can be.
     pub fn bytes(self, svg: &str) -> Result<Vec<u8>, String> {
         match self {
             PictureFormat::Svg => Ok(with_font(svg).into_bytes()),

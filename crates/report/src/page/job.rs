@@ -36,6 +36,9 @@ const WATCHED: usize = 12;
 const MOST_COMPARED: u64 = 4_000_000;
 
 /// The sections of a page, but for the comparison with the network as it was trained.
+///
+/// # Errors
+/// The errors of a second run of the first sample, step by step.
 pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Transport) -> Result<Sections, Error> {
     let Evaluation { energy, run, deployment } = evaluated;
     let (compiled, target, network) = (workload.compiled, workload.target, &workload.compiled.one);
@@ -60,7 +63,11 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Tran
     Ok(sections)
 }
 
-/// The trained network and its integers, if it has real neurons and is small enough to compare.
+/// The trained network and its integers, from its file, if it has real numbers, neurons that run in
+/// them, and is small enough to be compared.
+///
+/// # Errors
+/// As [`real_and_integers`].
 pub fn trained(workload: &Workload<'_>, file: &Network) -> Result<Option<(Graph, Quantised)>, Error> {
     let both = real_and_integers(file)?;
     let few = workload.compiled.one.synapses() <= MOST_COMPARED;
@@ -73,7 +80,11 @@ pub fn compared(workload: &Workload<'_>) -> usize {
 }
 
 /// Agreement of the integer network with the trained one, for [`Sections`]. Calls `progress` after
-/// each sample. Relays and pruning are omitted, since neither changes a decision.
+/// each sample. Relays and pruning are omitted: neither changes a decision, and the trained network
+/// has no such populations.
+///
+/// # Errors
+/// As [`map_with_defaults`] and [`compare_models`].
 pub fn agreement(
     workload: &Workload<'_>,
     (trained, network): &(Graph, Quantised),

@@ -44,6 +44,9 @@ fn lists(synapses: u32) -> Result<DeliveryNetwork, BuildError> {
 }
 
 /// A network of lists of 64 synapses; a second-level cache holds less than a tenth of them.
+///
+/// # Errors
+/// As [`delivery_networks`].
 pub fn lists_beyond_caches() -> Result<DeliveryNetwork, BuildError> {
     lists_over("lists of 64 in no cache".to_string(), 64, (65_536, 65_536), (64, 64))
 }
@@ -95,6 +98,9 @@ fn convolution(channels: u32) -> Result<DeliveryNetwork, BuildError> {
 }
 
 /// The networks to which the cost table is fitted.
+///
+/// # Errors
+/// [`BuildError`] never in practice; a test builds all.
 pub fn delivery_networks() -> Result<Vec<DeliveryNetwork>, BuildError> {
     let lists = [4, 16, 32, 64].map(lists);
     let dense = [16, 64, 256, 768].map(dense);

@@ -121,6 +121,9 @@ impl StandardNetwork {
     }
 
     /// Builds it.
+    ///
+    /// # Errors
+    /// [`BuildError`] never in practice; the tests build all.
     pub fn build(self) -> Result<BenchNetwork, BuildError> {
         let small = |background| Random { compartments: 32_768, background, driven: 714, period: 256 };
         let large = |driven| Random { compartments: 1_000_000, background: 0, driven, period: 64 };
@@ -269,6 +272,9 @@ pub fn random(name: &str, sizes: Random, delays: &[i64]) -> Result<BenchNetwork,
 
 /// A network whose steps have synaptic events only: channels with 64 random synapses each, onto
 /// compartments that never fire; `driven` channels spike in a step.
+///
+/// # Errors
+/// [`BuildError`] when there is no compartment.
 pub fn events_only(compartments: u32, driven: u32, period: u32) -> Result<BenchNetwork, BuildError> {
     events_over("events-only", compartments, driven, period, &[0])
 }

@@ -64,6 +64,9 @@ impl PublishedRow {
 /// authors. The second row judges the model, where activity and layout are known. Figures known
 /// second-hand have no second row. The first preset of their target predicts figures of hardware
 /// other than the constants'.
+///
+/// # Errors
+/// [`Error`] where a workload cannot be compiled or run.
 pub fn rows(
     workloads: &[WorkloadFile],
     constants: &Constants,

@@ -68,6 +68,9 @@ pub fn stored(provenance: &serde_json::Value, rows: &[PaperRow]) -> String {
 }
 
 /// Printed figures joined with the given and the stored ones.
+///
+/// # Errors
+/// `paper.results` for a stored file that cannot be read.
 pub fn rows(more: Vec<PaperRow>) -> Result<Vec<PaperRow>> {
     let (mut printed, mut measured) = (Vec::new(), more);
     for (name, text) in STORED {

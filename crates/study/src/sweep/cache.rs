@@ -31,6 +31,9 @@ pub fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 impl<K: Hash + Eq, V> SharedCache<K, V> {
     /// The value of a key.
+    ///
+    /// # Errors
+    /// The errors of `make`.
     pub fn get<E>(&self, key: K, make: impl FnOnce() -> Result<V, E>) -> Result<Arc<V>, E> {
         let place = {
             let mut places = lock(&self.0);

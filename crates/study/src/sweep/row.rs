@@ -119,6 +119,9 @@ fn tightest(compiled: &Mapping, target: &Target) -> Option<(Capacity, u64, u64)>
 
 impl Runner {
     /// The cells of a variant.
+    ///
+    /// # Errors
+    /// [`Error`] that concerns the whole sweep.
     pub fn row(&self, job: &Job) -> Result<Cells, Error> {
         match self.figures(job) {
             Err(error) if stops_sweep(&error) => Err(error),

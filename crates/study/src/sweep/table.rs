@@ -200,6 +200,9 @@ impl<'s> Table<'s> {
     }
 
     /// Adds the table, as by [`Self::csv`], to a batch of files.
+    ///
+    /// # Errors
+    /// `write.*`.
     pub fn write(&self, path: &Path, checksums: Option<&str>, batch: &mut Batch) -> Result<()> {
         batch.add(path, |out| out.write_all(self.csv(checksums).as_bytes()))
     }

@@ -16,6 +16,9 @@ use nsim_session::error::Error;
 const STACK: usize = 16 << 20;
 
 /// Runs these variants; `take` is called by one thread at a time.
+///
+/// # Errors
+/// The first error of a variant or of `take`.
 pub fn run(
     sweep: &Sweep,
     mut numbers: Vec<u64>,

@@ -22,6 +22,9 @@ pub struct RunInput<'a> {
 
 /// Samples for a search: of the named sources, or else `wanted` ones of the run's scene with
 /// another seed. `None` if the run presents no scene, so that only its own samples are left.
+///
+/// # Errors
+/// A source that cannot be used.
 pub fn stimulus(network: &Quantised, named: &[String], run: RunInput<'_>, wanted: usize) -> Result<Option<Stimulus>> {
     if !named.is_empty() {
         return inputs::stimulus(network, named, None, None).map(Some);

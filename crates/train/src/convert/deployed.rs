@@ -52,6 +52,9 @@ pub struct ConvertedIntegers {
 impl ConvertedIntegers {
     /// Finds integers for a network. `searching` receives the name of each population, and first
     /// `None` if the search has to use the compared samples.
+    ///
+    /// # Errors
+    /// A source that cannot be used.
     pub fn find(
         (graph, network): (&Graph, &Quantised),
         choice: ConversionSettings<'_>,
@@ -74,6 +77,9 @@ impl ConvertedIntegers {
     }
 
     /// The comparison stages from the trained network to these integers.
+    ///
+    /// # Errors
+    /// As `nsim_quantise::quantise`.
     pub fn staged(&self, graph: &Graph) -> Result<StagedNetwork> {
         Ok(match &self.found {
             Some(found) => found.conversion.staged(graph)?,

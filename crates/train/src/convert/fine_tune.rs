@@ -355,6 +355,9 @@ impl Task {
     }
 
     /// The integers of these weights.
+    ///
+    /// # Errors
+    /// As `nsim_quantise::quantise`.
     pub fn integers(&self, weights: &Weights) -> Result<StagedNetwork> {
         StagedNetwork::with_exponents(&self.with_weights(weights), &self.fits, self.detail)
     }
@@ -379,6 +382,9 @@ impl Task {
     }
 
     /// Trains; `shown` is called after each sample, `after` with each new best epoch.
+    ///
+    /// # Errors
+    /// As [`Task::integers`], if weights exceed the range of the integers.
     pub fn run(
         &self,
         (examples, held_out): (&[Example], &[Example]),

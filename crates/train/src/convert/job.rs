@@ -114,6 +114,9 @@ impl Job {
     }
 
     /// Searches for integers; `searching` receives the name of each population.
+    ///
+    /// # Errors
+    /// As `nsim_quantise::quantise`.
     pub fn convert(
         &self,
         samples: &SampleSplit<'_>,
@@ -217,6 +220,9 @@ impl FineTuning {
     }
 
     /// Trains; `shown` is called after each sample, `after` with each new best epoch.
+    ///
+    /// # Errors
+    /// As [`Task::integers`].
     pub fn run(
         self,
         converted: &Converted,

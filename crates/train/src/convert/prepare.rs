@@ -18,6 +18,9 @@ use nsim_session::front::{has_srm, real_and_integers};
 const CALIBRATION_SAMPLES: usize = 60;
 
 /// A network in integers, with at most this many delayed input copies a population.
+///
+/// # Errors
+/// [`Error`] when the network cannot be used.
 pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
     if !has_srm(network) {
         return Ok(nsim_session::front::front(network)?);

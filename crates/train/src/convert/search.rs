@@ -115,11 +115,17 @@ pub struct Conversion {
 
 impl Conversion {
     /// The comparison stages from the network to these integers.
+    ///
+    /// # Errors
+    /// As `nsim_quantise::quantise`.
     pub fn staged(&self, graph: &Graph) -> Result<StagedNetwork> {
         StagedNetwork::with_exponents(graph, &self.fits, self.detail)
     }
 
     /// The integers.
+    ///
+    /// # Errors
+    /// As `nsim_quantise::quantise`.
     pub fn integers(&self, graph: &Graph) -> Result<Quantised> {
         quantise_with(&analytic::with_fits(graph, &self.fits), self.detail)
     }

@@ -140,6 +140,9 @@ pub struct ConversionLimits {
 }
 
 /// Converts a network, and measures each stage.
+///
+/// # Errors
+/// As `nsim_quantise::quantise`.
 pub fn convert(
     given: &Graph,
     samples: &[&Sample],

@@ -37,7 +37,9 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
 }
 
 /// Refuses a model with spike response neurons, whose kernels no format of other tools holds.
-/// Errors: `export.unsupported`.
+///
+/// # Errors
+/// `export.unsupported`.
 pub(in crate::foreign) fn check_neurons(model: &NetworkFile) -> Result<()> {
     let Some(population) = model.populations.iter().find(|population| population.srm.is_some()) else { return Ok(()) };
     let message = format!("'{}' has spike response neurons, which other tools do not support", population.name);

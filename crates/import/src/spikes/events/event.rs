@@ -89,7 +89,10 @@ pub(super) fn unreadable(error: &std::io::Error) -> Diagnostic {
 }
 
 /// Passes each trimmed row that is not empty to `row`, lines of `#` included. A malformed last row
-/// without a line end counts as truncated. Errors: `io.read`; errors of a row, with its number.
+/// without a line end counts as truncated.
+///
+/// # Errors
+/// `io.read`; errors of a row, with its number.
 pub(super) fn rows(
     input: &mut dyn BufRead,
     longest: usize,
@@ -133,7 +136,10 @@ pub(super) fn rows(
 }
 
 /// Fills a buffer with the next record; returns false at the end of the input. A truncated record
-/// is counted. Errors: `io.read`.
+/// is counted.
+///
+/// # Errors
+/// `io.read`.
 pub(super) fn fill(input: &mut dyn BufRead, buffer: &mut [u8], sink: &mut dyn Sink) -> Result<bool> {
     let mut filled = 0;
     while filled < buffer.len() {

@@ -59,7 +59,9 @@ fn observable<'a>(root: &'a Group, population: &str) -> Result<&'a Group> {
 }
 
 /// Reads the samples of a tree for a population.
-/// Errors: `input.events`, `input.shape`, `input.too-long`.
+///
+/// # Errors
+/// `input.events`, `input.shape`, `input.too-long`.
 pub fn read(
     root: &Group,
     path: &Path,

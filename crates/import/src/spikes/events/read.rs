@@ -60,7 +60,9 @@ fn open(path: &Path) -> Result<BufReader<Input>> {
 }
 
 /// Reads a recording for a population.
-/// Errors: `input.events`, `input.shape`, `input.too-long`, `input.too-many`, `io.*`.
+///
+/// # Errors
+/// `input.events`, `input.shape`, `input.too-long`, `input.too-many`, `io.*`.
 pub fn read_file(
     path: &Path,
     format: EventFormat,
