@@ -189,7 +189,7 @@ def figures(program, model, source, folder):
     """The figures of a network as text, as far as its commands answer."""
     row, given = dict.fromkeys(COLUMNS[1:], ""), ["--input", source, "--mapping", str(folder / "mapping")]
     for command, words in (("map", ["-o", given[3], "--force"]), ("run", given), ("energy", [*given, "--host", "none", "--baseline"])):
-        status, answer = equal.printed(program, [command, *model, *words, "--threads", "1"], seconds=60)
+        status, answer = equal.printed(program, [command, *model, *words, "--threads", "1"], seconds=300)
         reason = (answer.get("reasons") or [answer])[0] if answer else {"code": f"{command}: {status}"}
         if "code" in reason:
             return {**row, "error": reason["code"]}
