@@ -52,6 +52,7 @@ pub(super) struct PopulationState {
 }
 
 /// How a stage updates a population.
+#[derive(Clone, Copy)]
 pub(super) struct Timing {
     pub start_step: u32,
     pub resets_from: u32,

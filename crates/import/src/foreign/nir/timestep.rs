@@ -98,7 +98,8 @@ impl ImpliedSteps {
         let Some(first) = self.steps.first() else { return Ok(None) };
         let seconds = first.seconds;
         // A ratio that is no number agrees with none.
-        let other = self.steps.iter().find(|step| !((step.seconds / seconds - 1.0).abs() < 1e-3));
+        let agrees = |step: &&ImpliedStep| (step.seconds / seconds - 1.0).abs() < 1e-3;
+        let other = self.steps.iter().find(|step| !agrees(step));
         match other {
             Some(_) if given => Ok(None),
             Some(other) => Err(ask_for_step(format!(
