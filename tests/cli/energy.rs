@@ -155,8 +155,8 @@ fn loihi_2_is_priced_as_its_boards_were_measured() {
     let cells = |kind: &str, weights: &str| {
         format!(
             "Network(name: \"pair\", timestep_ms: 1.0, kinds: [Kind(name: \"Own\", state: [(name: \"v\", bits: 24, \
-             overflow: Clip)], update: [\"v = v + in\"], spikes: \"v > 100\", reset: [\"v = 0\"])], populations: [Input(name: \
-             \"in\", shape: [40]), {kind}], projections: [Dense(from: [\"in\"], to: \"a\", weights: \
+             overflow: Clip)], update: [\"v = v + in\"], spikes: \"v > 100\", reset: [\"v = 0\"])], populations: \
+             [Input(name: \"in\", shape: [40]), {kind}], projections: [Dense(from: [\"in\"], to: \"a\", weights: \
              [{weights}, {weights}])], output: \"a\")"
         )
     };

@@ -101,7 +101,8 @@ fn files(folder: &Path) {
         ("loihi.yml", yaml),
         (
             "slow.ron",
-            "Constants(base: \"loihi1-evidence\", turn_time: (value: 2000.0, unit: us, source: \"me\", status: assumed))",
+            "Constants(base: \"loihi1-evidence\", turn_time: (value: 2000.0, unit: us, source: \"me\", \
+             status: assumed))",
         ),
         ("srm.ron", SRM),
         (

@@ -76,9 +76,10 @@ macro_rules! cost_table {
             /// no barrier time or the times are not in ascending order of tiles.
             pub fn new(constants: &Constants) -> Result<Self, Diagnostic> {
                 let preset = constants.name.as_str();
-                let barrier = constants.barrier.iter();
-                let barrier = barrier.map(|entry| Ok((entry.parts().0, scaled(preset, "barrier", &entry.time)?.into())));
-                let barrier = barrier.collect::<Result<Vec<_>, Diagnostic>>()?;
+                let timed = constants.barrier.iter().map(|entry| {
+                    Ok((entry.parts().0, scaled(preset, "barrier", &entry.time)?.into()))
+                });
+                let barrier = timed.collect::<Result<Vec<_>, Diagnostic>>()?;
                 if barrier.is_empty() || barrier.windows(2).any(|pair| pair[0].0 >= pair[1].0) {
                     return Err(Diagnostic::new(
                         "target.barrier",

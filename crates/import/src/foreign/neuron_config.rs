@@ -167,8 +167,8 @@ impl UnreadFields<'_> {
 }
 
 /// Help on the neuron types of a config.
-const KINDS: &str = "supported types: LOIHI and SRMALPHA (SLAYER), CUBA (lava-dl); a network of another tool is read in \
-                     Python: nsim.from_torch(net, sample)";
+const KINDS: &str = "supported types: LOIHI and SRMALPHA (SLAYER), CUBA (lava-dl); a network of another tool is \
+                     read in Python: nsim.from_torch(net, sample)";
 
 /// The byte offset of a line and column, which count from 1.
 fn offset(text: &str, line: usize, column: usize) -> usize {

@@ -494,8 +494,10 @@ macro_rules! constants {
                 for pair in self.barrier.windows(2) {
                     let [(first, name), (second, other)] = [pair[0].parts(), pair[1].parts()];
                     if first >= second || name != other {
-                        return Err(Diagnostic::new("target.barrier", "barrier times are not in ascending order of tiles, or of cores")
-                            .at(source, pair[1].time.value.span));
+                        let message = "barrier times are not in ascending order of tiles, or of cores";
+                        return Err(
+                            Diagnostic::new("target.barrier", message).at(source, pair[1].time.value.span)
+                        );
                     }
                 }
                 for entry in &self.barrier {

@@ -30,7 +30,8 @@ fn rows_table<'r>(rows: impl Iterator<Item = &'r PublishedRow>) -> String {
 }
 
 /// Keys of a figure in CSV.
-const KEYS: &str = "work,workload,chip,quantity,kind,unit,published,predicted,low,high,left_out,judged,accounting,source,first_hand,cause";
+const KEYS: &str = "work,workload,chip,quantity,kind,unit,published,predicted,low,high,left_out,judged,accounting,source,\
+                    first_hand,cause";
 
 /// `nsim.bench/1`.
 pub fn json(rows: &[PublishedRow]) -> Value {

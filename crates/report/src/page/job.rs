@@ -28,7 +28,7 @@ use nsim_train::convert::staged::is_real;
 
 /// Greatest number of samples on which the trained and the deployed network are compared.
 const COMPARED: usize = 40;
-/// Compartments of a population, except the output, whose potentials or messages are drawn, at most.
+/// Most compartments of a population, except the output, whose potentials or messages are drawn.
 const WATCHED_OF_EACH: usize = 3;
 /// Greatest number of compartments whose potentials or messages are drawn.
 const WATCHED: usize = 12;
