@@ -15,8 +15,9 @@ use nsim::ir::activity::{Activity, Totals};
 use nsim::ir::base::fixed::{SignMode, WeightExponent};
 use nsim::ir::base::id::{ChannelId, CompartmentId, ProjectionId};
 use nsim::ir::graph::{PerCompartment, Shape, Window};
+use nsim::ir::learning::Rule;
 use nsim::ir::neurons::NeuronKind;
-use nsim::ir::quantised::connectivity::{Connectivity, SynapseFormat};
+use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample, Spikes};
 use nsim::machine::plastic::places::PlasticProjection;
@@ -24,7 +25,7 @@ use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::Plan;
 use nsim::quantise::relays::relayed;
 use nsim::session::Session;
-use nsim_testing::sparse;
+use nsim_testing::{make_plastic, sparse};
 use rayon::prelude::*;
 
 const NETWORKS: u64 = 200;
@@ -51,11 +52,12 @@ pub fn plastic(seed: u64) -> Quantised {
     let draw = &mut Draw::new(seed ^ 0x91a5);
     for id in network.projections().ids() {
         let mut parts = network.parts().clone();
-        let listed = synapses(&parts, &parts.projections[id]);
-        let projection = &mut parts.projections[id];
-        projection.format.plastic = draw.chance(70);
-        if projection.format.plastic && projection.connectivity.window().is_some() {
-            projection.connectivity = sparse(listed);
+        if draw.chance(70) {
+            let listed = synapses(&parts, &parts.projections[id]);
+            if parts.projections[id].connectivity.window().is_some() {
+                parts.projections[id].connectivity = sparse(listed);
+            }
+            make_plastic(&mut parts, id, Rule::written());
         }
         network = Quantised::new(parts).unwrap_or(network);
     }
@@ -262,9 +264,9 @@ pub fn chain() -> Builder {
     let first = net.each("first", Shape::Line(1), &memoryless(1), 0);
     let second = net.each("second", Shape::Line(1), &memoryless(1_000), 0);
     let ten = || Connectivity::Dense { targets: 1, weights: [10].into() };
-    let plastic = SynapseFormat { plastic: true, ..format(SignMode::Mixed, 0) };
-    net.connect((input, first), plastic, 2, ten());
-    net.connect((first, second), plastic, 0, ten());
+    net.connect((input, first), format(SignMode::Mixed, 0), 2, ten());
+    net.connect((first, second), format(SignMode::Mixed, 0), 0, ten());
+    [IN, BETWEEN].into_iter().for_each(|id| _ = make_plastic(&mut net.parts, id, Rule::written()));
     net
 }
 

@@ -38,15 +38,16 @@
 //! of the compiler's stages. Sources are compared in pieces of `synapses_of_piece` synapses on
 //! average; each thread needs memory for one piece.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use rayon::prelude::*;
 
 use crate::shifts::compared;
 use nsim_dynamics::synapses::Enumerate;
-use nsim_ir::base::fixed::{Delay, SignMode};
+use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
-use nsim_ir::program::{Compartment, Compartments, Program};
+use nsim_ir::program::{Compartment, Compartments, Program, ProgramLearning};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Population, Projection, Quantised, Units};
 use nsim_ir::spikes::Message;
@@ -84,32 +85,23 @@ pub enum Difference {
     },
 }
 
-/// One synapse as both sides encode it, in one number, so that sorting is quick: plastic (1 bit),
-/// separate sum (8), port (1), target (27), exponent (5), sign mode (2), bits (4), delay (6),
-/// weight (10).
+/// One synapse as both sides encode it, in one number, so that sorting is quick: format (21 bits),
+/// target (27), delay (6), weight (10).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 struct SynapseCode(u64);
 
 impl SynapseCode {
-    /// Returns the bits that synapses of a format have in common.
-    fn of_format(format: SynapseFormat) -> Self {
-        let sign = match format.sign {
-            SignMode::Mixed => 0,
-            SignMode::Excitatory => 1,
-            SignMode::Inhibitory => 2,
-        };
-        let code = u64::from((format.exponent.get() + 16) as u8) << 2 | sign;
-        // A number is below 64.
-        let apart = format.apart.map_or(0, |apart| 1 + 2 * u64::from(apart.number) + u64::from(apart.wraps));
-        let port = apart << 1 | format.port.index() as u64;
-        SynapseCode(u64::from(format.plastic) << 63 | port << 54 | (code << 4 | u64::from(format.bits.get())) << 16)
+    /// Returns the bits that synapses of a format have in common: its place among the `formats` of
+    /// the network, ascending. A format that the network lacks has the place after the last.
+    fn of_format(format: SynapseFormat, formats: &[SynapseFormat]) -> Self {
+        SynapseCode((formats.binary_search(&format).unwrap_or(formats.len()) as u64) << 43)
     }
 
     /// Returns the code of a synapse of this format.
     #[inline]
     fn with(self, target: CompartmentId, weight: i16, delay: Delay) -> Self {
         let weight = u64::from((weight + 512) as u16 & 1023);
-        SynapseCode(self.0 | u64::from(target.0) << 27 | u64::from(delay.get()) << 10 | weight)
+        SynapseCode(self.0 | u64::from(target.0) << 16 | u64::from(delay.get()) << 10 | weight)
     }
 }
 
@@ -140,6 +132,8 @@ fn check_synapses(
     program: &Program,
     compared: impl Fn(CoreId) -> bool + Sync + Copy,
 ) -> Result<(), Difference> {
+    let formats: BTreeSet<SynapseFormat> = network.projections().iter().map(|projection| projection.format).collect();
+    let formats: &[SynapseFormat] = &formats.into_iter().collect::<Vec<_>>();
     for (id, population) in network.populations().enumerate() {
         let outgoing: Vec<_> = network.targets_of(id).map(|(_, projection, first)| (projection, first)).collect();
         let synapses: u64 = network.outgoing(id).iter().map(|&projection| network.synapses_of(projection)).sum();
@@ -149,26 +143,29 @@ fn check_synapses(
         let piece = (u64::from(size) * of_piece / synapses.max(1)).clamp(1, MOST_SOURCES) as u32;
         let failed = (0..size.div_ceil(piece))
             .into_par_iter()
-            .map_init(Decoder::default, |decoder, number| {
-                let sources = number * piece..((number + 1) * piece).min(size);
-                if sources.clone().all(|index| is_skipped(program, first + index, compared)) {
-                    return Ok(());
-                }
-                decoder.enumerate(&outgoing, first, sources.clone(), program, compared);
-                decoder.decode(program, first + sources.start..first + sources.end, compared);
-                match decoder.first_that_differs() {
-                    None => Ok(()),
-                    Some((source, meant)) => {
-                        let index = sources.start + source;
-                        let source_name = name_of(&population.units, index);
-                        let decoded = program.messages(first + index).map(|message| {
-                            program.class_of(message.core).inputs.get(usize::from(message.axon)).synapses().len()
-                        });
-                        let decoded = decoded.sum();
-                        Err(Difference::Synapses { source_name, decoded, meant })
+            .map_init(
+                || Decoder { of_network: formats, ..Decoder::default() },
+                |decoder, number| {
+                    let sources = number * piece..((number + 1) * piece).min(size);
+                    if sources.clone().all(|index| is_skipped(program, first + index, compared)) {
+                        return Ok(());
                     }
-                }
-            })
+                    decoder.enumerate(&outgoing, first, sources.clone(), program, compared);
+                    decoder.decode(program, first + sources.start..first + sources.end, compared);
+                    match decoder.first_that_differs() {
+                        None => Ok(()),
+                        Some((source, meant)) => {
+                            let index = sources.start + source;
+                            let source_name = name_of(&population.units, index);
+                            let decoded = program.messages(first + index).map(|message| {
+                                program.class_of(message.core).inputs.get(usize::from(message.axon)).synapses().len()
+                            });
+                            let decoded = decoded.sum();
+                            Err(Difference::Synapses { source_name, decoded, meant })
+                        }
+                    }
+                },
+            )
             .find_map_first(Result::err);
         if let Some(difference) = failed {
             return Err(difference);
@@ -197,6 +194,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
         (actual.semantics == expected.semantics, "semantics"),
         (actual.threshold == expected.threshold, "threshold test"),
         (actual.reset == expected.reset, "reset"),
+        (actual.learning == ProgramLearning::of(network), "learning rules"),
     ];
     rules.into_iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, what)| Err(Difference::Frame(what)))
 }
@@ -299,7 +297,9 @@ impl Tally {
 /// sources are scattered over tens of thousands of cores, but the lists of a piece are close
 /// together on each core.
 #[derive(Default)]
-struct Decoder {
+struct Decoder<'f> {
+    /// Formats of the network, ascending.
+    of_network: &'f [SynapseFormat],
     /// End of the messages to each core.
     ends: Vec<u32>,
     /// (axon, source within the piece), by core.
@@ -315,7 +315,7 @@ struct Decoder {
     tally: Tally,
 }
 
-impl Decoder {
+impl Decoder<'_> {
     /// R(s): the network's synapses to the cores that are compared; `outgoing` has projections with
     /// their first targets.
     fn enumerate(
@@ -335,7 +335,7 @@ impl Decoder {
             }
             for &(projection, first) in outgoing {
                 let wanted = |target| compared(program.seats()[CompartmentId(first.0 + target)].core);
-                let code = SynapseCode::of_format(projection.format);
+                let code = SynapseCode::of_format(projection.format, self.of_network);
                 projection.connectivity.for_each_wanted(index, wanted, |target, weight| {
                     self.expected.push(code.with(CompartmentId(first.0 + target), weight, projection.delay));
                 });
@@ -372,7 +372,8 @@ impl Decoder {
             begin = end;
             self.formats.clear();
             let class = &program.classes()[image.class];
-            self.formats.extend(class.formats.iter().map(|format| SynapseCode::of_format(format.synapse)));
+            self.formats
+                .extend(class.formats.iter().map(|format| SynapseCode::of_format(format.synapse, self.of_network)));
             for &(axon, source) in of_core {
                 let (next, end) = (&mut self.next[usize::from(source)], self.first[usize::from(source) + 1]);
                 for synapse in class.inputs.get(usize::from(axon)).synapses() {

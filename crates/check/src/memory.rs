@@ -82,7 +82,7 @@ fn bits_of_weights(projection: &Projection) -> u64 {
         })
     };
     let widest = u64::from(format.bits.get());
-    if format.plastic { widest } else { (1..widest).find(holds).unwrap_or(widest) }
+    if format.is_plastic() { widest } else { (1..widest).find(holds).unwrap_or(widest) }
 }
 
 impl Count<'_> {

@@ -78,7 +78,7 @@ pub fn units(synapse: &Synapse, formats: &[CoreFormat]) -> i32 {
 #[inline]
 pub fn greatest_units(synapse: &Synapse, formats: &[CoreFormat]) -> u32 {
     let format = formats[usize::from(synapse.format)].synapse;
-    if !format.plastic {
+    if !format.is_plastic() {
         return units(synapse, formats).unsigned_abs();
     }
     let (low, high) = format.sign.range(format.bits);

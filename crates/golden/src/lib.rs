@@ -20,7 +20,6 @@ mod sigma_delta;
 mod synapses;
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::Arc;
 
 use crate::outcome::{Outcome, decay, wrap};
 use crate::synapses::{DelayedSum, Synapse, connections_by_source, exponents, scaled, synapses};
@@ -28,7 +27,6 @@ use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::Decay;
 use nsim_ir::base::id::{CompartmentId, Id, IdVec, ProjectionId};
-use nsim_ir::learning::LearningRule;
 use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port, Role};
 use nsim_ir::quantised::connectivity::SynapseFormat;
@@ -143,7 +141,6 @@ pub struct Golden {
     /// Overflows of each compartment, over all samples.
     overflows: IdVec<CompartmentId, OverflowCounts>,
     plastic: BTreeMap<ProjectionId, Plastic>,
-    rule: Option<Arc<dyn LearningRule>>,
 }
 
 impl Golden {
@@ -198,7 +195,6 @@ impl Golden {
             overflow: Overflow::default(),
             overflows,
             plastic,
-            rule: None,
         }
     }
 
@@ -221,36 +217,6 @@ impl Golden {
         let between = u32::from(matches!(synapse.source, SpikeSource::Compartment(_)));
         let plastic = &self.plastic[&projection];
         scaled(plastic.weights(self.done + between - synapse.latency)[number].into(), exponents(plastic.format).0)
-    }
-
-    /// Changes all plastic weights by this rule in the samples that begin from now on.
-    pub fn set_rule(&mut self, rule: Arc<dyn LearningRule>) {
-        self.rule = Some(rule);
-    }
-
-    /// Ends an epoch by the rules of `nsim_ir::learning`, at the end of a step whose delivery was
-    /// the epoch's last.
-    fn learn(&mut self, rule: &dyn LearningRule) {
-        let noted = |source: SpikeSource| {
-            let delivered = u32::from(matches!(source, SpikeSource::Compartment(_)));
-            (delivered..delivered + rule.epoch()).any(|ago| self.carried(source, ago).is_some())
-        };
-        let now = |plastic: &Plastic| plastic.weights(self.done).to_vec();
-        let mut learned: BTreeMap<_, _> = self.plastic.iter().map(|(&id, plastic)| (id, now(plastic))).collect();
-        for (target, compartment) in self.compartments.enumerate() {
-            let post = noted(SpikeSource::Compartment(target));
-            for synapse in &compartment.incoming {
-                let Some((id, number)) = synapse.plastic else { continue };
-                let weight = learned.get_mut(&id).map(|weights| &mut weights[number]).expect("it is plastic");
-                let SynapseFormat { sign, bits, .. } = self.plastic[&id].format;
-                let ((low, high), step) = (sign.range(bits), sign.step(bits));
-                // Division rounds toward zero.
-                *weight = rule.learn(*weight, noted(synapse.source), post).clamp(low, high) / step * step;
-            }
-        }
-        for (plastic, weights) in self.plastic.values_mut().zip(learned.into_values()) {
-            plastic.written.push((self.done + 1, weights));
-        }
     }
 
     /// Number of overflows of each compartment, over all samples so far.
@@ -423,9 +389,6 @@ impl Engine for Golden {
         let carried = spikes.iter().filter(|_| self.graded).map(|&id| narrow(self.compartments[id].sent));
         self.payloads = carried.collect();
         self.spikes = spikes;
-        if let Some(rule) = self.rule.clone().filter(|rule| step > 0 && step.is_multiple_of(rule.epoch())) {
-            self.learn(&*rule);
-        }
         self.done += 1;
     }
 

@@ -62,12 +62,12 @@ pub fn synapses(network: &Quantised) -> Vec<(CompartmentId, Synapse)> {
                     (SpikeSource::Compartment(CompartmentId(first.0 + from)), 1 + delay)
                 }
             };
-            let SynapseFormat { port, apart, plastic, .. } = projection.format;
+            let SynapseFormat { port, apart, rule, .. } = projection.format;
             let (exponent, sum_exponent) = exponents(projection.format);
             let adds = scaled(weight, exponent);
             let separate =
                 apart.map(|separate| DelayedSum { separate, delay, shift: sum_exponent.unsigned_abs().into() });
-            let plastic = plastic.then_some((id, number));
+            let plastic = rule.map(|_| (id, number));
             all.push((CompartmentId(first_target + to), Synapse { source, latency, adds, port, separate, plastic }));
         }
     }
@@ -84,7 +84,7 @@ pub fn exponents(SynapseFormat { apart, exponent, .. }: SynapseFormat) -> (i8, i
 /// Returns a projection's connections, source by source (its weights' order) if it is plastic.
 pub fn connections_by_source(network: &Quantised, projection: &Projection) -> Vec<(u32, u32, i64)> {
     let mut all = connections(&projection.connectivity, network.populations()[projection.source].shape.len());
-    if projection.format.plastic {
+    if projection.format.is_plastic() {
         all.sort_by_key(|&(from, ..)| from);
     }
     all

@@ -14,7 +14,10 @@ use crate::base::csr::Csr;
 use crate::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
 use crate::partition::Seat;
 use crate::placement::Site;
-use crate::program::{AxonTarget, Compartments, CoreClass, CoreImage, Graded, NotClosed, Parts, Program};
+use crate::program::{
+    AxonTarget, Compartments, CoreClass, CoreImage, Graded, NotClosed, Parts, PlasticProjection, Program,
+    ProgramLearning,
+};
 use crate::ranks::RankAssignment;
 
 /// The parts of a program that belong to a group of one kind.
@@ -207,12 +210,40 @@ impl<'p> Selection<'p> {
             seats: Arc::new(seats.into()),
             populations: populations.into(),
             graded: graded_of(whole, one, &self.copies),
+            learning: self.learning(),
             assignment: whole.assignment.as_ref().map(|assignment| {
                 let owners: Vec<u32> = self.cores.iter().map(|&core| assignment.owners[core]).collect();
                 RankAssignment { owners: IdVec::from(owners).into(), ..assignment.clone() }
             }),
             ..*whole
         })
+    }
+
+    /// The plastic projections of its copies.
+    fn learning(&self) -> ProgramLearning {
+        let Selection { whole, one, .. } = *self;
+        let (channels, kept) = (whole.channels.len() as u32, one.channels * self.copies.len() as u32);
+        let of_channel = |channel: u32, number: u32| number * one.channels + channel % one.channels;
+        let of_compartment = |id: u32, number: u32| number * one.compartments + id % one.compartments;
+        let mut projections = Vec::new();
+        for projection in &whole.learning.projections {
+            let Some(&number) = self.new_copy.get(&(projection.targets.start / one.compartments)) else { continue };
+            let shifted = |range: &Range<u32>, first: u32| first..first + (range.end - range.start);
+            let source = match projection.sources.start.checked_sub(channels) {
+                None => of_channel(projection.sources.start, number),
+                Some(compartment) => kept + of_compartment(compartment, number),
+            };
+            projections.push(PlasticProjection {
+                sources: shifted(&projection.sources, source),
+                targets: shifted(&projection.targets, of_compartment(projection.targets.start, number)),
+                signals: projection
+                    .signals
+                    .clone()
+                    .map(|signal| signal.map(|signal| shifted(&signal, of_channel(signal.start, number)))),
+                ..projection.clone()
+            });
+        }
+        ProgramLearning { rules: whole.learning.rules.clone(), projections }
     }
 
     /// Its cores; adds their classes.

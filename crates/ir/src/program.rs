@@ -24,12 +24,13 @@ use crate::activity::CoreCounts;
 use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
-use crate::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId};
+use crate::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId, RuleId};
+use crate::learning::{Learning, Plastic};
 pub use crate::messages::{AxonTarget, AxonsOut, Messages};
 use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
-use crate::quantised::connectivity::{SeparateSum, SynapseFormat};
-use crate::quantised::{Neuron, Output, Population, Reset};
+use crate::quantised::connectivity::{Connectivity, SeparateSum, SynapseFormat};
+use crate::quantised::{Neuron, Output, Population, Projection, Quantised, Reset};
 use crate::ranks::RankAssignment;
 use crate::spikes::Message;
 
@@ -351,6 +352,67 @@ impl Compartments {
     }
 }
 
+/// The plastic synapses of a projection, as the network numbers them.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlasticProjection {
+    /// The state of its synapses besides weights and delays.
+    pub plastic: Arc<Plastic>,
+    /// Its sources, channels first, then compartments.
+    pub sources: Range<u32>,
+    /// Its targets.
+    pub targets: Range<u32>,
+    /// Its synapses, by source.
+    pub connectivity: Connectivity,
+    /// Format of its synapses.
+    pub format: SynapseFormat,
+    /// Delay field of its synapses, at first.
+    pub delay: Delay,
+    /// The channels whose values replace y1, y2 and y3.
+    pub signals: [Option<Range<u32>>; 3],
+}
+
+/// The learning rules of a program and the projections that they change.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct ProgramLearning {
+    /// The rules of the network.
+    pub rules: IdVec<RuleId, Learning>,
+    /// The plastic projections in the order of the network.
+    pub projections: Vec<PlasticProjection>,
+}
+
+impl ProgramLearning {
+    /// The learning of a network.
+    pub fn of(network: &Quantised) -> Self {
+        let units = |id: PopulationId| {
+            let population = &network.populations()[id];
+            let first = network.first_source(population);
+            first..first + population.shape.len()
+        };
+        let of = |(_, projection): (ProjectionId, &Projection)| {
+            let plastic = projection.plastic.clone()?;
+            let targets = units(projection.target);
+            Some(PlasticProjection {
+                sources: units(projection.source),
+                targets: targets.start - network.channels()..targets.end - network.channels(),
+                connectivity: projection.connectivity.clone(),
+                format: projection.format,
+                delay: projection.delay,
+                signals: plastic.signals.map(|signal| signal.map(units)),
+                plastic,
+            })
+        };
+        let rules = network.parts().rules.clone();
+        ProgramLearning { rules, projections: network.plastic().filter_map(of).collect() }
+    }
+
+    /// Whether no projection is plastic.
+    pub fn is_empty(&self) -> bool {
+        self.projections.is_empty()
+    }
+}
+
 /// Parts of a [`Program`].
 #[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, rename = "Program")]
@@ -381,6 +443,9 @@ pub struct Parts {
     pub threshold: ThresholdTest,
     /// Periodic reset.
     pub reset: Option<Reset>,
+    /// Learning rules and plastic projections.
+    #[serde(default, skip_serializing_if = "ProgramLearning::is_empty")]
+    pub learning: ProgramLearning,
     /// The rank of each core, where there are several processes.
     pub assignment: Option<RankAssignment>,
 }
@@ -616,6 +681,7 @@ impl Program {
             seats: whole.seats.clone(),
             populations: whole.populations.clone(),
             graded: whole.graded.clone(),
+            learning: whole.learning.clone(),
             assignment: Some(assignment),
             ..*whole
         })

@@ -6,8 +6,10 @@ use serde::{Deserialize, Serialize};
 
 use crate::activity::{Overflow, Totals};
 use crate::base::fixed::{MessageBits, Payload};
-use crate::base::id::{ChannelId, CompartmentId, Id};
+use crate::base::id::{ChannelId, CompartmentId, Id, RuleId};
 use crate::base::warning::Warning;
+use crate::learning::Column;
+use crate::learning::draws::Draws;
 
 /// Content of a population's messages, in addition to their source.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
@@ -298,7 +300,8 @@ impl<I: Id> Spike for GradedSpike<I> {
 pub trait Engine {
     /// Number of input channels of its network.
     fn channels(&self) -> u32;
-    /// Clears state, spikes in flight and all counts before a sample of `steps` steps.
+    /// Clears state, traces, spikes in flight and all counts before a sample of `steps` steps. What
+    /// was learned stays.
     fn begin(&mut self, steps: u32);
     /// Runs one timestep with these input channels spiking (ascending, each once). Spikes of a
     /// population with a payload carry that payload.
@@ -309,6 +312,27 @@ pub trait Engine {
     fn skip_idle(&mut self, steps: u32) -> bool {
         let _ = steps;
         false
+    }
+    /// Restores the weights, delays and tags that the network had before it learned, for run
+    /// number `run`, which has random numbers of its own. A later [`Engine::begin`] starts it.
+    fn forget(&mut self, run: u32) {
+        let _ = run;
+    }
+    /// Sets the random numbers of learning, before [`Engine::begin`].
+    fn set_draws(&mut self, draws: &Draws) {
+        let _ = draws;
+    }
+    /// A column of a rule's state in the first copy of the network: by row of the rule for a
+    /// variable, by source or target of the rule for a trace. The delivery that follows a step
+    /// notes its spikes, so the values are those after the learning of the step before the last;
+    /// after [`Engine::settle`], of the last. Empty in engines that do not learn.
+    fn learned(&self, rule: RuleId, column: Column) -> Vec<i32> {
+        let _ = (rule, column);
+        Vec::new()
+    }
+    /// Number of synaptic updates of the sample so far: synapses whose rule was evaluated.
+    fn synaptic_updates(&self) -> u64 {
+        0
     }
     /// Compartments that spiked in the last step, each once, in any order, because most callers
     /// need no sorted list.

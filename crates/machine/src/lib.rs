@@ -34,7 +34,6 @@ use rayon::prelude::*;
 
 use crate::lanes::width;
 pub use crate::layout::image::{Image, ImageError};
-use crate::plastic::learning::Learning;
 use crate::plastic::places::PlasticPlace;
 use crate::ranks::exchange::Exchange;
 use crate::ranks::transport::Ranks;
@@ -44,7 +43,6 @@ use crate::update::step::Step;
 use nsim_dynamics as neuron;
 use nsim_ir::activity::{Activity, Overflow, StepActivity, Totals};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
-use nsim_ir::learning::LearningRule;
 use nsim_ir::source_counts::SourceCounts;
 use nsim_ir::spikes::{Engine, Spikes};
 
@@ -98,8 +96,6 @@ pub struct Machine {
     totals: Totals,
     last: StepActivity,
     counts: SpikeCounts,
-    /// The rule that changes plastic weights, and its record.
-    learning: Option<Learning>,
 }
 
 impl Machine {
@@ -127,7 +123,6 @@ impl Machine {
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
             counts: SpikeCounts::new(image),
-            learning: None,
         }
     }
 
@@ -182,16 +177,6 @@ impl Machine {
         if let Some((shard, place)) = place {
             self.shards[shard as usize].plastic[place as usize] = weight;
         }
-    }
-
-    /// Changes all plastic weights by this rule in the samples that begin from now on.
-    pub fn set_rule(&mut self, rule: Arc<dyn LearningRule>) {
-        self.learning = Some(Learning::new(rule, &self.image));
-    }
-
-    /// Whether a rule changes plastic weights.
-    pub fn learns(&self) -> bool {
-        self.learning.is_some()
     }
 
     /// Whether nothing will change until the next input spike, except by a rule.
@@ -293,16 +278,6 @@ impl Machine {
         }
     }
 
-    /// Learn, after the delivery of this step. It is a separate function, so that a step without a
-    /// rule has none of its code.
-    #[cold]
-    fn learn(&mut self, channels: &[ChannelId]) {
-        let (image, Some(learning)) = (&*self.image, &mut self.learning) else { return };
-        let compartments = self.carried.iter().map(|spike| image.channels + spike.0);
-        let sources = channels.iter().map(|channel| channel.0).chain(compartments);
-        learning.learn(self.step, sources, (image, &mut self.shards));
-    }
-
     /// Exchange: the spikes of all shards in one list.
     fn exchange(&mut self) {
         let image = &*self.image;
@@ -395,7 +370,6 @@ impl Engine for Machine {
         self.remote.clear();
         self.last_events = 0;
         self.counts.begin(&self.image, &self.shards, self.arch);
-        self.learning.iter_mut().for_each(Learning::clear);
         self.totals = Totals::default();
         self.last.clear();
     }
@@ -415,9 +389,6 @@ impl Engine for Machine {
     fn step(&mut self, input: Spikes<'_>) {
         let left = self.steps.saturating_sub(self.step);
         self.deliver_and_update(input, left);
-        if self.learning.is_some() {
-            self.learn(input.ids);
-        }
         self.exchange();
         self.count(input.ids, left);
         self.step += 1;
@@ -439,13 +410,7 @@ impl Engine for Machine {
         }
         self.shown.clear();
         self.carried.clear();
-        let end = self.step + steps;
-        while self.learning.is_some() && self.step < end {
-            // Epochs end in idle steps too.
-            self.learn(&[]);
-            self.step += 1;
-        }
-        self.step = end;
+        self.step += steps;
         self.counts.steps += u64::from(steps);
         self.totals.compartment_updates += u64::from(steps) * self.image.held as u64;
         if self.settings.per_step {

@@ -4,8 +4,11 @@
 //! copy. Populations of copy k are named `name@k` from k = 1 on. Input channels are copied too, so
 //! that each copy has its own input axons. Copies share weights in memory, but not on a chip.
 
+use std::sync::Arc;
+
 use nsim_ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim_ir::graph::MOST_UNITS;
+use nsim_ir::learning::Plastic;
 use nsim_ir::quantised::{Child, Inconsistent, Parts, Projection, Quantised, Units};
 
 /// Returns `n` copies of a network. The output population belongs to copy 0.
@@ -32,6 +35,7 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
         populations: Default::default(),
         projections: Default::default(),
         children: Vec::new(),
+        rules: one.rules.clone(),
         name: one.name.clone(),
         classes: one.classes.clone(),
         notes: one.notes.clone(),
@@ -53,7 +57,12 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
         let of_copy = |id: PopulationId| PopulationId(id.0 + k * per_copy);
         for projection in &one.projections {
             let [source, target] = [projection.source, projection.target].map(of_copy);
-            parts.projections.push(Projection { source, target, ..projection.clone() });
+            let signals = |plastic: &Arc<Plastic>| {
+                let signals = plastic.signals.map(|signal| signal.map(of_copy));
+                Arc::new(Plastic { signals, ..Plastic::clone(plastic) })
+            };
+            let plastic = projection.plastic.as_ref().map(signals);
+            parts.projections.push(Projection { source, target, plastic, ..projection.clone() });
         }
         for child in &one.children {
             let [population, parent] = [child.population, child.parent].map(of_copy);

@@ -95,6 +95,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         populations,
         projections,
         children: Vec::new(),
+        rules: Default::default(),
         output: population_id(graph.output()),
         decision: facts.decision,
         drain: facts.drain,
@@ -174,7 +175,7 @@ impl Stage<'_> {
                 .help("give 1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
         let (sign, port) = (projection.sign, projection.port);
-        Ok(SynapseFormat { exponent, sign, bits: width, port, apart: None, plastic: false })
+        Ok(SynapseFormat { exponent, sign, bits: width, port, apart: None, rule: None })
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
@@ -456,6 +457,7 @@ impl Stage<'_> {
             format,
             delay: projection.delay,
             connectivity,
+            plastic: None,
         })
     }
 }

@@ -289,7 +289,7 @@ const RELAY_FORMAT: SynapseFormat = SynapseFormat {
     bits: WeightBits::MAX,
     port: Port::First,
     apart: None,
-    plastic: false,
+    rule: None,
 };
 
 /// One synapse from each unit to the unit with its number, whose spike makes a relay spike.
@@ -327,7 +327,7 @@ fn relay_population(name: &str, first: u32, size: u32, start_step: u32) -> Popul
 }
 
 fn to_relays(name: String, source: PopulationId, target: PopulationId, connectivity: Connectivity) -> Projection {
-    Projection { name, source, target, format: RELAY_FORMAT, delay: Delay::MIN, connectivity }
+    Projection { name, source, target, format: RELAY_FORMAT, delay: Delay::MIN, connectivity, plastic: None }
 }
 
 /// The synapses of some consecutive compartments, divided among them and their relays.

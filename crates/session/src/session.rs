@@ -17,7 +17,6 @@ use std::sync::Arc;
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId, ProjectionId};
-use nsim_ir::learning::{LONGEST_EPOCH, LearningRule};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Engine, Sample, Spikes};
 use nsim_machine::plastic::places::PlasticProjection;
@@ -249,26 +248,6 @@ impl Session {
         session
     }
 
-    /// Sets the learning rule of all plastic projections, and resets the session to before the
-    /// first step.
-    ///
-    /// # Errors
-    /// `session.rule.epoch`, `session.rule.not-plastic`; the session stays as it was.
-    pub fn set_rule(&mut self, rule: Arc<dyn LearningRule>) -> Result<()> {
-        if !(1..=LONGEST_EPOCH).contains(&rule.epoch()) {
-            let message = format!("a rule has epochs of {} steps", rule.epoch());
-            let help = format!("give epochs of 1 to {LONGEST_EPOCH} steps");
-            return Err(Diagnostic::new("session.rule.epoch", message).help(help));
-        }
-        if self.plastic.is_empty() {
-            let message = "a rule has no weights to change, as the network has no plastic projection".to_string();
-            return Err(Diagnostic::new("session.rule.not-plastic", message).help(MAKE_PLASTIC));
-        }
-        self.engine.set_rule(rule);
-        self.reset();
-        Ok(())
-    }
-
     /// Returns the weights of a plastic projection, source by source, in the order of its synapses.
     /// After the last step of a learning epoch, they include the changes of that epoch.
     ///
@@ -321,7 +300,7 @@ impl Session {
     /// `session.too-long`; `session.weights.written` when a run of the sample would not have the
     /// weights that were written.
     pub fn sample(&self) -> Result<Sample> {
-        if self.is_written || self.engine.learns() {
+        if self.is_written {
             let message =
                 "weights were written or learned, so a run of the same input would not reproduce them".to_string();
             let help = "call reset() and step without writing weights, in a session without rule";

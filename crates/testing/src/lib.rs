@@ -14,10 +14,11 @@ use nsim_files::target::load_target;
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::SourceText;
 use nsim_ir::base::fixed::{Decay, Delay, Refractory, SignMode, ThresholdMantissa, WeightBits, WeightExponent};
-use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, PopulationId};
+use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, PopulationId, ProjectionId, RuleId};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{Graph, PerCompartment, Shape, Window};
 use nsim_ir::hardware::{Chip, Target, TargetFile};
+use nsim_ir::learning::{Learning, Plastic, Rule};
 use nsim_ir::neurons::Port;
 use nsim_ir::program::{self, Program};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
@@ -75,7 +76,20 @@ pub fn plain_format() -> SynapseFormat {
 /// A synapse format without plasticity.
 pub fn format(exponent: i64, sign: SignMode, bits: i64) -> SynapseFormat {
     let (exponent, bits) = (WeightExponent::new(exponent).unwrap(), WeightBits::new(bits).unwrap());
-    SynapseFormat { exponent, sign, bits, port: Port::First, apart: None, plastic: false }
+    SynapseFormat { exponent, sign, bits, port: Port::First, apart: None, rule: None }
+}
+
+/// Makes a projection plastic, by this rule; returns its id. Rows are in the order of sources.
+pub fn make_plastic(parts: &mut Parts, projection: ProjectionId, rule: Rule) -> RuleId {
+    let name = format!("{projection}");
+    let rule = parts.rules.push(Learning { name, rule });
+    let sources = parts.populations[parts.projections[projection].source].shape.len();
+    let own = &mut parts.projections[projection];
+    let rows = (0..own.connectivity.count(sources.into()) as u32).collect();
+    own.format.rule = Some(rule);
+    let (tags, delays) = (Default::default(), Default::default());
+    own.plastic = Some(Arc::new(Plastic { rule, first_source: 0, rows, tags, delays, signals: [None; 3] }));
+    rule
 }
 
 /// Connectivity from a list of (target, weight) for each source.
@@ -178,7 +192,7 @@ impl Builder {
         let name = |id| &self.parts.populations[id].name;
         let name = format!("{} -> {}", name(source), name(target));
         let delay = Delay::new(delay).unwrap();
-        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
+        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity, plastic: None });
     }
 
     /// Adds a dense projection of plain weights `f(source, target)`.

@@ -10,7 +10,7 @@ use nsim::ir::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, MessageBits, Payload, Refractory, SignMode, ThresholdMantissa,
     VmaxExponent, VminExponent, WeightBits, WeightExponent,
 };
-use nsim::ir::base::id::{ClassId, CompartmentId, CoreId, Id, PopulationId};
+use nsim::ir::base::id::{ClassId, CompartmentId, CoreId, Id, PopulationId, RuleId};
 use nsim::ir::neurons::{NeuronKind, Port};
 use nsim::ir::program::{AxonTarget, AxonsOut, CoreClass, CoreFormat, InputAxon, Parts, PopulationAxon, Synapse};
 use nsim::ir::quantised::connectivity::SeparateSum;
@@ -97,7 +97,9 @@ pub const KINDS: &[(&str, Kind)] = &[
             format.synapse.port = if format.synapse.port.is_first() { Port::Second } else { Port::First };
         })
     }),
-    ("plastic format", |p, d| format_field(p, d, Anything, |format, _| format.synapse.plastic ^= true)),
+    ("plastic format", |p, d| {
+        format_field(p, d, Anything, |format, _| format.synapse.rule = format.synapse.rule.xor(Some(RuleId(0))))
+    }),
     ("start step", |p, d| {
         let (core, slot) = compartment(p, d);
         p.class_mut(core).compartments[slot].start_step += d.from(1, 9) as u32;

@@ -98,10 +98,11 @@ impl Plan {
                     bits: WeightBits::new(8)?,
                     port: Port::First,
                     apart: None,
-                    plastic: false,
+                    rule: None,
                 },
                 delay: Delay::new(link.delay.into())?,
                 connectivity: Connectivity::Dense { targets: count, weights: link.weights.concat().into() },
+                plastic: None,
             })
         });
         Ok(Quantised::new(Parts {

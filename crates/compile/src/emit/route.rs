@@ -23,7 +23,7 @@ use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim_ir::messages::{AxonTarget, AxonsOut, IndexedTarget};
 use nsim_ir::partition::{Partition, Seat};
 use nsim_ir::placement::Placement;
-use nsim_ir::program::{Compartments, CoreClass, CoreImage, Graded, Parts, Program};
+use nsim_ir::program::{Compartments, CoreClass, CoreImage, Graded, Parts, Program, ProgramLearning};
 use nsim_ir::quantised::{Population, Quantised};
 use nsim_ir::ranks::RankAssignment;
 use nsim_ir::resource::Limits;
@@ -102,6 +102,7 @@ pub(crate) fn route_classes(
         semantics: parts.semantics,
         threshold: parts.threshold,
         reset: parts.reset,
+        learning: ProgramLearning::of(network),
         assignment,
     })
     .map_err(|error| error.to_string())

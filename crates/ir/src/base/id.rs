@@ -73,6 +73,10 @@ define_id!(
     /// A class of equal cores.
     ClassId, "class"
 );
+define_id!(
+    /// A learning rule of a network.
+    RuleId, "rule"
+);
 
 /// A vector indexed by `I` only.
 #[derive(Clone, PartialEq, Eq, Deserialize, Serialize)]

@@ -9,6 +9,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use crate::base::fixed::{SignMode, WeightBits, WeightExponent};
+use crate::base::id::RuleId;
 use crate::graph::{Shape, Window};
 use crate::neurons::Port;
 
@@ -29,12 +30,17 @@ pub struct SynapseFormat {
     /// directly.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub apart: Option<SeparateSum>,
-    /// Whether a run may change weights individually between steps.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub plastic: bool,
+    /// The rule that changes its synapses one by one while a network runs; `None` for constants.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub rule: Option<RuleId>,
 }
 
 impl SynapseFormat {
+    /// Whether a run may change its synapses.
+    pub const fn is_plastic(self) -> bool {
+        self.rule.is_some()
+    }
+
     /// The nearest weight of the format toward 0.
     pub fn toward_zero(self, weight: i16) -> i16 {
         let (low, high) = self.sign.range(self.bits);
@@ -61,7 +67,7 @@ impl SeparateSum {
 }
 
 /// Synapses of a projection, with integer weights.
-#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 pub enum Connectivity {
     /// All to all; row-major `[source][target]`, so that a spike reads one row.

@@ -18,9 +18,10 @@ use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::fixed::{
     BiasExponent, BiasMantissa, Decay, Delay, Refractory, ThresholdMantissa, VmaxExponent, VminExponent, WeightExponent,
 };
-use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
+use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId, RuleId};
 use crate::base::warning::Warning;
 use crate::graph::{PerCompartment, Shape};
+use crate::learning::{Learning, Plastic};
 use crate::neurons::{Emits, NeuronKind, ParameterRow, Role, Stack, Storage};
 use crate::pruned;
 use crate::spikes::Message;
@@ -233,10 +234,13 @@ pub struct Projection {
     pub target: PopulationId,
     /// Storage format of its synapses.
     pub format: SynapseFormat,
-    /// Delay field of every synapse.
+    /// Delay field of every synapse, at first where its rule changes delays.
     pub delay: Delay,
     /// Its synapses.
     pub connectivity: Connectivity,
+    /// The state of its synapses besides weights and delays, where a rule changes them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub plastic: Option<Arc<Plastic>>,
 }
 
 /// A change or loss by quantisation, reported to the user.
@@ -300,6 +304,9 @@ pub struct Parts {
     /// Populations whose compartments are children in the neurons of another, by parent.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub children: Vec<Child>,
+    /// Learning rules of the plastic projections.
+    #[serde(skip_serializing_if = "IdVec::is_empty")]
+    pub rules: IdVec<RuleId, Learning>,
     /// The output population.
     pub output: PopulationId,
     /// The score that decides.
@@ -333,6 +340,7 @@ impl Default for Parts {
             populations: Default::default(),
             projections: Default::default(),
             children: Vec::new(),
+            rules: IdVec::new(),
             output: PopulationId(0),
             decision: ReadOut::Spikes,
             drain: 0,
@@ -469,7 +477,7 @@ impl Quantised {
         for (id, projection) in parts.projections.enumerate() {
             check_projection(&parts, projection)?;
             let Projection { name, source, target, format, delay, .. } = projection;
-            if format.plastic && !plastic.insert((*source, *target, *format, *delay)) {
+            if format.is_plastic() && !plastic.insert((*source, *target, *format, *delay)) {
                 let what = "another plastic projection has its ends, format and delay, so that synapses of the two \
                             could not be identified; make them one, or give one another delay";
                 return Err(Inconsistent(format!("projection {name}: {what}")));
@@ -643,7 +651,7 @@ impl Quantised {
 
     /// Projections whose weights a run may change, in the order of the file.
     pub fn plastic(&self) -> impl Iterator<Item = (ProjectionId, &Projection)> {
-        self.parts.projections.enumerate().filter(|(_, projection)| projection.format.plastic)
+        self.parts.projections.enumerate().filter(|(_, projection)| projection.format.is_plastic())
     }
 
     /// Projections that leave a population, in the order of the file.
@@ -796,14 +804,46 @@ fn check_projection(parts: &Parts, projection: &Projection) -> Result<(), Incons
     if exponent < WeightExponent::ZERO
         && apart.is_none()
         && neurons.any(|neuron| !neuron.kind.table().registers)
-        && (projection.format.plastic || !projection.connectivity.all_multiples_of(exponent.lost()))
+        && (projection.format.is_plastic() || !projection.connectivity.all_multiples_of(exponent.lost()))
     {
         return Err(wrong("weights lose bits on their way to neurons that sum them as they are"));
     }
-    if projection.format.plastic && projection.connectivity.window().is_some() {
+    if projection.format.is_plastic() && projection.connectivity.window().is_some() {
         return Err(wrong(
             "a plastic weight of a kernel would belong to several synapses; list the synapses one by one",
         ));
     }
-    projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)
+    projection.connectivity.check(projection.format, source.shape, target.shape).map_err(wrong)?;
+    check_plastic(parts, projection).map_err(wrong)
+}
+
+/// Checks the plastic state of a projection, whose synapses are closed.
+fn check_plastic(parts: &Parts, projection: &Projection) -> Result<(), &'static str> {
+    let plastic = match (projection.format.rule, &projection.plastic) {
+        (None, None) => return Ok(()),
+        (Some(rule), Some(plastic)) if plastic.rule == rule => plastic,
+        _ => return Err("its format and its plastic state name different rules"),
+    };
+    let Some(learning) = parts.rules.get(plastic.rule) else { return Err("its rule does not exist") };
+    let (source, target) = (&parts.populations[projection.source], &parts.populations[projection.target]);
+    let synapses = projection.connectivity.count(source.shape.len().into()) as usize;
+    let fills = |values: &[i16]| values.is_empty() || values.len() == synapses;
+    if plastic.rows.len() != synapses || !fills(&plastic.tags) || !fills(&plastic.delays) {
+        return Err("its plastic state has not one value for each synapse");
+    }
+    let semantics = learning.rule.semantics();
+    if semantics.delays_act() && !plastic.delays.is_empty() {
+        return Err("its delays act, so they are the delays of its synapses");
+    }
+    let within = |values: &[i16], (low, high): (i32, i32)| values.iter().all(|&v| (low..=high).contains(&v.into()));
+    if !within(&plastic.tags, semantics.tags()) || !within(&plastic.delays, semantics.delays()) {
+        return Err("a first tag or delay is out of range");
+    }
+    for signal in plastic.signals.into_iter().flatten() {
+        let one_or_each = |population: &Population| [1, target.shape.len()].contains(&population.shape.len());
+        if !parts.populations.get(signal).is_some_and(|p| matches!(p.units, Units::Input(_)) && one_or_each(p)) {
+            return Err("a signal is no input population of one value, or of one for each target");
+        }
+    }
+    Ok(())
 }

@@ -121,7 +121,7 @@ mod tests {
     fn effects_are_what_lists_hold() {
         let (exponent, bits) = (WeightExponent::new(0).unwrap(), WeightBits::new(8).unwrap());
         let synapse =
-            SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None, plastic: false };
+            SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None, rule: None };
         let format = |index_bits| CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None };
         let formats = [format(None), format(Some(4))];
         let mut read = 0;

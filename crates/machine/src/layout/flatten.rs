@@ -150,7 +150,8 @@ impl<'a> Flattener<'a> {
                         (place(shard, row.delay), row.synapses, RowPlace::new(lane - self.bases[shard], row.row))
                     }));
                 } else {
-                    let stays = |synapse: &&Synapse| !selected.formats[usize::from(synapse.format)].synapse.plastic;
+                    let stays =
+                        |synapse: &&Synapse| !selected.formats[usize::from(synapse.format)].synapse.is_plastic();
                     synapses.extend(selected.stored.iter().filter(stays).map(|synapse| {
                         let format = selected.formats[usize::from(synapse.format)].synapse;
                         let slot = usize::from(selected.base) + usize::from(synapse.slot);
@@ -216,7 +217,7 @@ mod tests {
     fn format(exponent: i64, index_bits: Option<u8>) -> CoreFormat {
         let exponent = WeightExponent::new(exponent).unwrap();
         let (bits, port) = (WeightBits::new(8).unwrap(), Port::First);
-        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port, apart: None, plastic: false };
+        let synapse = SynapseFormat { exponent, sign: SignMode::Mixed, bits, port, apart: None, rule: None };
         CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None }
     }
 
@@ -309,6 +310,7 @@ mod tests {
             semantics: Semantics::Hardware,
             threshold: ThresholdTest::Strict,
             reset: None,
+            learning: Default::default(),
             assignment: None,
         })
         .unwrap()

@@ -47,7 +47,7 @@ impl PlasticSynapses {
     /// The plastic synapses of each shard.
     pub fn by_shard(program: &Program, lanes: &[u32], bases: &[u32], sums: &Sums) -> Vec<Self> {
         let mut all: Vec<Self> = bases.iter().map(|_| Self::default()).collect();
-        let is_plastic = |class: &CoreClass| class.formats.iter().any(|format| format.synapse.plastic);
+        let is_plastic = |class: &CoreClass| class.formats.iter().any(|format| format.synapse.is_plastic());
         if !program.classes().iter().any(is_plastic) {
             return all;
         }
@@ -56,7 +56,7 @@ impl PlasticSynapses {
                 let (class, ids) = (program.class_of(message.core), &program.cores()[message.core].ids);
                 for synapse in class.inputs.get(usize::from(message.axon)).synapses() {
                     let format = class.formats[usize::from(synapse.format)].synapse;
-                    if !format.plastic {
+                    if !format.is_plastic() {
                         continue;
                     }
                     let (target, delay) = (ids[usize::from(synapse.slot)], synapse.delay.get());

@@ -311,7 +311,7 @@ fn rows_of(
     scratch: &mut Vec<(u8, u16, i16)>,
 ) -> Option<Vec<(u16, u8, Content)>> {
     scratch.clear();
-    if axon.stored.iter().any(|s| formats[usize::from(s.format)].synapse.plastic) {
+    if axon.stored.iter().any(|s| formats[usize::from(s.format)].synapse.is_plastic()) {
         return None;
     }
     let rank = |s: &Synapse| ranks[usize::from(s.slot + axon.base)];
@@ -589,7 +589,7 @@ mod tests {
             bits: WeightBits::new(8).unwrap(),
             port: Default::default(),
             apart: None,
-            plastic: false,
+            rule: None,
         };
         CoreFormat { synapse, delay_bits: 6, index_bits: Some(4), skip_bits: None }
     }

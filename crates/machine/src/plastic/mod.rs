@@ -3,5 +3,4 @@
 //! - `places`: the plastic synapses of each projection of a network.
 //! - `learning`: the phase in which a rule changes weights.
 
-pub(crate) mod learning;
 pub mod places;

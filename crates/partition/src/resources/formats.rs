@@ -164,7 +164,7 @@ pub fn weight_bits(projection: &Projection) -> u32 {
     let format = projection.format;
     let widest = u32::from(format.bits.get());
     let (low, high) = match &projection.connectivity {
-        _ if format.plastic => return widest,
+        _ if format.is_plastic() => return widest,
         Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => range(weights),
         Connectivity::Conv2d { kernel, .. } => range(kernel),
         Connectivity::SumPool2d { weight, .. } => range(&[*weight]),

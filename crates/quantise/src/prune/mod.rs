@@ -316,6 +316,7 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
         projections,
         populations,
         children: before.children.clone(),
+        rules: before.rules.clone(),
         name: before.name.clone(),
         classes: before.classes.clone(),
         notes: before.notes.clone(),

@@ -43,7 +43,7 @@ pub fn json(network: &Quantised) -> Value {
         .filter(|(_, projection)| is_drawn(&projection.source) && is_drawn(&projection.target))
         .take(MOST_PROJECTIONS)
         .map(|(id, projection)| {
-            let Projection { name, source, target, format, delay, connectivity } = projection;
+            let Projection { name, source, target, format, delay, connectivity, .. } = projection;
             let rounded = parts.notes.iter().filter(|note| note.entity == *name).find_map(|note| note.rounded);
             json!({
                 "name": name, "from": network.populations()[*source].name, "to": network.populations()[*target].name,

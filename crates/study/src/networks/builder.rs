@@ -118,10 +118,10 @@ impl Builder {
             bits: WeightBits::new(8)?,
             port: Port::First,
             apart: None,
-            plastic: false,
+            rule: None,
         };
         let delay = Delay::new(0)?;
-        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity });
+        self.parts.projections.push(Projection { name, source, target, format, delay, connectivity, plastic: None });
         Ok(())
     }
 

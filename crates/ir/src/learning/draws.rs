@@ -1,0 +1,103 @@
+//! Random numbers of learning: functions of (seed, rule, use, entity, step), or recorded ones.
+//!
+//! An entity is the row of a synapse, or the index of a source or target among those of the rule.
+//! So results depend on neither threads, cores nor the division into ranks. Copies of a network
+//! draw alike.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use crate::base::id::{Id, IdVec, RuleId};
+use crate::base::names::named_variants;
+use crate::base::rng;
+
+named_variants! {
+    /// What a random number decides. The names are the keys of recorded draws.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+    pub enum Use {
+        /// Decay of presynaptic traces.
+        PreDecay = "draw_x_decay",
+        /// The fraction of a presynaptic impulse.
+        PreImpulse = "draw_x_impulse",
+        /// Decay of postsynaptic traces.
+        PostDecay = "draw_y_decay",
+        /// The fraction of a postsynaptic impulse.
+        PostImpulse = "draw_y_impulse",
+        /// Rounding of the variables of synapses.
+        Round = "draw_round",
+        /// The fraction of a further spike of a target in an epoch.
+        Post = "draw_post",
+        /// The fraction of a further spike of a source in an epoch, where it is drawn.
+        Pre = "draw_pre",
+    }
+}
+
+impl Use {
+    /// Whether there is one number for each step, not for each epoch.
+    pub const fn is_of_steps(self) -> bool {
+        matches!(self, Use::Post | Use::Pre)
+    }
+
+    /// Whether the numbers are integers from 0 to 127; the others are real, from 0 to below 1.
+    pub const fn is_whole(self) -> bool {
+        matches!(self, Use::PreImpulse | Use::PostImpulse | Use::Post | Use::Pre)
+    }
+}
+
+/// Recorded numbers of one rule, by use.
+pub type Recorded = BTreeMap<Use, Vec<f64>>;
+
+/// The random numbers of a run.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Draws {
+    /// The seed.
+    pub seed: u64,
+    /// Recorded numbers, which replace the seeded ones of lava's semantics.
+    pub recorded: Arc<IdVec<RuleId, Option<Recorded>>>,
+}
+
+/// Place of a random number that an entity draws for itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Place {
+    /// The rule.
+    pub rule: RuleId,
+    /// Its use.
+    pub of: Use,
+    /// Number of the trace or variable among those of the rule.
+    pub part: u8,
+    /// The synapse, source or target.
+    pub entity: u32,
+    /// The step, counted over the samples since learning began.
+    pub step: u64,
+}
+
+impl Draws {
+    /// Seeded numbers.
+    pub fn seeded(seed: u64) -> Self {
+        Draws { seed, ..Draws::default() }
+    }
+
+    /// 64 random bits for one entity: a function of the seed and the place.
+    #[inline]
+    pub fn bits(&self, Place { rule, of, part, entity, step }: Place) -> u64 {
+        let entity = u64::from(entity) | u64::from(part) << 32 | (of as u64) << 40 | (rule.index() as u64) << 44;
+        rng::bits(self.seed, entity, step)
+    }
+
+    /// A real number in [0, 1) with 53 bits, for one entity.
+    #[inline]
+    pub fn unit(&self, place: Place) -> f64 {
+        (self.bits(place) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// The number that all entities of a rule share: real in [0, 1), or whole from 0 to 127.
+    /// `number` counts epochs or steps of the run from 0, `step` those since learning began.
+    pub fn shared(&self, rule: RuleId, of: Use, number: u32, step: u64) -> f64 {
+        let recorded = self.recorded.get(rule).and_then(Option::as_ref).and_then(|recorded| recorded.get(&of));
+        if let Some(numbers) = recorded {
+            return numbers.get(number as usize).copied().unwrap_or(0.0);
+        }
+        let place = Place { rule, of, part: 0, entity: 0, step };
+        if of.is_whole() { (self.bits(place) >> 57) as f64 } else { self.unit(place) }
+    }
+}

@@ -1,0 +1,96 @@
+use super::*;
+
+fn shown(text: &str) -> String {
+    parse(text).unwrap_or_else(|problem| panic!("{text}: {} at {}", problem.message, problem.at)).to_string()
+}
+
+#[test]
+fn rules_of_public_tools_are_read_as_they_compute_them() {
+    for (text, read) in [
+        ("2^-2*x1*y0 - 2^-2*y1*x0", "1*2^-2*y0*x1 - 1*2^-2*x0*y1"),
+        ("(1) * 2 ^ 0 * (-2) * x0 * y1 + (1) * (4) * y0 * x1", "-2*2^0*x0*y1 + 4*2^0*y0*x1"),
+        ("12*y0*x0 - 2^-1*x0*w + 2^0*y0*x0*y1", "6*2^1*y0*x0 - 1*2^-1*x0*w + 1*2^0*y0*x0*y1"),
+        ("-8*2^8*x0 + 3*2^4*y0", "-8*2^8*x0 + 3*2^4*y0"),
+        ("-8*x0", "-4*2^1*x0"),
+        ("2^-3*y0*(x1-20)*(y1+3)", "1*2^-3*y0*(x1-20)*(y1+3)"),
+        ("x0*(5-w)", "-1*2^0*x0*(w-5)"),
+        ("u0*x2 + u0*sgn(w+4) - 3*2^-2*x0*y3", "1*2^0*u0*x2 + 1*2^0*u0*sgn(w+4) - 3*2^-2*x0*y3"),
+        ("y0*y0*x0*u3", "1*2^0*y0*y0*x0"),
+    ] {
+        assert_eq!(shown(text), read);
+        assert_eq!(shown(read), read, "what is written is read again");
+    }
+}
+
+#[test]
+fn bad_rules_are_refused_where_they_are_wrong() {
+    for (text, at, part) in [
+        ("2*x1", 0, "needs x0, y0 or u0 to u9"),
+        ("x0 + 2*x1*w", 5, "needs x0, y0 or u0 to u9"),
+        ("u1*w + u2*t", 7, "u1 and u2 are used"),
+        ("9*x0", 0, "n from -8 to 7"),
+        ("2^9*x0", 0, "e from -7 to 8"),
+        ("2^-8*x0", 0, "e from -7 to 8"),
+        ("x0*(-w)", 5, "write the sign before the product"),
+        ("(x0)*w", 3, "remove them"),
+        ("u10*w", 0, "'u10' is unknown"),
+        ("x0*(w-2^-1)", 6, "whole number"),
+        ("x0*w*w*w*t", 0, "40 bits, the limit is 31"),
+        ("x0*", 3, "the rule ends"),
+        ("x0 w", 3, "expected +, - or *"),
+        ("x0*x3", 3, "'x3' is unknown"),
+        ("x0*3.5", 3, "expected a whole number"),
+        ("x0*3^2", 4, "only powers of 2"),
+        ("", 0, "the rule ends"),
+        ("x0*sgn(x1)", 7, "sgn takes w, d or t"),
+        ("x0*99999999", 3, "exceeds"),
+        ("x0*(w", 5, "the rule ends"),
+    ] {
+        let problem = parse(text).expect_err(text);
+        assert!(problem.message.contains(part), "{text}: {}", problem.message);
+        assert_eq!(problem.at, at, "{text}: {}", problem.message);
+    }
+}
+
+#[test]
+fn a_rule_has_one_u_and_an_epoch_in_range() {
+    let rule = |dw: &str, dt: &str, epoch: u8| {
+        let change = |text: &str| if text.is_empty() { Change::default() } else { parse(text).unwrap() };
+        Rule::new(RuleText { changes: [change(dw), Change::default(), change(dt)], epoch, ..RuleText::default() })
+    };
+    assert_eq!(rule("u2*w", "x0*t", 4).unwrap().slow(), 2);
+    assert!(rule("u2*w", "u1*t", 4).unwrap_err().contains("u2 and u1"));
+    assert!(rule("x0", "", 0).unwrap_err().contains("1 to 63"));
+    assert!(rule("x0", "", 64).unwrap_err().contains("1 to 63"));
+    let until = Rule::new(RuleText { changes: Default::default(), epoch: 4, until: Some(10), ..RuleText::default() });
+    let until = until.unwrap();
+    assert_eq!((0..20).filter(|&step| until.learns_after(step)).collect::<Vec<_>>(), [3, 7]);
+}
+
+#[test]
+fn impulses_have_256_parts_and_taus_are_finite() {
+    assert_eq!(Impulse::try_from(15.998), Ok(Impulse { whole: 15, fraction: 255 }));
+    assert_eq!(Impulse::try_from(0.999), Ok(Impulse { whole: 0, fraction: 256 }));
+    assert!(
+        Impulse::try_from(128.0).is_err() && Impulse::try_from(-0.1).is_err() && Impulse::try_from(f64::NAN).is_err()
+    );
+    assert!(Tau::try_from(-1.0).is_err() && Tau::try_from(f64::INFINITY).is_err());
+}
+
+#[test]
+fn draws_are_fixed_for_ever_and_replayed_where_recorded() {
+    use super::draws::{Draws, Place, Use};
+    let mut draws = Draws::seeded(7);
+    let place = Place { rule: RuleId(1), of: Use::Round, part: 2, entity: 9, step: 40 };
+    let bits = draws.bits(place);
+    assert_ne!(bits, draws.bits(Place { part: 1, ..place }));
+    assert_ne!(bits, draws.bits(Place { entity: 8, ..place }));
+    assert_ne!(bits, draws.bits(Place { rule: RuleId(0), ..place }));
+    assert_ne!(bits, draws.bits(Place { of: Use::Post, ..place }));
+    let recorded = [(Use::Post, vec![3.0, 5.0])].into_iter().collect();
+    draws.recorded = Arc::new(vec![None, Some(recorded)].into());
+    assert_eq!(
+        (draws.shared(RuleId(1), Use::Post, 1, 1), draws.shared(RuleId(0), Use::Post, 1, 1) < 128.0),
+        (5.0, true)
+    );
+}
