@@ -3,57 +3,49 @@
 //!
 //! Input: a network in integers and the input spikes of each step. Output, through [`Engine`]: the
 //! spikes, the registers and the counts of each step, for all three named semantics. It is written
-//! from `docs/semantics.md` and `docs/loihi2.md` alone. It imports the plain data of a network, and
-//! `base::rng`, which defines random synapses; it uses no crate but `ir`. It enumerates synapses
-//! from their targets. It looks up past spikes instead of filling a delay ring. It compares the
+//! from `docs/semantics.md`, `docs/loihi2.md` and `docs/learning.md` alone. It imports the plain
+//! data of a network and its rules, `base::rng`, which defines random synapses, and
+//! `learning::draws`; it uses no crate of the workspace but `ir`. It enumerates synapses from their
+//! targets. It looks up past spikes instead of filling a delay ring. It compares the
 //! steps since the last spike instead of counting refractory steps. It divides and takes remainders
 //! where the machine shifts and masks.
 //!
 //! There are no cores, threads or skipped work. A step visits every synapse.
 
 mod graded;
+mod learning;
 mod lif;
 mod microcode;
 mod outcome;
+mod plastic;
 mod resonator;
 mod sigma_delta;
 mod synapses;
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::RangeInclusive;
 
+use crate::learning::{Delivery, Learner, Numbers};
 use crate::outcome::{Outcome, decay, wrap};
-use crate::synapses::{DelayedSum, Synapse, connections_by_source, exponents, scaled, synapses};
+use crate::plastic::{Columns, Plastic};
+use crate::synapses::{DelayedSum, Synapse, exponents, scaled, synapses};
 use nsim_ir::activity::{Overflow, Totals};
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
 use nsim_ir::base::fixed::Decay;
-use nsim_ir::base::id::{CompartmentId, Id, IdVec, ProjectionId};
+use nsim_ir::base::id::{CompartmentId, Id, IdVec, PopulationId, ProjectionId, RuleId};
+use nsim_ir::learning::draws::Draws;
+use nsim_ir::learning::{Column, Variable};
 use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port, Role};
-use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Neuron, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::OverflowCounts;
 use nsim_ir::spikes::{Engine, Message, Spikes};
 
-/// Greatest latency from a spike to the update that it enters, in steps: delay field 62, and one
-/// step between compartments.
-const LONGEST_LATENCY: usize = 63;
-
-/// The weights of a plastic projection, source by source.
-#[derive(Debug, Clone)]
-struct Plastic {
-    format: SynapseFormat,
-    /// Weights before the first step.
-    first: Vec<i16>,
-    /// Later weights, each with the step from which they hold, ascending.
-    written: Vec<(u32, Vec<i16>)>,
-}
-
-impl Plastic {
-    /// The weights that deliver in a step.
-    fn weights(&self, step: u32) -> &[i16] {
-        self.written.iter().rev().find(|(from, _)| *from <= step).map_or(&self.first, |(_, weights)| weights)
-    }
-}
+/// Greatest delay field.
+const LONGEST_DELAY: u32 = 62;
+/// Greatest latency from a spike to the update that it enters, in steps: a delay, and one step
+/// between compartments.
+const LONGEST_LATENCY: usize = LONGEST_DELAY as usize + 1;
 
 /// Arrivals of a compartment in a step.
 #[derive(Debug, Clone, Default)]
@@ -141,6 +133,14 @@ pub struct Golden {
     /// Overflows of each compartment, over all samples.
     overflows: IdVec<CompartmentId, OverflowCounts>,
     plastic: BTreeMap<ProjectionId, Plastic>,
+    /// Rules by the target population of their projections, which is another one in each copy.
+    learners: BTreeMap<(RuleId, PopulationId), Learner>,
+    draws: Draws,
+    /// Number of step 0 among the steps since learning began, the run's number in the high half.
+    base: u64,
+    /// Number of steps whose spikes were noted.
+    noted: u32,
+    synaptic_updates: u64,
 }
 
 impl Golden {
@@ -171,13 +171,17 @@ impl Golden {
         for (child, parent, Role::Add) in network.children() {
             compartments[parent].child = Some(child);
         }
-        let plastic = network.plastic().map(|(id, projection)| {
-            let first = connections_by_source(network, projection).iter().map(|&(.., weight)| weight as i16).collect();
-            (id, Plastic { format: projection.format, first, written: Vec::new() })
-        });
-        let plastic = plastic.collect();
         let parts = network.parts();
         let overflows = compartments.ids().map(|_| OverflowCounts::default()).collect();
+        let (mut plastic, mut learners) = (BTreeMap::new(), BTreeMap::new());
+        for (id, projection) in network.plastic() {
+            let state = Plastic::new(network, projection);
+            learners
+                .entry(state.learner)
+                .or_insert_with(|| Learner::new(network, projection))
+                .join(network, projection);
+            plastic.insert(id, state);
+        }
         Golden {
             semantics: parts.semantics,
             threshold: parts.threshold,
@@ -195,28 +199,53 @@ impl Golden {
             overflow: Overflow::default(),
             overflows,
             plastic,
+            learners,
+            draws: Draws::default(),
+            base: 0,
+            noted: 0,
+            synaptic_updates: 0,
         }
     }
 
     /// The weights of a plastic projection, source by source.
     pub fn weights(&self, projection: ProjectionId) -> &[i16] {
-        self.plastic[&projection].weights(self.done)
+        self.plastic[&projection].latest().of(Variable::Weight)
     }
 
     /// Sets the weights of a plastic projection, which fit its format, from the next step's
     /// deliveries on. These are inputs of that step, and spikes of compartments in the last one.
     pub fn write_weights(&mut self, projection: ProjectionId, weights: &[i16]) {
         let plastic = self.plastic.get_mut(&projection).expect("the projection is plastic");
-        plastic.written.push((self.done, weights.to_vec()));
+        let Columns([_, delays, tags]) = plastic.latest().clone();
+        plastic.write(self.done, Columns([weights.to_vec(), delays, tags]));
     }
 
-    /// Contribution of a binary spike that arrives in this step. The weight is read at delivery,
-    /// before the delay.
-    fn adds(&self, synapse: &Synapse) -> i64 {
+    /// Contribution of a binary spike of a delivery, whose weight counts.
+    fn adds(&self, synapse: &Synapse, delivery: u32) -> i64 {
         let Some((projection, number)) = synapse.plastic else { return synapse.adds };
-        let between = u32::from(matches!(synapse.source, SpikeSource::Compartment(_)));
         let plastic = &self.plastic[&projection];
-        scaled(plastic.weights(self.done + between - synapse.latency)[number].into(), exponents(plastic.format).0)
+        scaled(plastic.at(delivery).of(Variable::Weight)[number].into(), exponents(plastic.format).0)
+    }
+
+    /// Whether the rule of a synapse changes its delay.
+    fn moves(&self, synapse: &Synapse) -> bool {
+        synapse.plastic.is_some_and(|(projection, _)| self.plastic[&projection].moves)
+    }
+
+    /// The delays that a synapse may have.
+    fn delays(&self, synapse: &Synapse) -> RangeInclusive<u32> {
+        let own = synapse.latency - synapse.between();
+        if self.moves(synapse) { 0..=LONGEST_DELAY } else { own..=own }
+    }
+
+    /// (L8): the delay of a spike of a delivery.
+    fn delay(&self, synapse: &Synapse, delivery: u32) -> u32 {
+        match synapse.plastic {
+            Some((projection, number)) if self.moves(synapse) => {
+                self.plastic[&projection].at(delivery).of(Variable::Delay)[number] as u32
+            }
+            _ => synapse.latency - synapse.between(),
+        }
     }
 
     /// Number of overflows of each compartment, over all samples so far.
@@ -236,18 +265,18 @@ impl Golden {
 
     /// Number of events of spikes in flight that arrive before the sample's end; 0 once it is over.
     fn events_in_flight(&self) -> u64 {
-        let arrives = |synapse: &Synapse, ago: u32| {
-            let spiked_in = self.done - 1 - ago;
-            spiked_in + synapse.latency >= self.done && spiked_in + synapse.latency < self.steps
-        };
         if self.done >= self.steps {
             return 0;
         }
         let mut events = 0;
         for synapse in self.compartments.iter().flat_map(|compartment| &compartment.incoming) {
-            // The latest step is the first row of the histories.
-            for ago in 0..self.done.min(synapse.latency + 1) {
-                events += u64::from(arrives(synapse, ago) && self.carried(synapse.source, ago).is_some());
+            // The spikes of the last step are the first row of the histories, and those of
+            // compartments are delivered in the next step.
+            for back in 1 - synapse.between()..=self.done.min(*self.delays(synapse).end()) {
+                let arrival = self.done - back + self.delay(synapse, self.done - back);
+                let arrives = self.done <= arrival && arrival < self.steps;
+                let spiked = self.carried(synapse.source, back + synapse.between() - 1).is_some();
+                events += u64::from(arrives && spiked);
             }
         }
         events
@@ -257,18 +286,50 @@ impl Golden {
     fn arrivals(&self, compartment: CompartmentId) -> Arrivals {
         let mut arrivals = Arrivals::default();
         for synapse in &self.compartments[compartment].incoming {
-            let Some(payload) = self.carried(synapse.source, synapse.latency) else { continue };
-            let adds = self.adds(synapse) * payload;
-            arrivals.events += 1;
-            match synapse.separate {
-                None => arrivals.plain[synapse.port.index()] += adds,
-                Some(own) => match arrivals.separate.iter_mut().find(|sum| (sum.0, sum.1) == (synapse.port, own)) {
+            for delay in self.delays(synapse) {
+                let Some(payload) = self.carried(synapse.source, delay + synapse.between()) else { continue };
+                let delivery = self.done - delay;
+                if self.delay(synapse, delivery) != delay {
+                    continue;
+                }
+                let adds = self.adds(synapse, delivery) * payload;
+                arrivals.events += 1;
+                let Some(own) = synapse.separate.map(|own| DelayedSum { delay, ..own }) else {
+                    arrivals.plain[synapse.port.index()] += adds;
+                    continue;
+                };
+                match arrivals.separate.iter_mut().find(|sum| (sum.0, sum.1) == (synapse.port, own)) {
                     Some((_, _, sum)) => *sum += adds,
                     None => arrivals.separate.push((synapse.port, own, adds)),
-                },
+                }
             }
         }
         arrivals
+    }
+
+    /// What is delivered after the last step, with these inputs of the next one.
+    fn delivery(&self, channels: Vec<Option<i64>>) -> Delivery {
+        let last = |history: &VecDeque<Vec<Option<i64>>>| history.front().cloned().unwrap_or_default();
+        Delivery { channels, compartments: last(&self.compartment_history), inputs: last(&self.channel_history) }
+    }
+
+    /// (L1) and (L2): notes the spikes that are delivered after the last step that was not noted,
+    /// and learns.
+    fn note(&mut self, delivery: &Delivery) {
+        let step = self.noted;
+        self.noted += 1;
+        let numbers = Numbers { draws: &self.draws, base: self.base };
+        for (key, learner) in &mut self.learners {
+            learner.note(numbers, step, delivery);
+            if !learner.learns_after(step) {
+                continue;
+            }
+            learner.remember(numbers, step);
+            for plastic in self.plastic.values_mut().filter(|plastic| plastic.learner == *key) {
+                self.synaptic_updates += learner.learn(numbers, step, plastic);
+            }
+            learner.clear_notes();
+        }
     }
 
     /// Computes and counts one step of one compartment; returns whether it spikes.
@@ -349,6 +410,7 @@ impl Engine for Golden {
     }
 
     fn begin(&mut self, steps: u32) {
+        self.base += u64::from(self.done);
         self.steps = steps;
         for compartment in self.compartments.iter_mut() {
             compartment.state = first(&compartment.neuron);
@@ -360,7 +422,47 @@ impl Engine for Golden {
         self.payloads.clear();
         self.totals = Totals::default();
         self.overflow = Overflow::default();
-        self.plastic.values_mut().for_each(|plastic| plastic.written.clear());
+        self.plastic.values_mut().for_each(Plastic::begin);
+        self.learners.values_mut().for_each(Learner::begin);
+        self.noted = 0;
+        self.synaptic_updates = 0;
+    }
+
+    fn forget(&mut self, run: u32) {
+        self.plastic.values_mut().for_each(Plastic::forget);
+        self.base = u64::from(run) << 32;
+        self.done = 0;
+    }
+
+    fn set_draws(&mut self, draws: &Draws) {
+        self.draws = draws.clone();
+    }
+
+    fn learned(&self, rule: RuleId, column: Column) -> Vec<i32> {
+        // The first copy has the least target population.
+        let Some((key, learner)) = self.learners.iter().find(|((id, _), _)| *id == rule) else { return Vec::new() };
+        let variable = match column {
+            Column::Trace(trace) => return learner.traces(trace),
+            Column::Variable(variable) => variable,
+        };
+        let mut by_row = BTreeMap::new();
+        for plastic in self.plastic.values().filter(|plastic| plastic.learner == *key) {
+            let values = plastic.latest().of(variable).iter().map(|&value| i32::from(value));
+            by_row.extend(plastic.rows.iter().copied().zip(values));
+        }
+        by_row.into_values().collect()
+    }
+
+    fn synaptic_updates(&self) -> u64 {
+        self.synaptic_updates
+    }
+
+    fn settle(&mut self) {
+        if self.noted < self.done {
+            let none = vec![None; self.channel_messages.len()];
+            let delivery = self.delivery(none);
+            self.note(&delivery);
+        }
     }
 
     fn step(&mut self, input: Spikes<'_>) {
@@ -374,6 +476,7 @@ impl Engine for Golden {
                 Message::Value(_) => input.values.get(place).map_or(1, |&value| value.into()),
             });
         }
+        let delivery = (self.noted < step).then(|| self.delivery(inputs.clone()));
         self.channel_history.push_front(inputs);
         // This step's own row is not read: a compartment's spike arrives a step later at the
         // earliest.
@@ -390,6 +493,10 @@ impl Engine for Golden {
         self.payloads = carried.collect();
         self.spikes = spikes;
         self.done += 1;
+        // Its weights are those of the arrivals that were just added.
+        if let Some(delivery) = delivery {
+            self.note(&delivery);
+        }
     }
 
     fn spikes(&self) -> &[CompartmentId] {

@@ -15,7 +15,8 @@ use nsim_ir::quantised::{Projection, Quantised, SpikeSource, Units};
 pub struct Synapse {
     /// Source of its spikes.
     pub source: SpikeSource,
-    /// Latency from a spike to the update that it enters, in steps: equation (2).
+    /// Latency from a spike to the update that it enters, in steps: equation (2); at first where
+    /// its rule changes delays.
     pub latency: u32,
     /// Contribution of a binary spike: equation (1).
     pub adds: i64,
@@ -25,6 +26,13 @@ pub struct Synapse {
     pub separate: Option<DelayedSum>,
     /// Its plastic projection, and the index of its weight there.
     pub plastic: Option<(ProjectionId, usize)>,
+}
+
+impl Synapse {
+    /// Steps from a spike to the update that it enters without a delay.
+    pub fn between(&self) -> u32 {
+        u32::from(matches!(self.source, SpikeSource::Compartment(_)))
+    }
 }
 
 /// A sum that is narrowed separately: rules (39) and (40).
