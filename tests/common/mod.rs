@@ -10,8 +10,9 @@ pub mod fuzzed;
 pub mod random;
 
 pub use nsim_testing::Builder;
+use std::collections::BTreeMap;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use nsim::compile::{Effort, Options, compile};
@@ -104,8 +105,12 @@ impl Array {
     /// Reads a C-ordered file of one of the integer types that the recorded data uses.
     pub fn read(path: &Path) -> Array {
         let file = File::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
-        let npy = npyz::NpyFile::new(BufReader::new(file)).unwrap();
-        assert_eq!(npy.order(), npyz::Order::C, "{}", path.display());
+        Array::from_reader(BufReader::new(file), &path.display().to_string())
+    }
+
+    fn from_reader(reader: impl Read, name: &str) -> Array {
+        let npy = npyz::NpyFile::new(reader).unwrap();
+        assert_eq!(npy.order(), npyz::Order::C, "{name}");
         let shape = npy.shape().iter().map(|&n| n as usize).collect();
         fn widen<T: Into<i64>>(values: Vec<T>) -> Vec<i64> {
             values.into_iter().map(Into::into).collect()
@@ -115,7 +120,7 @@ impl Array {
             "|i1" => widen(npy.into_vec::<i8>().unwrap()),
             "<i2" => widen(npy.into_vec::<i16>().unwrap()),
             "<i4" => widen(npy.into_vec::<i32>().unwrap()),
-            other => panic!("{}: type {other}", path.display()),
+            other => panic!("{name}: type {other}"),
         };
         Array { shape, values }
     }
@@ -129,6 +134,45 @@ impl Array {
             flat = flat * n + i;
         }
         self.values[flat]
+    }
+}
+
+/// The arrays of a NumPy archive.
+pub struct Archive {
+    path: PathBuf,
+    arrays: BTreeMap<String, Vec<u8>>,
+}
+
+impl Archive {
+    pub fn read(path: &Path) -> Archive {
+        let mut zip = zip::ZipArchive::new(File::open(path).unwrap()).unwrap();
+        let mut arrays = BTreeMap::new();
+        let names: Vec<String> = zip.file_names().map(|name| name.unwrap().to_string()).collect();
+        for name in names {
+            let mut bytes = Vec::new();
+            zip.by_name(&name).unwrap().read_to_end(&mut bytes).unwrap();
+            arrays.insert(name.strip_suffix(".npy").unwrap().to_string(), bytes);
+        }
+        Archive { path: path.to_path_buf(), arrays }
+    }
+
+    pub fn has(&self, name: &str) -> bool {
+        self.arrays.contains_key(name)
+    }
+
+    /// An array of integers.
+    pub fn array(&self, name: &str) -> Array {
+        let what = format!("{name} of {}", self.path.display());
+        Array::from_reader(self.arrays.get(name).unwrap_or_else(|| panic!("no {what}")).as_slice(), &what)
+    }
+
+    /// The numbers of an array of integers or of reals.
+    pub fn reals(&self, name: &str) -> Vec<f64> {
+        let npy = npyz::NpyFile::new(self.arrays[name].as_slice()).unwrap();
+        match npy.dtype().descr().contains("f8") {
+            true => npy.into_vec::<f64>().unwrap(),
+            false => self.array(name).values.iter().map(|&value| value as f64).collect(),
+        }
     }
 }
 

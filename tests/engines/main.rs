@@ -13,6 +13,7 @@ mod differential;
 mod early_exit;
 mod fuzzed;
 mod integrate_and_fire;
+mod learning;
 mod loihi2;
 mod microcode;
 mod mutations;
