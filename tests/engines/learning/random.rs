@@ -1,0 +1,341 @@
+//! Random networks with random rules, and the comparison of two engines that learn.
+
+use std::sync::Arc;
+
+use super::COLUMNS;
+use crate::common::compare::{Shown, shown};
+use crate::common::random::Draw;
+use crate::plastic::{plastic, sample};
+use nsim::golden::Golden;
+use nsim::ir::activity::{Overflow, Totals};
+use nsim::ir::base::fixed::{Delay, MessageBits};
+use nsim::ir::base::id::{ChannelId, IdVec, PopulationId, ProjectionId};
+use nsim::ir::graph::Shape;
+use nsim::ir::learning::draws::{Draws, Recorded, Use};
+use nsim::ir::learning::{
+    Change, Graded, Impulse, LearningSemantics, Plastic, Rule, RuleText, Tau, TraceSettings, Variable, parse,
+};
+use nsim::ir::neurons::NeuronKind;
+use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
+use nsim::ir::spikes::{Engine, Message, Sample};
+use nsim::quantise::copies::copies;
+use nsim_testing::{cases, sparse};
+use rayon::prelude::*;
+
+/// A random change: one to three products that fit the widths.
+fn change(draw: &mut Draw, slow: i64) -> String {
+    let mut text = String::new();
+    for count in 0..draw.from(1, 3) {
+        let sign = if draw.chance(50) { "-" } else { ["", "+"][usize::from(count > 0)] };
+        let (mantissa, exponent) = (draw.from(1, 7), draw.one_of(&[-7, -5, -4, -3, -2, -1, 0, 0, 1, 3, 8]));
+        let when = match draw.from(0, 4) {
+            0 | 1 => "x0".to_string(),
+            2 | 3 => "y0".to_string(),
+            _ => format!("u{slow}"),
+        };
+        text += &format!("{sign}{mantissa}*2^{exponent}*{when}");
+        let mut bits = 4;
+        for _ in 0..draw.from(0, 3) {
+            let name = draw.one_of(&["x1", "x2", "x1", "y1", "y2", "y3", "y1", "w", "d", "t", "x0", "y0"]);
+            // x0 and y0 beside u would be the dependency.
+            if when.starts_with('u') && name.ends_with('0') {
+                continue;
+            }
+            bits += if name.ends_with('0') {
+                1
+            } else if name.len() == 2 {
+                7
+            } else {
+                9
+            };
+            if bits > 31 {
+                break;
+            }
+            let plus = draw.one_of(&[-300, -64, -5, 3, 40]);
+            text += &match draw.from(0, 5) {
+                0 if !name.ends_with('0') => format!("*({name}{plus:+})"),
+                1 if name.len() == 1 => format!("*sgn({name}{plus:+})"),
+                _ => format!("*{name}"),
+            };
+        }
+    }
+    text
+}
+
+/// A random rule. Delays that act change only where `moves`.
+fn rule(draw: &mut Draw, moves: bool) -> Rule {
+    let semantics = draw.one_of(&LearningSemantics::ALL);
+    let slow = draw.one_of(&[0, 0, 1, 2]);
+    let changed = [draw.chance(90), draw.chance(40) && (moves || !semantics.delays_act()), draw.chance(40)];
+    let mut texts = changed.map(|changes| if changes { change(draw, slow) } else { String::new() });
+    if draw.chance(30) {
+        texts[0] = format!("2^-2*x1*y0 - 2^-2*y1*x0 + 2*u{slow}");
+    }
+    let trace = |draw: &mut Draw| {
+        let impulse = draw.one_of(&[0.0, 1.5, 16.0, 24.3, 90.0, 127.998]);
+        let tau = draw.one_of(&[0.0, 1.0, 5.0, 10.0, 25.5, 200.0]);
+        TraceSettings { impulse: Impulse::try_from(impulse).unwrap(), tau: Tau::try_from(tau).unwrap() }
+    };
+    Rule::new(RuleText {
+        changes: texts.map(|text| if text.is_empty() { Change::default() } else { parse(&text).unwrap() }),
+        epoch: draw.one_of(&[1, 1, 2, 3, 4, 7, 8, 16, 63]),
+        traces: [(); 5].map(|()| trace(draw)),
+        semantics,
+        graded: if draw.chance(70) { Graded::Regular } else { draw.one_of(&Graded::ALL) },
+        until: draw.chance(20).then(|| draw.from(0, 60) as u32),
+    })
+    .unwrap()
+}
+
+/// Adds an input population that may be a signal of a projection.
+fn signal(parts: &mut Parts, draw: &mut Draw, targets: u32) -> PopulationId {
+    let inputs = parts.populations.iter().filter(|population| matches!(population.units, Units::Input(_)));
+    let channels: u32 = inputs.map(|population| population.shape.len()).sum();
+    let name = format!("signal{}", parts.populations.len());
+    let shape = Shape::Line(if draw.chance(50) { 1 } else { targets });
+    let message = if draw.chance(30) { Message::Spike } else { Message::Value(MessageBits::new(12).unwrap()) };
+    parts.populations.push(Population { name, shape, units: Units::Input(ChannelId(channels)), message })
+}
+
+/// A second projection of a rule: from the same sources with another delay, or from others.
+fn sibling(parts: &Parts, draw: &mut Draw, id: ProjectionId) -> Projection {
+    let own = &parts.projections[id];
+    let same_sources = draw.chance(50);
+    let other = PopulationId(draw.from(0, parts.populations.len() as i64 - 1) as u32);
+    let source = if same_sources { own.source } else { other };
+    let targets = i64::from(parts.populations[own.target].shape.len());
+    let list = |_| {
+        let mut reached: Vec<u32> =
+            (0..draw.from(0, 4)).filter(|_| targets > 0).map(|_| draw.from(0, targets - 1) as u32).collect();
+        reached.sort_unstable();
+        reached.into_iter().map(|target| (target, draw.weight(own.format))).collect()
+    };
+    let connectivity = sparse((0..parts.populations[source].shape.len()).map(list));
+    let delay = Delay::new((i64::from(own.delay.get()) + 5) % 63).unwrap();
+    let first_source = if same_sources { 0 } else { parts.populations[own.source].shape.len() };
+    let plastic = Plastic { first_source, ..Plastic::clone(own.plastic.as_ref().unwrap()) };
+    Projection {
+        name: format!("{} again", own.name),
+        source,
+        delay,
+        connectivity,
+        plastic: Some(plastic.into()),
+        ..own.clone()
+    }
+}
+
+/// Gives the projections of a rule its rows, from the last synapse or the first, and first tags and
+/// delays.
+fn set_synapses(
+    parts: &mut Parts,
+    draw: &mut Draw,
+    ids: &[ProjectionId],
+    rule: &Rule,
+    signals: [Option<PopulationId>; 3],
+) {
+    let count = |id: &ProjectionId| {
+        let projection = &parts.projections[*id];
+        projection.connectivity.count(parts.populations[projection.source].shape.len().into()) as u32
+    };
+    let counts: Vec<u32> = ids.iter().map(count).collect();
+    let all: u32 = counts.iter().sum();
+    let (backward, has_tags) = (draw.chance(50), draw.chance(40));
+    let has_delays = draw.chance(40) && !rule.semantics().delays_act();
+    let mut first = 0;
+    for (&id, count) in ids.iter().zip(counts) {
+        let values = |draw: &mut Draw, (low, high): (i32, i32), has: bool| -> Vec<i16> {
+            (0..if has { count } else { 0 }).map(|_| draw.from(low.into(), high.into()) as i16).collect()
+        };
+        let rows = (first..first + count).map(|row| if backward { all - 1 - row } else { row }).collect();
+        first += count;
+        let tags = values(draw, rule.semantics().tags(), has_tags).into();
+        let delays = values(draw, rule.semantics().delays(), has_delays).into();
+        let own = Arc::make_mut(parts.projections[id].plastic.as_mut().unwrap());
+        *own = Plastic { rows, tags, delays, signals, ..own.clone() };
+    }
+}
+
+/// A random network of any kinds with random rules, and random numbers, which are recorded for some
+/// of them.
+pub fn random_plastic(seed: u64) -> (Quantised, Draws) {
+    let mut network = plastic(seed);
+    let draw = &mut Draw::new(seed ^ 0x1ea2);
+    let ids: Vec<ProjectionId> = network.plastic().map(|(id, _)| id).collect();
+    for id in ids {
+        let mut parts = network.parts().clone();
+        let own = &parts.projections[id];
+        let (of_rule, targets) = (own.format.rule.unwrap(), parts.populations[own.target].shape.len());
+        let rule = rule(draw, own.format.apart.is_none());
+        let mut signals = [None; 3];
+        for place in &mut signals {
+            *place = draw.chance(12).then(|| signal(&mut parts, draw, targets));
+        }
+        parts.rules[of_rule].rule = rule.clone();
+        let without = parts.clone();
+        let mut joined = vec![id];
+        if draw.chance(30) {
+            let other = sibling(&parts, draw, id);
+            joined.push(parts.projections.push(other));
+        }
+        set_synapses(&mut parts, draw, &joined, &rule, signals);
+        network = Quantised::new(parts).unwrap_or_else(|_| {
+            let mut parts = without;
+            set_synapses(&mut parts, draw, &[id], &rule, signals);
+            Quantised::new(parts).unwrap()
+        });
+    }
+    let mut numbers = |rule: &Rule, of: Use| -> Vec<f64> {
+        let count = if of.is_of_steps() { 90 } else { 90 / rule.epoch() };
+        (0..count)
+            .map(|_| if of.is_whole() { draw.from(0, 127) as f64 } else { draw.from(0, 999) as f64 / 1e3 })
+            .collect()
+    };
+    let rules = network.parts().rules.iter();
+    let recorded = rules.enumerate().map(|(number, learning)| {
+        let is_recorded =
+            seed.is_multiple_of(3) && number.is_multiple_of(2) && learning.rule.semantics() == LearningSemantics::Lava;
+        is_recorded.then(|| Use::ALL.into_iter().map(|of| (of, numbers(&learning.rule, of))).collect())
+    });
+    let recorded: Vec<Option<Recorded>> = recorded.collect();
+    (network, Draws { seed, recorded: IdVec::from(recorded).into() })
+}
+
+/// All columns of all rules.
+type Columns = Vec<Vec<i32>>;
+
+/// What an engine shows of a sample in which rules learn.
+#[derive(Debug, PartialEq)]
+pub struct Learned {
+    /// After each step.
+    steps: Vec<(Shown, Columns)>,
+    /// After the last one's learning.
+    settled: Columns,
+    totals: Totals,
+    overflow: Overflow,
+    updates: u64,
+}
+
+impl Learned {
+    /// Panics at the first difference, without printing all values.
+    pub fn assert_same(&self, other: &Learned, what: &str) {
+        assert_eq!(self.steps.len(), other.steps.len(), "{what}: steps");
+        for (step, (meant, found)) in self.steps.iter().zip(&other.steps).enumerate() {
+            assert_eq!(meant.0.0, found.0.0, "{what}: messages of step {step}");
+            let word = meant.0.1.iter().zip(&found.0.1).position(|(meant, found)| meant != found);
+            assert!(word.is_none(), "{what}: step {step}, word {word:?}");
+            same_columns(&meant.1, &found.1, &format!("{what}: step {step}"));
+        }
+        same_columns(&self.settled, &other.settled, &format!("{what}: settled"));
+        let counts = |learned: &Learned| (learned.totals, learned.overflow, learned.updates);
+        assert_eq!(counts(self), counts(other), "{what}: counts");
+    }
+}
+
+fn same_columns(meant: &Columns, found: &Columns, what: &str) {
+    assert_eq!(meant.len(), found.len());
+    for (number, (meant, found)) in meant.iter().zip(found).enumerate() {
+        let (rule, column) = (number / COLUMNS.len(), COLUMNS[number % COLUMNS.len()].0);
+        assert_eq!(meant, found, "{what}: {column} of rule {rule}");
+    }
+}
+
+fn learned(engine: &dyn Engine, network: &Quantised) -> Columns {
+    let of_rule = |rule| COLUMNS.map(|(_, column)| engine.learned(rule, column));
+    network.parts().rules.ids().flat_map(of_rule).collect()
+}
+
+/// Runs a sample; silence is skipped where the engine can.
+fn record(engine: &mut dyn Engine, network: &Quantised, sample: &Sample) -> Learned {
+    let neurons = network.populations().iter().flat_map(Population::each_neuron);
+    let kinds: Vec<NeuronKind> = neurons.map(|neuron| neuron.kind).collect();
+    engine.begin(sample.steps());
+    let mut steps = Vec::new();
+    for step in 0..sample.steps() {
+        if !sample.at(step).is_empty() || !engine.skip_idle(1) {
+            engine.step(sample.input(step));
+        }
+        steps.push((shown(engine, &kinds), learned(engine, network)));
+    }
+    engine.settle();
+    let (totals, overflow, updates) = (engine.totals(), engine.overflow(), engine.synaptic_updates());
+    Learned { steps, settled: learned(engine, network), totals, overflow, updates }
+}
+
+/// Runs samples, of which each begins with what the one before learned, then the first one again,
+/// without that and as another run.
+pub fn learn(engine: &mut dyn Engine, (network, draws): (&Quantised, &Draws), samples: &[Sample]) -> Vec<Learned> {
+    engine.set_draws(draws);
+    engine.forget(0);
+    let mut all: Vec<Learned> = samples.iter().map(|sample| record(engine, network, sample)).collect();
+    engine.forget(7);
+    all.push(record(engine, network, &samples[0]));
+    all
+}
+
+/// Two samples of a network.
+pub fn samples(network: &Quantised, seed: u64) -> [Sample; 2] {
+    [0, 0x5a5a].map(|other| sample(network, seed ^ other))
+}
+
+#[test]
+fn random_rules_change_weights_delays_and_tags() {
+    let tried: Vec<_> = (0..cases(120))
+        .into_par_iter()
+        .map(|seed| {
+            let (network, draws) = random_plastic(seed);
+            let golden = &mut Golden::new(&network);
+            let all = learn(golden, (&network, &draws), &samples(&network, seed));
+            let again = learn(golden, (&network, &draws), &samples(&network, seed));
+            let what = format!("network {seed}, again");
+            all.iter().zip(&again).for_each(|(first, again)| first.assert_same(again, &what));
+            let (first, settled) = (&all[0].steps.first().unwrap().1, &all[1].settled);
+            let changed = [0, 1, 2].map(|column| (0..settled.len()).any(|i| i % 8 == column && first[i] != settled[i]));
+            let rules = network.parts().rules.iter().map(|learning| &learning.rule);
+            let moves = rules.clone().any(|r| r.semantics().delays_act() && r.changes(Variable::Delay)) && changed[1];
+            let has_signals = |projection: &Projection| projection.plastic.as_ref().unwrap().signals != [None; 3];
+            let signals = network.plastic().any(|(_, projection)| has_signals(projection));
+            let siblings = network.plastic().count() > network.parts().rules.len();
+            let graded = rules.clone().any(|rule| rule.graded() != Graded::Regular);
+            // Another run has other random numbers.
+            let differs = all[0].settled != all[2].settled;
+            let updates: u64 = all.iter().map(|learned| learned.updates).sum();
+            let flags = [changed[0], changed[1], changed[2], moves, signals, siblings, graded, differs];
+            (flags, updates, all.iter().map(|learned| learned.totals.spikes).sum::<u64>())
+        })
+        .collect();
+    let networks = [0, 1, 2, 3, 4, 5, 6, 7].map(|flag| tried.iter().filter(|tried| tried.0[flag]).count());
+    let updates: u64 = tried.iter().map(|tried| tried.1).sum();
+    let spikes: u64 = tried.iter().map(|tried| tried.2).sum();
+    let least = [160, 100, 110, 70, 120, 110, 90, 160].map(|least| least * tried.len() / 200);
+    let enough = networks.iter().zip(least).all(|(found, least)| *found >= least);
+    assert!(
+        enough && updates > 1_000_000 && spikes > 100_000,
+        "{networks:?} of {}, {updates} updates, {spikes} spikes",
+        tried.len()
+    );
+}
+
+/// Copies draw alike, and each learns for itself.
+#[test]
+fn copies_learn_alike() {
+    let updates: u64 = (0..cases(60))
+        .into_par_iter()
+        .map(|seed| {
+            let (network, draws) = random_plastic(seed);
+            let two = copies(&network, 2).unwrap();
+            let one = samples(&network, seed);
+            let of_two = one.clone().map(|sample| sample.copies(2, network.channels()));
+            let expected = learn(&mut Golden::new(&network), (&network, &draws), &one);
+            let found = learn(&mut Golden::new(&two), (&two, &draws), &of_two);
+            for (meant, found) in expected.iter().zip(&found) {
+                assert_eq!(2 * meant.updates, found.updates, "network {seed}");
+                assert_eq!(meant.settled, found.settled, "network {seed}");
+                for ((meant, columns), (found, columns_of_two)) in meant.steps.iter().zip(&found.steps) {
+                    assert_eq!((&meant.1.repeat(2), columns), (&found.1, columns_of_two), "network {seed}");
+                }
+            }
+            expected.iter().map(|learned| learned.updates).sum::<u64>()
+        })
+        .sum();
+    assert!(updates > 100_000, "{updates} updates");
+}

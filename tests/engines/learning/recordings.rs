@@ -1,0 +1,360 @@
+//! Recordings of lava-nc 0.10.0: single connections of its own class, and networks of its runtime,
+//! with the random numbers that they used.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+use super::COLUMNS;
+use crate::common::{Archive, Array, Builder, biased, data, neuron};
+use nsim::golden::Golden;
+use nsim::ir::arithmetic::Semantics;
+use nsim::ir::base::fixed::{MessageBits, SignMode};
+use nsim::ir::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, RuleId};
+use nsim::ir::graph::Shape;
+use nsim::ir::learning::draws::{Draws, Recorded, Use};
+use nsim::ir::learning::{
+    Change, Column, Graded, LearningSemantics, Plastic, Rule, RuleText, Trace, TraceSettings, parse,
+};
+use nsim::ir::quantised::Quantised;
+use nsim::ir::quantised::connectivity::Connectivity;
+use nsim::ir::spikes::{Engine, Message, Sample};
+use nsim_testing::{format, make_plastic, sparse};
+use serde::Deserialize;
+
+/// A connection as the recordings describe it.
+#[derive(Deserialize)]
+struct Connection {
+    #[serde(default)]
+    name: String,
+    #[serde(default)]
+    from: String,
+    #[serde(default)]
+    to: String,
+    rule: BTreeMap<String, String>,
+    traces: BTreeMap<String, TraceSettings>,
+    epoch: u8,
+    sign: SignMode,
+    weight_bits: i64,
+    weight_exp: i64,
+    graded: Graded,
+    #[serde(default)]
+    sources: u32,
+    #[serde(default)]
+    targets: u32,
+    #[serde(default)]
+    steps: u32,
+}
+
+impl Connection {
+    fn rule(&self) -> Rule {
+        let change = |name| self.rule.get(name).map_or(Change::default(), |text| parse(text).unwrap());
+        Rule::new(RuleText {
+            changes: ["dw", "dd", "dt"].map(change),
+            epoch: self.epoch,
+            traces: Trace::ALL.map(|trace| self.traces.get(trace.name()).copied().unwrap_or_default()),
+            semantics: LearningSemantics::Lava,
+            graded: self.graded,
+            until: None,
+        })
+        .unwrap()
+    }
+
+    /// Adds the connection with its first values, of which `prefix` begins the names. Rows are in
+    /// the order target, source.
+    fn connect(
+        &self,
+        net: &mut Builder,
+        ends: (PopulationId, PopulationId),
+        exponent: i64,
+        archive: &Archive,
+        prefix: &str,
+    ) -> RuleId {
+        let [w, d, t] = ["w0", "d0", "t0"].map(|name| archive.array(&format!("{prefix}{name}")));
+        let format = format(exponent, self.sign, self.weight_bits);
+        net.connect(ends, format, 0, dense(&w, |w| cut(w, self.sign, self.weight_bits)));
+        let id = net.parts.projections.ids().last().unwrap();
+        let rule = make_plastic(&mut net.parts, id, self.rule());
+        let [targets, sources] = [w.shape[0] as u32, w.shape[1] as u32];
+        net.parts.projections[id].plastic = Some(Arc::new(Plastic {
+            rule,
+            first_source: 0,
+            rows: (0..sources * targets).map(|number| number % targets * sources + number / targets).collect(),
+            tags: by_source(&t, |t| t).into(),
+            delays: by_source(&d, |d| d).into(),
+            signals: [None; 3],
+        }));
+        rule
+    }
+}
+
+/// Values `[source][target]` of an array `[target][source]`.
+fn by_source(array: &Array, change: impl Fn(i64) -> i64) -> Vec<i16> {
+    let (targets, sources) = (array.shape[0], array.shape[1]);
+    let places = (0..sources).flat_map(|source| (0..targets).map(move |target| [target, source]));
+    places.map(|place| change(array.at(place)) as i16).collect()
+}
+
+fn dense(weights: &Array, change: impl Fn(i64) -> i64) -> Connectivity {
+    Connectivity::Dense { targets: weights.shape[0] as u32, weights: by_source(weights, change).into() }
+}
+
+/// A first weight, cut to its bits: down, or toward zero where it inhibits.
+fn cut(weight: i64, sign: SignMode, bits: i64) -> i64 {
+    let step = 1 << (8 - bits + i64::from(sign == SignMode::Mixed));
+    if sign == SignMode::Inhibitory { weight / step * step } else { weight.div_euclid(step) * step }
+}
+
+fn recorded(archive: &Archive, prefix: &str) -> Option<Recorded> {
+    let names = Use::ALL.into_iter().map(|of| (of, format!("{prefix}{}", of.name())));
+    Some(names.filter(|(_, name)| archive.has(name)).map(|(of, name)| (of, archive.reals(&name))).collect())
+}
+
+/// What a recording has a row of for each step.
+enum Read {
+    /// After the learning of the step.
+    Column(RuleId, Column),
+    Spikes(PopulationId),
+    U(PopulationId),
+    V(PopulationId),
+}
+
+/// A network with its input, its random numbers and the values that were recorded.
+struct Recording {
+    name: String,
+    network: Quantised,
+    draws: Draws,
+    sample: Sample,
+    values: Vec<(Read, Array)>,
+}
+
+/// Number of compared values and of differing ones, and the first of these.
+#[derive(Default)]
+struct Compared {
+    values: u64,
+    differ: u64,
+    first: Option<String>,
+}
+
+impl Compared {
+    /// Compares the values of a step.
+    fn row(&mut self, recording: &Recording, step: u32, engine: &dyn Engine, is_settled: bool) {
+        for (number, (read, array)) in recording.values.iter().enumerate() {
+            // The call of step s shows the learning after step s - 1, and `settle` that after the last.
+            let of_last = matches!(read, Read::Column(..)) && !is_settled;
+            let Some(step) = step.checked_sub(u32::from(of_last)) else { continue };
+            if is_settled && !matches!(read, Read::Column(..)) || step as usize >= array.shape[0] {
+                continue;
+            }
+            let population = |id: PopulationId| {
+                let population = &recording.network.populations()[id];
+                let first = population.first_compartment().unwrap().0;
+                (first..first + population.shape.len()).map(CompartmentId)
+            };
+            let found: Vec<i32> = match *read {
+                Read::Column(rule, column) => engine.learned(rule, column),
+                Read::Spikes(id) => population(id).map(|id| engine.spikes().contains(&id).into()).collect(),
+                Read::U(id) => population(id).map(|id| engine.u(id)).collect(),
+                Read::V(id) => population(id).map(|id| engine.v(id)).collect(),
+            };
+            let size: usize = array.shape[1..].iter().product();
+            let expected = &array.values[step as usize * size..][..size];
+            assert_eq!(found.len(), size, "{}: array {number}", recording.name);
+            let differ = found.iter().zip(expected).filter(|&(&found, &meant)| i64::from(found) != meant).count();
+            self.values += size as u64;
+            self.differ += differ as u64;
+            if differ > 0 {
+                let what = format!("{}, array {number}, step {step}: {found:?}, not {expected:?}", recording.name);
+                self.first.get_or_insert(what);
+            }
+        }
+    }
+}
+
+/// Compares an engine with a recording, step by step.
+fn compare<E: Engine>(engine: &mut E, recording: &Recording, compared: &mut Compared) {
+    engine.set_draws(&recording.draws);
+    engine.forget(0);
+    engine.begin(recording.sample.steps());
+    for step in 0..recording.sample.steps() {
+        engine.step(recording.sample.input(step));
+        compared.row(recording, step, engine, false);
+    }
+    engine.settle();
+    compared.row(recording, recording.sample.steps() - 1, engine, true);
+}
+
+/// The recorded columns of a rule.
+fn columns<'a>(rule: RuleId, archive: &'a Archive, prefix: &'a str) -> impl Iterator<Item = (Read, Array)> + 'a {
+    COLUMNS
+        .into_iter()
+        .map(move |(name, column)| (Read::Column(rule, column), archive.array(&format!("{prefix}{name}"))))
+}
+
+/// A single connection. What it receives in step t is entry t + 1 of `in`; entry t of `teach` makes
+/// `out` spike.
+fn connection(folder: &Path, case: &Connection) -> Recording {
+    let archive = Archive::read(&folder.join(format!("{}.npz", case.name)));
+    let mut net = Builder::new();
+    let (input, teach) = (net.input("in", case.sources), net.input("teach", case.targets));
+    let bits = |bits| Message::Value(MessageBits::new(bits).unwrap());
+    net.parts.populations[input].message = bits(10);
+    let third = archive.has("third").then(|| archive.array("third"));
+    let signals = ["y1", "y2", "y3"].map(|name| {
+        third.as_ref()?;
+        let signal = net.input(name, case.targets);
+        net.parts.populations[signal].message = bits(17);
+        Some(signal)
+    });
+    let neurons = vec![neuron(4096, 4096, 8_000, 1); case.targets as usize];
+    let out = net.each("out", Shape::Line(case.targets), &neurons, 0);
+    let one_to_one = sparse((0..case.targets).map(|target| vec![(target, 254)]));
+    net.connect((teach, out), format(6, SignMode::Mixed, 8), 0, one_to_one);
+    let rule = case.connect(&mut net, (input, out), -8, &archive, "");
+    let id = net.parts.projections.ids().last().unwrap();
+    Arc::make_mut(net.parts.projections[id].plastic.as_mut().unwrap()).signals = signals;
+
+    let [pre, post] = ["pre", "post"].map(|name| archive.array(name));
+    let (n, m) = (case.sources as usize, case.targets as usize);
+    let mut events = Vec::new();
+    for step in 0..case.steps {
+        let of = |first: usize, units: usize, array: &Array, row: usize| {
+            let values = array.values[row * units..][..units].to_vec();
+            values.into_iter().enumerate().map(move |(unit, value)| (ChannelId((first + unit) as u32), value as i32))
+        };
+        events.extend(of(0, n, &pre, step as usize).map(|(channel, value)| (step + 1, channel, value)));
+        events.extend(of(n, m, &post, step as usize).map(|(channel, value)| (step, channel, value)));
+        for (k, third) in third.iter().flat_map(|third| [0, 1, 2].map(|k| (k, third))) {
+            let row = k * case.steps as usize + step as usize;
+            events.extend(of(n + m + k * m, m, third, row).map(|(channel, value)| (step, channel, value)));
+        }
+    }
+    let mut values: Vec<_> = columns(rule, &archive, "").collect();
+    values.push((Read::Spikes(out), post));
+    let recorded = IdVec::from(vec![recorded(&archive, "")]);
+    Recording {
+        name: case.name.clone(),
+        network: net.build(),
+        draws: Draws { seed: 0, recorded: recorded.into() },
+        sample: Sample::with_values(case.steps + 1, &events, None).unwrap(),
+        values,
+    }
+}
+
+fn connections(folder: &Path) -> Vec<Recording> {
+    let text = std::fs::read_to_string(folder.join("cases.json")).unwrap();
+    let cases: Vec<Connection> = serde_json::from_str(&text).unwrap();
+    cases.iter().map(|case| connection(folder, case)).collect()
+}
+
+#[derive(Deserialize)]
+struct Net {
+    name: String,
+    steps: u32,
+    populations: Vec<NetPopulation>,
+    r#static: Vec<Static>,
+    plastic: Vec<Connection>,
+}
+
+#[derive(Deserialize)]
+struct NetPopulation {
+    name: String,
+    n: u32,
+    /// Decays, threshold and biases of compartments.
+    #[serde(default)]
+    bias_mant: Vec<i64>,
+    #[serde(default)]
+    bias_exp: i64,
+    #[serde(default)]
+    du: i64,
+    #[serde(default)]
+    dv: i64,
+    #[serde(default)]
+    vth: i64,
+}
+
+#[derive(Deserialize)]
+struct Static {
+    from: String,
+    to: String,
+    weight_exp: i64,
+    sign: SignMode,
+}
+
+/// A whole network of lava's runtime.
+fn net(folder: &Path, case: &Net) -> Recording {
+    let archive = Archive::read(&folder.join(format!("{}.npz", case.name)));
+    let mut net = Builder::with(Semantics::Lava);
+    let (mut ids, mut values, mut events) = (BTreeMap::new(), Vec::new(), Vec::new());
+    let mut channels = 0;
+    for population in &case.populations {
+        let name = population.name.as_str();
+        if population.bias_mant.is_empty() {
+            ids.insert(name, net.input(name, population.n));
+            let input = archive.array(&format!("in_{name}"));
+            let all = (0..population.n).flat_map(|unit| (0..case.steps).map(move |step| (unit, step)));
+            let spikes = all.filter(|&(unit, step)| input.at([unit as usize, step as usize]) != 0);
+            events.extend(spikes.map(|(unit, step)| (step, ChannelId(channels + unit))));
+            channels += population.n;
+            continue;
+        }
+        let plain = neuron(population.du, population.dv, population.vth, 1);
+        let neurons: Vec<_> =
+            population.bias_mant.iter().map(|&bias| biased(plain, bias, population.bias_exp)).collect();
+        let id = net.each(name, Shape::Line(population.n), &neurons, 0);
+        ids.insert(name, id);
+        for (what, read) in [("spikes", Read::Spikes(id)), ("u", Read::U(id)), ("v", Read::V(id))] {
+            values.push((read, archive.array(&format!("{name}_{what}"))));
+        }
+    }
+    for (number, Static { from, to, weight_exp, sign }) in case.r#static.iter().enumerate() {
+        let weights = archive.array(&format!("static{number}_w"));
+        let connectivity = dense(&weights, |weight| cut(weight, *sign, 8));
+        net.connect((ids[from.as_str()], ids[to.as_str()]), format(*weight_exp, *sign, 8), 0, connectivity);
+    }
+    let mut draws = Vec::new();
+    for (number, plastic) in case.plastic.iter().enumerate() {
+        let prefix = format!("plastic{number}_");
+        let ends = (ids[plastic.from.as_str()], ids[plastic.to.as_str()]);
+        let rule = plastic.connect(&mut net, ends, plastic.weight_exp, &archive, &prefix);
+        draws.push(recorded(&archive, &prefix));
+        values.extend(columns(rule, &archive, &prefix));
+    }
+    Recording {
+        name: case.name.clone(),
+        network: net.build(),
+        draws: Draws { seed: 0, recorded: IdVec::from(draws).into() },
+        sample: Sample::new(case.steps, &events, None).unwrap(),
+        values,
+    }
+}
+
+fn nets(folder: &Path) -> Vec<Recording> {
+    let text = std::fs::read_to_string(folder.join("nets.json")).unwrap();
+    let nets: Vec<Net> = serde_json::from_str(&text).unwrap();
+    nets.iter().map(|case| net(folder, case)).collect()
+}
+
+/// Compares golden with recordings; returns the number of values, none of which differs.
+fn on_golden(recordings: &[Recording]) -> u64 {
+    let mut compared = Compared::default();
+    for recording in recordings {
+        compare(&mut Golden::new(&recording.network), recording, &mut compared);
+    }
+    assert_eq!(compared.differ, 0, "of {} values: {:?}", compared.values, compared.first);
+    compared.values
+}
+
+#[test]
+fn lavas_connections_learn_as_recorded() {
+    let Some(folder) = data("learning/lava") else { return };
+    let recordings = connections(&folder);
+    assert_eq!((recordings.len(), on_golden(&recordings)), (95, 1_072_859));
+}
+
+#[test]
+fn lavas_networks_learn_as_recorded() {
+    let Some(folder) = data("learning/lava_nets") else { return };
+    let recordings = nets(&folder);
+    assert_eq!((recordings.len(), on_golden(&recordings)), (6, 140_960));
+}
