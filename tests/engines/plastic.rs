@@ -99,6 +99,7 @@ pub fn trace<E: Engine>(
 ) -> Trace {
     let neurons = network.populations().iter().flat_map(Population::each_neuron);
     let kinds: Vec<NeuronKind> = neurons.map(|neuron| neuron.kind).collect();
+    engine.forget(0);
     engine.begin(sample.steps());
     let mut steps = Vec::new();
     for (step, writes) in (0..).zip(writes) {
@@ -356,7 +357,7 @@ fn snapshots_carry_weights() {
                     assert!(found == meant, "network {seed}, step {t} after going back");
                 }
             }
-            session.reset();
+            session.forget();
             assert!(network.plastic().zip(&first).all(|((id, _), first)| session.weights(id).unwrap() == *first));
         }
     }
@@ -381,7 +382,7 @@ fn what_cannot_be_written_is_refused_by_name() {
     assert!(session.sample().is_ok());
     session.write_weights(IN, &[12]).unwrap();
     assert_eq!(session.sample().unwrap_err().code, "session.weights.written");
-    session.reset();
+    session.forget();
     assert!(session.sample().is_ok());
 }
 

@@ -3,6 +3,7 @@
 //! Each is named after its effect at the edge: [`wrap`] (two's complement), [`clip`] (saturate),
 //! [`decay`] (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
 
+use crate::learning::greatest_weight;
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, WEIGHT_SHIFT, WeightExponent};
 use nsim_ir::program::{CoreFormat, Synapse};
 use nsim_ir::quantised::Reset;
@@ -74,16 +75,16 @@ pub fn units(synapse: &Synapse, formats: &[CoreFormat]) -> i32 {
 }
 
 /// The greatest magnitude of a binary spike's contribution over a synapse, in units of 64. A
-/// plastic synapse may hold any weight of its format.
+/// plastic synapse may hold any weight that its rule reaches.
 #[inline]
 pub fn greatest_units(synapse: &Synapse, formats: &[CoreFormat]) -> u32 {
     let format = formats[usize::from(synapse.format)].synapse;
     if !format.is_plastic() {
         return units(synapse, formats).unsigned_abs();
     }
-    let (low, high) = format.sign.range(format.bits);
-    let of_weight = |weight| (scaled(format, weight) >> WEIGHT_SHIFT).unsigned_abs();
-    of_weight(low).max(of_weight(high))
+    // A rule may leave the format's width: (L6).
+    let greatest = greatest_weight(format);
+    (scaled(format, -greatest) >> WEIGHT_SHIFT).unsigned_abs()
 }
 
 /// Whether a population with this start step returns to zero before the update of `step`.

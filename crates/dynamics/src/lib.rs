@@ -11,6 +11,7 @@ pub mod arithmetic;
 mod integrate_fire;
 mod kind;
 pub mod kinds;
+pub mod learning;
 mod loihi;
 mod soft_reset;
 pub mod synapses;

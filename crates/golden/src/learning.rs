@@ -215,7 +215,8 @@ impl Learner {
 
     /// (L1) and (L3): notes what is delivered after the update of a step.
     pub(crate) fn note(&mut self, numbers: Numbers<'_>, step: u32, delivery: &Delivery) {
-        if !self.rule.notes(step) {
+        // A rule that changes nothing has no traces.
+        if !self.rule.learns() || !self.rule.notes(step) {
             return;
         }
         let indices: Vec<u32> = self.sources.keys().copied().collect();

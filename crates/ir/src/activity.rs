@@ -131,6 +131,9 @@ counts! {
         /// Time of updates as models state it, ps.
         #[serde(default)]
         pub stated_time: u64,
+        /// Plastic synapses whose rule was evaluated.
+        #[serde(default)]
+        pub synaptic_updates: u64,
     }
 }
 

@@ -25,7 +25,7 @@ use crate::arithmetic::{ReadOut, Semantics, ThresholdTest};
 use crate::base::csr::Csr;
 use crate::base::fixed::Delay;
 use crate::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec, PopulationId, ProjectionId, RuleId};
-use crate::learning::{Learning, Plastic};
+use crate::learning::{Learning, Plastic, Variable};
 pub use crate::messages::{AxonTarget, AxonsOut, Messages};
 use crate::partition::Seat;
 use crate::placement::{Mesh, Site};
@@ -405,6 +405,13 @@ impl ProgramLearning {
         };
         let rules = network.parts().rules.clone();
         ProgramLearning { rules, projections: network.plastic().filter_map(of).collect() }
+    }
+
+    /// Whether a rule changes delays that act, by rule.
+    pub fn moves_delays(&self) -> IdVec<RuleId, bool> {
+        let moves =
+            |learning: &Learning| learning.rule.semantics().delays_act() && learning.rule.changes(Variable::Delay);
+        self.rules.iter().map(moves).collect()
     }
 
     /// Whether no projection is plastic.

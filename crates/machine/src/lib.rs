@@ -32,8 +32,11 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::count::effects::Events;
 use crate::lanes::width;
 pub use crate::layout::image::{Image, ImageError};
+use crate::layout::plastic::ProjectionPlan;
+use crate::plastic::learning::{Delivered, Learning, StepChange};
 use crate::plastic::places::PlasticPlace;
 use crate::ranks::exchange::Exchange;
 use crate::ranks::transport::Ranks;
@@ -42,7 +45,10 @@ use crate::update::state::{Phase, ShardState, StepInput};
 use crate::update::step::Step;
 use nsim_dynamics as neuron;
 use nsim_ir::activity::{Activity, Overflow, StepActivity, Totals};
-use nsim_ir::base::id::{ChannelId, CompartmentId, Id};
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, RuleId};
+use nsim_ir::learning::draws::Draws;
+use nsim_ir::learning::{Column, Variable};
 use nsim_ir::source_counts::SourceCounts;
 use nsim_ir::spikes::{Engine, Spikes};
 
@@ -96,12 +102,22 @@ pub struct Machine {
     totals: Totals,
     last: StepActivity,
     counts: SpikeCounts,
+    /// Notes and traces of rules; `None` where no rule learns.
+    learning: Option<Box<Learning>>,
+    /// Whether the last step's spikes have been noted.
+    settled: bool,
+    /// Events that synapses of learned delays lost at the ends of samples, by core; empty where no
+    /// rule changes delays.
+    lost: IdVec<CoreId, Events>,
+    /// Changes of the counts of this step by learning; only where steps are counted by core.
+    step_changes: Vec<StepChange>,
 }
 
 impl Machine {
     /// A machine in its initial state.
     pub fn new(image: &Arc<Image>, settings: Settings) -> Self {
         let slots = image.longest_delay as usize + 1;
+        let learns = image.plastic.rules.iter().any(|rule| rule.rule().learns());
         Machine {
             image: image.clone(),
             shards: image.shards.iter().map(|shard| ShardState::new(image, shard, slots)).collect(),
@@ -123,6 +139,10 @@ impl Machine {
             totals: Totals::default(),
             last: StepActivity::new(if settings.per_step { image.program().cores().len() } else { 0 }),
             counts: SpikeCounts::new(image),
+            learning: learns.then(|| Box::new(Learning::new(image))),
+            settled: false,
+            lost: vec![Events::default(); if image.plastic.moves() { image.program().cores().len() } else { 0 }].into(),
+            step_changes: Vec::new(),
         }
     }
 
@@ -149,13 +169,16 @@ impl Machine {
 
     /// Takes this activity, with the spikes of each source and the overflows of each compartment.
     pub fn take_counts(&mut self) -> (Activity, SourceCounts) {
-        self.counts.take(&self.image, &mut self.shards, self.arch)
+        self.counts.take(&self.image, &mut self.shards, &mut self.lost, self.arch)
     }
 
     /// Adds the counts of another machine of this image, without other ranks. Then
     /// [`Machine::take_counts`] returns the counts of both.
     pub fn absorb(&mut self, other: &Machine) {
         self.counts.absorb(&other.counts);
+        for (sum, more) in self.lost.iter_mut().zip(other.lost.iter()) {
+            *sum = Events { dense: sum.dense + more.dense, sparse: sum.sparse + more.sparse };
+        }
         self.shards.iter_mut().zip(&other.shards).for_each(|(sum, more)| sum.absorb(more));
     }
 
@@ -167,15 +190,88 @@ impl Machine {
 
     /// The weight of a plastic synapse, 0 where another rank has it.
     pub fn weight(&self, place: PlasticPlace) -> i16 {
-        place.map_or(0, |(shard, place)| self.shards[shard as usize].plastic[place as usize])
+        place.map_or(0, |(shard, place)| self.shards[shard as usize].plastic.weights[place as usize])
     }
 
     /// Sets the weight of a plastic synapse, which must fit its format, if this rank has it. It
     /// takes effect in the next step, also for spikes of compartments in the last.
-    /// [`Engine::begin`] restores the initial weight.
+    /// [`Engine::forget`] restores the first weight.
     pub fn set_weight(&mut self, place: PlasticPlace, weight: i16) {
         if let Some((shard, place)) = place {
-            self.shards[shard as usize].plastic[place as usize] = weight;
+            self.shards[shard as usize].plastic.weights[place as usize] = weight;
+        }
+    }
+
+    /// A variable of the synapses of a rule in the first copy of the network, by row.
+    fn variable(&self, rule: RuleId, variable: Variable) -> Vec<i32> {
+        let (mut column, mut targets) = (Vec::new(), None);
+        for (index, ProjectionPlan { of, .. }) in self.image.plastic.projections.iter().enumerate() {
+            if of.plastic.rule != rule || *targets.get_or_insert(&of.targets) != &of.targets {
+                continue;
+            }
+            let end = of.plastic.rows.iter().max().map_or(0, |&row| row as usize + 1);
+            column.resize(column.len().max(end), 0);
+            for (state, shard) in self.shards.iter().zip(&self.image.shards) {
+                let firsts = &shard.plastic.projections[index].firsts;
+                for place in firsts[0] as usize..firsts[firsts.len() - 1] as usize {
+                    let row = shard.plastic.row_of[place];
+                    let value = state.plastic.of(variable).get(place).copied();
+                    let is_delay =
+                        variable == Variable::Delay && self.image.plastic.rules[rule].rule().semantics().delays_act();
+                    let constant = if is_delay { of.delay.get().into() } else { 0 };
+                    column[row as usize] = value.map_or(constant, i32::from);
+                }
+            }
+        }
+        column
+    }
+
+    /// Calls `see` with the core of each synapse of learned delay that loses a spike of these
+    /// sources, whose deliveries reach `left` steps, and with whether its list has no indices.
+    fn each_lost(&self, sources: impl Iterator<Item = u32> + Clone, left: u32, mut see: impl FnMut(CoreId, bool)) {
+        let plan = &self.image.plastic;
+        // The tables lose what reaches no step.
+        if left == 0 || left > Delay::MAX.get().into() || self.lost.is_empty() {
+            return;
+        }
+        for (state, shard) in self.shards.iter().zip(&self.image.shards) {
+            for source in sources.clone() {
+                for &number in plan.of_source.get(source as usize) {
+                    let ProjectionPlan { of, moves, .. } = &plan.projections[number as usize];
+                    let rows = &shard.plastic.projections[number as usize];
+                    for place in rows.of_source((source - of.sources.start) as usize) {
+                        if *moves && state.plastic.delays[place] as u32 >= left {
+                            let core = rows.core_of[shard.plastic.targets[place] as usize];
+                            see(core, shard.plastic.dense[place]);
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    /// Counts the events that synapses of learned delays lose, which the tables of cores count.
+    fn lose(&mut self, sources: impl Iterator<Item = u32> + Clone, left: u32) {
+        let mut lost = Vec::new();
+        self.each_lost(sources, left, |core, dense| lost.push((core, dense)));
+        for (core, dense) in lost {
+            let of_core = &mut self.lost[core];
+            *(if dense { &mut of_core.dense } else { &mut of_core.sparse }) += 1;
+            if self.settings.per_step {
+                self.step_changes.push(StepChange::Lost { core, dense });
+            }
+        }
+    }
+
+    /// Learning in steps in which nothing else happens: epochs end in them, too.
+    fn skip_learning(&mut self, steps: u32) {
+        let Some(learning) = &mut self.learning else { return };
+        let delivered = Delivered { channels: Spikes::default(), compartments: &[], values: &[] };
+        for step in self.step..self.step + steps {
+            if let Some(before) = step.checked_sub(1).filter(|_| !std::mem::take(&mut self.settled)) {
+                learning.advance(before, delivered, &self.image, &mut self.shards, None);
+            }
+            learning.set_signals(Spikes::default());
         }
     }
 
@@ -224,6 +320,7 @@ impl Machine {
         std::mem::swap(&mut self.remote_payloads, &mut self.carried_payloads);
         self.each_shard(Phase::Update, Spikes::default(), left);
         self.carried.append(&mut self.remote);
+        self.carried_payloads.append(&mut self.remote_payloads);
     }
 
     /// Waits for the other ranks' spikes of the last step.
@@ -247,6 +344,12 @@ impl Machine {
         let left = self.steps.saturating_sub(self.step);
         if left <= image.longest_delay {
             self.counts.note_late(image, self.remote.iter().map(|spike| image.channels + spike.0), left);
+        }
+        if !self.lost.is_empty() {
+            let channels = image.channels;
+            let remote = std::mem::take(&mut self.remote);
+            self.lose(remote.iter().map(|spike| channels + spike.0), left);
+            self.remote = remote;
         }
     }
 
@@ -276,6 +379,22 @@ impl Machine {
                 .zip(shards)
                 .for_each(|(state, shard)| Step { state, image, shard, input, channel_counts: &mut [] }.run(arch)),
         }
+    }
+
+    /// Learn(t), after Deliver(t + 1), the delivery of this step. It is a separate function, so that
+    /// a step without a rule has none of its code.
+    #[cold]
+    fn learn(&mut self, input: Spikes<'_>, left: u32) {
+        self.lose(input.ids.iter().map(|channel| channel.0), left);
+        let Some(learning) = &mut self.learning else { return };
+        // The spikes of a step are noted once.
+        if let Some(before) = self.step.checked_sub(1).filter(|_| !std::mem::take(&mut self.settled)) {
+            let (compartments, values) = (self.carried.as_slice(), self.carried_payloads.as_slice());
+            let delivered = Delivered { channels: input, compartments, values };
+            let changes = self.settings.per_step.then_some(&mut self.step_changes);
+            learning.advance(before, delivered, &self.image, &mut self.shards, changes);
+        }
+        learning.set_signals(input);
     }
 
     /// Exchange: the spikes of all shards in one list.
@@ -315,7 +434,12 @@ impl Machine {
         if left <= image.longest_delay + 1 {
             let sources = self.spikes.iter().map(|spike| image.channels + spike.0);
             self.counts.note_late(image, sources, left.saturating_sub(1));
+            if !self.lost.is_empty() {
+                let (channels, spikes) = (image.channels, self.spikes.clone());
+                self.lose(spikes.iter().map(|spike| channels + spike.0), left.saturating_sub(1));
+            }
         }
+        let image = &*self.image;
         self.last_events = 0;
         for state in &self.shards {
             self.totals.active_updates += state.active_now;
@@ -332,6 +456,7 @@ impl Machine {
                 self.last.cores[core].add_active(count.into(), stated);
             }
             image.tally().add_step((channels, &self.spikes), left, &mut self.last);
+            StepChange::apply_all(&mut self.step_changes, &mut self.last);
         }
         self.counts.steps += 1;
     }
@@ -351,6 +476,7 @@ impl Machine {
         }
         if self.settings.per_step {
             self.image.tally().add_remote(&self.remote, left, &mut self.last);
+            StepChange::apply_all(&mut self.step_changes, &mut self.last);
             others.merge(&mut self.last);
         }
     }
@@ -363,7 +489,8 @@ impl Engine for Machine {
 
     fn begin(&mut self, steps: u32) {
         self.shards.iter_mut().zip(&self.image.shards).for_each(|(state, shard)| state.clear(shard));
-        (self.step, self.steps) = (0, steps);
+        self.learning.iter_mut().for_each(|learning| learning.begin(self.step));
+        (self.step, self.steps, self.settled) = (0, steps, false);
         self.spikes.clear();
         self.payloads.clear();
         self.take_remote();
@@ -389,6 +516,9 @@ impl Engine for Machine {
     fn step(&mut self, input: Spikes<'_>) {
         let left = self.steps.saturating_sub(self.step);
         self.deliver_and_update(input, left);
+        if self.learning.is_some() {
+            self.learn(input, left);
+        }
         self.exchange();
         self.count(input.ids, left);
         self.step += 1;
@@ -397,6 +527,38 @@ impl Engine for Machine {
 
     fn settle(&mut self) {
         self.take_remote();
+        let Some(learning) = self.learning.as_mut().filter(|_| self.step > 0 && !self.settled) else { return };
+        self.settled = true;
+        let (mut compartments, mut values) = (self.spikes.clone(), self.payloads.clone());
+        compartments.extend(&self.remote);
+        values.extend(&self.remote_payloads);
+        let delivered = Delivered { channels: Spikes::default(), compartments: &compartments, values: &values };
+        learning.advance(self.step - 1, delivered, &self.image, &mut self.shards, None);
+    }
+
+    fn forget(&mut self, run: u32) {
+        for (state, shard) in self.shards.iter_mut().zip(&self.image.shards) {
+            state.plastic.clone_from(&shard.plastic.first);
+        }
+        // The steps so far belong to no sample of this run.
+        self.step = 0;
+        self.learning.iter_mut().for_each(|learning| learning.forget(run));
+    }
+
+    fn set_draws(&mut self, draws: &Draws) {
+        self.learning.iter_mut().for_each(|learning| learning.set_draws(draws));
+    }
+
+    fn synaptic_updates(&self) -> u64 {
+        self.learning.as_ref().map_or(0, |learning| learning.updates)
+    }
+
+    fn learned(&self, rule: RuleId, column: Column) -> Vec<i32> {
+        match (column, &self.learning) {
+            (Column::Trace(trace), Some(learning)) => learning.traces(&self.image, rule, trace),
+            (Column::Trace(_), None) => Vec::new(),
+            (Column::Variable(variable), _) => self.variable(rule, variable),
+        }
     }
 
     fn skip_idle(&mut self, steps: u32) -> bool {
@@ -404,12 +566,15 @@ impl Engine for Machine {
             return false;
         }
         self.take_remote();
-        let here = self.at_rest();
+        // Steps that are skipped together have equal counts.
+        let counted = self.learning.as_ref().filter(|_| self.settings.per_step);
+        let here = self.at_rest() && counted.is_none_or(|learning| !learning.may_update(&self.image));
         if !self.others.as_ref().map_or(here, |others| others.all(here)) {
             return false;
         }
         self.shown.clear();
         self.carried.clear();
+        self.skip_learning(steps);
         self.step += steps;
         self.counts.steps += u64::from(steps);
         self.totals.compartment_updates += u64::from(steps) * self.image.held as u64;
@@ -475,7 +640,9 @@ impl Engine for Machine {
         let left = self.steps.saturating_sub(self.step);
         let spikes = self.spikes.iter().chain(&self.remote);
         let sources = spikes.map(|spike| self.image.channels + spike.0);
-        let pending = self.image.tally().events_within(sources.clone(), left);
+        let mut lost = 0;
+        self.each_lost(sources.clone(), left, |_, _| lost += 1);
+        let pending = self.image.tally().events_within(sources.clone(), left) - lost;
         let undelivered: i64 = sources.map(|source| self.image.residual.get(source)).sum();
         let residual = self.counts.sample_residual(&self.image, &self.shards, self.arch) - undelivered;
         let synaptic_events = (self.totals.synaptic_events + pending).wrapping_add_signed(residual);

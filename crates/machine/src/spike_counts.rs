@@ -12,11 +12,12 @@
 //! Why: c does not depend on the spike, so a step only counts spikes. Each synapse of a source is
 //! visited once for all its late spikes: with long delays most spikes of a short sample are late.
 
+use crate::count::effects::Events;
 use crate::count::tally::Fired;
 use crate::layout::image::Image;
 use crate::update::state::ShardState;
 use nsim_ir::activity::Activity;
-use nsim_ir::base::id::Id;
+use nsim_ir::base::id::{CoreId, Id, IdVec};
 use nsim_ir::source_counts::{OverflowCounts, SourceCounts};
 
 /// Spikes since the activity was last taken. The shards' states count the spikes of compartments.
@@ -90,7 +91,14 @@ impl SpikeCounts {
     }
 
     /// Takes the activity of all steps since the last call, by core and by source.
-    pub fn take(&mut self, image: &Image, shards: &mut [ShardState], arch: pulp::Arch) -> (Activity, SourceCounts) {
+    /// Synapses of learned delays have lost `lost_events`, which the program's tables count.
+    pub fn take(
+        &mut self,
+        image: &Image,
+        shards: &mut [ShardState],
+        lost_events: &mut IdVec<CoreId, Events>,
+        arch: pulp::Arch,
+    ) -> (Activity, SourceCounts) {
         self.residual_before -= self.residual(image, shards, arch);
         let mut fired: Vec<u32> = self.channels.iter_mut().map(std::mem::take).collect();
         fired.resize(image.sources(), 0);
@@ -118,6 +126,13 @@ impl SpikeCounts {
             for (count, block) in state.take_active(shard).into_iter().zip(&shard.blocks) {
                 sum.cores[block.core].add_active(count, block.stated);
             }
+            for (core, updates) in sum.cores.iter_mut().zip(&mut state.updates) {
+                core.synaptic_updates += std::mem::take(updates);
+            }
+        }
+        for (core, lost) in sum.cores.iter_mut().zip(lost_events.iter_mut().map(std::mem::take)) {
+            core.events_dense -= lost.dense;
+            core.events_sparse -= lost.sparse;
         }
         let mut activity = Activity::new(image.program().cores().len());
         activity.add_sum(&sum, std::mem::take(&mut self.steps));

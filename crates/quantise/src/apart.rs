@@ -36,8 +36,10 @@ pub(crate) struct TooMany(pub usize);
 
 /// Whether a negative exponent takes bits of a weight of this projection.
 pub(crate) fn loses_bits(projection: &Projection) -> bool {
-    let exponent = projection.format.exponent;
-    exponent < WeightExponent::ZERO && !projection.connectivity.all_multiples_of(exponent.lost())
+    let (format, connectivity) = (projection.format, &projection.connectivity);
+    // A rule may learn any weight.
+    let whole = !format.is_plastic() && connectivity.all_multiples_of(format.exponent.lost());
+    format.exponent < WeightExponent::ZERO && !whole
 }
 
 /// Assigns separate sums to those of the projections `into` a population that need them; returns

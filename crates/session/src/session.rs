@@ -43,6 +43,8 @@ pub struct Session<E: ?Sized = Machine> {
     plastic: Arc<[PlasticProjection]>,
     /// Whether weights were written.
     is_written: bool,
+    /// Whether a rule changes them.
+    learns: bool,
     /// Input spikes of one copy: (step, channel, value).
     stored_input: Vec<(u32, ChannelId, i32)>,
     steps: u32,
@@ -66,6 +68,7 @@ impl<E: Engine> Session<E> {
             copies,
             plastic: Arc::new([]),
             is_written: false,
+            learns: false,
             stored_input: Vec::new(),
             steps: 0,
             is_begun: false,
@@ -118,7 +121,15 @@ impl<E: Engine + ?Sized> Session<E> {
         Outcome { probes: probes.values, totals, overflow, ..outputs.outcome(step) }
     }
 
-    /// Resets the session, weights included, to before the first step.
+    /// Resets the session to before the first step, and restores the weights, delays and tags that
+    /// the network had before it learned.
+    pub fn forget(&mut self) {
+        self.engine.forget(0);
+        self.is_written = false;
+        self.reset();
+    }
+
+    /// Resets the session to before the first step. What was learned or written stays.
     pub fn reset(&mut self) {
         self.clear_input();
         // The sample has no end, so every delivery is counted.
@@ -131,7 +142,7 @@ impl<E: Engine + ?Sized> Session<E> {
         self.stored_input.clear();
         self.last_input.0.clear();
         self.last_input.1.clear();
-        (self.steps, self.is_begun, self.is_truncated, self.is_written) = (0, false, false, false);
+        (self.steps, self.is_begun, self.is_truncated) = (0, false, false);
     }
 
     /// Resets the session, unless the engine has begun the sample that is stepped.
@@ -243,7 +254,8 @@ impl Session {
     /// its plastic weights.
     pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
         let plastic = PlasticProjection::all(image, one, copies).into();
-        let mut session = Session { plastic, ..Session::new(Machine::new(image, Settings::default()), copies) };
+        let learns = one.parts().rules.iter().any(|learning| learning.rule.learns());
+        let mut session = Session { plastic, learns, ..Session::new(Machine::new(image, Settings::default()), copies) };
         session.reset();
         session
     }
@@ -300,10 +312,10 @@ impl Session {
     /// `session.too-long`; `session.weights.written` when a run of the sample would not have the
     /// weights that were written.
     pub fn sample(&self) -> Result<Sample> {
-        if self.is_written {
+        if self.is_written || self.learns {
             let message =
                 "weights were written or learned, so a run of the same input would not reproduce them".to_string();
-            let help = "call reset() and step without writing weights, in a session without rule";
+            let help = "call forget() and step without writing weights, in a network without rules";
             return Err(Diagnostic::new("session.weights.written", message).help(help));
         }
         let too_long = || {

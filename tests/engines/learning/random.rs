@@ -3,11 +3,13 @@
 use std::sync::Arc;
 
 use super::COLUMNS;
-use crate::common::compare::{Shown, shown};
+use crate::common::compare::{Shown, shown, small_cores};
 use crate::common::random::Draw;
+use crate::common::unsearched;
 use crate::plastic::{plastic, sample};
+use nsim::compile::compile;
 use nsim::golden::Golden;
-use nsim::ir::activity::{Overflow, Totals};
+use nsim::ir::activity::{Activity, Overflow, Totals};
 use nsim::ir::base::fixed::{Delay, MessageBits};
 use nsim::ir::base::id::{ChannelId, IdVec, PopulationId, ProjectionId};
 use nsim::ir::graph::Shape;
@@ -18,6 +20,7 @@ use nsim::ir::learning::{
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
 use nsim::ir::spikes::{Engine, Message, Sample};
+use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::copies::copies;
 use nsim_testing::{cases, sparse};
 use rayon::prelude::*;
@@ -313,6 +316,40 @@ fn random_rules_change_weights_delays_and_tags() {
         "{networks:?} of {}, {updates} updates, {spikes} spikes",
         tried.len()
     );
+}
+
+/// The machine equals golden in 1, 2 and 8 shards, with skipping and without. Counts by core add up,
+/// and those of each step where they are asked for.
+#[test]
+fn random_rules_act_alike_in_both_engines() {
+    let updates: u64 = (0..cases(200))
+        .into_par_iter()
+        .map(|seed| {
+            let (network, draws) = random_plastic(seed);
+            let samples = samples(&network, seed);
+            let expected = learn(&mut Golden::new(&network), (&network, &draws), &samples);
+            let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &unsearched()).unwrap();
+            let total = |of: fn(&Learned) -> u64| expected.iter().map(of).sum::<u64>();
+            let (events, updates) = (total(|learned| learned.totals.synaptic_events), total(|learned| learned.updates));
+            let mut counts: Option<Activity> = None;
+            for shards in [1, 2, 8] {
+                let image = Image::new(&compiled.program, shards).unwrap();
+                for (skip, per_step) in [(true, false), (false, true)] {
+                    let what = format!("network {seed}, {shards} shards, skip {skip}");
+                    let mut machine = Machine::new(&image, Settings { skip, per_step });
+                    let found = learn(&mut machine, (&network, &draws), &samples);
+                    expected.iter().zip(&found).for_each(|(meant, found)| meant.assert_same(found, &what));
+                    let activity = machine.take_activity();
+                    let sum = activity.sum();
+                    let counted = (sum.events_dense + sum.events_sparse, sum.synaptic_updates);
+                    assert_eq!(counted, (events, updates), "{what}: counts by core");
+                    assert_eq!(*counts.get_or_insert_with(|| activity.clone()), activity, "{what}: counts by core");
+                }
+            }
+            updates
+        })
+        .sum();
+    assert!(updates > 1_000_000, "{updates} updates");
 }
 
 /// Copies draw alike, and each learns for itself.

@@ -6,7 +6,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use super::COLUMNS;
-use crate::common::{Archive, Array, Builder, biased, data, neuron};
+use crate::common::compare::roomy;
+use crate::common::{Archive, Array, Builder, biased, data, neuron, unsearched};
+use nsim::compile::compile;
 use nsim::golden::Golden;
 use nsim::ir::arithmetic::Semantics;
 use nsim::ir::base::fixed::{MessageBits, SignMode};
@@ -19,6 +21,7 @@ use nsim::ir::learning::{
 use nsim::ir::quantised::Quantised;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::spikes::{Engine, Message, Sample};
+use nsim::machine::{Image, Machine, Settings};
 use nsim_testing::{format, make_plastic, sparse};
 use serde::Deserialize;
 
@@ -345,16 +348,28 @@ fn on_golden(recordings: &[Recording]) -> u64 {
     compared.values
 }
 
+/// Compares the machine with recordings; returns the number of values, none of which differs.
+fn on_machine(recordings: &[Recording]) -> u64 {
+    let mut compared = Compared::default();
+    for recording in recordings {
+        let compiled = compile(recording.network.clone(), &roomy("oheo-gulch"), &unsearched()).unwrap();
+        let image = Image::new(&compiled.program, 1).unwrap();
+        compare(&mut Machine::new(&image, Settings::default()), recording, &mut compared);
+    }
+    assert_eq!(compared.differ, 0, "of {} values: {:?}", compared.values, compared.first);
+    compared.values
+}
+
 #[test]
 fn lavas_connections_learn_as_recorded() {
     let Some(folder) = data("learning/lava") else { return };
     let recordings = connections(&folder);
-    assert_eq!((recordings.len(), on_golden(&recordings)), (95, 1_072_859));
+    assert_eq!((recordings.len(), on_golden(&recordings), on_machine(&recordings)), (95, 1_072_859, 1_072_859));
 }
 
 #[test]
 fn lavas_networks_learn_as_recorded() {
     let Some(folder) = data("learning/lava_nets") else { return };
     let recordings = nets(&folder);
-    assert_eq!((recordings.len(), on_golden(&recordings)), (6, 140_960));
+    assert_eq!((recordings.len(), on_golden(&recordings), on_machine(&recordings)), (6, 140_960, 140_960));
 }

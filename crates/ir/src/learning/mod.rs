@@ -200,7 +200,7 @@ impl LearningSemantics {
     pub const fn accumulator(self) -> (i32, i32) {
         match self {
             LearningSemantics::Lava => (-32_769, 32_767),
-            LearningSemantics::Silicon => (-32_767, 32_767),
+            LearningSemantics::Silicon => (-32_768, 32_767),
         }
     }
 

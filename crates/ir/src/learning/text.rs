@@ -106,7 +106,7 @@ impl<'t> Parser<'t> {
     fn expect(&mut self, token: &str) -> Result<(), Problem> {
         match self.peek() {
             found if found == token => {
-                self.next();
+                self.at += found.len();
                 Ok(())
             }
             "" => self.wrong(format!("expected '{token}' but the rule ends")),

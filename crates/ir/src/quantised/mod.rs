@@ -21,7 +21,7 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId, RuleId};
 use crate::base::warning::Warning;
 use crate::graph::{PerCompartment, Shape};
-use crate::learning::{Learning, Plastic};
+use crate::learning::{Learning, Plastic, Variable};
 use crate::neurons::{Emits, NeuronKind, ParameterRow, Role, Stack, Storage};
 use crate::pruned;
 use crate::spikes::Message;
@@ -834,6 +834,9 @@ fn check_plastic(parts: &Parts, projection: &Projection) -> Result<(), &'static 
     let semantics = learning.rule.semantics();
     if semantics.delays_act() && !plastic.delays.is_empty() {
         return Err("its delays act, so they are the delays of its synapses");
+    }
+    if semantics.delays_act() && learning.rule.changes(Variable::Delay) && projection.format.apart.is_some() {
+        return Err("its rule changes delays, by which its target sums arrivals separately");
     }
     let within = |values: &[i16], (low, high): (i32, i32)| values.iter().all(|&v| (low..=high).contains(&v.into()));
     if !within(&plastic.tags, semantics.tags()) || !within(&plastic.delays, semantics.delays()) {

@@ -5,11 +5,29 @@
 
 use rayon::prelude::*;
 
+use nsim_ir::base::id::{IdVec, RuleId};
 use nsim_ir::program::{CoreClass, CoreFormat, Synapse};
 
 /// Whether lists of this format carry no index: their targets are consecutive.
 fn is_dense(format: &CoreFormat) -> bool {
     format.index_bits.is_none()
+}
+
+/// The formats of a core, and the rules that change delays.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Formats<'a> {
+    pub all: &'a [CoreFormat],
+    pub moves: &'a IdVec<RuleId, bool>,
+}
+
+impl Formats<'_> {
+    /// The delay field with which a synapse is counted: 0 where a rule changes it. The machine
+    /// subtracts the events that it loses at a sample's end.
+    fn delay(self, synapse: &Synapse) -> u8 {
+        let rule = self.all[usize::from(synapse.format)].synapse.rule;
+        let moves = rule.is_some_and(|rule| self.moves.get(rule).copied().unwrap_or(false));
+        if moves { 0 } else { synapse.delay.get() }
+    }
 }
 
 /// Synaptic events of dense and of sparse synapses.
@@ -21,14 +39,14 @@ pub(crate) struct Events {
 
 impl Events {
     /// Events of a list whose synapses of a delay field receive `times` spikes each.
-    pub fn of_list(list: &[Synapse], formats: &[CoreFormat], times: impl Fn(u8) -> u64) -> Self {
+    pub fn of_list(list: &[Synapse], formats: Formats<'_>, times: impl Fn(u8) -> u64) -> Self {
         let mut events = Events::default();
         for synapse in list {
-            let of_kind = match is_dense(&formats[usize::from(synapse.format)]) {
+            let of_kind = match is_dense(&formats.all[usize::from(synapse.format)]) {
                 true => &mut events.dense,
                 false => &mut events.sparse,
             };
-            *of_kind += times(synapse.delay.get());
+            *of_kind += times(formats.delay(synapse));
         }
         events
     }
@@ -67,17 +85,18 @@ impl Effect {
     }
 
     /// Returns the effect of each list of a class.
-    pub fn of_class(class: &CoreClass) -> Vec<Self> {
-        class.inputs.lists.iter().map(|list| Effect::new(list, &class.formats)).collect()
+    pub fn of_class(class: &CoreClass, moves: &IdVec<RuleId, bool>) -> Vec<Self> {
+        let formats = Formats { all: &class.formats, moves };
+        class.inputs.lists.iter().map(|list| Effect::new(list, formats)).collect()
     }
 
-    fn new(list: &[Synapse], formats: &[CoreFormat]) -> Self {
+    fn new(list: &[Synapse], formats: Formats<'_>) -> Self {
         let Events { dense, sparse } = Events::of_list(list, formats, |_| 1);
         if dense.max(sparse) >= (1 << Effect::COUNT_BITS) - 1 {
             return Effect::READ;
         }
-        let delay = list.first().map_or(0, |first| first.delay.get());
-        let is_same = list.iter().all(|synapse| synapse.delay.get() == delay);
+        let delay = list.first().map_or(0, |first| formats.delay(first));
+        let is_same = list.iter().all(|synapse| formats.delay(synapse) == delay);
         let delay = if is_same { delay.into() } else { Effect::SEVERAL };
         Effect(delay << (2 * Effect::COUNT_BITS) | (dense as u32) << Effect::COUNT_BITS | sparse as u32)
     }
@@ -124,6 +143,7 @@ mod tests {
             SynapseFormat { exponent, sign: SignMode::Mixed, bits, port: Port::First, apart: None, rule: None };
         let format = |index_bits| CoreFormat { synapse, delay_bits: 6, index_bits, skip_bits: None };
         let formats = [format(None), format(Some(4))];
+        let formats = Formats { all: &formats, moves: &IdVec::new() };
         let mut read = 0;
         for (case, length) in [0u64, 1, 2, 3, 60, 8_190, 8_191, 8_192, 20_000].into_iter().cycle().take(200).enumerate()
         {
@@ -137,10 +157,10 @@ mod tests {
                     delay: Delay::new([62, 0, 5][draw(delays, 3, index) as usize]).unwrap(),
                 })
                 .collect();
-            let effect = Effect::new(&list, &formats);
+            let effect = Effect::new(&list, formats);
             for reach in [0, 1, 6, 63] {
                 let times = |delay: u8| if delay < reach { 3 } else { 0 };
-                let expected = Events::of_list(&list, &formats, times);
+                let expected = Events::of_list(&list, formats, times);
                 let always = match reach {
                     0 => Some(0),
                     63 => Some(3),

@@ -16,11 +16,12 @@ use std::sync::Arc;
 use rayon::prelude::*;
 use self_cell::self_cell;
 
-use crate::count::effects::{Effect, Events};
+use crate::count::effects::{Effect, Events, Formats};
 use crate::prefetch::prefetch;
 use nsim_ir::activity::{CoreCounts, HopCounts, StepActivity};
 use nsim_ir::base::csr::Csr;
-use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec};
+use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, IdVec, RuleId};
 use nsim_ir::placement::{MeshPosition, Route};
 use nsim_ir::program::{AxonTarget, CoreClass, CoreImage, Program};
 use nsim_ir::quantised::Output;
@@ -83,6 +84,8 @@ pub struct Tally<'p> {
     /// Whether this rank counts input spikes, which all ranks receive.
     counts_inputs: bool,
     longest_delay: u32,
+    /// Whether each rule changes delays.
+    moves: IdVec<RuleId, bool>,
     receivers: IdVec<CoreId, Receiver>,
     classes: IdVec<CoreId, &'p CoreClass>,
     /// Counts of a visit to all compartments of a core of each class.
@@ -112,16 +115,19 @@ impl<'p> Tally<'p> {
     /// Prepares the counts of a program.
     pub fn new(program: &'p Program) -> Self {
         let classes = program.classes();
-        let of_classes: Vec<Vec<Effect>> = classes.as_slice().par_iter().map(Effect::of_class).collect();
+        let moves = program.parts().learning.moves_delays();
+        let of_classes: Vec<Vec<Effect>> =
+            classes.as_slice().par_iter().map(|class| Effect::of_class(class, &moves)).collect();
         let core_bits = (u32::BITS - (program.cores().len() as u32).leading_zeros()).min(u32::BITS - 1);
         let effects = Effect::distinct(&of_classes, 1 << (u32::BITS - core_bits));
         let number = |effect| effects.binary_search(effect).unwrap_or(effects.len() - 1) as u32;
         let ends = of_classes.iter().scan(0, |end, lists| Some((*end, *end += lists.len()).0));
         let firsts: IdVec<ClassId, usize> = ends.collect();
         let delays = classes.as_slice().par_iter().map(|class| {
-            let delays = class.inputs.lists.items().iter().map(|synapse| synapse.delay.get());
-            delays.max().unwrap_or(0)
+            let delays = class.inputs.lists.items().iter().map(|synapse| synapse.delay);
+            delays.max().unwrap_or(Delay::MIN)
         });
+        let longest = delays.max().unwrap_or(Delay::MIN);
         let receiver = |image: &CoreImage| Receiver {
             lists: firsts[image.class],
             is_direct: classes[image.class].inputs.populations.is_empty(),
@@ -130,7 +136,8 @@ impl<'p> Tally<'p> {
         let mut tally = Tally {
             program,
             counts_inputs: program.local_rank().is_none_or(|rank| rank == 0),
-            longest_delay: delays.max().unwrap_or(0).into(),
+            longest_delay: if moves.iter().any(|&moves| moves) { Delay::MAX } else { longest }.get().into(),
+            moves,
             receivers: program.cores().iter().map(receiver).collect(),
             classes: program.cores().iter().map(|image| &classes[image.class]).collect(),
             visits: classes.iter().map(CoreClass::visit).collect(),
@@ -256,7 +263,7 @@ impl<'p> Tally<'p> {
                 self.effects[(message.0 >> self.core_bits) as usize].events(always, &times).unwrap_or_else(|| {
                     let axon = self.program.messages(source).nth(place);
                     let list = axon.map_or(&[][..], |axon| self.classes[to].inputs.lists.get(self.list(axon)));
-                    Events::of_list(list, &self.classes[to].formats, &times)
+                    Events::of_list(list, Formats { all: &self.classes[to].formats, moves: &self.moves }, &times)
                 });
             (to, events)
         })

@@ -18,7 +18,7 @@ use crate::lanes::sums::{Sums, stride};
 use crate::layout::delivery_cost::DeliveryParts;
 use crate::layout::fan_out::FanOuts;
 use crate::layout::flatten::Flattener;
-use crate::layout::plastic::PlasticSynapses;
+use crate::layout::plastic::{Plan, PlasticSynapses};
 use crate::layout::residual::Residual;
 use crate::layout::shard::{BlockFields, CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::layout::weight_rows::{ProgramRows, WeightRows};
@@ -110,6 +110,8 @@ pub struct Image {
     pub(crate) skip_blocks: usize,
     /// Rows of weights that sources share.
     rows: Arc<WeightRows>,
+    /// Plastic projections.
+    pub(crate) plastic: Plan,
 }
 
 impl Image {
@@ -147,6 +149,7 @@ impl Image {
             residual: Residual::default(),
             skip_blocks: 0,
             rows: Arc::default(),
+            plastic: Plan::new(program),
         };
         let of_channels = image.payloads.get(..image.channels as usize);
         image.channels_carry = of_channels.is_some_and(|payloads| payloads.iter().all(Option::is_none));
@@ -159,7 +162,7 @@ impl Image {
         image.split_into_shards(&blocks, &sums, shards);
         image.assign_lanes();
         image.connect(&sums)?;
-        let plastic = PlasticSynapses::by_shard(program, &image.lanes, &image.bases, &sums);
+        let plastic = PlasticSynapses::by_shard(program, &image.plastic, &image.lanes, &image.bases, &sums);
         image.shards.iter_mut().zip(plastic).for_each(|(shard, plastic)| shard.plastic = plastic);
         let from_compartments = image.shards.iter().flat_map(|shard| &shard.from_compartments.by_delay);
         let first = from_compartments.flat_map(|fan_out| &fan_out.dense.blocks).map(|block| block.first).min();
@@ -190,6 +193,12 @@ impl Image {
     /// Whether this rank has a compartment.
     pub(crate) fn is_local(&self, compartment: CompartmentId) -> bool {
         self.lanes[compartment.index()] != NOT_LOCAL
+    }
+
+    /// The integer in a source's message, which is given where the network does not define it.
+    pub(crate) fn value_of(&self, source: usize, given: Option<i32>) -> i32 {
+        // Without payloads, every message is a spike.
+        self.payloads.get(source).map_or(1, |constant| constant.or(given).unwrap_or(1))
     }
 
     /// Number of sources.

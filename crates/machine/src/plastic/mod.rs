@@ -1,6 +1,9 @@
-//! Plastic synapses, whose weights a run may change between steps.
+//! Plastic synapses, which a rule changes while a network runs.
 //!
 //! - `places`: the plastic synapses of each projection of a network.
-//! - `learning`: the phase in which a rule changes weights.
+//! - `traces`: notes and traces of sources and targets.
+//! - `learning`: the phase in which a rule changes weights, delays and tags.
 
+pub(crate) mod learning;
 pub mod places;
+pub(crate) mod traces;

@@ -14,6 +14,7 @@ use crate::lanes::kernel;
 use crate::lanes::kernel::{LANES, Sum, Vectors};
 use crate::lanes::sums::{self, stride};
 use crate::layout::image::Image;
+use crate::layout::plastic::Columns;
 use crate::layout::shard::{CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::store::Aligned;
 use nsim_dynamics::arithmetic::{falls_on, wrap};
@@ -74,7 +75,7 @@ pub(crate) struct StepInput<'a> {
 /// The state of a shard.
 #[derive(Debug, Clone)]
 pub(crate) struct ShardState {
-    pub(super) state: CompartmentState,
+    pub(crate) state: CompartmentState,
     pub(super) rings: Rings,
 }
 
@@ -98,8 +99,10 @@ pub(crate) struct CompartmentState {
     hold: Vec<u8>,
     /// The state of compartments of words, block by block.
     words: Vec<[i32; CHUNK]>,
-    /// The weights of the shard's plastic synapses.
-    pub(crate) plastic: Vec<i16>,
+    /// The variables of the shard's plastic synapses.
+    pub(crate) plastic: Columns,
+    /// Synaptic updates by core since they were last taken; empty without plastic synapses.
+    pub(crate) updates: Vec<u64>,
     /// Value of the last message of each lane; empty if sums of 32 bits suffice.
     pub(super) sent: Vec<i32>,
     /// Skip blocks that are not idle, one bit each.
@@ -157,7 +160,8 @@ impl ShardState {
             v: Aligned::new(shard.lanes),
             hold: vec![0; holds],
             words: vec![[0; CHUNK]; shard.words.iter().map(|block| block.chunks() * block.updater.words()).sum()],
-            plastic: shard.plastic.weights.clone(),
+            plastic: shard.plastic.first.clone(),
+            updates: vec![0; if shard.plastic.lanes.is_empty() { 0 } else { image.program().cores().len() }],
             sent: image.sent_by(shard),
             busy: shard.wakes.clone(),
             spiked: vec![0; shard.lanes + UNCHECKED_ONES],
@@ -189,7 +193,7 @@ impl ShardState {
             Rings::Bits32(ring) => ring.bytes(),
             Rings::Bits64(ring) => ring.bytes(),
         };
-        4 * words + 2 * state.plastic.len() + state.hold.len() + ring
+        4 * words + state.plastic.bytes() + state.hold.len() + ring
     }
 
     /// Resets to the state before the first step; counts over samples stay.
@@ -203,7 +207,6 @@ impl ShardState {
         state.u.fill(0);
         state.v.fill(0);
         state.hold.fill(0);
-        state.plastic.copy_from_slice(&shard.plastic.weights);
         for block in &shard.words {
             block.updater.clear(&mut state.words[block.columns()]);
         }
@@ -234,6 +237,7 @@ impl CompartmentState {
         self.fired.iter_mut().zip(&other.fired).for_each(|(sum, more)| *sum += more);
         self.active_by_block.iter_mut().zip(&other.active_by_block).for_each(|(sum, more)| *sum += more);
         self.whole.iter_mut().zip(&other.whole).for_each(|(sum, more)| *sum += more);
+        self.updates.iter_mut().zip(&other.updates).for_each(|(sum, more)| *sum += more);
         self.overflows_by_lane
             .resize(self.overflows_by_lane.len().max(other.overflows_by_lane.len()), OverflowCounts::default());
         self.overflows_by_lane.iter_mut().zip(&other.overflows_by_lane).for_each(|(sum, more)| *sum += *more);
@@ -321,10 +325,10 @@ impl CompartmentState {
             let carried = Counted::not(carried);
             self.events_now += ring.deliver::<true, _>(&shard.from_compartments, carried, now, input.arch);
         }
-        if !self.plastic.is_empty() {
-            let plastic = (&shard.plastic, self.plastic.as_slice());
-            self.events_now += ring.deliver_plastic(plastic, (0, spikes_in), now);
-            self.events_now += ring.deliver_plastic(plastic, (image.channels, carried), now);
+        if !shard.plastic.lanes.is_empty() {
+            let (plan, synapses) = (&image.plastic, &shard.plastic);
+            self.events_now += ring.deliver_plastic(plan, synapses, &self.plastic, (0, spikes_in), now);
+            self.events_now += ring.deliver_plastic(plan, synapses, &self.plastic, (image.channels, carried), now);
         }
         if input.phase == Phase::Deliver {
             return;
