@@ -302,6 +302,8 @@ class Mapping:
         time_first: bool = False,
         early_exit: Union[str, int, None] = None,
         probe: Sequence[str] = (),
+        draws: Optional[Dictionary[str, Path]] = None,
+        fresh: bool = False,
     ) -> Run:
         """Runs `[channels.., T]`, `[samples, channels.., T]`, a dictionary of such arrays, sources, or the model's scene."""
     def session(self, seed: Optional[int] = None) -> Session:
@@ -356,7 +358,8 @@ class Session:
     def __getitem__(self, population: str) -> Population: ...
     def snapshot(self) -> Snapshot: ...
     def restore(self, snapshot: Snapshot) -> None: ...
-    def reset(self) -> None: ...
+    def reset(self, learned: bool = True) -> None:
+        """Returns to before the first timestep; with learned=False also to the weights of the model."""
     def energy(self, **options: Any) -> Energy:
         """Cost of the timesteps so far; options are as in `Mapping.energy`."""
     def __enter__(self) -> Session: ...
@@ -410,6 +413,8 @@ class Run:
         """Warnings: code, population, message."""
     def probe(self, name: str) -> NDArray[np.int32]:
         """The recording of `run(probe=[name])`, `[samples, compartments, T]`."""
+    def learned(self, path: Path, *, freeze: bool = False, force: bool = False) -> list[str]:
+        """Writes the model with what its rules have learned."""
     def samples(self) -> Any:
         """A data frame with a row for each sample: sample, label, predicted, steps, counts_0 and so on."""
     def neurobench(self) -> dict[str, Any]:

@@ -11,11 +11,13 @@ use nsim::energy::report::result::EnergyReport;
 use nsim::energy::workload::Workload;
 use nsim::files::text::sha256;
 use nsim::files::write::{self, check_free};
+use nsim::ir::learning::draws::Draws;
 use nsim::ir::spikes::{Sample, Stimulus};
 use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
 use nsim::session::inputs::require_scene;
 use nsim::session::obtain::map_with_defaults;
+use nsim::session::outcome::LearningSettings;
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
@@ -86,10 +88,11 @@ fn run_and_price<T: Send>(
     let long = is_long(shared, &shown);
     let known = [&shared.warnings()[..], &shown.stimulus.warnings].concat();
     let (result, warnings) = work(py, long, |progress| {
-        let NetworkInput { stimulus, order } = shown;
+        let NetworkInput { stimulus, order, learning } = shown;
         // The network of a published job is mapped as in its publication.
         let of_job = plan.map_job(compiled, &shared.target)?;
-        let workload = Workload::new(of_job.as_ref().unwrap_or(compiled), &shared.target, stimulus, order)?;
+        let mut workload = Workload::new(of_job.as_ref().unwrap_or(compiled), &shared.target, stimulus, order)?;
+        workload.learning = learning;
         // The rows of the processor need one copy, mapped alone.
         let alone = match options.baselines.cpu && compiled.options.copies > 1 {
             true => Some(map_with_defaults(compiled.one.clone(), &shared.target)?),
@@ -151,16 +154,17 @@ impl Energy {
         run_and_price(py, shared, plan, shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
-    /// Runs and prices a mapping for one sample.
+    /// Runs and prices a mapping for one sample, with a seed for learning.
     pub fn from_sample(
         py: Python<'_>,
         shared: &Shared,
         plan: &DeploymentPlan,
-        sample: Sample,
+        (sample, seed): (Sample, u64),
         keywords: &Keywords<'_>,
     ) -> PyResult<Self> {
         let stimulus = Stimulus { samples: vec![sample], origin: vec!["session".to_string()], ..Stimulus::default() };
-        let shown = NetworkInput { stimulus, order: vec![0] };
+        let learning = LearningSettings { draws: Draws::seeded(seed), ..LearningSettings::default() };
+        let shown = NetworkInput { stimulus, order: vec![0], learning };
         run_and_price(py, shared, plan, shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 

@@ -189,12 +189,14 @@ impl Mapping {
     /// arrays are `[T, channels..]` or `[samples, T, channels..]`. `labels` are classes of the
     /// samples, `samples` is (first, end), `seed` is the seed of a scene, `early_exit`
     /// 'certain' or a margin in spikes, `probe` a list of POPULATION.spikes, .u, .v or
-    /// .v_register to record. The first run of a mapping issues its warnings (`nsim.Warning`);
+    /// .v_register to record, and NAME.weight, .delay, .tag or a trace of a projection that learns.
+    /// Its random numbers are seeded by `seed`, or `draws`, a dictionary from projections to .npz
+    /// files; with `fresh` each sample starts from the weights of the model. The first run of a mapping issues its warnings (`nsim.Warning`);
     /// `Run.warnings` lists them for every run.
     #[pyo3(
         signature = (spikes=None, **options),
         text_signature = "($self, spikes=None, *, labels=None, samples=None, repeat=1, seed=None, time_first=False, \
-                          early_exit=None, probe=())"
+                          early_exit=None, probe=(), draws=None, fresh=False)"
     )]
     fn run(
         &self,
@@ -208,11 +210,10 @@ impl Mapping {
     }
 
     /// Opens a session: the network before its first timestep, which a loop steps. A `with` block
-    /// closes it. `seed` is for random neurons; the present neuron kinds are deterministic.
+    /// closes it. `seed` is of the random numbers of learning.
     #[pyo3(signature = (seed=None))]
     fn session(&self, py: Python<'_>, seed: Option<u64>) -> PyResult<Session> {
-        let _ = seed;
-        Session::new(py, &self.0)
+        Session::new(py, &self.0, seed.unwrap_or(0))
     }
 
     /// Energy, time and power of the mapping for these samples, compared with the named

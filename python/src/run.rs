@@ -1,16 +1,24 @@
 //! Results of samples on the simulated cores.
 
+use std::collections::HashMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 
+use nsim::files::network::NetworkFile;
+use nsim::import::draws::read_draws;
 use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::base::id::Id;
+use nsim::ir::learning::draws::Draws;
 use nsim::ir::quantised::Quantised;
 use nsim::ir::spikes::Sample;
 use nsim::report::run::RunReport;
 use nsim::session::cores::core_rows;
 use nsim::session::decision::{EarlyExit, Rule};
 use nsim::session::detail::Detail;
+use nsim::session::learning;
 use nsim::session::neurobench::NeuroBench;
+use nsim::session::outcome::LearningSettings;
 use nsim::session::populations::CountsByPopulation;
 use nsim::session::samples::{Division, RunSettings, fast, fast_on_image};
 use nsim::session::warnings::{FinishedRun, RunEngine, warnings};
@@ -18,13 +26,13 @@ use nsim::session::{Outcome, Probe, SampleSettings, digest, samples};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, ToPyArray};
 use pyo3::prelude::*;
 
-use crate::error::{in_python, warn};
+use crate::error::{exception, in_python, warn};
 use crate::html::{frame, table};
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
 use crate::spikes::NetworkInput;
 use crate::value::to_python;
-use crate::work::{on_own_threads, run_detached, work};
+use crate::work::{on_own_threads, run_detached, try_detached, work};
 
 /// Most recorded numbers of probes, 4 bytes each.
 const MOST_PROBED: u64 = 1 << 28;
@@ -43,9 +51,14 @@ pub struct Run {
     probes: Vec<String>,
 }
 
-/// Probes of names POPULATION.WHAT.
+/// Probes of names POPULATION.WHAT, and of a projection that learns NAME.weight and so on.
 fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
     let probe = |name: &String| {
+        if let Some((rule, column, last)) = learning::parse_probe(name)
+            && let Some((id, _)) = network.parts().rules.enumerate().find(|(_, known)| known.name == rule)
+        {
+            return Ok(learning::probe(network, id, column, last));
+        }
         let (population, what) = name.rsplit_once('.').unwrap_or((name, "spikes"));
         let found = network.population_named(population).map(|id| &network.populations()[id]);
         match found.filter(|found| found.first_compartment().is_some()) {
@@ -62,6 +75,39 @@ fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
         }
     };
     names.iter().map(probe).collect()
+}
+
+/// Learning of a run: the keywords `draws`, a dictionary from projections to files, and `fresh`.
+fn learning_settings(
+    py: Python<'_>,
+    network: &Quantised,
+    shown: &NetworkInput,
+    keywords: &Keywords<'_>,
+) -> PyResult<LearningSettings> {
+    let rules = &network.parts().rules;
+    let fresh = keywords.take("fresh")?.unwrap_or(false);
+    let files: HashMap<String, PathBuf> = keywords.take("draws")?.unwrap_or_default();
+    let samples = shown.samples();
+    if !files.is_empty() && samples.len() != 1 {
+        let message = format!("draws are random numbers of one sample, but {} run", samples.len());
+        return Err(usage(message, "choose one: samples=(FIRST, END)"));
+    }
+    let mut recorded = vec![None; rules.len()];
+    for (name, path) in &files {
+        let Some((id, rule)) = rules.enumerate().find(|(_, rule)| rule.name == *name) else {
+            let known: Vec<&str> = rules.iter().map(|rule| rule.name.as_str()).collect();
+            let message = format!("draws: no projection '{name}' learns");
+            return Err(usage(message, &format!("projections that learn are: {}", known.join(", "))));
+        };
+        let read = || {
+            let numbers = read_draws(path)?;
+            let steps = samples.first().map_or(0, |sample| sample.steps());
+            learning::check_recorded(rule, &numbers, steps).map(|()| numbers)
+        };
+        recorded[id.index()] = Some(read().map_err(|problem| exception(py, problem))?);
+    }
+    let draws = Draws { recorded: Arc::new(recorded.into()), ..shown.learning.draws.clone() };
+    Ok(LearningSettings { draws, fresh, ..shown.learning.clone() })
 }
 
 /// Rule by which samples end, from `early_exit`: 'certain' or a number of spikes.
@@ -102,6 +148,7 @@ impl Run {
     pub fn new(py: Python<'_>, mapping: &Arc<Shared>, shown: NetworkInput, keywords: &Keywords<'_>) -> PyResult<Self> {
         let early_exit = rule(keywords)?;
         let names: Vec<String> = keywords.take("probe")?.unwrap_or_default();
+        let learning = learning_settings(py, &mapping.compiled().one, &shown, keywords)?;
         keywords.refuse_unread()?;
         let (network, program) = (&mapping.compiled().one, &mapping.compiled().program);
         let probes = probes(network, &names)?;
@@ -118,7 +165,7 @@ impl Run {
         }
         let run = work(py, is_long(mapping, &shown), |progress| {
             let early_exit = early_exit.map(|rule| EarlyExit::new(rule, network)).transpose()?;
-            let keep = SampleSettings { output: program.output(), probes, early_exit };
+            let keep = SampleSettings { output: program.output(), probes, early_exit, learning };
             Ok(simulate(mapping, &shown.samples(), &keep, progress)?)
         })?;
         let run = Run { mapping: mapping.clone(), shown, run, early_exit, probes: names };
@@ -144,6 +191,7 @@ impl Run {
 
     fn with_report<T>(&self, detail: &Detail, read: impl FnOnce(&RunReport<'_>) -> T) -> T {
         let labels = self.labels();
+        let learning = learning::rows(&self.mapping.compiled().one, &self.run.learned, &self.run.outcomes);
         read(&RunReport {
             network: &self.mapping.compiled().one,
             target: Some(self.mapping.target.name()),
@@ -158,6 +206,7 @@ impl Run {
             wall_s: self.run.wall_s,
             detail,
             neurobench: None,
+            learning: &learning,
             files: &[],
         })
     }
@@ -225,7 +274,8 @@ impl Run {
     }
 
     /// The recording of a probe, `[samples, compartments, T]`, int32: spikes are 0 or 1, `u` and
-    /// `v` the registers of one copy after each timestep.
+    /// `v` the registers of one copy after each timestep. Of a projection that learns
+    /// `[samples, rows, T]`, after the learning of each timestep.
     fn probe<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let Some(index) = self.probes.iter().position(|known| known == name) else {
             let known = self.probes.join(", ");
@@ -238,9 +288,23 @@ impl Run {
             let message = "samples of different lengths cannot form one array".to_string();
             return Err(usage(message, "run samples of one length at a time: samples=(FIRST, END)"));
         }
+        let is_last = learning::parse_probe(name).is_some_and(|(.., last)| last);
+        let steps = if is_last { 1 } else { steps };
         let numbers: Vec<i32> = outcomes.iter().flat_map(|outcome| outcome.probes[index].iter().copied()).collect();
         let compartments = numbers.len().checked_div(outcomes.len() * steps).unwrap_or(0);
         Ok(PyArray1::from_vec(py, numbers).reshape([outcomes.len(), compartments, steps])?.into_any())
+    }
+
+    /// Writes the model with the weights, delays and tags after the last sample, without rules if
+    /// `freeze`; `force` replaces an existing file. Returns the files.
+    #[pyo3(signature = (path, *, freeze=false, force=false))]
+    fn learned(&self, py: Python<'_>, path: PathBuf, freeze: bool, force: bool) -> PyResult<Vec<String>> {
+        let (network, file) = (&self.mapping.compiled().one, &self.mapping.network);
+        try_detached(py, || {
+            let states = learning::states(network, &self.run.learned);
+            let (model, arrays) = file.learned(&states, freeze, &NetworkFile::arrays_name(&path))?;
+            model.write_with(arrays, &format!("{} after a run, with what it learned", network.parts().name), &path, force)
+        })
     }
 
     /// The metrics of NeuroBench's harness, as in `nsim run --neurobench`; the samples run once

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::ir::graph::Shape;
+use nsim::ir::learning::draws::Draws;
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
@@ -33,6 +34,8 @@ type Input = Vec<(ChannelId, i32)>;
 #[pyclass(frozen, module = "nsim")]
 pub struct Session {
     mapping: Arc<Shared>,
+    /// The seed of learning.
+    seed: u64,
     /// A thread that steps holds the lock; the others wait.
     state: Mutex<State>,
 }
@@ -67,7 +70,7 @@ pub struct Population {
 
 impl Session {
     /// A session before its first step.
-    pub fn new(py: Python<'_>, mapping: &Arc<Shared>) -> PyResult<Self> {
+    pub fn new(py: Python<'_>, mapping: &Arc<Shared>, seed: u64) -> PyResult<Self> {
         let compiled = mapping.compiled();
         let stepped = try_detached(py, || {
             let division = Division::new(&compiled.program, 1);
@@ -75,10 +78,13 @@ impl Session {
                 Some(image) => image.clone(),
                 None => lay_out(&compiled.program, division)?,
             };
-            Ok::<_, Diagnostic>(Stepped::open(&image, &compiled.one, compiled.options.copies))
+            let mut stepped = Stepped::open(&image, &compiled.one, compiled.options.copies);
+            stepped.engine_mut().set_draws(&Draws::seeded(seed));
+            stepped.reset_all();
+            Ok::<_, Diagnostic>(stepped)
         })?;
         let state = State { stepped: Some(stepped), shown: Vec::new() };
-        Ok(Session { mapping: mapping.clone(), state: Mutex::new(state) })
+        Ok(Session { mapping: mapping.clone(), seed, state: Mutex::new(state) })
     }
 
     fn network(&self) -> &Quantised {
@@ -257,9 +263,13 @@ impl Session {
         Ok(())
     }
 
-    /// Returns to the state before the first timestep.
-    fn reset(&self, py: Python<'_>) -> PyResult<()> {
-        self.state(py).stepped.as_mut().ok_or_else(closed)?.reset();
+    /// Returns to the state before the first timestep. What rules have learned stays, unless
+    /// `learned` is False.
+    #[pyo3(signature = (learned=true))]
+    fn reset(&self, py: Python<'_>, learned: bool) -> PyResult<()> {
+        let mut state = self.state(py);
+        let stepped = state.stepped.as_mut().ok_or_else(closed)?;
+        if learned { stepped.reset() } else { stepped.reset_all() }
         Ok(())
     }
 
@@ -274,7 +284,7 @@ impl Session {
         let keywords = Keywords::new(options)?;
         let plan = energy::plan(py, &self.mapping.model, &keywords, None)?;
         plan.check_mapping().map_err(|error| exception(py, error))?;
-        Energy::from_sample(py, &self.mapping, &plan, sample, &keywords)
+        Energy::from_sample(py, &self.mapping, &plan, (sample, self.seed), &keywords)
     }
 
     fn __getitem__(slf: &Bound<'_, Self>, name: &str) -> PyResult<Population> {

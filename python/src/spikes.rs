@@ -9,9 +9,11 @@
 use nsim::files::budget::{Budget, MOST_STEPS};
 use nsim::import::spikes::{PopulationSpikes, warning_of_changes};
 use nsim::ir::base::diagnostic::Diagnostic;
+use nsim::ir::learning::draws::Draws;
 use nsim::ir::quantised::{Population, Quantised};
 use nsim::ir::spikes::{Message, Sample, Stimulus};
 use nsim::session::inputs::{MOST_REPEATS, join_samples, repeated_indices, stimulus_with_progress, with_drain};
+use nsim::session::outcome::LearningSettings;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyString, PyTuple};
 
@@ -32,6 +34,8 @@ pub struct NetworkInput {
     pub stimulus: Stimulus,
     /// Numbers of the samples that run, in run order.
     pub order: Vec<usize>,
+    /// Learning over them.
+    pub learning: LearningSettings,
 }
 
 impl NetworkInput {
@@ -109,10 +113,16 @@ impl NetworkInput {
                 return Err(usage(message, &format!("the first and the end, such as samples=(0, {})", count.max(1))));
             }
         };
+        let first = range.start;
         let repeat = keywords.whole("repeat", 1..=MOST_REPEATS.into())?.unwrap_or(1);
         let order =
             repeated_indices(range, repeat as u32).map_err(|problem| Python::attach(|py| exception(py, problem)))?;
-        Ok(NetworkInput { stimulus: shown, order })
+        let learning = LearningSettings {
+            draws: Draws::seeded(seed.unwrap_or(0)),
+            rules: network.parts().rules.len(),
+            ..LearningSettings::of_samples(order.len(), repeat as u32, first)
+        };
+        Ok(NetworkInput { stimulus: shown, order, learning })
     }
 
     /// The samples in run order.

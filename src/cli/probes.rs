@@ -5,7 +5,9 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 
+use crate::cli::args::learning::rule_named;
 use crate::cli::context::refuse_if;
+use crate::cli::process::ranks;
 use nsim_files as io;
 use nsim_import::probes::Trace;
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -14,6 +16,7 @@ use nsim_ir::base::names::fits_pattern;
 use nsim_ir::quantised::{Population, Quantised, Units};
 use nsim_ir::spikes::{Message, Sample, Spikes};
 use nsim_session::error::{Error, Result};
+use nsim_session::learning;
 use nsim_session::samples::Traces;
 use nsim_session::{Outcome, Probe, Quantity};
 
@@ -32,8 +35,9 @@ pub enum ProbeFormat {
 #[derive(Debug, Clone, clap::Args)]
 pub struct ProbeArgs {
     /// Record POPULATION.spikes, .message, .u, .v, .v_register or a word of the kind's state into
-    /// -o; spikes for a name alone, which may have * and ?
-    #[arg(long, value_name = "POP[.WHAT]", requires = "output")]
+    /// -o; spikes for a name alone, which may have * and ?. Of a projection that learns record
+    /// NAME.weight, .delay, .tag, .x1, .x2, .y1, .y2 or .y3, with .last only after the last step
+    #[arg(long, value_name = "NAME[.WHAT]", requires = "output")]
     pub probe: Vec<String>,
     /// Format of probe files
     #[arg(long, value_enum, value_name = "FORMAT", default_value = "npy")]
@@ -82,6 +86,11 @@ impl NamedProbe {
             Source::Engine(probe) => probe.count,
             Source::Input(channels) => channels.count,
         }
+    }
+
+    /// Whether one value is recorded for each sample.
+    fn is_last(&self) -> bool {
+        matches!(self.source, Source::Engine(probe) if probe.is_last())
     }
 
     fn is_spikes(&self) -> bool {
@@ -195,6 +204,7 @@ impl ProbeArgs {
                 }
                 Source::Input(probe) => Box::new(input_numbers(given, probe)),
             };
+            let (steps, written_steps) = if named.is_last() { (1, 1) } else { (steps, written_steps) };
             let numbers = numbers.enumerate();
             let numbers =
                 numbers.filter(move |(place, _)| place % steps.max(1) < written_steps).map(|(_, number)| number);
@@ -229,6 +239,20 @@ fn parts(text: &str) -> (&str, Option<&str>) {
     }
 }
 
+/// The probe of a column of a rule: `NAME.WHAT` or `NAME.WHAT.last`; `None` for another text.
+fn rule_probe(network: &Quantised, text: &str) -> Result<Option<NamedProbe>> {
+    let Some((name, column, last)) = learning::parse_probe(text) else { return Ok(None) };
+    // Neurons may have words of state with the names of columns.
+    let rules = &network.parts().rules;
+    if !rules.iter().any(|learning| learning.name == name) && network.population_named(name).is_some() {
+        return Ok(None);
+    }
+    ranks::refuse_several("--probe of a rule")?;
+    let rule = rule_named(network, "--probe", name)?;
+    let source = Source::Engine(learning::probe(network, rule, column, last));
+    Ok(Some(NamedProbe { name: text.to_string(), source }))
+}
+
 /// Source of a quantity of a population; `None` if the population lacks it.
 fn source(population: &Population, what: &str) -> Option<Source> {
     let count = population.shape.len();
@@ -244,6 +268,9 @@ fn source(population: &Population, what: &str) -> Option<Source> {
 
 /// Probes of one argument: one for each population that matches its pattern and has the register.
 fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
+    if let Some(probe) = rule_probe(network, text)? {
+        return Ok(vec![probe]);
+    }
     let (pattern, asked) = parts(text);
     let what = asked.unwrap_or("spikes");
     let mut probes = Vec::new();
@@ -272,14 +299,15 @@ fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
 
 fn check_room(probes: &[NamedProbe], samples: &[&Sample]) -> Result<()> {
     let steps: u64 = samples.iter().map(|sample| u64::from(sample.steps())).sum();
-    let rows: u64 = probes.iter().map(|named| u64::from(named.count())).sum();
+    let each_step = probes.iter().filter(|named| !named.is_last());
+    let rows: u64 = each_step.clone().map(|named| u64::from(named.count())).sum();
     let message = format!(
         "the probes would record {rows} compartments over {steps} steps, more than {MOST_PROBED} numbers; choose \
          fewer --samples"
     );
     refuse_if(rows.saturating_mul(steps) > MOST_PROBED, message)?;
     let equal = samples.windows(2).all(|pair| pair[0].steps() == pair[1].steps());
-    if !probes.is_empty() && !equal {
+    if each_step.count() > 0 && !equal {
         let message = "samples have different numbers of steps, so probes do not fill [samples, compartments, T]";
         return Err(Diagnostic::new("run.probe-shape", message).help("choose one sample with --samples").into());
     }

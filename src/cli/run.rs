@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::args::input::{InputArgs, check_pruned, select};
 use crate::cli::args::jobs;
+use crate::cli::args::learning::LearningArgs;
 use crate::cli::args::steps::{self, run_with_step_rows};
 use crate::cli::args::values::{Switch, one_of};
 use crate::cli::context::{Answer, Context, refuse_if};
@@ -12,6 +13,7 @@ use crate::cli::probes::{NamedProbe, ProbeArgs, ProbeRecordings};
 use crate::cli::process::ranks;
 use nsim_files as io;
 use nsim_files::warnings::show;
+use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_reference::{Kernel, Model};
 use nsim_report::run::RunReport;
@@ -58,6 +60,7 @@ EXAMPLES:
   nsim run --input tactile=t.npy --input vision=v.npy --samples 0..20
   nsim run --input 'scene:noise?samples=5&seed=7&rate=0.02'
   nsim run model.ron --input s.npy --probe hidden.spikes --probe hidden.v -o traces
+  nsim run stdp.ron --input s.npy --probe stdp.weight -o traces --learned after.ron    a projection that learns
   nsim run --early-exit certain                        end each sample once its decision cannot change
   nsim run --steps steps.csv                           a row per timestep: spikes, time and energy
   nsim run --neurobench                                operations, sparsity and membrane updates as NeuroBench counts
@@ -88,6 +91,8 @@ pub struct Args {
     early_exit: Option<Rule>,
     #[command(flatten)]
     probes: ProbeArgs,
+    #[command(flatten)]
+    learning: LearningArgs,
     /// A row for each timestep of each sample: spikes by population, events, messages, hops, time
     /// and energy by part, under the target's first constants
     #[arg(long, value_name = "FILE.csv|npy")]
@@ -105,10 +110,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         ranks::price();
     }
     let wanted = EngineChoice::network_form(args.engine);
-    let job = match jobs::prepare(&args.job, wanted, Some(1), &args.probes.populations())? {
+    let file = args.job.reading.load(&args.job.model)?;
+    let job = match jobs::prepare_loaded(&args.job, &file, wanted, Some(1), &args.probes.populations())? {
         Ok(job) => job,
         Err(refusal) => return refusal.print(nsim_report::run::empty_result("fast"), context),
     };
+    let file = Some(file).filter(|_| args.learning.learned.is_some());
     let network = job.quantised();
     let stimulus = inputs::stimulus(network, &args.input.sources()?, job.scene(), args.input.seed)?;
     let samples = select(&stimulus.samples, &args.input)?;
@@ -119,19 +126,21 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         output: network.output(),
         probes: probes.iter().filter_map(NamedProbe::engine).collect(),
         early_exit: args.early_exit.map(|rule| EarlyExit::new(rule, network)).transpose()?,
+        learning: args.learning.settings(network, &samples, &args.input)?,
     };
+    args.learning.check_files(network, context.force)?;
     let mut batch = io::write::Batch::new(context.force);
-    let Run { outcomes, activity, counts, meter: traces, skipped_updates, wall_s, ranks: rows } =
+    let Run { outcomes, activity, counts, meter: traces, skipped_updates, wall_s, ranks: rows, learned } =
         output::with_progress(context, samples.len(), "samples", |done| {
             run_samples(args, &job, &samples, &keep, &mut batch, done)
         })?;
-    let neurobench = if args.neurobench { neurobench(args, &job, &samples)? } else { None };
+    let neurobench = if args.neurobench { neurobench(args, &job, &samples, &keep)? } else { None };
     ranks::leave_to_first();
     let recorded = traces.as_deref().map_or(ProbeRecordings::Integers(&outcomes), ProbeRecordings::Reals);
-    let (timestep_ms, drain) = (network.parts().timestep_ms, network.parts().drain);
-    let mut files = args.probes.write(&probes, recorded, &samples, timestep_ms, drain, &mut batch)?;
-    batch.commit()?;
-    files.extend(args.steps.iter().map(|path| path.display().to_string()));
+    let mut files = write_recordings(args, network, (&probes, recorded), &samples, &keep, batch)?;
+    if let Some(file) = &file {
+        files.extend(args.learning.write_learned(file, network, &learned, context.force)?);
+    }
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let sums = CountsByPopulation::new(network, &counts);
     let (engine, ran) = match &job {
@@ -166,6 +175,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         wall_s,
         detail: &detail,
         neurobench: neurobench.as_ref(),
+        learning: &nsim_session::learning::rows(network, &learned, &outcomes),
         files: &files,
     };
     if let (Some((compiled, _)), None) = (job.mapped(), &args.job.mapping) {
@@ -175,16 +185,35 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     Ok(Answer::Yes)
 }
 
+/// Writes probes and random numbers, and the rows of steps; returns the files.
+fn write_recordings(
+    args: &Args,
+    network: &Quantised,
+    (probes, recorded): (&[NamedProbe], ProbeRecordings<'_>),
+    samples: &[&Sample],
+    keep: &SampleSettings,
+    mut batch: io::write::Batch,
+) -> Result<Vec<String>, Error> {
+    let (timestep_ms, drain) = (network.parts().timestep_ms, network.parts().drain);
+    let mut files = args.probes.write(probes, recorded, samples, timestep_ms, drain, &mut batch)?;
+    let steps = samples.first().map_or(0, |sample| sample.steps());
+    files.extend(args.learning.record(network, &keep.learning.draws, steps, &mut batch)?);
+    batch.commit()?;
+    files.extend(args.steps.iter().map(|path| path.display().to_string()));
+    Ok(files)
+}
+
 /// Metrics of NeuroBench's harness; none for the reference engine, which `run_samples` refuses.
-fn neurobench(args: &Args, job: &Job, samples: &[&Sample]) -> Result<Option<NeuroBench>, Error> {
+fn neurobench(args: &Args, job: &Job, samples: &[&Sample], run: &SampleSettings) -> Result<Option<NeuroBench>, Error> {
+    let learning = |keep: &SampleSettings| SampleSettings { learning: run.learning.clone(), ..keep.clone() };
     let measured = match job {
         Job::Mapped(compiled, ..) => NeuroBench::measure(&compiled.one, samples, |samples, keep| {
             let skip = args.skip == Switch::On;
-            fast(&compiled.program, samples, RunSettings { skip, ..RunSettings::new(keep) }, || ())
+            fast(&compiled.program, samples, RunSettings { skip, ..RunSettings::new(&learning(keep)) }, || ())
         }),
-        Job::Quantised(quantised, _) => {
-            NeuroBench::measure(quantised, samples, |samples, keep| Ok(golden(quantised, samples, keep, &|| ())))
-        }
+        Job::Quantised(quantised, _) => NeuroBench::measure(quantised, samples, |samples, keep| {
+            Ok(golden(quantised, samples, &learning(keep), &|| ()))
+        }),
         Job::Real(..) => return Ok(None),
     };
     Ok(Some(measured?))

@@ -15,6 +15,7 @@ mod errors;
 mod examples;
 mod growth;
 mod jobs;
+mod learning;
 mod mapping;
 mod neurobench;
 mod options;

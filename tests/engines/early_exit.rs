@@ -22,11 +22,8 @@ use rayon::prelude::*;
 use serde_json::Value;
 
 fn keep(network: &Quantised, rule: Option<Rule>) -> SampleSettings {
-    SampleSettings {
-        output: network.output(),
-        probes: Vec::new(),
-        early_exit: rule.map(|rule| EarlyExit::new(rule, network).unwrap()),
-    }
+    let early_exit = rule.map(|rule| EarlyExit::new(rule, network).unwrap());
+    SampleSettings { early_exit, ..SampleSettings::new(network.output()) }
 }
 
 fn margin(margin: u32) -> Rule {

@@ -357,7 +357,7 @@ fn snapshots_carry_weights() {
                     assert!(found == meant, "network {seed}, step {t} after going back");
                 }
             }
-            session.forget();
+            session.reset_all();
             assert!(network.plastic().zip(&first).all(|((id, _), first)| session.weights(id).unwrap() == *first));
         }
     }
@@ -382,7 +382,7 @@ fn what_cannot_be_written_is_refused_by_name() {
     assert!(session.sample().is_ok());
     session.write_weights(IN, &[12]).unwrap();
     assert_eq!(session.sample().unwrap_err().code, "session.weights.written");
-    session.forget();
+    session.reset_all();
     assert!(session.sample().is_ok());
 }
 

@@ -34,9 +34,8 @@ use rayon::prelude::*;
 fn keep(network: &Quantised) -> SampleSettings {
     let probe = |quantity| Probe { first: CompartmentId(0), count: network.compartments(), quantity };
     SampleSettings {
-        output: network.output(),
         probes: [Quantity::Spikes, Quantity::U, Quantity::Potential].map(probe).into(),
-        early_exit: None,
+        ..SampleSettings::new(network.output())
     }
 }
 

@@ -41,7 +41,7 @@ fn spikes(network: &Network, population: &str, steps: u32, inputs: impl IntoIter
         inputs.into_iter().filter(|event| event.0 < steps).map(|(step, c)| (step, ChannelId(c))).collect();
     let sample = Sample::new(steps, &events, None).unwrap();
     let probes = vec![Probe { first, count, quantity: Quantity::Spikes }];
-    let outcome = session.run(&sample, &SampleSettings { output, probes, early_exit: None }, ());
+    let outcome = session.run(&sample, &SampleSettings { probes, ..SampleSettings::new(output) }, ());
     outcome.spikes.into_iter().collect()
 }
 

@@ -37,7 +37,8 @@ fn keep(network: &Quantised, rule: Option<Rule>) -> SampleSettings {
     let output = network.output();
     let probe = Probe { first: output.first, count: output.count, quantity: Quantity::Potential };
     let early_exit = rule.map(|rule| EarlyExit::new(rule, network).unwrap());
-    SampleSettings { output, probes: if rule.is_none() { vec![probe] } else { Vec::new() }, early_exit }
+    let probes = if rule.is_none() { vec![probe] } else { Vec::new() };
+    SampleSettings { probes, early_exit, ..SampleSettings::new(output) }
 }
 
 #[test]

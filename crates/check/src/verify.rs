@@ -42,8 +42,8 @@ use nsim_ir::neurons::{Family, Stack};
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
-    AxonTarget, Compartments, CoreClass, CoreFormat, CoreImage, InputAxon, InputTable, Messages, PopulationAxon,
-    Program, Synapse,
+    AxonTarget, Compartments, CoreClass, CoreFormat, CoreImage, Graded, InputAxon, InputTable, Messages,
+    PopulationAxon, Program, Synapse,
 };
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
@@ -166,7 +166,9 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
         return Err(Violation::Site(core));
     }
     let limit = chip.message_bits;
-    if let Some(wide) = program.parts().graded.iter().find(|graded| graded.message.bits() > limit) {
+    let sends = |graded: &&Graded| graded.sources.clone().any(|source| program.messages(source).next().is_some());
+    let mut wide = program.parts().graded.iter().filter(|graded| graded.message.bits() > limit);
+    if let Some(wide) = wide.find(sends) {
         return Err(Violation::Message { source_number: wide.sources.start, bits: wide.message.bits(), limit });
     }
     let populations = program.classes().iter().any(|class| !class.inputs.populations.is_empty());

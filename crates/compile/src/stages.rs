@@ -320,8 +320,13 @@ impl Front {
 
 /// Refuses neurons and messages that the target does not support, all of them together.
 fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
-    let of = |population| [has_messages(population, target), has_kind(population, target)];
-    collect_all(network.populations().iter().flat_map(of))?;
+    let checked = network.populations().enumerate().flat_map(|(id, population)| {
+        // The values of a signal are read by rules, and sent to no core.
+        let sends = population.first_channel().is_none() || !network.outgoing(id).is_empty();
+        let messages = if sends { has_messages(population, target) } else { Ok(()) };
+        [messages, has_kind(population, target)]
+    });
+    collect_all(checked)?;
     Ok(())
 }
 

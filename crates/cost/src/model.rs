@@ -408,6 +408,7 @@ pub(crate) mod tests {
                     instructions: dense,
                     stated_energy: sparse,
                     stated_time: spikes,
+                    synaptic_updates: dense,
                 };
             }
             for (east_west, north_south, chip) in routes {

@@ -141,6 +141,9 @@ impl Export<'_> {
         if parts.threshold == ThresholdTest::Inclusive {
             return Err(refused("spikes of compartments that only reach their threshold (threshold: Inclusive)"));
         }
+        if let Some(learning) = parts.learning.rules.iter().next() {
+            return Err(refused(format!("the learning rule of projection '{}'", learning.name)));
+        }
         if !parts.graded.is_empty() {
             return Err(refused("messages that carry integers"));
         }

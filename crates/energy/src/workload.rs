@@ -13,6 +13,7 @@ use nsim_session::cores::core_rows;
 use nsim_session::decision::EarlyExit;
 use nsim_session::detail::Detail;
 use nsim_session::error::Error;
+use nsim_session::outcome::LearningSettings;
 use nsim_session::populations::CountsByPopulation;
 use nsim_session::priced::{MeteredMapping, steps_per_sample};
 use nsim_session::samples::{Progress, Run, RunSettings};
@@ -39,6 +40,8 @@ pub struct Workload<'j> {
     pub seed: Option<u64>,
     /// Warnings of the reader of the input.
     pub warnings: Vec<Warning>,
+    /// Learning over the samples.
+    pub learning: LearningSettings,
     metered: MeteredMapping<'j>,
 }
 
@@ -58,7 +61,8 @@ impl<'j> Workload<'j> {
             return Err(Error::Usage(format!("sample {sample}: there are {} samples", stimulus_samples.len())));
         }
         let (copies, metered) = (compiled.options.copies, MeteredMapping::new(compiled));
-        Ok(Workload { compiled, target, copies, stimulus_samples, order, origin, seed, warnings, metered })
+        let learning = LearningSettings::default();
+        Ok(Workload { compiled, target, copies, stimulus_samples, order, origin, seed, warnings, learning, metered })
     }
 
     /// Samples of one copy, in run order.
@@ -129,6 +133,12 @@ impl<'j> Workload<'j> {
         Ok(Timeline::new(&self.metered, &self.compiled.one, settings, sample, traced)?)
     }
 
+    /// Settings that store only decisions, of samples that end by this rule.
+    pub fn sample_settings(&self, early_exit: Option<EarlyExit>) -> SampleSettings {
+        let learning = self.learning.clone();
+        SampleSettings { early_exit, learning, ..SampleSettings::new(self.compiled.program.output()) }
+    }
+
     /// Runs all samples.
     ///
     /// # Errors
@@ -141,7 +151,7 @@ impl<'j> Workload<'j> {
         progress: Progress<'_>,
         ranks: Option<&Ranks>,
     ) -> Result<Run<StepMeter>, Error> {
-        let sample_settings = SampleSettings { early_exit, ..SampleSettings::new(self.compiled.program.output()) };
+        let sample_settings = self.sample_settings(early_exit);
         let run_settings = RunSettings { skip, progress, ranks, ..RunSettings::new(&sample_settings) };
         Ok(self.metered.run(settings, &self.samples(), run_settings)?)
     }

@@ -3,6 +3,10 @@
 //! Input: a parsed model with its arrays. Output: a graph whose endpoints exist, whose array sizes
 //! agree with its populations and whose delays are in range. Errors have their place in the model
 //! file. `quantise` converts the numbers to fields of the hardware.
+//!
+//! - `learning`: rules of projections.
+
+mod learning;
 
 use std::collections::HashMap;
 use std::fmt::Display;
@@ -15,11 +19,12 @@ use crate::synapses::{SynapseArrays, SynapsePlace};
 use nsim_ir::arithmetic::ReadOut;
 use nsim_ir::base::diagnostic::{Diagnostic, Span, collect_all};
 use nsim_ir::base::fixed::{Delay, MessageBits, Payload, SignMode, ThresholdMantissa, WeightBits};
+use nsim_ir::base::id::{IdVec, RuleId};
 use nsim_ir::base::names::{did_you_mean, is_unprintable};
 use nsim_ir::base::rng;
 use nsim_ir::graph::{
-    Graph, MOST_CHANNELS, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment, Population,
-    PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
+    DeclaredRule, Graph, MOST_CHANNELS, MOST_SYNAPSES, MOST_UNITS, NetworkFacts, NeuronParameters, PerCompartment,
+    Population, PopulationKind, Projection, ProjectionKind, Shape, SrmParameters, Values, Window,
 };
 use nsim_ir::locate::{items, locate};
 use nsim_ir::neurons::{Emits, ParameterField};
@@ -32,8 +37,15 @@ const MOST_UNIFORM: u64 = 1 << 28;
 
 /// The most steps that a sample may have after its last input step.
 const MOST_DRAIN: u32 = 65_535;
+/// Bits of the integers of a `Signal` population.
+const SIGNAL_BITS: i64 = 16;
 /// Populations that an error lists at most.
 const MOST_NAMED: usize = 20;
+
+/// Whether a text has characters that separate names in arguments.
+fn is_no_name(name: &str) -> bool {
+    name.is_empty() || name.contains(|c: char| c.is_whitespace() || is_unprintable(c) || "@#=./\\:".contains(c))
+}
 
 /// Turns a model into a graph.
 ///
@@ -52,11 +64,13 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
     let nodes = lowering.populations(&mut graph)?;
     let output = lowering.find(&nodes, &file.output, "output", || lowering.at(lowering.whole, "output"));
     let spans = items(text, "projections");
+    let mut rules = IdVec::new();
     let joined = file.projections.iter().enumerate().map(|(index, desc)| {
         let span = spans.get(index).copied().unwrap_or_default();
-        lowering.projection(desc, span, &nodes, &mut graph)
+        lowering.projection(desc, span, &nodes, &mut graph, &mut rules)
     });
     collect_all(joined.chain([output.clone().map(drop)]))?;
+    lowering.check_names(&spans)?;
     let output = output?;
     lowering.check_output(&graph[output])?;
     lowering.check_facts()?;
@@ -74,6 +88,7 @@ pub fn lower(network: &Network) -> Result<Graph, Diagnostic> {
         scene: file.scene.clone(),
         provenance: file.provenance.clone(),
         warnings: network.conventions().warnings.clone(),
+        rules,
     };
     Ok(Graph::new(facts, graph, output))
 }
@@ -207,8 +222,7 @@ impl<'a> Lowering<'a> {
         let name = &desc.name;
         // '@' and '#' separate copies and indices in reports; '=' and '.' are separators in
         // arguments that name populations.
-        if name.is_empty() || name.contains(|c: char| c.is_whitespace() || is_unprintable(c) || "@#=./\\:".contains(c))
-        {
+        if is_no_name(name) {
             let message = format!("'{name}' cannot be a population's name");
             return Err(self.error("model.name", message, self.at(span, "name")).help(
                 "use letters, digits, '_' and '-', because names are part of arguments such as name=file.npy and \
@@ -231,7 +245,8 @@ impl<'a> Lowering<'a> {
             self.error("model.payload", format!("population '{}': {what}", desc.name), self.at(span, path))
         };
         let computes = matches!(kind, PopulationKind::Neurons(p) if p.kind.table().emits == Emits::Values);
-        match (desc.payload, desc.message_bits) {
+        let message_bits = desc.message_bits.or(desc.signal.then_some(SIGNAL_BITS));
+        match (desc.payload, message_bits) {
             (Some(_), _) if computes => Err(wrong("payload", &"its neurons compute the values of their messages")
                 .help("remove payload; message_bits sets the width of their integers")),
             (Some(_), Some(_)) => Err(wrong("message_bits", &"a payload is the value of every message")
@@ -381,6 +396,7 @@ impl<'a> Lowering<'a> {
         span: Span,
         nodes: &Nodes,
         graph: &mut DiGraph<Population, Projection>,
+        rules: &mut IdVec<RuleId, DeclaredRule>,
     ) -> Result<(), Diagnostic> {
         let target = self.find(nodes, &desc.to, "'to'", || self.at(span, "to"))?;
         if matches!(graph[target].kind, PopulationKind::Input) {
@@ -396,6 +412,11 @@ impl<'a> Lowering<'a> {
             sources.push(self.find(nodes, name, "'from'", || self.at(span, &format!("from.[{index}]")))?);
         }
         for (index, &node) in sources.iter().enumerate() {
+            if self.network.file().population(&desc.from[index]).is_some_and(|source| source.signal) {
+                let message = format!("'{}' is a Signal, which sends no spikes to '{}'", desc.from[index], desc.to);
+                let help = "name it in a rule, such as y2: Signal(\"..\"), or declare it as Input";
+                return Err(self.error("model.source", message, self.at(span, &format!("from.[{index}]"))).help(help));
+            }
             self.check_sends(&graph[node], &desc.to, || self.at(span, &format!("from.[{index}]")))?;
         }
         let declared = ProjectionLowering {
@@ -407,9 +428,10 @@ impl<'a> Lowering<'a> {
             target_shape: graph[target].shape,
         };
         let delay = declared.delay(desc.delay, "delay")?;
+        let rule = declared.rule(&sources, target, nodes, graph)?.map(|rule| rules.push(rule));
         for Part { own_delay, synapses } in declared.parts()? {
             let delay = own_delay.map_or(Ok(delay), |own| declared.delay(own, "arrays.delay"))?;
-            declared.add(delay, synapses, &sources, target, graph);
+            declared.add((delay, rule), synapses, &sources, target, graph);
         }
         Ok(())
     }
@@ -475,7 +497,7 @@ impl ProjectionLowering<'_> {
     /// Adds a part of a projection, from each of its source populations.
     fn add(
         &self,
-        delay: Delay,
+        (delay, rule): (Delay, Option<RuleId>),
         whole: ProjectionKind,
         sources: &[NodeIndex],
         target: NodeIndex,
@@ -524,6 +546,7 @@ impl ProjectionLowering<'_> {
                 weight_scale: weight_scale.clone(),
                 weights_span,
                 kind,
+                rule,
             };
             graph.add_edge(source, target, projection);
         }

@@ -33,7 +33,7 @@ pub struct SynapseArrays {
     pub delay: Option<ArrayRef>,
 }
 
-/// Synapses of one list: source, target, weight, entry of a list in place (0 for arrays).
+/// Synapses of one list: source, target, weight, entry of the list or arrays.
 pub type SynapseList = Vec<(u32, u32, f64, u32)>;
 
 /// The declaration of a projection with arrays, and the sizes of its ends.
@@ -134,7 +134,7 @@ impl SynapseArrays {
             };
             let delay = delay.map(|tensor| place.index("delay", tensor, entry, 1 << 16)).transpose()?;
             let target = place.index("target", target, entry, place.targets)?;
-            by_delay.entry(delay).or_default().push((source, target, weight.real(entry), 0));
+            by_delay.entry(delay).or_default().push((source, target, weight.real(entry), entry as u32));
         }
         Ok(by_delay)
     }

@@ -5,6 +5,7 @@
 //! [`nsim_ir::base::diagnostic::Diagnostic`] that names the file and the place. [`kind`] detects
 //! the kind of a file by its content. No size that a file claims is trusted.
 
+pub mod draws;
 pub mod foreign;
 pub mod fuzz_entry;
 pub mod kind;

@@ -15,7 +15,9 @@ use serde::{Deserialize, Serialize};
 use crate::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use crate::base::diagnostic::{Diagnostic, SourceText, Span};
 use crate::base::fixed::{Delay, SignMode, WeightBits};
+use crate::base::id::{IdVec, RuleId};
 use crate::base::warning::Warning;
+use crate::learning::Learning;
 use crate::locate::locate;
 use crate::neurons::{NeuronKind, Port};
 use crate::spanned::Spanned;
@@ -385,6 +387,28 @@ pub struct Projection {
     pub weights_span: Span,
     /// Its synapses.
     pub kind: ProjectionKind,
+    /// The rule of its declaration, one of [`NetworkFacts::rules`].
+    pub rule: Option<RuleId>,
+}
+
+/// The learning rule of a declaration, and the first state of its synapses, by row.
+///
+/// Rows number the synapses of the declaration: target by target for `Dense`, as listed for
+/// `Sparse`, source by source for `Random`.
+#[derive(Debug, Clone)]
+pub struct DeclaredRule {
+    /// The rule.
+    pub learning: Learning,
+    /// Its place in the model file.
+    pub span: Span,
+    /// Units of all sources.
+    pub sources: u32,
+    /// First tags.
+    pub tags: PerCompartment<i16>,
+    /// First delays where delays do not act.
+    pub delays: PerCompartment<i16>,
+    /// The populations whose values replace y1, y2 and y3.
+    pub signals: [Option<NodeIndex>; 3],
 }
 
 impl Projection {
@@ -425,6 +449,8 @@ pub struct NetworkFacts {
     pub provenance: Option<String>,
     /// Assumptions and losses of the reader of another tool's file.
     pub warnings: Vec<Warning>,
+    /// Learning rules.
+    pub rules: IdVec<RuleId, DeclaredRule>,
 }
 
 /// The network with real parameters.
@@ -445,11 +471,12 @@ impl Graph {
         Graph { facts, graph, output }
     }
 
-    /// Refuses neurons that have no form in real numbers.
+    /// Refuses neurons and rules that have no form in real numbers.
     ///
     /// # Errors
-    /// `model.no-real-form`.
+    /// `model.no-real-form`, `model.learning`.
     pub fn has_real_form(&self) -> Result<(), Diagnostic> {
+        self.refuse_rules("cannot be run in real numbers")?;
         let lacking = self.populations().find_map(|(_, population)| match &population.kind {
             PopulationKind::Neurons(p) if !p.kind.table().registers => Some((population, p.kind.name())),
             _ => None,
@@ -459,6 +486,17 @@ impl Graph {
         Err(Diagnostic::new("model.no-real-form", message)
             .at(&self.facts.source, *span)
             .help("use nsim run or nsim energy; --engine golden checks the fast engine"))
+    }
+
+    /// Refuses learning rules: a rule, followed by `why`.
+    ///
+    /// # Errors
+    /// `model.learning`.
+    pub fn refuse_rules(&self, why: &str) -> Result<(), Diagnostic> {
+        let Some(DeclaredRule { learning, span, .. }) = self.facts.rules.iter().next() else { return Ok(()) };
+        let message = format!("the learning rule of projection '{}' {why}", learning.name);
+        let help = "remove the field learning, or learn first: nsim run MODEL --learned OUT.ron --freeze";
+        Err(Diagnostic::new("model.learning", message).at(&self.facts.source, *span).help(help))
     }
 
     /// Facts about the network as a whole.

@@ -246,6 +246,7 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
                 weight_scale: None,
                 weights_span: population.span,
                 kind: ProjectionKind::Sparse { synapses: all.collect() },
+                rule: None,
             };
             added.push((node, node, projection));
         }

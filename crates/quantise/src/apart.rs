@@ -34,12 +34,11 @@ type Groups = Vec<Vec<ProjectionId>>;
 /// Number of sums of a population, more than [`SeparateSum::MOST`].
 pub(crate) struct TooMany(pub usize);
 
-/// Whether a negative exponent takes bits of a weight of this projection.
+/// Whether a negative exponent takes bits of a weight of this projection, now or once it learned.
 pub(crate) fn loses_bits(projection: &Projection) -> bool {
-    let (format, connectivity) = (projection.format, &projection.connectivity);
-    // A rule may learn any weight.
-    let whole = !format.is_plastic() && connectivity.all_multiples_of(format.exponent.lost());
-    format.exponent < WeightExponent::ZERO && !whole
+    let exponent = projection.format.exponent;
+    exponent < WeightExponent::ZERO
+        && (projection.format.is_plastic() || !projection.connectivity.all_multiples_of(exponent.lost()))
 }
 
 /// Assigns separate sums to those of the projections `into` a population that need them; returns

@@ -228,8 +228,9 @@ fn groups(projection: &Projection, sources: u32, scale: f64, detail: Detail) -> 
     let squares: f64 = used.iter().map(|synapse| synapse.2 * synapse.2).sum();
     let largest = used.iter().fold(0.0, |most: f64, synapse| most.max(synapse.2.abs()));
     let heavy = all.len() <= SMALL || largest > HEAVY * (squares / used.len().max(1) as f64).sqrt();
-    if detail < Detail::Groups || !heavy || !projection.kind.has_own_weights() || all.len() > MOST_SPLIT || top == least
-    {
+    // A rule's rows are those of the declaration.
+    let splits = projection.kind.has_own_weights() && projection.rule.is_none() && all.len() <= MOST_SPLIT;
+    if detail < Detail::Groups || !heavy || !splits || top == least {
         return vec![with(projection.kind.clone(), top)];
     }
     let mut parts: Vec<Vec<(u32, u32, f64, u32)>> = vec![Vec::new(); GROUPS];

@@ -29,9 +29,10 @@ use nsim_ir::base::fixed::{
     BiasExponent, BiasMantissa, DECAY_ONE, Field, SignMode, THRESHOLD_SHIFT, ThresholdMantissa, WEIGHT_SHIFT,
     WeightBits, WeightExponent,
 };
-use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId, RuleId};
 use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::graph::{self, Graph, NeuronParameters, PerCompartment, PopulationKind, ProjectionKind, Values};
+use nsim_ir::learning::{LearningSemantics, Plastic};
 use nsim_ir::neurons::{Conversion, ParameterField};
 use nsim_ir::quantised::connectivity::{Connectivity, SeparateSum, SynapseFormat};
 use nsim_ir::quantised::{Neuron, Neurons, Note, Parts, Population, Projection, Quantised, Reset, Rounded, Units};
@@ -95,7 +96,7 @@ pub fn quantise_with(graph: &Graph, detail: Detail) -> Result<Quantised> {
         populations,
         projections,
         children: Vec::new(),
-        rules: Default::default(),
+        rules: facts.rules.iter().map(|rule| rule.learning.clone()).collect(),
         output: population_id(graph.output()),
         decision: facts.decision,
         drain: facts.drain,
@@ -175,7 +176,7 @@ impl Stage<'_> {
                 .help("give 1 to 6 or 8 bits; a sign takes one of them (nengo-loihi: real widths 0 to 6 and 8)"));
         }
         let (sign, port) = (projection.sign, projection.port);
-        Ok(SynapseFormat { exponent, sign, bits: width, port, apart: None, rule: None })
+        Ok(SynapseFormat { exponent, sign, bits: width, port, apart: None, rule: projection.rule })
     }
 
     /// lava shifts the sum of a projection's weights by a negative exponent, equation (1) each
@@ -430,8 +431,9 @@ impl Stage<'_> {
             (None, Some(scale)) => Some(scale.value),
             (None, None) => None,
         };
+        let to = self.rounding(format);
         let mut rounding =
-            Rounding { stage: self, projection, format, factor, changed: 0, most: 0.0, greatest: 0.0, seen: 0 };
+            Rounding { stage: self, projection, format, factor, to, changed: 0, most: 0.0, greatest: 0.0, seen: 0 };
         let sources = rounding.stage.graph.population(source).shape.len();
         let targets = rounding.stage.graph.population(target).shape.len();
         let connectivity = rounding.connectivity(sources, targets)?;
@@ -457,9 +459,50 @@ impl Stage<'_> {
             format,
             delay: projection.delay,
             connectivity,
-            plastic: None,
+            plastic: projection.rule.map(|rule| Arc::new(self.plastic(projection, rule, sources, targets))),
         })
     }
+
+    /// The rounding of weights. lava cuts the first weights of a rule to their format.
+    fn rounding(&self, format: SynapseFormat) -> WeightRounding {
+        let facts = self.graph.facts();
+        let semantics = format.rule.map(|rule| facts.rules[rule].learning.rule.semantics());
+        match (semantics, format.sign) {
+            (Some(LearningSemantics::Lava), SignMode::Inhibitory) => WeightRounding::Truncate,
+            (Some(LearningSemantics::Lava), _) => WeightRounding::Floor,
+            _ => facts.weight_rounding,
+        }
+    }
+
+    /// The state of a projection's synapses besides weights, source by source.
+    fn plastic(&self, projection: &graph::Projection, rule: RuleId, sources: u32, targets: u32) -> Plastic {
+        let declared = &self.graph.facts().rules[rule];
+        let first = projection.first_source;
+        let rows: Arc<[u32]> = match &projection.kind {
+            ProjectionKind::Sparse { synapses } => sorted(synapses).iter().map(|synapse| synapse.3).collect(),
+            ProjectionKind::Random { fan_out, .. } => (first * fan_out..(first + sources) * fan_out).collect(),
+            _ => {
+                let row = |source: u32| (0..targets).map(move |target| target * declared.sources + first + source);
+                (0..sources).flat_map(row).collect()
+            }
+        };
+        let values = |of: &PerCompartment<i16>| -> Arc<[i16]> {
+            match of {
+                PerCompartment::Same(0) => Arc::new([]),
+                _ => rows.iter().map(|&row| of.get(row)).collect(),
+            }
+        };
+        let (tags, delays) = (values(&declared.tags), values(&declared.delays));
+        let signals = declared.signals.map(|signal| signal.map(population_id));
+        Plastic { rule, first_source: first, rows, tags, delays, signals }
+    }
+}
+
+/// Listed synapses source by source, by target; those of one pair as they are listed.
+fn sorted(synapses: &[(u32, u32, f64, u32)]) -> Vec<(u32, u32, f64, u32)> {
+    let mut sorted = synapses.to_vec();
+    sorted.sort_by_key(|&(source, target, ..)| (source, target));
+    sorted
 }
 
 /// Converts weights to mantissas, and counts their changes by rounding.
@@ -468,6 +511,7 @@ struct Rounding<'a, 'b> {
     projection: &'a graph::Projection,
     format: SynapseFormat,
     factor: Option<f64>,
+    to: WeightRounding,
     changed: u64,
     most: f64,
     /// Greatest magnitude of a weight, in mantissas.
@@ -491,7 +535,7 @@ impl Rounding<'_, '_> {
                 .help("give weight_scale, which real weights need with an integer vth_mant, or give a real vth"));
         }
         let step = self.format.sign.step(self.format.bits);
-        let rounded = to_step(exact, step, self.stage.graph.facts().weight_rounding);
+        let rounded = to_step(exact, step, self.to);
         let (low, high) = self.format.sign.range(self.format.bits);
         if !(f64::from(low)..=f64::from(high)).contains(&rounded) {
             let (bits, sign) = (self.format.bits, self.format.sign);
@@ -533,18 +577,19 @@ impl Rounding<'_, '_> {
                 Ok(Connectivity::Dense { targets, weights: by_source.into() })
             }
             ProjectionKind::Sparse { synapses } => {
-                let mut sorted: Vec<(u32, u32, i16)> = Vec::with_capacity(synapses.len());
+                // In the order of the list, so that the first wrong weight is reported.
+                let mut mantissas = Vec::with_capacity(synapses.len());
                 for &(source, target, weight, entry) in synapses {
                     let place = place(entry as usize);
                     let mantissa = self.mantissa(weight, format_args!("[{source}, {target}]"), place)?;
-                    sorted.push((source, target, mantissa));
+                    mantissas.push((source, target, f64::from(mantissa), entry));
                 }
-                sorted.sort_by_key(|&(source, target, _)| (source, target));
+                let sorted = sorted(&mantissas);
                 let begin = |source: u32| sorted.partition_point(|synapse| synapse.0 < source) as u64;
                 Ok(Connectivity::Sparse {
                     first: (0..=sources).map(begin).collect(),
                     targets: sorted.iter().map(|s| s.1).collect(),
-                    weights: sorted.iter().map(|s| s.2).collect(),
+                    weights: sorted.iter().map(|s| s.2 as i16).collect(),
                 })
             }
             ProjectionKind::Conv2d { window, weights } => {

@@ -12,6 +12,7 @@ use nsim_ir::potentials::Potentials;
 use nsim_ir::quantised::Quantised;
 use nsim_session::decision::Rule;
 use nsim_session::detail::Detail;
+use nsim_session::learning::LearningRow;
 use nsim_session::neurobench::NeuroBench;
 use nsim_session::{Outcome, accuracy, digest, median_decision};
 
@@ -44,6 +45,8 @@ pub struct RunReport<'a> {
     pub detail: &'a Detail,
     /// The metrics of NeuroBench's harness, if requested.
     pub neurobench: Option<&'a NeuroBench>,
+    /// What each rule did.
+    pub learning: &'a [LearningRow],
     /// Files that were written.
     pub files: &'a [String],
 }
@@ -82,6 +85,9 @@ fn score_text(score: f64) -> String {
 struct Events {
     #[serde(flatten)]
     totals: Totals,
+    /// Synapses whose rule was evaluated; `None` without rules.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    synaptic_updates: Option<u64>,
     messages: Option<u64>,
     hops: Option<u64>,
 }
@@ -140,7 +146,9 @@ impl RunReport<'_> {
         let mut totals = Totals::default();
         self.outcomes.iter().for_each(|outcome| totals += outcome.totals);
         let hops = self.activity.map(|activity| activity.hops().total_links());
-        Events { totals, messages: self.activity.map(Activity::messages), hops }
+        let updates = self.outcomes.iter().map(|outcome| outcome.synaptic_updates).sum();
+        let synaptic_updates = Some(updates).filter(|_| !self.learning.is_empty());
+        Events { totals, synaptic_updates, messages: self.activity.map(Activity::messages), hops }
     }
 
     fn early_exit(&self) -> Option<EarlyExit> {
@@ -166,6 +174,20 @@ impl RunReport<'_> {
         format!("\n{saved}")
     }
 
+    /// A line for each rule.
+    fn learning_text(&self) -> String {
+        let line = |row: &LearningRow| {
+            let LearningRow { name, epochs, weight_min, weight_max, at_bounds, changed, .. } = row;
+            wrapped(&format!(
+                "{name} learned over {}: {}, from {weight_min} to {weight_max}, {at_bounds} at their bounds",
+                count(*epochs, "epoch"),
+                count(*changed, "changed weight")
+            ))
+        };
+        let lines: String = self.learning.iter().map(line).collect();
+        if lines.is_empty() { lines } else { format!("\n{lines}") }
+    }
+
     /// `nsim.run/1`.
     pub fn json(&self) -> Value {
         let (parts, outcomes) = (self.network.parts(), self.outcomes);
@@ -189,6 +211,9 @@ impl RunReport<'_> {
         });
         if let (Value::Object(fields), Value::Object(detail)) = (&mut result, json!(self.detail)) {
             fields.extend(detail);
+            if !self.learning.is_empty() {
+                fields.insert("learning".to_string(), json!(self.learning));
+            }
             fields.extend(self.neurobench.map(|metrics| ("neurobench".to_string(), json!(metrics))));
         }
         result
@@ -265,13 +290,15 @@ impl RunReport<'_> {
             out += &format!("\nundecided {undecided} of {samples}\n");
         }
         out += &self.early_exit_text();
-        let Events { totals, messages, hops } = self.events();
+        out += &self.learning_text();
+        let Events { totals, synaptic_updates, messages, hops } = self.events();
         let counts = [
             ("input spikes", Some(totals.spikes_in)),
             ("spikes", Some(totals.spikes)),
             ("synaptic events", Some(totals.synaptic_events)),
             ("compartment updates", Some(totals.compartment_updates)),
             ("of them active", Some(totals.active_updates)),
+            ("synaptic updates", synaptic_updates),
             ("messages", messages),
             ("hops", hops),
         ];

@@ -2,7 +2,7 @@
 //!
 //! Input: an engine, samples, the output population, probes, optionally a rule by which a sample
 //! ends before its last step. Output: an [`Outcome`] for each sample, in run order. Samples are
-//! independent: each begins from rest and ends with its own last step. A sample that is decided
+//! independent, unless the network learns: each begins from rest and ends with its own last step. A sample that is decided
 //! early has exactly the counts of the first steps of the whole sample.
 
 pub mod cores;
@@ -11,6 +11,7 @@ pub mod detail;
 pub mod error;
 pub mod front;
 pub mod inputs;
+pub mod learning;
 pub mod neurobench;
 pub mod observers;
 pub mod obtain;

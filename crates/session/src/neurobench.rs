@@ -17,6 +17,7 @@
 //! All samples count as one batch. Omitted on purpose: layers of real numbers, and samples that end
 //! early.
 
+use super::learning::learns;
 use super::samples::Run;
 use super::steps::groups;
 use super::{Outcome, Probe, SampleSettings};
@@ -142,7 +143,9 @@ impl NeuroBench {
         let sample_settings = SampleSettings { probes, ..SampleSettings::new(network.output()) };
         let (mut plain, mut graded, mut updates, mut spikes, mut timesteps) = (0, 0, 0, 0, 0);
         let mut right = Some(0u32);
-        for group in groups(samples, network.compartments() as usize) {
+        // What was learned stays from sample to sample.
+        let columns = if learns(&network.parts().rules) { 0 } else { network.compartments() as usize };
+        for group in groups(samples, columns) {
             let Run { outcomes, counts, .. } = run(group, &sample_settings)?;
             let (more_plain, more_graded) = operations(network, &counts);
             plain += more_plain;

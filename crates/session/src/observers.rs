@@ -147,7 +147,8 @@ impl<E: Engine + ?Sized> Observer<E> for Outputs<'_> {
     }
 }
 
-/// Values recorded by probes, `[compartments][steps]` for each. State is constant in idle steps.
+/// Values recorded by probes, `[compartments][steps]` for each. State is constant in idle steps. An
+/// engine learns a step while it runs the next one, so a column of a rule lags by a step.
 pub(crate) struct Recording<'k, T, R> {
     probes: &'k [Probe],
     steps: usize,
@@ -160,8 +161,17 @@ impl<'k, T: Copy + From<i32>, R> Recording<'k, T, R> {
     /// Returns the state before the first of `steps` steps.
     pub(crate) fn new(probes: &'k [Probe], steps: u32, read: R) -> Self {
         let steps = steps as usize;
-        let values = probes.iter().map(|probe| vec![T::from(0); probe.count as usize * steps]).collect();
-        Recording { probes, steps, read, values }
+        let zeros = |probe: &Probe| vec![T::from(0); probe.count as usize * if probe.is_last() { 1 } else { steps }];
+        Recording { probes, steps, read, values: probes.iter().map(zeros).collect() }
+    }
+
+    /// Records the columns of rules of a settled engine, which ran `steps` steps.
+    pub(crate) fn finish<E: Engine + ?Sized>(&mut self, engine: &E, steps: u32) {
+        for (probe, values) in self.probes.iter().zip(&mut self.values) {
+            let Quantity::Learned { rule, column, last } = probe.quantity else { continue };
+            let (width, step) = if last { (1, 0) } else { (self.steps, steps.saturating_sub(1) as usize) };
+            values.iter_mut().skip(step).step_by(width.max(1)).zip(engine.learned(rule, column)).for_each(set);
+        }
     }
 }
 
@@ -174,6 +184,13 @@ where
     fn observe(&mut self, engine: &E, range: StepRange) {
         for (probe, values) in self.probes.iter().zip(&mut self.values) {
             let place = |i: u32| i as usize * self.steps + range.first as usize;
+            if let Quantity::Learned { rule, column, last } = probe.quantity {
+                if let Some(before) = range.first.checked_sub(1).filter(|_| !last) {
+                    let places = values.iter_mut().skip(before as usize).step_by(self.steps.max(1));
+                    places.zip(engine.learned(rule, column)).for_each(set);
+                }
+                continue;
+            }
             if !matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
                 for i in 0..probe.count {
                     let value = (self.read)(engine, probe.quantity, CompartmentId(probe.first.0 + i));
@@ -192,6 +209,10 @@ where
             }
         }
     }
+}
+
+fn set<T: From<i32>>((place, value): (&mut T, i32)) {
+    *place = value.into();
 }
 
 /// Returns a quantity of a compartment of an engine in integers.

@@ -8,7 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::decision::EarlyExit;
 use nsim_ir::activity::{Overflow, Totals};
-use nsim_ir::base::id::CompartmentId;
+use nsim_ir::base::id::{CompartmentId, RuleId};
+use nsim_ir::learning::Column;
+use nsim_ir::learning::draws::Draws;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::potentials::Potentials;
 use nsim_ir::quantised::{Output, Population};
@@ -28,6 +30,15 @@ pub enum Quantity {
     Message,
     /// A word of state, by its index in the table of the kind.
     State(usize),
+    /// A column of a rule's state after the learning of each step; with `last`, of the last step.
+    Learned {
+        /// The rule.
+        rule: RuleId,
+        /// The column.
+        column: Column,
+        /// Whether only the value after the last step is recorded.
+        last: bool,
+    },
 }
 
 impl Quantity {
@@ -62,6 +73,16 @@ pub struct Probe {
 }
 
 impl Probe {
+    /// Whether one value is recorded, not one for each step.
+    pub fn is_last(&self) -> bool {
+        matches!(self.quantity, Quantity::Learned { last: true, .. })
+    }
+
+    /// Whether a column of a rule is recorded in each step.
+    pub(crate) fn follows_learning(&self) -> bool {
+        matches!(self.quantity, Quantity::Learned { last: false, .. })
+    }
+
     /// Returns the probe of a population's compartments for this name of a quantity or word of
     /// state; `None` where they have none of this name.
     pub fn named(population: &Population, what: &str) -> Option<Probe> {
@@ -78,6 +99,42 @@ impl Probe {
     }
 }
 
+/// Settings of learning over the samples of a run.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LearningSettings {
+    /// Random numbers.
+    pub draws: Draws,
+    /// Whether each sample starts from the weights of the model.
+    pub fresh: bool,
+    /// The number of samples after which a run starts from the weights of the model; 0 for never.
+    pub period: usize,
+    /// Number of the first sample in its input, which selects the random numbers of fresh samples.
+    pub first: usize,
+    /// Number of rules whose state after the last sample is stored.
+    pub rules: usize,
+}
+
+impl LearningSettings {
+    /// Settings with seeded random numbers.
+    pub fn seeded(seed: u64) -> Self {
+        LearningSettings { draws: Draws::seeded(seed), ..LearningSettings::default() }
+    }
+
+    /// Settings of `samples` samples, the same ones `repeat` times, from number `first` of their
+    /// input on.
+    pub fn of_samples(samples: usize, repeat: u32, first: usize) -> Self {
+        LearningSettings { period: samples / repeat.max(1) as usize, first, ..LearningSettings::default() }
+    }
+
+    /// The number of the run that starts anew before the sample at this place of the run, if any.
+    pub(crate) fn restart(&self, place: usize) -> Option<u32> {
+        if self.fresh {
+            return Some((self.first + place) as u32);
+        }
+        (place > 0 && self.period > 0 && place.is_multiple_of(self.period)).then(|| (place / self.period) as u32)
+    }
+}
+
 /// Results to store of each sample, and the rule by which it ends.
 #[derive(Debug, Clone)]
 pub struct SampleSettings {
@@ -88,12 +145,14 @@ pub struct SampleSettings {
     /// Rule that decides a sample before its last step, and whether the sample then ends; its
     /// outputs are `output`.
     pub early_exit: Option<EarlyExit>,
+    /// Learning over the samples.
+    pub learning: LearningSettings,
 }
 
 impl SampleSettings {
     /// Returns settings that store only the spikes and decision of these compartments.
     pub fn new(output: Output) -> Self {
-        SampleSettings { output, probes: Vec::new(), early_exit: None }
+        SampleSettings { output, probes: Vec::new(), early_exit: None, learning: LearningSettings::default() }
     }
 }
 
@@ -118,6 +177,9 @@ pub struct Outcome {
     pub totals: Totals,
     /// Counts of overflows, by field.
     pub overflow: Overflow,
+    /// Synapses whose rule was evaluated.
+    #[serde(default)]
+    pub synaptic_updates: u64,
     /// For each probe `[compartments][steps]`.
     pub probes: Vec<Vec<i32>>,
     /// Timesteps that were not computed because nothing could happen in them.

@@ -131,7 +131,7 @@ impl<'c> MeteredMapping<'c> {
         self.compiled.options.copies
     }
 
-    fn program(&self) -> &Arc<Program> {
+    pub(super) fn program(&self) -> &Arc<Program> {
         self.groups.as_ref().map_or(&self.compiled.program, |groups| &groups.program)
     }
 

@@ -82,6 +82,7 @@ pub(super) type RankResults = (Vec<Outcome>, Activity, SourceCounts, u64, RankRo
 /// Adds another rank's outcome of a sample. `shown`: every rank has received all output spikes.
 pub(super) fn add_outcome(outcome: &mut Outcome, other: Outcome, shown: bool) {
     outcome.totals += other.totals;
+    outcome.synaptic_updates += other.synaptic_updates;
     outcome.overflow.merge(&other.overflow);
     if !shown {
         outcome.counts.iter_mut().zip(&other.counts).for_each(|(sum, more)| *sum += more);

@@ -10,6 +10,7 @@ use std::time::Instant;
 use rayon::prelude::*;
 
 use super::decision::Rule;
+use super::learning::{LearnedRule, learned, learns};
 use super::observers::{Observer, Recording, StepRange};
 use super::ranks::{RankResults, RankRow, add_outcome, part_of, peak_mib};
 use super::{Outcome, Quantity, SampleSettings, Session};
@@ -92,6 +93,8 @@ pub struct Run<M> {
     pub wall_s: f64,
     /// The processes that ran it; empty for a single process.
     pub ranks: Vec<RankRow>,
+    /// The state of each rule after the last sample, where it is stored.
+    pub learned: Vec<LearnedRule>,
 }
 
 /// How a run is divided among threads.
@@ -105,12 +108,14 @@ pub struct Division {
 
 impl Division {
     /// Returns the division for n samples. Threads share a sample where there are fewer samples
-    /// than threads, or where a state for each thread would take more memory than the image.
+    /// than threads, or where a state for each thread would take more memory than the image. Samples
+    /// of a network that learns run sequentially.
     pub fn new(program: &Program, samples: usize) -> Self {
         let (synapses, threads) = (program.synapses_of(|_| true), rayon::current_num_threads());
         let states = u64::from(program.compartments()) * threads as u64;
         let shares = synapses > MOST_UNSHARED_SYNAPSES && (samples < threads || states > MOST_STATES.max(synapses));
-        Division { shards: if shares { threads } else { 1 }, sequential: shares || samples == 1 }
+        let sequential = shares || samples == 1 || learns(&program.parts().learning.rules);
+        Division { shards: if shares { threads } else { 1 }, sequential }
     }
 }
 
@@ -133,7 +138,8 @@ pub fn fast<M: Meter>(
     if let Some(ranks) = run_settings.ranks {
         return on_ranks(program, samples, run_settings, ranks, new_meter);
     }
-    let division = Division::new(program, samples.len());
+    let mut division = Division::new(program, samples.len());
+    division.sequential &= !run_settings.sample_settings.learning.fresh || division.shards > 1 || samples.len() < 2;
     Ok(fast_on_image(&lay_out(program, division)?, division, samples, run_settings, new_meter))
 }
 
@@ -214,7 +220,7 @@ fn run_sequentially<M: Meter>(
     run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
-    let run = run_without_counts(&mut session, samples, run_settings, new_meter);
+    let run = run_without_counts(&mut session, (0, samples), run_settings, new_meter);
     let (activity, counts) = session.into_engine().take_counts();
     Run { activity, counts, ..run }
 }
@@ -231,7 +237,8 @@ fn run_in_parallel<M: Meter>(
     new_meter: impl Fn() -> M + Sync,
 ) -> Run<M> {
     let threads = rayon::current_num_threads();
-    let parts: Vec<&[&Sample]> = samples.chunks(samples.len().div_ceil(PARTS * threads).max(1)).collect();
+    let size = samples.len().div_ceil(PARTS * threads).max(1);
+    let parts: Vec<&[&Sample]> = samples.chunks(size).collect();
     let next = AtomicUsize::new(0);
     let of_threads = (0..threads).into_par_iter().with_max_len(1).map(|_| {
         let (mut session, mut runs) = (None, Vec::new());
@@ -239,7 +246,7 @@ fn run_in_parallel<M: Meter>(
             let place = next.fetch_add(1, Ordering::Relaxed);
             let Some(part) = parts.get(place) else { break };
             let session = session.get_or_insert_with(&new_session);
-            runs.push((place, run_without_counts(session, part, run_settings, &new_meter)));
+            runs.push((place, run_without_counts(session, (place * size, part), run_settings, &new_meter)));
         }
         (session, runs)
     });
@@ -252,26 +259,42 @@ fn run_in_parallel<M: Meter>(
     let mut runs: Vec<(usize, Run<M>)> = runs.into_iter().flatten().collect();
     runs.sort_unstable_by_key(|(place, _)| *place);
     let (outcomes, meter) = (Vec::with_capacity(samples.len()), new_meter());
-    let mut all = Run { outcomes, activity, counts, meter, skipped_updates: 0, wall_s: 0.0, ranks: Vec::new() };
-    for (_, Run { outcomes, meter, skipped_updates, .. }) in runs {
+    let mut all = Run {
+        outcomes,
+        activity,
+        counts,
+        meter,
+        skipped_updates: 0,
+        wall_s: 0.0,
+        ranks: Vec::new(),
+        learned: Vec::new(),
+    };
+    for (_, Run { outcomes, meter, skipped_updates, learned, .. }) in runs {
         all.outcomes.extend(outcomes);
+        all.learned = learned;
         all.meter.merge(meter);
         all.skipped_updates += skipped_updates;
     }
     all
 }
 
-/// Runs samples sequentially in a session, whose machine accumulates their counts.
+/// Runs samples sequentially in a session, whose machine accumulates their counts. The first of
+/// them is at `place` in the run.
 fn run_without_counts<M: Meter>(
     session: &mut Session,
-    samples: &[&Sample],
+    (place, samples): (usize, &[&Sample]),
     run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
     let RunSettings { sample_settings, progress, ranks, .. } = run_settings;
+    let learning = &sample_settings.learning;
+    session.engine_mut().set_draws(&learning.draws);
     let is_first = ranks.is_none_or(|ranks| ranks.rank() == 0);
     let (mut outcomes, mut meter, mut skipped_updates) = (Vec::with_capacity(samples.len()), new_meter(), 0);
-    for sample in samples {
+    for (place, sample) in (place..).zip(samples) {
+        if let Some(run) = learning.restart(place) {
+            session.engine_mut().forget(run);
+        }
         let mut of_sample = new_meter();
         outcomes.push(session.run(sample, sample_settings, |machine: &Machine, range| {
             if is_first {
@@ -283,26 +306,34 @@ fn run_without_counts<M: Meter>(
         progress();
     }
     let (activity, counts) = (Activity::default(), SourceCounts::default());
-    Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new() }
+    let learned = learned(session.engine(), learning.rules);
+    Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks: Vec::new(), learned }
 }
 
-/// Runs parts of the samples in parallel. Four parts a thread balance samples of different lengths.
-/// A single thread has one part, since counts are summed once a part.
-fn run_in_parts<M: Meter>(samples: &[&Sample], run: impl Fn(&[&Sample]) -> Run<M> + Sync) -> Run<M> {
-    let parts = if rayon::current_num_threads() == 1 { 1 } else { rayon::current_num_threads() * 4 };
-    let runs: Vec<Run<M>> = samples.par_chunks(samples.len().div_ceil(parts).max(1)).map(&run).collect();
+/// Runs parts of the samples in parallel, each with the place of its first sample. Four parts a
+/// thread balance samples of different lengths. A single thread has one part, since counts are
+/// summed once a part; so do samples that run `in_order`.
+fn run_in_parts<M: Meter>(
+    samples: &[&Sample],
+    in_order: bool,
+    run: impl Fn(usize, &[&Sample]) -> Run<M> + Sync,
+) -> Run<M> {
+    let parts = if in_order || rayon::current_num_threads() == 1 { 1 } else { rayon::current_num_threads() * 4 };
+    let size = samples.len().div_ceil(parts).max(1);
+    let chunks = samples.par_chunks(size).enumerate();
+    let runs: Vec<Run<M>> = chunks.map(|(place, part)| run(place * size, part)).collect();
     let joined = runs.into_iter().reduce(|mut all, later| {
         all.append(later);
         all
     });
-    joined.unwrap_or_else(|| run(&[]))
+    joined.unwrap_or_else(|| run(0, &[]))
 }
 
 impl<M> Run<M> {
     /// Returns this run with its meter converted by `made`.
     pub fn map_meter<N>(self, made: impl FnOnce(M) -> N) -> Run<N> {
-        let Run { outcomes, activity, counts, meter, skipped_updates, wall_s, ranks } = self;
-        Run { outcomes, activity, counts, meter: made(meter), skipped_updates, wall_s, ranks }
+        let Run { outcomes, activity, counts, meter, skipped_updates, wall_s, ranks, learned } = self;
+        Run { outcomes, activity, counts, meter: made(meter), skipped_updates, wall_s, ranks, learned }
     }
 }
 
@@ -315,6 +346,7 @@ impl<M: Meter> Run<M> {
         self.meter.merge(later.meter);
         self.skipped_updates += later.skipped_updates;
         self.wall_s += later.wall_s;
+        self.learned = later.learned;
     }
 }
 
@@ -335,11 +367,17 @@ pub fn golden(
     progress: Progress<'_>,
 ) -> Run<()> {
     let begin = Instant::now();
-    let run = run_in_parts(samples, |part| {
+    let learning = &sample_settings.learning;
+    let in_order = learns(&network.parts().rules) && !learning.fresh;
+    let run = run_in_parts(samples, in_order, |place, part| {
         let mut session = Session::new(Golden::new(network), 1);
+        session.engine_mut().set_draws(&learning.draws);
         let mut counts = SourceCounts::new(network.channels() as usize, network.compartments() as usize);
         let mut outcomes = Vec::with_capacity(part.len());
-        for sample in part {
+        for (place, sample) in (place..).zip(part) {
+            if let Some(run) = learning.restart(place) {
+                session.engine_mut().forget(run);
+            }
             let outcome =
                 session.run(sample, sample_settings, |engine: &Golden, _| add_spikes(&mut counts, engine.spikes()));
             add_inputs(&mut counts, sample, outcome.steps);
@@ -348,7 +386,8 @@ pub fn golden(
         }
         let left = session.engine().overflows().enumerate().filter(|(_, left)| **left != OverflowCounts::default());
         left.for_each(|(compartment, left)| counts.add_overflows(compartment, *left));
-        Run { outcomes, counts, ..Run::default() }
+        let learned = learned(session.engine(), learning.rules);
+        Run { outcomes, counts, learned, ..Run::default() }
     });
     Run { wall_s: begin.elapsed().as_secs_f64(), ..run }
 }
@@ -376,7 +415,7 @@ pub fn reference<F: Real>(
 ) -> Run<Vec<Traces>> {
     let begin = Instant::now();
     let plain = SampleSettings { probes: Vec::new(), ..sample_settings.clone() };
-    let run = run_in_parts(samples, |part| {
+    let run = run_in_parts(samples, false, |_, part| {
         let mut session = Session::new(Reference::new(model), 1);
         let mut counts = SourceCounts::new(channels as usize, compartments as usize);
         let (mut outcomes, mut meter) = (Vec::with_capacity(part.len()), Vec::with_capacity(part.len()));

@@ -6,8 +6,8 @@
 //! the sample. A session is a value: a clone continues independently from the same step, and serves
 //! as a snapshot. The input of steps is stored, so that the steps so far can be priced as a sample.
 //!
-//! Weights of plastic projections are read and written between steps, or a rule changes them. Each
-//! clone of the session has its own weights.
+//! Weights of plastic projections are read and written between steps, or a rule changes them. A
+//! reset keeps them, [`Session::reset_all`] does not. Each clone of the session has its own weights.
 //!
 //! Errors: `session.channel` for channels that the network lacks, `session.too-long` for more input
 //! than is stored, `session.weights.*` for weights that cannot be written or would be lost,
@@ -22,14 +22,15 @@ use nsim_ir::spikes::{Engine, Sample, Spikes};
 use nsim_machine::plastic::places::PlasticProjection;
 use nsim_machine::{Image, Machine, Settings};
 
+use crate::learning;
 use crate::observers::{Observer, Outputs, Recording, StepRange, integer};
-use crate::outcome::{Outcome, SampleSettings};
+use crate::outcome::{Outcome, Probe, SampleSettings};
 
 /// Maximum number of stored input spikes, 12 bytes each; later ones only reach the engine.
 const MOST_STORED: usize = 1 << 26;
 
 /// The remedy where a network has no plastic projection.
-const MAKE_PLASTIC: &str = "set `format.plastic` of a projection before the network is mapped";
+const MAKE_PLASTIC: &str = "give a projection of the model a rule: learning: Rule(..)";
 
 /// Channels that spike in a step, and the value of each.
 type Input = (Vec<ChannelId>, Vec<i32>);
@@ -41,10 +42,10 @@ pub struct Session<E: ?Sized = Machine> {
     /// channels.
     copies: u32,
     plastic: Arc<[PlasticProjection]>,
-    /// Whether weights were written.
-    is_written: bool,
-    /// Whether a rule changes them.
+    /// Whether the network has rules.
     learns: bool,
+    /// Whether weights were written, or learned before the last reset.
+    is_written: bool,
     /// Input spikes of one copy: (step, channel, value).
     stored_input: Vec<(u32, ChannelId, i32)>,
     steps: u32,
@@ -67,8 +68,8 @@ impl<E: Engine> Session<E> {
         Session {
             copies,
             plastic: Arc::new([]),
-            is_written: false,
             learns: false,
+            is_written: false,
             stored_input: Vec::new(),
             steps: 0,
             is_begun: false,
@@ -98,11 +99,12 @@ impl<E: Engine + ?Sized> Session<E> {
         let steps = sample.steps();
         let mut probes = Recording::new(&sample_settings.probes, steps, integer::<E>);
         let mut outputs = Outputs::new(sample_settings, steps);
+        let each_step = sample_settings.probes.iter().any(Probe::follows_learning);
         self.clear_input();
         self.engine.begin(steps);
         let mut step = 0;
         while step < steps && !outputs.is_over() {
-            let silent = sample.at(step).is_empty();
+            let silent = sample.at(step).is_empty() && !each_step;
             let skipped =
                 if silent { outputs.skippable_steps(&mut self.engine, step, sample.next_spike(step)) } else { 0 };
             let idle = skipped > 0 && self.engine.skip_idle(skipped);
@@ -117,20 +119,23 @@ impl<E: Engine + ?Sized> Session<E> {
             step += steps;
         }
         self.engine.settle();
+        probes.finish(&self.engine, step);
         let (totals, overflow) = (self.engine.totals(), self.engine.overflow());
-        Outcome { probes: probes.values, totals, overflow, ..outputs.outcome(step) }
+        let synaptic_updates = self.engine.synaptic_updates();
+        Outcome { probes: probes.values, totals, overflow, synaptic_updates, ..outputs.outcome(step) }
     }
 
-    /// Resets the session to before the first step, and restores the weights, delays and tags that
-    /// the network had before it learned.
-    pub fn forget(&mut self) {
+    /// Resets the session to before the first step, as [`Self::reset`], and its plastic synapses to
+    /// those of the model.
+    pub fn reset_all(&mut self) {
         self.engine.forget(0);
         self.is_written = false;
         self.reset();
     }
 
-    /// Resets the session to before the first step. What was learned or written stays.
+    /// Resets the session to before the first step. Weights that were learned or written stay.
     pub fn reset(&mut self) {
+        self.is_written |= self.learns && self.steps > 0;
         self.clear_input();
         // The sample has no end, so every delivery is counted.
         self.engine.begin(u32::MAX);
@@ -254,8 +259,9 @@ impl Session {
     /// its plastic weights.
     pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
         let plastic = PlasticProjection::all(image, one, copies).into();
-        let learns = one.parts().rules.iter().any(|learning| learning.rule.learns());
-        let mut session = Session { plastic, learns, ..Session::new(Machine::new(image, Settings::default()), copies) };
+        let machine = Machine::new(image, Settings::default());
+        let learns = learning::learns(&one.parts().rules);
+        let mut session = Session { plastic, learns, ..Session::new(machine, copies) };
         session.reset();
         session
     }
@@ -312,10 +318,10 @@ impl Session {
     /// `session.too-long`; `session.weights.written` when a run of the sample would not have the
     /// weights that were written.
     pub fn sample(&self) -> Result<Sample> {
-        if self.is_written || self.learns {
+        if self.is_written {
             let message =
                 "weights were written or learned, so a run of the same input would not reproduce them".to_string();
-            let help = "call forget() and step without writing weights, in a network without rules";
+            let help = "reset the learned weights too, and step without writing weights";
             return Err(Diagnostic::new("session.weights.written", message).help(help));
         }
         let too_long = || {

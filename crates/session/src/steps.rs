@@ -6,10 +6,12 @@
 //! columns are integers (ps and fJ).
 //!
 //! Memory is bounded: samples run in parallel in groups of at most [`CELLS`] numbers in total. A
-//! longer sample runs alone, and its rows are written during the run.
+//! longer sample runs alone, and its rows are written during the run. Samples of a network that
+//! learns are one group.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use super::learning::learns;
 use super::observers::StepRange;
 use super::priced::MeteredMapping;
 use super::samples::{Meter, Run, RunSettings};
@@ -159,9 +161,11 @@ pub fn run_recorded(
 ) -> Result<(Run<StepMeter>, std::io::Result<()>)> {
     let (settings, out) = (Arc::new(settings), Mutex::new(out));
     let mut whole: Option<Run<StepMeter>> = None;
-    for group in groups(samples, layout.columns.len()) {
+    // What was learned stays from sample to sample.
+    let learns = learns(&metered.program().parts().learning.rules);
+    for group in groups(samples, if learns { 0 } else { layout.columns.len() }) {
         let steps: usize = group.iter().map(|sample| sample.steps() as usize).sum();
-        let direct = (steps * layout.columns.len() > CELLS).then_some(&out);
+        let direct = (steps * layout.columns.len() > CELLS && group.len() == 1).then_some(&out);
         let mut run = metered.run_with(group, run_settings, || Recorder {
             direct,
             ..Recorder::storing(metered, settings.clone(), layout)

@@ -23,13 +23,13 @@ pub struct InputArgs {
     /// Only these samples, such as 0..20
     #[arg(long, value_name = "A..B", value_parser = sample_range)]
     pub samples: Option<Range<usize>>,
-    /// Run all samples N times; each starts from rest
+    /// Run all samples N times; each starts from rest, learning anew each time
     #[arg(
         long, value_name = "N", default_value_t = 1,
         value_parser = clap::value_parser!(u32).range(1..=i64::from(MOST_REPEATS))
     )]
     pub repeat: u32,
-    /// Seed of a synthetic scene
+    /// Seed of a synthetic scene, and of the random numbers of learning
     #[arg(long)]
     pub seed: Option<u64>,
 }

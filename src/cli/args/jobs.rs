@@ -161,8 +161,19 @@ pub fn prepare(
         let help = "give spikes with --input FILE, or --input scene:noise to try";
         inputs::require_scene(&args.model, network.file().scene.as_deref(), help)?;
     }
+    prepare_loaded(args, &network, engine, copies, probed)
+}
+
+/// As [`prepare`], for a loaded model.
+pub fn prepare_loaded(
+    args: &JobArgs,
+    network: &Network,
+    engine: EngineKind,
+    copies: Option<u32>,
+    probed: &[&str],
+) -> Result<Result<Job, Refusal>> {
     let integers = |network: &Network| integers(network, args.anew.copies.most());
-    let request = Request { engine, copies, probed, ..args.request(&network, &integers) };
+    let request = Request { engine, copies, probed, ..args.request(network, &integers) };
     let _busy = output::spinner(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
     match obtain(&request) {
         Err(Error::DoesNotFit(reasons)) => {

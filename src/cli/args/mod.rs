@@ -4,6 +4,7 @@ pub(super) mod columns;
 pub(super) mod conversion;
 pub(super) mod input;
 pub(super) mod jobs;
+pub(super) mod learning;
 pub(super) mod reading;
 pub(super) mod recording;
 pub mod removed;

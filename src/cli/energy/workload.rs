@@ -11,12 +11,14 @@ use nsim_compile::Mapping;
 use nsim_cost::{MeterSettings, StepMeter};
 use nsim_energy::workload::Workload;
 use nsim_files as io;
+use nsim_ir::learning::draws::Draws;
 use nsim_ir::spikes::Sample;
 use nsim_session::decision::EarlyExit;
 use nsim_session::error::Error;
+use nsim_session::inputs;
 use nsim_session::obtain::Job;
+use nsim_session::outcome::LearningSettings;
 use nsim_session::samples::{Run, RunSettings};
-use nsim_session::{SampleSettings, inputs};
 
 /// A mapped job, or another mapping of its network, with its input.
 pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs) -> Result<Workload<'j>, Error> {
@@ -28,7 +30,11 @@ pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs)
     let order = select_numbers(stimulus.samples.len(), input)?;
     let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
     check_pruned(&compiled.one, &samples, input)?;
-    Workload::new(compiled, target, stimulus, order)
+    let (samples, first) = (order.len(), input.samples.as_ref().map_or(0, |range| range.start));
+    let draws = Draws::seeded(input.seed.unwrap_or(0));
+    let mut workload = Workload::new(compiled, target, stimulus, order)?;
+    workload.learning = LearningSettings { draws, ..LearningSettings::of_samples(samples, input.repeat, first) };
+    Ok(workload)
 }
 
 /// Runs all samples under a progress bar. With `steps` each timestep is a row of that file.
@@ -46,7 +52,7 @@ pub fn simulate(
             workload.simulate(settings, early_exit, skip, progress, ranks)
         });
     };
-    let keep = SampleSettings { early_exit, ..SampleSettings::new(workload.compiled.program.output()) };
+    let keep = workload.sample_settings(early_exit);
     let mut batch = io::write::Batch::new(context.force);
     let run = output::with_progress(context, samples.len(), "samples", |progress| {
         let run_settings = RunSettings { skip, progress, ranks, ..RunSettings::new(&keep) };

@@ -41,6 +41,13 @@ pub const MODEL: &str = r#"Network(
 /// The weights of the model.
 const WEIGHTS: &str = "[[2, 2, 2, 2], [4, 4, 4, 4]]";
 
+/// What rows of rules replace.
+const RULE: &str = "delay: 0";
+const LEARNING: &str = "model.learning";
+const DENSE: &str = "Dense(from: [\"in\"], to: \"o\", weights: [[2, 2, 2, 2], [4, 4, 4, 4]], weight_exp: 0, delay: 0),";
+const TWO_NAMES: &str = "Random(name: \"a\", from: [\"in\"], to: \"o\", fan_out: 1, low: 2, high: 2, seed: 1),
+        Random(name: \"a\", from: [\"in\"], to: \"o\", fan_out: 1, low: 2, high: 2, seed: 1),";
+
 const TARGET: &str = r#"Target(
     name: "t", notes: "",
     chip: "tiny",
@@ -114,7 +121,7 @@ pub fn cases() -> Vec<Case> {
 
     // Model files: replaced text, its replacement, code, line (0: the file as a whole), message.
     let syntax = "model.syntax";
-    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 55] = [
+    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 75] = [
         ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`Loihi` has no field `dw`"),
         ("unknown kind of population", "Loihi(", "Loki(", syntax, 6, "Loki"),
         ("unknown kind of projection", "Dense(", "Dence(", syntax, 9, "Dence"),
@@ -178,6 +185,75 @@ pub fn cases() -> Vec<Case> {
         ("unknown output", "output: \"o\"", "output: \"z\"", "model.unknown-population", 11, "'z'"),
         ("output that is an input", "output: \"o\"", "output: \"in\"", "model.output", 11, "'in'"),
         ("too few classes", "output: \"o\"", "output: \"o\", classes: [\"a\"]", "model.classes", 11, "1 class"),
+        ("rule of an unknown factor", RULE, "learning: Rule(dw: \"x0*q\")", LEARNING, 9, "'q' is unknown"),
+        ("rule without dependency", RULE, "learning: Rule(dt: \"2^-2*x1\")", LEARNING, 9, "dt: a product needs x0, y0"),
+        ("rule that changes nothing", RULE, "learning: Rule(epoch: 4)", LEARNING, 9, "give dw, dd or dt"),
+        (
+            "epoch too long",
+            RULE,
+            "learning: Rule(dw: \"x0\", epoch: 64)",
+            LEARNING,
+            9,
+            "epoch of 64 steps is not 1 to 63",
+        ),
+        ("two k of u", RULE, "learning: Rule(dw: \"u0\", dt: \"u1*x1\")", LEARNING, 9, "but u0 and u1 are used"),
+        ("rule of PES", RULE, "learning: Pes(error: \"in\")", syntax, 9, "Pes is not supported yet"),
+        ("reward channel", RULE, "learning: Rule(dw: \"u0\", r1: (tau: 1))", syntax, 9, "r1 is not supported yet"),
+        ("great impulse", RULE, "learning: Rule(dw: \"x0\", x1: (impulse: 128, tau: 1))", syntax, 9, "impulse of 128"),
+        ("signal that is none", RULE, "learning: Rule(dw: \"x0\", y2: Signal(\"in\"))", LEARNING, 9, "declare it so"),
+        ("unknown signal", RULE, "learning: Rule(dw: \"x0\", y2: Signal(\"r\"))", "model.unknown-population", 9, "'r'"),
+        ("delays that act", RULE, "learning: Rule(dd: \"x0\", delays: 1)", LEARNING, 9, "the projection's delay"),
+        (
+            "tags of another shape",
+            RULE,
+            "learning: Rule(dt: \"x0\", tags: [1, 2])",
+            LEARNING,
+            9,
+            "[2], the synapses are [2, 4]",
+        ),
+        (
+            "tag too large",
+            RULE,
+            "learning: Rule(dt: \"x0\", tags: 256)",
+            LEARNING,
+            9,
+            "256 is not a whole number from -256 to 255",
+        ),
+        (
+            "payload of spikes",
+            RULE,
+            "learning: Rule(dw: \"x0\", graded: Overwrite)",
+            LEARNING,
+            9,
+            "'in' sends plain spikes",
+        ),
+        (
+            "learning semantics",
+            "output: \"o\"",
+            "output: \"o\", learning_semantics: Brian",
+            syntax,
+            11,
+            "not supported yet",
+        ),
+        (
+            "rule of a pool",
+            DENSE,
+            "SumPool2d(from: [\"in\"], to: \"o\", kernel: (1, 1), weight: 2, learning: Rule(dw: \"x0\")),",
+            LEARNING,
+            9,
+            "list the synapses",
+        ),
+        (
+            "source twice",
+            "from: [\"in\"]",
+            "learning: Rule(dw: \"x0\"), from: [\"in\", \"in\"]",
+            LEARNING,
+            9,
+            "two projections",
+        ),
+        ("projection's name", RULE, "name: \"a->b\"", "model.name", 9, "'a->b'"),
+        ("two projections of a name", DENSE, TWO_NAMES, "model.name-twice", 10, "its own name"),
+        ("spikes of a signal", "Input(", "Signal(", "model.source", 9, "declare it as Input"),
     ];
     for (name, from, to, code, line, says) in replaced {
         assert!(MODEL.contains(from), "{name}");

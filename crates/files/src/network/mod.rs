@@ -6,8 +6,11 @@
 //! message needs. [`crate::lower`] checks that the values are consistent.
 
 mod kinds;
+pub mod learned;
+pub mod learning;
 mod read;
 mod resolve;
+pub mod values;
 mod write;
 
 use std::collections::{BTreeMap, HashSet};
@@ -16,84 +19,20 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use self::kinds::with_kinds;
+use self::learning::RuleDesc;
+use self::values::is_default;
+pub use self::values::{Source, Weights, tensor};
 use super::synapses::SynapseArrays;
 use nsim_ir::arithmetic::{ReadOut, ResetDesc, Semantics, ThresholdTest, WeightRounding};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText, Span};
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::warning::Warning;
+use nsim_ir::learning::LearningSemantics;
 use nsim_ir::locate::locate;
 use nsim_ir::neurons::{MicrocodeKind, NeuronKind, Port};
 use nsim_ir::spanned::{parse, parse_part};
 pub use nsim_ir::tensor::ArrayRef;
-use nsim_ir::tensor::{Numbers, Tensor};
-
-/// Numbers that are not in the model file.
-#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
-#[serde(deny_unknown_fields, rename(deserialize = "source of numbers"))]
-pub enum Source {
-    /// A NumPy file.
-    Npy(String),
-    /// A tensor of a safetensors file: file, key.
-    Safetensors(String, String),
-    /// Seeded uniform numbers in `low..=high`, for untrained networks and benches: `low`,
-    /// `low + step`, .. with a `step`, any real number without.
-    Uniform {
-        /// The least value.
-        low: f64,
-        /// The greatest value.
-        high: f64,
-        /// Distance of neighbouring numbers.
-        step: Option<f64>,
-        /// The seed.
-        seed: u64,
-    },
-}
-
-impl Source {
-    /// The reference to its array in a file; `None` for seeded numbers.
-    pub fn array(&self) -> Option<ArrayRef> {
-        match self {
-            Source::Npy(file) => Some(ArrayRef::Npy(file.clone())),
-            Source::Safetensors(file, key) => Some(ArrayRef::Safetensors(file.clone(), key.clone())),
-            Source::Uniform { .. } => None,
-        }
-    }
-}
-
-/// Weights of a projection.
-#[derive(Debug, Clone, PartialEq)]
-pub enum Weights {
-    /// Numbers in the model.
-    InPlace(Tensor),
-    /// Numbers elsewhere.
-    From(Source),
-}
-
-impl Weights {
-    /// The numbers of a model whose arrays are in place, as [`Network::resolved`] makes them.
-    ///
-    /// # Panics
-    /// When they are elsewhere, an error of the caller.
-    pub fn tensor(&self) -> &Tensor {
-        match self {
-            Weights::InPlace(tensor) => tensor,
-            Weights::From(source) => panic!("{source:?} is not loaded"),
-        }
-    }
-}
-
-/// Weights in place: integers when all numbers are 32-bit integers.
-///
-/// # Panics
-/// When the numbers do not fill the shape, an error of the caller.
-pub fn tensor(shape: Vec<usize>, numbers: Vec<f64>) -> Weights {
-    let whole = numbers.iter().all(|&x| f64::from(x as i32).to_bits() == x.to_bits());
-    let numbers = match whole {
-        true => Numbers::Integers(numbers.iter().map(|&x| x as i32).collect()),
-        false => Numbers::Reals(numbers),
-    };
-    Weights::InPlace(Tensor::new(shape, numbers).expect("the numbers fill the shape"))
-}
+use nsim_ir::tensor::Tensor;
 
 /// A parameter of a population.
 #[derive(Debug, Clone, PartialEq)]
@@ -168,6 +107,8 @@ pub struct PopulationDesc {
     /// Bits of the integers that its messages carry; none for spikes, and for kinds that send
     /// integers of 32 bits.
     pub message_bits: Option<i64>,
+    /// Whether it is an input whose values are a trace of learning rules.
+    pub signal: bool,
 }
 
 impl PopulationDesc {
@@ -186,6 +127,7 @@ impl PopulationDesc {
         match (self.srm, &self.loihi) {
             (Some(_), _) => "Srm",
             (None, Some(_)) => self.kind.name(),
+            (None, None) if self.signal => "Signal",
             (None, None) => "Input",
         }
     }
@@ -257,6 +199,8 @@ pub enum ProjectionKind {
 /// A projection.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ProjectionDesc {
+    /// Its name, by which rules are identified.
+    pub name: Option<String>,
     /// Source populations, concatenated.
     pub from: Vec<String>,
     /// Target population.
@@ -275,12 +219,15 @@ pub struct ProjectionDesc {
     pub weight_scale: Option<f64>,
     /// The sum of its target that it adds to.
     pub port: Port,
+    /// The rule by which its synapses change.
+    pub learning: Option<RuleDesc>,
 }
 
 impl ProjectionDesc {
     /// A projection with the default synapse format.
     pub fn new(from: &str, to: &str, kind: ProjectionKind) -> Self {
         ProjectionDesc {
+            name: None,
             from: vec![from.to_string()],
             to: to.to_string(),
             kind,
@@ -290,7 +237,13 @@ impl ProjectionDesc {
             delay: 0,
             weight_scale: None,
             port: Port::First,
+            learning: None,
         }
+    }
+
+    /// Its name, or `SOURCE->TARGET`.
+    pub fn name_or_ends(&self) -> String {
+        self.name.clone().unwrap_or_else(|| format!("{}->{}", self.from.join("+"), self.to))
     }
 
     /// The name of its kind in model files.
@@ -320,10 +273,6 @@ pub fn padding_after(source: u64, target: u64, reach: u64, stride: u64, before: 
     let last = target.saturating_sub(1).saturating_mul(stride).saturating_add(reach);
     let fewest = last.saturating_sub(source.saturating_add(before));
     if before >= fewest && before - fewest < stride { before } else { fewest }
-}
-
-fn is_default<T: Default + PartialEq>(value: &T) -> bool {
-    *value == T::default()
 }
 
 /// The hardware target of models that name none.
@@ -367,6 +316,9 @@ pub struct NetworkFile {
     /// Rounding of weights.
     #[serde(default, skip_serializing_if = "is_default")]
     pub weight_rounding: WeightRounding,
+    /// The arithmetic of learning; lava's with lava's arithmetic, else the chip's.
+    #[serde(default, deserialize_with = "learning::semantics", skip_serializing_if = "Option::is_none")]
+    pub learning_semantics: Option<LearningSemantics>,
     /// The stimulus to use when none is given.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub scene: Option<String>,
@@ -433,6 +385,9 @@ impl NetworkFile {
                 for (name, array) in synapses.references() {
                     arrays.push((array.clone(), format!("projections.[{index}].arrays.{name}")));
                 }
+            }
+            for (field, source) in projection.learning.iter().flat_map(RuleDesc::sources) {
+                arrays.extend(source.array().map(|array| (array, format!("projections.[{index}].learning.{field}"))));
             }
         }
         arrays

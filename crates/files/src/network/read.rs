@@ -8,6 +8,7 @@ use serde::de::{DeserializeSeed, EnumAccess, Error, MapAccess, VariantAccess, Vi
 use serde::{Deserialize, Deserializer};
 
 use super::kinds::{stated_kind, stated_names};
+use super::learning::{RuleDesc, rule};
 use super::{Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, Source, Weights};
 use crate::numbers;
 use crate::synapses::SynapseArrays;
@@ -54,7 +55,8 @@ fn fields_of(kind: NeuronKind) -> Vec<&'static str> {
 static FIELDS: LazyLock<Vec<(&'static str, Vec<&'static str>)>> = LazyLock::new(|| {
     let neurons = NeuronKind::ALL.map(|kind| (kind.name(), fields_of(kind)));
     let srm = ("Srm", ["name", "shape"].into_iter().chain(SRM).collect());
-    [("Input", vec!["name", "shape", "payload", "message_bits"]), srm].into_iter().chain(neurons).collect()
+    let inputs = [("Input", vec!["name", "shape", "payload", "message_bits"]), ("Signal", vec!["name", "shape"])];
+    inputs.into_iter().chain([srm]).chain(neurons).collect()
 });
 static POPULATIONS: LazyLock<Vec<&'static str>> = LazyLock::new(|| FIELDS.iter().map(|(name, _)| *name).collect());
 
@@ -132,7 +134,7 @@ impl<'de> Deserialize<'de> for PopulationDesc {
 /// The fields of a population of this name.
 struct Fields {
     name: &'static str,
-    /// The kind of its neurons; none for `Input` and `Srm`.
+    /// The kind of its neurons; none for `Input`, `Signal` and `Srm`.
     kind: Option<NeuronKind>,
     fields: &'static [&'static str],
 }
@@ -186,6 +188,7 @@ impl<'de> Visitor<'de> for Fields {
             }
             built.srm = Some(srm);
         }
+        built.signal = self.name == "Signal";
         Ok(built)
     }
 }
@@ -205,6 +208,7 @@ macro_rules! written {
         #[derive(Deserialize)]
         #[serde(deny_unknown_fields)]
         struct $name {
+            name: Option<String>,
             from: Vec<String>,
             to: String,
             weight_exp: Option<i64>,
@@ -213,14 +217,20 @@ macro_rules! written {
             delay: Option<u32>,
             weight_scale: Option<f64>,
             port: Option<Port>,
+            #[serde(default, deserialize_with = "rule")]
+            learning: Option<RuleDesc>,
             $($(#[$attribute])* $field: $type,)*
         }
         impl TryFrom<$name> for ProjectionDesc {
             type Error = &'static str;
             fn try_from(written: $name) -> Result<Self, Self::Error> {
-                let $name { from, to, weight_exp, sign, weight_bits, delay, weight_scale, port, $($field),* } = written;
+                let $name {
+                    name, from, to, weight_exp, sign, weight_bits, delay, weight_scale, port, learning, $($field),*
+                } = written;
                 let usual = ProjectionDesc::new("", &to, $kind);
                 Ok(ProjectionDesc {
+                    name,
+                    learning,
                     from,
                     weight_exp,
                     sign,

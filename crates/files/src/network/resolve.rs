@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use super::learning::RuleDesc;
 use super::{Network, NetworkFile, Parameter, ProjectionDesc, ProjectionKind, Weights, tensor};
 use crate::synapses::SynapsePlace;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -10,6 +11,12 @@ use nsim_ir::locate::items;
 fn seeded(what: &str) -> Diagnostic {
     Diagnostic::new("export.unsupported", format!("{what} cannot be exported"))
         .help("other tools do not support seeded numbers: give them as an array")
+}
+
+fn one_rule(projection: &ProjectionDesc) -> Diagnostic {
+    let name = projection.name_or_ends();
+    let message = format!("projection '{name}' has a rule and several delays, which a list of synapses has not");
+    Diagnostic::new("export.unsupported", message).help("copy the model and its array files")
 }
 
 impl Network {
@@ -31,6 +38,9 @@ impl Network {
         let declared = items(self.source().text(), "projections");
         let mut projections = Vec::new();
         for (index, mut projection) in std::mem::take(&mut model.projections).into_iter().enumerate() {
+            for (_, weights) in projection.learning.iter_mut().flat_map(RuleDesc::arrays_mut) {
+                *weights = self.in_place(weights)?;
+            }
             match &mut projection.kind {
                 ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } => {
                     *weights = self.in_place(weights)?;
@@ -44,7 +54,11 @@ impl Network {
                         sources: projection.from.iter().filter_map(|name| sizes.get(name.as_str())).sum(),
                         targets: sizes.get(projection.to.as_str()).copied().unwrap_or(0),
                     };
-                    for (delay, listed) in arrays.read(|array| self.array(array), &place)? {
+                    let by_delay = arrays.read(|array| self.array(array), &place)?;
+                    if projection.learning.is_some() && by_delay.len() > 1 {
+                        return Err(one_rule(&projection));
+                    }
+                    for (delay, listed) in by_delay {
                         let wide = listed.into_iter().map(|(from, to, weight, _)| (from.into(), to.into(), weight));
                         projections.push(ProjectionDesc {
                             kind: ProjectionKind::Sparse(wide.collect()),

@@ -8,7 +8,9 @@ use safetensors::tensor::TensorView;
 use serde::Serialize;
 use serde::ser::{Error, SerializeStructVariant, Serializer};
 
-use super::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, Source, Weights, tensor};
+use super::learning::RuleDesc;
+use super::values::{Number, Source, Weights, tensor};
+use super::{Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use crate::mapping::pretty;
 use crate::{text, write};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
@@ -16,19 +18,6 @@ use nsim_ir::tensor::{ArrayRef, Numbers, Tensor};
 
 /// The longest list of numbers in the text; longer lists are written to another file.
 const IN_PLACE: usize = 16;
-
-/// A number, written without a point when whole; its bits are preserved when read back.
-struct Number(f64);
-
-impl Serialize for Number {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let Number(x) = *self;
-        match x.fract() == 0.0 && x.abs() < 9e15 && x.to_bits() != (-0.0f64).to_bits() {
-            true => serializer.serialize_i64(x as i64),
-            false => serializer.serialize_f64(x),
-        }
-    }
-}
 
 impl Serialize for Parameter {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -80,6 +69,7 @@ impl Serialize for PopulationDesc {
 impl Serialize for ProjectionDesc {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut fields = serializer.serialize_struct_variant("Projection", 0, self.kind_name(), 0)?;
+        given(&mut fields, "name", self.name.as_ref())?;
         fields.serialize_field("from", &self.from)?;
         fields.serialize_field("to", &self.to)?;
         match &self.kind {
@@ -117,6 +107,7 @@ impl Serialize for ProjectionDesc {
         given(&mut fields, "delay", (self.delay != 0).then_some(self.delay))?;
         given(&mut fields, "weight_scale", self.weight_scale)?;
         given(&mut fields, "port", (!self.port.is_first()).then_some(self.port))?;
+        given(&mut fields, "learning", self.learning.as_ref())?;
         fields.end()
     }
 }
@@ -148,7 +139,10 @@ impl NetworkFile {
             }
         }
         for projection in &mut self.projections {
-            let key = format!("{}->{}", projection.from.join("+"), projection.to);
+            let key = projection.name_or_ends();
+            for (field, values) in projection.learning.iter_mut().flat_map(RuleDesc::arrays_mut) {
+                stored(format!("{key}.{field}"), values);
+            }
             if let ProjectionKind::Dense(weights) | ProjectionKind::Conv2d { weights, .. } = &mut projection.kind {
                 stored(key, weights);
             }
@@ -219,11 +213,29 @@ impl NetworkFile {
     /// Writes the model with the lines of a comment at its head.
     /// Errors are those of [`Self::write`].
     pub fn write_under(&self, comment: &str, path: &Path, force: bool) -> Result<Vec<String>> {
-        Self::check_name(path)?;
+        self.write_with(BTreeMap::new(), comment, path, force)
+    }
+
+    /// The name of the file for the arrays of a model.
+    pub fn arrays_name(path: &Path) -> String {
         let stem = path.file_stem().map_or_else(|| "model".into(), |stem| stem.to_string_lossy().into_owned());
-        let name = format!("{stem}.safetensors");
+        format!("{stem}.safetensors")
+    }
+
+    /// As [`Self::write_under`], with further tensors of the file for arrays.
+    /// Errors are those of [`Self::write`].
+    pub fn write_with(
+        &self,
+        more: BTreeMap<String, Tensor>,
+        comment: &str,
+        path: &Path,
+        force: bool,
+    ) -> Result<Vec<String>> {
+        Self::check_name(path)?;
+        let name = Self::arrays_name(path);
         let arrays = path.with_file_name(&name);
-        let (text, tensors) = self.ron(&name)?;
+        let (text, mut tensors) = self.ron(&name)?;
+        tensors.extend(more);
         let head = comment.lines().map(|line| format!("// {line}").trim_end().to_string() + "\n");
         let text = head.collect::<String>() + &text;
         write::check_free(path, force)?;

@@ -26,6 +26,50 @@ const MOST_ARRAYS: usize = 4096;
 const SPIKES: [&str; 4] = ["spikes", "x", "data", "arr_0"];
 const LABELS: [&str; 3] = ["labels", "y", "targets"];
 
+/// An archive of arrays.
+pub(crate) struct Archive<'p> {
+    path: &'p Path,
+    zip: ZipArchive<Cursor<Vec<u8>>>,
+    /// The names of its files.
+    files: Vec<String>,
+}
+
+impl<'p> Archive<'p> {
+    /// Reads the list of files.
+    pub(crate) fn open(path: &'p Path, bytes: Vec<u8>) -> Result<Self> {
+        let zip = ZipArchive::new(Cursor::new(bytes))
+            .map_err(|error| wrong(path, format!("the archive cannot be read: {error}")))?;
+        if zip.len() > MOST_ARRAYS {
+            return Err(wrong(path, format!("the archive has {} files, more than {MOST_ARRAYS}", zip.len())));
+        }
+        let files = zip.file_names().filter_map(std::result::Result::ok).map(|name| name.to_string()).collect();
+        Ok(Archive { path, zip, files })
+    }
+
+    /// The names of the arrays.
+    pub(crate) fn names(&self) -> impl Iterator<Item = &str> {
+        self.files.iter().filter_map(|name| name.strip_suffix(".npy"))
+    }
+
+    /// Reads an array.
+    pub(crate) fn array(&mut self, name: &str) -> Result<npy::Array> {
+        let path = self.path;
+        let broken =
+            |error: &dyn std::fmt::Display| wrong(path, format!("'{name}' of the archive cannot be read: {error}"));
+        let file = self.zip.by_name(&format!("{name}.npy")).map_err(|error| broken(&error))?;
+        if file.size() > MOST_UNPACKED {
+            return Err(broken(&format!("{} bytes are more than {MOST_UNPACKED}", file.size())));
+        }
+        let mut bytes = Vec::new();
+        file.take(MOST_UNPACKED).read_to_end(&mut bytes).map_err(|error| broken(&error))?;
+        npy::Array::from_bytes(path, bytes)
+    }
+}
+
+fn wrong(path: &Path, message: String) -> Diagnostic {
+    Diagnostic::new("input.npz", message).in_file(path)
+}
+
 /// Reads the bytes of a file for a population of `units` channels.
 pub fn from_bytes(
     path: &Path,
@@ -34,15 +78,9 @@ pub fn from_bytes(
     units: u64,
     options: ArrayOptions,
 ) -> Result<Vec<PopulationSpikes>> {
-    let wrong = |message: String| Diagnostic::new("input.npz", message).in_file(path);
-    let mut archive =
-        ZipArchive::new(Cursor::new(bytes)).map_err(|error| wrong(format!("the archive cannot be read: {error}")))?;
-    if archive.len() > MOST_ARRAYS {
-        return Err(wrong(format!("the archive has {} files, more than {MOST_ARRAYS}", archive.len())));
-    }
-    let names: Vec<String> =
-        archive.file_names().filter_map(std::result::Result::ok).map(|name| name.to_string()).collect();
-    let arrays: Vec<&str> = names.iter().filter_map(|name| name.strip_suffix(".npy")).collect();
+    let mut archive = Archive::open(path, bytes)?;
+    let names: Vec<String> = archive.names().map(str::to_string).collect();
+    let arrays: Vec<&str> = names.iter().map(String::as_str).collect();
     let find = |wanted: &[&str]| {
         wanted.iter().find_map(|wanted| arrays.iter().copied().find(|name| name.eq_ignore_ascii_case(wanted)))
     };
@@ -53,28 +91,18 @@ pub fn from_bytes(
     let Some(spikes) = exact.or_else(|| find(&SPIKES)).or(only) else {
         let message =
             format!("no array of the archive is named '{population}' or spikes; there are {}", arrays.join(", "));
-        return Err(wrong(message)
+        return Err(wrong(path, message)
             .help("name the array of each population as the population: np.savez(FILE, POPULATION=spikes)"));
     };
-    let mut array_of = |name: &str| -> Result<npy::Array> {
-        let broken = |error: &dyn std::fmt::Display| wrong(format!("'{name}' of the archive cannot be read: {error}"));
-        let file = archive.by_name(&format!("{name}.npy")).map_err(|error| broken(&error))?;
-        if file.size() > MOST_UNPACKED {
-            return Err(broken(&format!("{} bytes are more than {MOST_UNPACKED}", file.size())));
-        }
-        let mut bytes = Vec::new();
-        file.take(MOST_UNPACKED).read_to_end(&mut bytes).map_err(|error| broken(&error))?;
-        npy::Array::from_bytes(path, bytes)
-    };
-    let spikes = array_of(spikes)?;
+    let spikes = archive.array(spikes)?;
     // Arrays of x and time are a list of events, of which x alone would be read.
     if is_header(&arrays.join(",")) && spikes.shape().len() == 1 {
-        return Err(wrong(format!("the archive holds events ({}), not spikes", arrays.join(", ")))
+        return Err(wrong(path, format!("the archive holds events ({}), not spikes", arrays.join(", ")))
             .help("write them as rows of text with the header t_us,x,y,p (t_s, t_ms or t_ns in other units)"));
     }
     let mut recordings = array::from_array(&spikes, units, options)?;
     if let Some(name) = named_labels {
-        labels::apply(path, &labels::from_array(&array_of(name)?)?, &mut recordings)?;
+        labels::apply(path, &labels::from_array(&archive.array(name)?)?, &mut recordings)?;
     }
     Ok(recordings)
 }

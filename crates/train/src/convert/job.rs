@@ -99,6 +99,7 @@ impl Job {
     /// `convert.integers` if there is nothing to convert; `model.*`.
     pub fn new(network: &Network, target: &Target) -> Result<Self> {
         let (graph, integers) = real_and_integers(network)?;
+        graph.refuse_rules("cannot be converted")?;
         let soft_reset = target.chip().neuron_kinds.contains(&NeuronKind::SoftReset.family());
         if !staged::is_real(&graph) && (soft_reset || !resets::has_soft_reset(&graph)) {
             let message = format!("{} has no real numbers to convert", graph.facts().name);

@@ -36,11 +36,18 @@ fn unsupported(message: impl Into<String>) -> Diagnostic {
     Diagnostic::new("export.unsupported", message)
 }
 
-/// Refuses a model with spike response neurons, whose kernels no format of other tools holds.
+/// Refuses a model with spike response neurons or learning rules, which no format of other tools
+/// holds.
 ///
 /// # Errors
 /// `export.unsupported`.
 pub(in crate::foreign) fn check_neurons(model: &NetworkFile) -> Result<()> {
+    if let Some(projection) = model.projections.iter().find(|projection| projection.learning.is_some()) {
+        let name = projection.name_or_ends();
+        let message = format!("projection '{name}' has a learning rule, which other tools do not support");
+        return Err(unsupported(message)
+            .help("remove the field learning, or learn first: nsim run MODEL --learned OUT.ron --freeze"));
+    }
     let Some(population) = model.populations.iter().find(|population| population.srm.is_some()) else { return Ok(()) };
     let message = format!("'{}' has spike response neurons, which other tools do not support", population.name);
     Err(unsupported(message).help("convert them to Loihi neurons: nsim convert MODEL --input INPUT -o FILE.ron"))

@@ -1,0 +1,66 @@
+//! Recorded random numbers of learning, in an archive of NumPy arrays.
+//!
+//! Input: an `.npz` with arrays named as [`Use`]. Output: the numbers of each. Other arrays are
+//! ignored. Errors: `input.npz`; `run.draws` for numbers out of range; errors of arrays.
+
+use std::io::{Cursor, Write};
+use std::path::Path;
+
+use zip::write::{SimpleFileOptions, ZipWriter};
+
+use crate::spikes::npz::Archive;
+use nsim_files::budget::MOST_ARRAY;
+use nsim_files::npy;
+use nsim_files::text::read_bytes;
+use nsim_files::write::Batch;
+use nsim_ir::base::diagnostic::{Diagnostic, Result};
+use nsim_ir::learning::draws::{Recorded, Use};
+
+/// Reads the numbers of a file.
+///
+/// # Errors
+/// As the module says.
+pub fn read_draws(path: &Path) -> Result<Recorded> {
+    let mut archive = Archive::open(path, read_bytes(path, MOST_ARRAY)?)?;
+    let mut recorded = Recorded::new();
+    for of in Use::ALL {
+        if !archive.names().any(|name| name == of.name()) {
+            continue;
+        }
+        let numbers: Vec<f64> = archive.array(of.name())?.tensor()?.reals().collect();
+        let fits = |x: f64| match of.is_whole() {
+            true => x.fract() == 0.0 && (0.0..128.0).contains(&x),
+            false => (0.0..1.0).contains(&x),
+        };
+        if let Some(place) = numbers.iter().position(|&x| !fits(x)) {
+            let range = if of.is_whole() { "a whole number from 0 to 127" } else { "from 0 to below 1" };
+            let message = format!("{}: number {place} is {}, not {range}", of.name(), numbers[place]);
+            return Err(Diagnostic::new("run.draws", message).in_file(path).help("record the numbers again"));
+        }
+        recorded.insert(of, numbers);
+    }
+    Ok(recorded)
+}
+
+/// Writes the numbers of a rule.
+///
+/// # Errors
+/// `write.*`.
+pub fn write_draws(path: &Path, recorded: &Recorded, batch: &mut Batch) -> Result<()> {
+    let wrong = |error: &dyn std::fmt::Display| {
+        Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
+    };
+    let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
+    for (of, numbers) in recorded {
+        let (shape, mut bytes) = ([numbers.len() as u64], Vec::new());
+        let written = match of.is_whole() {
+            true => npy::write(&mut bytes, &shape, numbers.iter().map(|&number| number as u8)),
+            false => npy::write(&mut bytes, &shape, numbers.iter().copied()),
+        };
+        written.map_err(|error| wrong(&error))?;
+        zip.start_file(format!("{}.npy", of.name()), SimpleFileOptions::default()).map_err(|error| wrong(&error))?;
+        zip.write_all(&bytes).map_err(|error| wrong(&error))?;
+    }
+    let bytes = zip.finish().map_err(|error| wrong(&error))?.into_inner();
+    batch.add(path, |out| out.write_all(&bytes))
+}

@@ -1,0 +1,332 @@
+//! Learning over the samples of a run: where it starts anew, its random numbers, and its results.
+//!
+//! Input: an engine whose rules change weights, delays and tags, and recorded random numbers. Output:
+//! the state of each rule after the last sample ([`LearnedRule`]), and its summary. Samples of a
+//! network that learns run in order and keep what was learned, unless each starts anew.
+
+use serde::Serialize;
+
+use nsim_dynamics::synapses::Enumerate;
+use nsim_files::network::learned::LearnedState;
+use nsim_ir::base::diagnostic::Diagnostic;
+use nsim_ir::base::fixed::SignMode;
+use nsim_ir::base::id::{CompartmentId, Id, IdVec, ProjectionId, RuleId};
+use nsim_ir::learning::draws::{Draws, Recorded, Use};
+use nsim_ir::learning::{Column, Learning, LearningSemantics, Trace, Variable};
+use nsim_ir::quantised::connectivity::SynapseFormat;
+use nsim_ir::quantised::{Projection, Quantised};
+use nsim_ir::spikes::Engine;
+
+use crate::outcome::{Outcome, Probe, Quantity};
+
+/// Whether any rule changes synapses by itself.
+pub fn learns(rules: &IdVec<RuleId, Learning>) -> bool {
+    rules.iter().any(|learning| learning.rule.learns())
+}
+
+/// The state of a rule's synapses, by row; empty from engines that do not learn.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct LearnedRule {
+    /// Weights.
+    pub weights: Vec<i32>,
+    /// Delays.
+    pub delays: Vec<i32>,
+    /// Tags.
+    pub tags: Vec<i32>,
+}
+
+/// Reads the state of the first rules of an engine.
+pub(crate) fn learned<E: Engine + ?Sized>(engine: &E, rules: usize) -> Vec<LearnedRule> {
+    let read = |rule: usize| {
+        let column = |variable| engine.learned(RuleId::new(rule), Column::Variable(variable));
+        let [weights, delays, tags] = [Variable::Weight, Variable::Delay, Variable::Tag].map(column);
+        LearnedRule { weights, delays, tags }
+    };
+    (0..rules).map(read).collect()
+}
+
+/// The column of this name.
+fn column_named(name: &str) -> Option<Column> {
+    let variable = Variable::ALL.into_iter().find(|variable| variable.name() == name).map(Column::Variable);
+    variable.or_else(|| Trace::ALL.into_iter().find(|trace| trace.name() == name).map(Column::Trace))
+}
+
+/// Parses `NAME.COLUMN` or `NAME.COLUMN.last`, which records only the last step.
+pub fn parse_probe(text: &str) -> Option<(&str, Column, bool)> {
+    let (each, last) = text.strip_suffix(".last").map_or((text, false), |each| (each, true));
+    let (name, column) = each.rsplit_once('.')?;
+    Some((name, column_named(column)?, last))
+}
+
+/// The projections of a rule.
+fn projections(network: &Quantised, rule: RuleId) -> impl Iterator<Item = (ProjectionId, &Projection)> {
+    network.plastic().filter(move |(_, projection)| projection.format.rule == Some(rule))
+}
+
+/// The probe of a column of a rule: its value after each step, or after the `last` one.
+pub fn probe(network: &Quantised, rule: RuleId, column: Column, last: bool) -> Probe {
+    let units = |id| network.populations()[id].shape.len();
+    let mut count = 0;
+    for (id, projection) in projections(network, rule) {
+        let first = projection.plastic.as_ref().map_or(0, |plastic| plastic.first_source);
+        count = match column {
+            Column::Variable(_) => count + network.synapses_of(id) as u32,
+            Column::Trace(trace) if trace.is_presynaptic() => count.max(first + units(projection.source)),
+            Column::Trace(_) => units(projection.target),
+        };
+    }
+    Probe { first: CompartmentId(0), count, quantity: Quantity::Learned { rule, column, last } }
+}
+
+/// First weights of a rule by row, and the format of its synapses.
+fn first_weights(network: &Quantised, rule: RuleId) -> (Vec<i32>, Option<SynapseFormat>) {
+    let (mut by_row, mut format) = (Vec::new(), None);
+    for (_, projection) in projections(network, rule) {
+        let rows = projection.plastic.as_ref().map_or(&[][..], |plastic| &plastic.rows);
+        by_row.resize(by_row.len() + rows.len(), 0);
+        format = Some(projection.format);
+    }
+    for (_, projection) in projections(network, rule) {
+        let mut rows = projection.plastic.iter().flat_map(|plastic| plastic.rows.iter());
+        for source in 0..network.populations()[projection.source].shape.len() {
+            projection.connectivity.for_each_from(source, |_, weight| {
+                if let Some(place) = rows.next().and_then(|&row| by_row.get_mut(row as usize)) {
+                    *place = weight.into();
+                }
+            });
+        }
+    }
+    (by_row, format)
+}
+
+/// The weights that a rule may give synapses of a format ((L6) of `docs/learning.md`).
+fn weight_range(semantics: LearningSemantics, format: SynapseFormat) -> (i32, i32) {
+    match (semantics, format.sign) {
+        (LearningSemantics::Lava, SignMode::Mixed) => (-256, 255),
+        (LearningSemantics::Lava, SignMode::Excitatory) => (0, 255),
+        (LearningSemantics::Lava, SignMode::Inhibitory) => (-255, 0),
+        (LearningSemantics::Silicon, sign) => {
+            let (low, high) = sign.range(format.bits);
+            (low.into(), high.into())
+        }
+    }
+}
+
+/// The state of each rule, for a model file.
+pub fn states<'a>(network: &'a Quantised, rules: &'a [LearnedRule]) -> Vec<LearnedState<'a>> {
+    let states = network.parts().rules.enumerate().zip(rules).filter_map(|((id, learning), state)| {
+        let LearnedRule { weights, delays, tags } = state;
+        let sign = projections(network, id).next()?.1.format.sign;
+        let delays_act = learning.rule.semantics().delays_act();
+        Some(LearnedState { name: &learning.name, weights, delays, tags, delays_act, sign })
+    });
+    states.collect()
+}
+
+/// Summary of a rule after a run.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct LearningRow {
+    /// The name of its projection.
+    pub name: String,
+    /// Synapses that were evaluated; `None` where several rules are counted together.
+    pub updates: Option<u64>,
+    /// Epochs that ended, over all samples.
+    pub epochs: u64,
+    /// The least weight after the last sample.
+    pub weight_min: i32,
+    /// The greatest weight after the last sample.
+    pub weight_max: i32,
+    /// Weights at the ends of their range.
+    pub at_bounds: u64,
+    /// Weights that differ from those of the model.
+    pub changed: u64,
+}
+
+/// Epochs of a rule that end within a sample of `steps` steps.
+fn epochs(learning: &Learning, steps: u32) -> u32 {
+    let rule = &learning.rule;
+    rule.until().map_or(steps, |until| steps.min(until.saturating_add(1))) / rule.epoch()
+}
+
+/// The summary of each rule.
+pub fn rows(network: &Quantised, learned: &[LearnedRule], outcomes: &[Outcome]) -> Vec<LearningRow> {
+    let rules = &network.parts().rules;
+    let updates: u64 = outcomes.iter().map(|outcome| outcome.synaptic_updates).sum();
+    let row = |(id, learning): (RuleId, &Learning)| {
+        let (first, format) = first_weights(network, id);
+        let last = learned.get(id.index()).map(|rule| &rule.weights).filter(|last| last.len() == first.len());
+        let last = last.unwrap_or(&first);
+        let (low, high) = format.map_or((0, 0), |format| weight_range(learning.rule.semantics(), format));
+        LearningRow {
+            name: learning.name.clone(),
+            updates: (rules.len() == 1).then_some(updates),
+            epochs: outcomes.iter().map(|outcome| u64::from(epochs(learning, outcome.steps))).sum(),
+            weight_min: last.iter().copied().min().unwrap_or(0),
+            weight_max: last.iter().copied().max().unwrap_or(0),
+            at_bounds: last.iter().filter(|&&weight| weight == low || weight == high).count() as u64,
+            changed: last.iter().zip(&first).filter(|(last, first)| last != first).count() as u64,
+        }
+    };
+    rules.enumerate().map(row).collect()
+}
+
+/// The shared random numbers of a rule, and the number that a sample of `steps` steps takes of each.
+fn shared_numbers(learning: &Learning, steps: u32) -> Result<Vec<(Use, u32)>, Diagnostic> {
+    let Learning { name, rule } = learning;
+    if rule.semantics() != LearningSemantics::Lava {
+        let message = format!("the rule of '{name}' draws for each synapse, so there are no numbers to record");
+        return Err(Diagnostic::new("run.draws", message).help("give learning_semantics: Lava, or only --seed"));
+    }
+    let epochs = epochs(learning, steps);
+    // Of an epoch that does not end, only the numbers of steps are taken.
+    let noted = if rule.until().is_none() { steps } else { epochs * rule.epoch() };
+    let uses = Use::ALL.into_iter().filter(|of| *of != Use::Pre);
+    Ok(uses.map(|of| (of, if of.is_of_steps() { noted } else { epochs })).collect())
+}
+
+/// The step at which a rule takes a number.
+fn step_of(learning: &Learning, of: Use, number: u64) -> u64 {
+    if of.is_of_steps() { number } else { (number + 1) * u64::from(learning.rule.epoch()) - 1 }
+}
+
+/// The seeded random numbers that a rule takes in the first sample of a run.
+///
+/// # Errors
+/// `run.draws` for a rule that draws for each synapse.
+pub fn recorded(draws: &Draws, rule: RuleId, learning: &Learning, steps: u32) -> Result<Recorded, Diagnostic> {
+    let number = |of: Use, number: u32| draws.shared(rule, of, number, step_of(learning, of, number.into()));
+    let uses = shared_numbers(learning, steps)?.into_iter();
+    Ok(uses.map(|(of, count)| (of, (0..count).map(|place| number(of, place)).collect())).collect())
+}
+
+/// Checks that a rule with recorded random numbers has all that a sample of `steps` steps takes.
+///
+/// # Errors
+/// `run.draws`.
+pub fn check_recorded(learning: &Learning, recorded: &Recorded, steps: u32) -> Result<(), Diagnostic> {
+    for (of, needed) in shared_numbers(learning, steps)? {
+        let given = recorded.get(&of).map_or(0, Vec::len) as u64;
+        if given < needed.into() {
+            let message = format!(
+                "the rule of '{}' takes {needed} numbers of {} in {steps} steps, but {given} are given: the one of step \
+                 {} is missing",
+                learning.name,
+                of.name(),
+                step_of(learning, of, given)
+            );
+            return Err(
+                Diagnostic::new("run.draws", message).help("give a number for each epoch, of draw_post for each step")
+            );
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::outcome::{LearningSettings, SampleSettings};
+    use crate::session::Session;
+    use nsim_ir::activity::{Overflow, Totals};
+    use nsim_ir::arithmetic::ReadOut;
+    use nsim_ir::quantised::Output;
+    use nsim_ir::spikes::{Sample, Spikes};
+
+    #[test]
+    fn samples_start_anew_where_the_run_says_so() {
+        let places = |settings: &LearningSettings| (0..5).map(|place| settings.restart(place)).collect::<Vec<_>>();
+        let kept = LearningSettings::default();
+        assert_eq!(places(&kept), [None; 5]);
+        let fresh = LearningSettings { fresh: true, first: 3, ..kept.clone() };
+        assert_eq!(places(&fresh), [3, 4, 5, 6, 7].map(Some));
+        let repeated = LearningSettings { period: 2, ..kept };
+        assert_eq!(places(&repeated), [None, None, Some(1), None, Some(2)]);
+    }
+
+    /// Its only weight counts the steps that it learned, each with the delivery after it.
+    #[derive(Default)]
+    struct Counter {
+        learned: i32,
+        pending: bool,
+    }
+
+    impl Engine for Counter {
+        fn channels(&self) -> u32 {
+            1
+        }
+        fn begin(&mut self, _: u32) {}
+        fn step(&mut self, _: Spikes<'_>) {
+            self.learned += i32::from(std::mem::replace(&mut self.pending, true));
+        }
+        fn skip_idle(&mut self, steps: u32) -> bool {
+            (0..steps).for_each(|_| self.step(Spikes::default()));
+            true
+        }
+        fn settle(&mut self) {
+            self.learned += i32::from(std::mem::take(&mut self.pending));
+        }
+        fn forget(&mut self, run: u32) {
+            self.learned = 100 * run as i32;
+        }
+        fn learned(&self, _: RuleId, _: Column) -> Vec<i32> {
+            vec![self.learned, -self.learned]
+        }
+        fn spikes(&self) -> &[CompartmentId] {
+            &[]
+        }
+        fn u(&self, _: CompartmentId) -> i32 {
+            0
+        }
+        fn v(&self, _: CompartmentId) -> i32 {
+            0
+        }
+        fn v_register(&self, _: CompartmentId) -> i32 {
+            0
+        }
+        fn totals(&self) -> Totals {
+            Totals::default()
+        }
+        fn overflow(&self) -> Overflow {
+            Overflow::default()
+        }
+    }
+
+    #[test]
+    fn probes_have_the_values_after_the_learning_of_each_step() {
+        let output = Output { first: CompartmentId(0), count: 1, decision: ReadOut::Spikes, start_step: 0 };
+        let probe = |last| {
+            let column = Column::Variable(Variable::Weight);
+            Probe { first: CompartmentId(0), count: 2, quantity: Quantity::Learned { rule: RuleId(0), column, last } }
+        };
+        let run = |session: &mut Session<Counter>, probes: Vec<Probe>| {
+            session.run(&Sample::silent(3), &SampleSettings { probes, ..SampleSettings::new(output) }, ()).probes
+        };
+        let mut session = Session::new(Counter::default(), 1);
+        assert_eq!(run(&mut session, vec![probe(false), probe(true)]), [vec![1, 2, 3, -1, -2, -3], vec![3, -3]]);
+        assert_eq!(run(&mut session, vec![probe(true)]), [[6, -6]], "idle steps are skipped, and learning goes on");
+        session.engine_mut().forget(2);
+        assert_eq!(run(&mut session, vec![probe(false)]), [[201, 202, 203, -201, -202, -203]]);
+    }
+
+    #[test]
+    fn recorded_numbers_are_those_of_the_run_and_missing_ones_are_named() {
+        let change = nsim_ir::learning::parse("x0*y1").unwrap();
+        let text = nsim_ir::learning::RuleText {
+            changes: [change, Default::default(), Default::default()],
+            epoch: 4,
+            semantics: LearningSemantics::Lava,
+            ..Default::default()
+        };
+        let learning = Learning { name: "p".to_string(), rule: nsim_ir::learning::Rule::new(text).unwrap() };
+        let draws = Draws::seeded(7);
+        let numbers = recorded(&draws, RuleId(0), &learning, 11).unwrap();
+        assert_eq!((numbers[&Use::Round].len(), numbers[&Use::Post].len(), numbers.len()), (2, 11, 6));
+        assert_eq!(numbers[&Use::Round][1], draws.shared(RuleId(0), Use::Round, 1, 7));
+        check_recorded(&learning, &numbers, 11).unwrap();
+        let said = check_recorded(&learning, &numbers, 12).unwrap_err().to_string();
+        assert!(
+            said.contains("takes 3 numbers of draw_x_decay in 12 steps, but 2 are given: the one of step 11"),
+            "{said}"
+        );
+    }
+}

@@ -1,0 +1,129 @@
+//! Networks that learn, from the command line: probes, random numbers, learned models, refusals.
+
+use std::path::Path;
+
+use crate::common::command::{object, said};
+use nsim::files::network::ProjectionKind;
+
+/// A network with a rule in lava's semantics and one in the chip's, whose synapses have delays.
+fn model(semantics: &str) -> String {
+    format!(
+        "Network(name: \"m\", timestep_ms: 1.0, learning_semantics: {semantics}, weight_rounding: Floor, populations: [
+            Input(name: \"in\", shape: [4]), Signal(name: \"reward\", shape: [1]),
+            Loihi(name: \"out\", shape: [3], du: 4096, dv: 2048, vth_mant: 4)],
+        projections: [
+            Sparse(from: [\"in\"], to: \"out\", synapses: [(0, 0, 8), (1, 1, 8), (2, 2, 8)]),
+            Dense(name: \"p\", from: [\"in\"], to: \"out\", weights: [[8, 2, 4, 6], [2, 8, 4, 6], [4, 6, 8, 2]],
+                learning: Rule(dw: \"2^-2*x1*y0 - 2^-2*y1*x0\", dt: \"x0*y2\", epoch: 4, tags: 3,
+                    x1: (impulse: 16, tau: 10), y1: (impulse: 16, tau: 10), y2: Signal(\"reward\"))),
+            Random(name: \"q\", from: [\"in\"], to: \"out\", fan_out: 2, low: 0, high: 4, seed: 3, delay: 2,
+                learning: Rule(dd: \"x0*y0\"))],
+        output: \"out\")"
+    )
+}
+
+const INPUT: &str = "--input scene:noise?samples=3&steps=20&rate=0.4&seed=1";
+
+fn folder(semantics: &str) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("m.ron"), model(semantics)).unwrap();
+    folder
+}
+
+/// Shape and numbers of an array of 32-bit integers.
+fn array(path: &Path) -> (Vec<usize>, Vec<i32>) {
+    let array = nsim::files::npy::read(path).unwrap();
+    (array.shape().to_vec(), array.reals().map(|number| number as i32).collect())
+}
+
+#[test]
+fn columns_of_rules_are_probed_on_both_engines() {
+    let folder = folder("Silicon");
+    let columns = ["weight", "tag", "delay", "x1", "x2", "y1", "y2", "y3"];
+    let probes: String = columns.iter().map(|column| format!(" --probe p.{column}")).collect();
+    for engine in ["golden", "fast"] {
+        let line = format!("run m.ron {INPUT} --engine {engine} --probe q.delay.last{probes} -o {engine}");
+        let run = object(folder.path(), &line, 0);
+        assert_eq!(run["files"].as_array().unwrap().len(), 9);
+        assert_eq!(run["learning"][0]["name"], "p");
+        assert_eq!(run["learning"][0]["epochs"], 15);
+        assert!(run["activity"]["synaptic_updates"].is_u64());
+        for (column, rows) in columns.iter().zip([12, 12, 12, 4, 4, 3, 3, 3]) {
+            let (shape, _) = array(&folder.path().join(format!("{engine}/p.{column}.npy")));
+            assert_eq!(shape, [3, rows, 20], "{engine} {column}");
+        }
+        let (shape, _) = array(&folder.path().join(format!("{engine}/q.delay.last.npy")));
+        assert_eq!(shape, [3, 8, 1], "{engine}");
+    }
+    for column in columns {
+        let of = |engine: &str| array(&folder.path().join(format!("{engine}/p.{column}.npy")));
+        assert_eq!(of("golden"), of("fast"), "{column}");
+    }
+}
+
+#[test]
+fn recorded_random_numbers_repeat_a_run() {
+    let folder = folder("Lava");
+    let probes = "--samples 1..2 --probe p.weight --probe q.delay";
+    object(folder.path(), &format!("run m.ron {INPUT} {probes} --seed 5 --record-draws draws -o first"), 0);
+    let draws = "--draws p=draws/p.npz --draws q=draws/q.npz";
+    object(folder.path(), &format!("run m.ron {INPUT} {probes} --engine golden {draws} -o again"), 0);
+    for probe in ["p.weight", "q.delay"] {
+        let of = |run: &str| array(&folder.path().join(format!("{run}/{probe}.npy")));
+        assert_eq!(of("first"), of("again"), "{probe}");
+    }
+    let (_, _, stderr) = said(folder.path(), "run m.ron --input scene:noise?samples=1&steps=24 --draws p=draws/p.npz");
+    let missing = "takes 6 numbers of draw_x_decay in 24 steps, but 5 are given: the one of step 23";
+    assert!(stderr.split_whitespace().collect::<Vec<_>>().join(" ").contains(missing), "{stderr}");
+}
+
+#[test]
+fn a_learned_model_is_a_model() {
+    for semantics in ["Silicon", "Lava"] {
+        let folder = folder(semantics);
+        let line = format!("run m.ron {INPUT} --probe p.weight.last --learned after.ron -o traces");
+        let run = object(folder.path(), &line, 0);
+        assert_eq!(run["files"].as_array().unwrap().len(), 3);
+        let path = folder.path().join("after.ron");
+        let learned = nsim::import::model::load_model(path.to_str().unwrap()).unwrap();
+        let projections = &learned.file().projections;
+        let ProjectionKind::Dense(weights) = &projections[1].kind else { panic!("{projections:?}") };
+        let written: Vec<i32> = learned.tensor(weights).unwrap().reals().map(|weight| weight as i32).collect();
+        let (shape, probed) = array(&folder.path().join("traces/p.weight.last.npy"));
+        assert_eq!(shape, [3, 12, 1]);
+        if run["activity"]["synaptic_updates"] != 0 {
+            assert_eq!(written, probed[24..], "{semantics}");
+        }
+        assert!(projections[1].learning.is_some());
+        object(folder.path(), &format!("run after.ron {INPUT}"), 0);
+        object(folder.path(), &format!("run m.ron {INPUT} --fresh --learned frozen.ron --freeze"), 0);
+        let frozen = nsim::import::model::load_model(folder.path().join("frozen.ron").to_str().unwrap()).unwrap();
+        assert!(frozen.file().projections.iter().all(|projection| projection.learning.is_none()));
+        object(folder.path(), &format!("run frozen.ron {INPUT}"), 0);
+    }
+}
+
+#[test]
+fn rules_and_options_of_rules_are_refused_by_name() {
+    let folder = folder("Silicon");
+    let random = "Random(name: \"q\", from: [\"in\"], to: \"out\", fan_out: 2, low: 0, high: 4, seed: 3";
+    let listed = "Sparse(name: \"q\", from: [\"in\"], to: \"out\", synapses: [(0, 1, 4)]";
+    std::fs::write(folder.path().join("listed.ron"), model("Silicon").replace(random, listed)).unwrap();
+    for (line, code, says) in [
+        ("run m.ron INPUT --engine reference", 3, "learning rule of projection 'p' cannot be run in real numbers"),
+        ("agree m.ron INPUT", 3, "learning rule of projection 'p'"),
+        ("convert m.ron INPUT -o c.ron", 3, "learning rule of projection 'p' cannot be converted"),
+        ("export listed.ron -o m.nir", 3, "projection 'p' has a learning rule"),
+        ("map m.ron --prune static", 3, "plastic"),
+        ("run m.ron INPUT --probe z.weight -o t", 2, "projections that learn: p, q"),
+        ("run m.ron INPUT --draws z=a.npz --samples 0..1", 2, "projections that learn: p, q"),
+        ("run m.ron INPUT --draws p=a.npz", 2, "choose one with --samples"),
+        ("run m.ron INPUT --record-draws d --samples 0..1", 3, "draws for each synapse"),
+        ("run slip-tactile --samples 0..1 --fresh", 2, "no projection of the model has a rule"),
+        ("run m.ron INPUT --freeze", 2, "--learned"),
+    ] {
+        let (status, _, stderr) = said(folder.path(), &line.replace("INPUT", INPUT));
+        let stderr = stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(status == code && stderr.contains(says), "{line}: {status} {stderr}");
+    }
+}
