@@ -275,9 +275,22 @@ pub fn learn(engine: &mut dyn Engine, (network, draws): (&Quantised, &Draws), sa
     all
 }
 
-/// Two samples of a network.
+/// A sample several times in a row.
+fn longer(sample: &Sample, times: u32) -> Sample {
+    let spikes = (0..times * sample.steps()).flat_map(|step| {
+        let input = sample.input(step % sample.steps());
+        let values = input.values.iter().copied().chain(std::iter::repeat(1));
+        input.ids.iter().zip(values).map(move |(&channel, value)| (step, channel, value))
+    });
+    Sample::with_values(times * sample.steps(), &spikes.collect::<Vec<_>>(), None).unwrap()
+}
+
+/// Two samples of a network, of which the second may be long.
 pub fn samples(network: &Quantised, seed: u64) -> [Sample; 2] {
-    [0, 0x5a5a].map(|other| sample(network, seed ^ other))
+    let [first, second] = [0, 0x5a5a].map(|other| sample(network, seed ^ other));
+    // Late spikes and traces are kept for 128 steps.
+    let long = if seed % 4 == 1 { longer(&second, 5) } else { second };
+    [first, long]
 }
 
 #[test]

@@ -308,15 +308,16 @@ impl Traces {
         self.noted.drain(..).for_each(|unit| self.notes[unit as usize] = 0);
         // Bits of the steps to come are left from the steps before the kept ones.
         let next = ((1u128 << epoch) - 1).rotate_left((step + 1) % KEPT as u32);
-        let (values, is_live) = (&self.values, &mut self.is_live);
-        let late = &mut self.late;
+        if let Some(late) = &mut self.late {
+            self.live.iter().for_each(|&unit| late.spikes[unit as usize] &= !next);
+        }
+        let (values, is_live, late) = (&self.values, &mut self.is_live, &self.late);
         self.live.retain(|&unit| {
             let index = unit as usize;
             let stays = values[index] != [0; MOST]
-                || late.as_mut().is_some_and(|late| {
-                    late.spikes[index] &= !next;
-                    late.spikes[index] != 0
-                        || late.past[index * KEPT..(index + 1) * KEPT].iter().any(|values| *values != [0; MOST])
+                || late.as_ref().is_some_and(|late| {
+                    let mut past = late.past[index * KEPT..(index + 1) * KEPT].iter();
+                    late.spikes[index] != 0 || past.any(|values| *values != [0; MOST])
                 });
             is_live[index] = stays;
             stays
