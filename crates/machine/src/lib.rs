@@ -228,14 +228,14 @@ impl Machine {
 
     /// Calls `see` with the core of each synapse of learned delay that loses a spike of these
     /// sources, whose deliveries reach `left` steps, and with whether its list has no indices.
-    fn each_lost(&self, sources: impl Iterator<Item = u32> + Clone, left: u32, mut see: impl FnMut(CoreId, bool)) {
+    fn each_lost(&self, sources: &[u32], left: u32, mut see: impl FnMut(CoreId, bool)) {
         let plan = &self.image.plastic;
         // The tables lose what reaches no step.
         if left == 0 || left > Delay::MAX.get().into() || self.lost.is_empty() {
             return;
         }
         for (state, shard) in self.shards.iter().zip(&self.image.shards) {
-            for source in sources.clone() {
+            for &source in sources {
                 for &number in plan.of_source.get(source as usize) {
                     let ProjectionPlan { of, moves, .. } = &plan.projections[number as usize];
                     let rows = &shard.plastic.projections[number as usize];
@@ -251,7 +251,7 @@ impl Machine {
     }
 
     /// Counts the events that synapses of learned delays lose, which the tables of cores count.
-    fn lose(&mut self, sources: impl Iterator<Item = u32> + Clone, left: u32) {
+    fn lose(&mut self, sources: &[u32], left: u32) {
         let mut lost = Vec::new();
         self.each_lost(sources, left, |core, dense| lost.push((core, dense)));
         for (core, dense) in lost {
@@ -346,10 +346,8 @@ impl Machine {
             self.counts.note_late(image, self.remote.iter().map(|spike| image.channels + spike.0), left);
         }
         if !self.lost.is_empty() {
-            let channels = image.channels;
-            let remote = std::mem::take(&mut self.remote);
-            self.lose(remote.iter().map(|spike| channels + spike.0), left);
-            self.remote = remote;
+            let sources: Vec<u32> = self.remote.iter().map(|spike| image.channels + spike.0).collect();
+            self.lose(&sources, left);
         }
     }
 
@@ -385,7 +383,10 @@ impl Machine {
     /// a step without a rule has none of its code.
     #[cold]
     fn learn(&mut self, input: Spikes<'_>, left: u32) {
-        self.lose(input.ids.iter().map(|channel| channel.0), left);
+        if !self.lost.is_empty() && left <= Delay::MAX.get().into() {
+            let sources: Vec<u32> = input.ids.iter().map(|channel| channel.0).collect();
+            self.lose(&sources, left);
+        }
         let Some(learning) = &mut self.learning else { return };
         // The spikes of a step are noted once.
         if let Some(before) = self.step.checked_sub(1).filter(|_| !std::mem::take(&mut self.settled)) {
@@ -435,8 +436,8 @@ impl Machine {
             let sources = self.spikes.iter().map(|spike| image.channels + spike.0);
             self.counts.note_late(image, sources, left.saturating_sub(1));
             if !self.lost.is_empty() {
-                let (channels, spikes) = (image.channels, self.spikes.clone());
-                self.lose(spikes.iter().map(|spike| channels + spike.0), left.saturating_sub(1));
+                let sources: Vec<u32> = self.spikes.iter().map(|spike| image.channels + spike.0).collect();
+                self.lose(&sources, left.saturating_sub(1));
             }
         }
         let image = &*self.image;
@@ -641,7 +642,9 @@ impl Engine for Machine {
         let spikes = self.spikes.iter().chain(&self.remote);
         let sources = spikes.map(|spike| self.image.channels + spike.0);
         let mut lost = 0;
-        self.each_lost(sources.clone(), left, |_, _| lost += 1);
+        if !self.lost.is_empty() {
+            self.each_lost(&sources.clone().collect::<Vec<u32>>(), left, |_, _| lost += 1);
+        }
         let pending = self.image.tally().events_within(sources.clone(), left) - lost;
         let undelivered: i64 = sources.map(|source| self.image.residual.get(source)).sum();
         let residual = self.counts.sample_residual(&self.image, &self.shards, self.arch) - undelivered;

@@ -119,7 +119,7 @@ impl LearningArgs {
         }
         let rules = network.parts().rules.iter();
         let of = |folder: &Path| rules.map(|learning| draws_file(folder, &learning.name)).collect::<Vec<_>>();
-        io::write::check_all_free(self.record_draws.as_deref().map(of).unwrap_or_default().into_iter(), force)
+        io::write::check_all_free(self.record_draws.as_deref().map(of).unwrap_or_default(), force)
     }
 
     /// Writes the random numbers of a run of one sample; returns the files.

@@ -126,7 +126,7 @@ impl<'t> Parser<'t> {
             let at = self.at;
             match self.operand()? {
                 Operand::Literal { mantissa: by, exponent: plus } => {
-                    (mantissa, exponent) = (mantissa * by, exponent + plus)
+                    (mantissa, exponent) = (mantissa * by, exponent + plus);
                 }
                 Operand::Slow(k) => {
                     if let Some(other) = self.slow.filter(|other| *other != k) {
