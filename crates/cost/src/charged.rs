@@ -22,6 +22,7 @@ pub fn is_charged(case: &EstimateInput<'_>, constant: &str) -> bool {
     match constant {
         "synapse_dense_energy" | "synapse_dense_time" => sum.events_dense > 0,
         "synapse_sparse_energy" | "synapse_sparse_time" => sum.events_sparse > 0,
+        "synapse_update_energy" | "synapse_update_time" => sum.synaptic_updates > 0,
         "dendrite_energy" | "compartment_energy" | "compartment_time" => sum.visited > 0,
         "microcode_time" => sum.microcode > 0,
         "compartment_active_energy" | "compartment_active_time" => sum.active > 0,

@@ -20,7 +20,7 @@ pub struct ByStatus {
     /// Least trusted status of each part of a step's time; `None` where `core` has it by constant.
     pub(crate) time: [Option<Status>; 6],
     /// The statuses of [`CORE_TIMES`].
-    pub(crate) core: [Status; 8],
+    pub(crate) core: [Status; 9],
 }
 
 /// Least trusted status of the constants of these names that are not 0.

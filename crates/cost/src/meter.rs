@@ -96,7 +96,7 @@ pub struct StepMeter {
     /// Number of steps in which each core was the slowest, under the first preset.
     slowest: Vec<u64>,
     /// Time of the slowest core by constant, as [`core_time_by_constant`], first preset, ps.
-    core_time: [u128; 8],
+    core_time: [u128; 9],
     /// The time of the last step under the first preset.
     last_time: StepTime,
     /// Memory of each step that is metered in parallel.
@@ -153,7 +153,7 @@ impl StepMeter {
             distribution: Distribution::default(),
             hops: HopCounts::default(),
             slowest: Vec::new(),
-            core_time: [0; 8],
+            core_time: [0; 9],
             last_time: StepTime::default(),
             memory: Vec::new(),
         }
@@ -257,7 +257,7 @@ impl StepMeter {
     /// where no core takes time.
     ///
     /// [`CORE_TIMES`]: crate::model::CORE_TIMES
-    pub fn core_time_shares(&self) -> [f64; 8] {
+    pub fn core_time_shares(&self) -> [f64; 9] {
         let all = self.core_time.iter().sum::<u128>().max(1);
         self.core_time.map(|own| own as f64 / all as f64)
     }

@@ -1,4 +1,4 @@
-//! Energy and time of counts: equations (1) to (7) and (9) of `docs/energy.md`, and (21) for Loihi
+//! Energy and time of counts: equations (1) to (9) of `docs/energy.md`, and (21) for Loihi
 //! 2; [`crate::transport`] has (10) and (11).
 //!
 //! Energy is linear in the counts, so the energy of a run is the exact sum over its steps. Time is
@@ -30,11 +30,13 @@ pub struct Breakdown {
     pub axon_in: Femtojoules,
     /// (7) Hops of messages.
     pub hop: Femtojoules,
+    /// (8) Updates of plastic synapses.
+    pub learning: Femtojoules,
 }
 
 impl Breakdown {
     /// Name and energy of every part, in a fixed order.
-    pub fn parts(&self) -> [(&'static str, Femtojoules); 7] {
+    pub fn parts(&self) -> [(&'static str, Femtojoules); 8] {
         [
             ("synapse", self.synapse),
             ("dendrite", self.dendrite),
@@ -43,6 +45,7 @@ impl Breakdown {
             ("axon_out", self.axon_out),
             ("axon_in", self.axon_in),
             ("hop", self.hop),
+            ("learning", self.learning),
         ]
     }
 
@@ -82,6 +85,7 @@ pub fn energy_of_counts(sum: CoreCounts, hops: HopCounts, table: &CostTable) -> 
             + table.hop_ew_energy * hops.east_west
             + table.hop_ns_energy * hops.north_south
             + table.hop_chip_energy * hops.chip,
+        learning: table.synapse_update_energy * sum.synaptic_updates,
     }
 }
 
@@ -139,7 +143,7 @@ impl StepTime {
 }
 
 /// The constants of a core's time, in the order of [`core_time_by_constant`].
-pub const CORE_TIMES: [&str; 8] = [
+pub const CORE_TIMES: [&str; 9] = [
     "axon_in_time",
     "synapse_dense_time",
     "synapse_sparse_time",
@@ -148,10 +152,14 @@ pub const CORE_TIMES: [&str; 8] = [
     "spike_time",
     "axon_out_time",
     "microcode_time",
+    "synapse_update_time",
 ];
 
+/// Index of the term of learning, which follows all others.
+const LEARNING: usize = 8;
+
 /// The terms of a core's time, in the order of [`CORE_TIMES`].
-fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 8] {
+fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 9] {
     let [updates, microcode] = update_terms(core, table);
     [
         (table.axon_in_time, core.messages_in),
@@ -162,7 +170,13 @@ fn core_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64); 8] {
         (table.spike_time, core.spikes),
         (table.axon_out_time, core.messages_out),
         microcode,
+        (table.synapse_update_time, core.synaptic_updates),
     ]
+}
+
+/// The longest time in which a core learns.
+pub(crate) fn slowest_learning(step: &StepActivity, table: &CostTable) -> Picoseconds {
+    step.cores.iter().map(|core| times(&core_terms(core, table)[LEARNING..])).max().unwrap_or_default()
 }
 
 /// The terms of updates, by the kinds of the neurons ([`CoreCounts::of_visit`]): of kinds that the
@@ -180,20 +194,22 @@ pub fn update_terms(core: &CoreCounts, table: &CostTable) -> [(Picoseconds, u64)
 }
 
 /// Indices of the terms for axon reads, synapses and dendrites.
-const CORE_GROUPS: [Range<usize>; 3] = [0..1, 1..3, 3..8];
+const CORE_GROUPS: [Range<usize>; 3] = [0..1, 1..3, 3..LEARNING];
 
-/// Time of one core's delivery and update in a step: sum of its terms (9), or the greatest (21).
+/// Time of one core's delivery and update in a step: sum of its terms (9), or the greatest (21); then
+/// of its learning.
 pub fn core_time(core: &CoreCounts, table: &CostTable) -> Picoseconds {
     let terms = core_terms(core, table);
     let groups = CORE_GROUPS.into_iter().map(|group| times(&terms[group]));
-    match table.step {
-        StepForm::Sum => Picoseconds(groups.fold(0, |sum: u64, group| sum.saturating_add(group.0))),
-        StepForm::Greatest => groups.max().unwrap_or_default(),
-    }
+    let work = match table.step {
+        StepForm::Sum => groups.fold(0, |sum: u64, group| sum.saturating_add(group.0)),
+        StepForm::Greatest => groups.max().unwrap_or_default().0,
+    };
+    Picoseconds(work.saturating_add(times(&terms[LEARNING..]).0))
 }
 
 /// [`core_time`], split by constant in the order of [`CORE_TIMES`].
-pub fn core_time_by_constant(core: &CoreCounts, table: &CostTable) -> [Picoseconds; 8] {
+pub fn core_time_by_constant(core: &CoreCounts, table: &CostTable) -> [Picoseconds; 9] {
     let terms = core_terms(core, table);
     let counted = match table.step {
         StepForm::Sum => 0..terms.len(),
@@ -201,7 +217,8 @@ pub fn core_time_by_constant(core: &CoreCounts, table: &CostTable) -> [Picosecon
             CORE_GROUPS.into_iter().max_by_key(|group| times(&terms[group.clone()])).unwrap_or_default()
         }
     };
-    std::array::from_fn(|place| times(&terms[place..=place][..usize::from(counted.contains(&place))]))
+    let counts = |place| place == LEARNING || counted.contains(&place);
+    std::array::from_fn(|place| times(&terms[place..=place][..usize::from(counts(place))]))
 }
 
 /// Time of a message's route through an empty mesh.
@@ -366,6 +383,33 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn synapses_that_learn_cost_their_updates_after_all_other_work() {
+        let mut learns = step();
+        learns.cores.as_mut_slice()[0].synaptic_updates = 1_000;
+        // Loihi 2's are Loihi 1's over 5.
+        for (name, energy, time) in
+            [("davies2018", 120_000, 6_100), ("loihi1-evidence", 120_000, 6_100), ("loihi2-modelled", 24_000, 1_220)]
+        {
+            let table = table(name);
+            let more = |of: fn(&StepActivity, &CostTable) -> u128| of(&learns, &table) - of(&step(), &table);
+            assert_eq!(more(|step, table| step_energy(step, table).total().0), 1_000 * energy, "{name}");
+            assert_eq!(more(|step, table| core_time(&step.cores.as_slice()[0], table).0.into()), 1_000 * time);
+            for transport in [Transport::Analytic, Transport::Queued] {
+                let memory = &mut QueueMemory::default();
+                let mut took = |step: &StepActivity| {
+                    let alone = StepActivity { hops: HopCounts::default(), longest: Route::default(), ..step.clone() };
+                    let tables = std::slice::from_ref(&table);
+                    no_routes().step_times(&alone, tables, timing(transport), memory)[0].slowest_core.0
+                };
+                let silent = StepActivity::new(2);
+                let mut only = silent.clone();
+                only.cores.as_mut_slice()[1].synaptic_updates = 1_000;
+                assert_eq!(u128::from(took(&only) - took(&silent)), 1_000 * time, "{name}");
+            }
+        }
+    }
+
+    #[test]
     fn a_silent_step_moves_nothing_and_a_message_within_a_tile_takes_the_local_time() {
         let davies = table("davies2018");
         let mut step = StepActivity::new(1);
@@ -439,14 +483,14 @@ pub(crate) mod tests {
         }
 
         #[test]
-        fn more_of_anything_never_costs_less(step in any_step(2), which in 0..7usize, more in 1..1_000u64) {
+        fn more_of_anything_never_costs_less(step in any_step(2), which in 0..8usize, more in 1..1_000u64) {
             for name in ["davies2018", "sanafe-calibrated"] {
                 let table = table(name);
                 let mut greater = step.clone();
                 let core = &mut greater.cores.as_mut_slice()[1];
                 let counts = [
                     &mut core.messages_in, &mut core.events_dense, &mut core.events_sparse, &mut core.visited,
-                    &mut core.active, &mut core.spikes, &mut core.messages_out,
+                    &mut core.active, &mut core.spikes, &mut core.messages_out, &mut core.synaptic_updates,
                 ];
                 *counts.into_iter().nth(which).unwrap() += more;
                 let (less_energy, more_energy) = (step_energy(&step, &table), step_energy(&greater, &table));

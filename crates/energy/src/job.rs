@@ -216,6 +216,9 @@ pub fn report(
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));
     let steps = case.activity.steps() as f64 / samples.max(1) as f64;
     let rows = estimate.rows.iter().chain(baselines.iter().map(|(row, _)| row));
+    // Runs without learning have no figure by the constants of learning.
+    let is_listed = |name: &str| !name.starts_with("synapse_update") || is_charged(case, name);
+    let constants = constant_entries(preset).into_iter().filter(|entry| is_listed(&entry.name)).collect();
     EnergyReport {
         model: model.to_string(),
         target: target.name().to_string(),
@@ -242,7 +245,7 @@ pub fn report(
         early_exit: None,
         detail: Detail::default(),
         expected: None,
-        constants: constant_entries(preset),
+        constants,
         constant_notes,
         estimate,
     }

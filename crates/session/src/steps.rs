@@ -55,7 +55,8 @@ impl StepLayout {
         for (name, _) in StepTime::default().parts() {
             add(format!("time_us.{}", name.replace(' ', "_")), Unit::Microseconds);
         }
-        for (name, _) in Breakdown::default().parts() {
+        let learns = learns(&network.parts().rules);
+        for (name, _) in Breakdown::default().parts().into_iter().filter(|(name, _)| learns || *name != "learning") {
             add(format!("energy_pj.{name}"), Unit::Picojoules);
         }
         StepLayout { columns, channels, compartments, populations: network.populations().len() }
@@ -107,6 +108,8 @@ impl<'r> Recorder<'r, '_> {
         let energy = self.meter.tables().first().map(|table| energy_of_counts(sum, hops, table));
         let parts = energy.unwrap_or_default().parts();
         self.cells.extend(parts.map(|(_, part)| u64::try_from(part.0).unwrap_or(u64::MAX)));
+        // The last part, learning, has a column in networks that learn.
+        self.cells.truncate(start + layout.columns.len());
     }
 
     fn flush(&mut self) {

@@ -10,7 +10,7 @@ pub mod queue;
 pub mod routes;
 
 use crate::constants::CostTable;
-use crate::model::{StepTime, core_time, route_time, times};
+use crate::model::{StepTime, core_time, route_time, slowest_learning, times};
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::base::units::Picoseconds;
@@ -168,7 +168,9 @@ impl MessageRoutes {
             let (cores, added) = Queue::new(self, region, table, memory).run(step, injection, most, true);
             (alone, took) = (alone.max(cores.0), took.max(cores.0 + added.0));
         }
-        (Picoseconds(alone), Picoseconds(took - alone))
+        // Cores learn once the step's messages are handled.
+        let learning = slowest_learning(step, table).0;
+        (Picoseconds(alone.saturating_add(learning)), Picoseconds(took - alone))
     }
 }
 

@@ -218,11 +218,11 @@ impl EnergyReport {
 
     /// The object of `nsim.energy/1`.
     pub fn json(&self) -> Value {
-        let breakdown = self.estimate.breakdown_pj.as_ref().map(|parts| {
-            let parts = parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj)));
-            // No core learns yet.
-            parts.chain([("learning".to_string(), json!(0.0))]).collect::<Map<_, _>>()
-        });
+        let breakdown = self
+            .estimate
+            .breakdown_pj
+            .as_ref()
+            .map(|parts| parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj))).collect::<Map<_, _>>());
         let times = |times: [(&str, f64); 6]| times.map(|(name, us)| (name.replace(' ', "_"), json!(us)));
         let Deployment { x86_cores, x86_chips, host, .. } = self.deployment;
         let injecting = if host == Host::Stream { x86_chips } else { 0 };

@@ -274,7 +274,8 @@ impl EnergyReport {
             let share = if total > 0.0 { format!("{:.1} %", 100.0 * pj / total) } else { unknown() };
             vec![<&str>::to_string(name), three(*pj), share]
         };
-        let mut rows: Vec<Vec<String>> = parts.iter().map(row).collect();
+        let is_shown = |(name, pj): &&(&str, f64)| *name != "learning" || *pj > 0.0;
+        let mut rows: Vec<Vec<String>> = parts.iter().filter(is_shown).map(row).collect();
         rows.push(vec!["sum".to_string(), three(total), String::new()]);
         let _ = writeln!(out, "{}", table(&["Dynamic energy of the neuron cores", "pJ per timestep", "Share"], &rows));
         if let Some(times) = self.estimate.time_us {

@@ -220,6 +220,8 @@ macro_rules! for_each_constant {
             synapse_dense_energy: pJ,
             /// Energy of a synaptic event of a sparse list, pJ.
             synapse_sparse_energy: pJ,
+            /// Energy of the rule of a plastic synapse, evaluated once, pJ.
+            synapse_update_energy: pJ = "Constant::no_energy",
             /// Energy of a dendritic accumulator read in a step, pJ.
             dendrite_energy: pJ = "Constant::no_energy",
             /// Energy of a compartment visited in a step, pJ.
@@ -244,6 +246,8 @@ macro_rules! for_each_constant {
             synapse_dense_time: ns,
             /// Time of a synaptic event of a sparse list, ns.
             synapse_sparse_time: ns,
+            /// Time of the rule of a plastic synapse, evaluated once, ns.
+            synapse_update_time: ns = "Constant::no_time",
             /// Time of a compartment visited in a step, ns.
             compartment_time: ns,
             /// Additional time of a compartment that is not idle, ns.
