@@ -147,6 +147,31 @@ class Sessions(unittest.TestCase):
             session.step(spikes.astype(np.uint8) > 0)
             self.assertEqual(session["tactile"].spikes.tolist(), np.flatnonzero(spikes).tolist())
 
+    def test_what_was_learned_is_read_and_written(self):
+        text = """Network(name: "m", timestep_ms: 1.0, populations: [Input(name: "in", shape: [2]),
+            Loihi(name: "out", shape: [3], du: 4096, dv: 2048, vth_mant: 1)], projections: [Dense(name: "p", from: ["in"],
+            to: "out", weights: [[8, 2], [4, 6], [2, 8]], learning: Rule(dw: "8*x0*y0", epoch: 2))], output: "out")"""
+        with tempfile.TemporaryDirectory() as folder:
+            model = Path(folder, "m.ron")
+            model.write_text(text)
+            mapping = nsim.load(str(model)).map()
+            spikes = np.ones((2, 12), bool)
+            run = mapping.run(spikes, probe=["p.weight", "p.x1", "p.weight.last"], seed=3)
+            shapes = [run.probe(name).shape for name in ("p.weight", "p.x1", "p.weight.last")]
+            self.assertEqual(shapes, [(1, 6, 12), (1, 2, 12), (1, 6, 1)])
+            self.assertEqual(run.json()["learning"][0]["name"], "p")
+            self.assertEqual(len(run.learned(Path(folder, "after.ron"))), 2)
+            self.assertEqual(len(nsim.load(str(Path(folder, "after.ron"))).map().run(spikes, fresh=True)), 1)
+            for options, said in [({"draws": {"q": "q.npz"}}, "are: p"), ({"draws": {"p": "q.npz"}}, "q.npz")]:
+                with self.assertRaises(nsim.Error) as refused:
+                    mapping.run(spikes, **options)
+                self.assertIn(said, f"{refused.exception} {refused.exception.help} {refused.exception.place}")
+            with mapping.session(seed=3) as session:
+                session.step({"in": np.ones(2, bool)})
+                session.reset()
+                session.reset(learned=False)
+                self.assertEqual(session.steps, 0)
+
     def test_what_is_refused_changes_nothing(self):
         mapping = nsim.load("vtsnn-slip").map()
         channels = dict((name, int(np.prod(shape))) for name, kind, shape in mapping.populations if kind == "input")

@@ -64,14 +64,17 @@ fn columns_of_rules_are_probed_on_both_engines() {
 #[test]
 fn recorded_random_numbers_repeat_a_run() {
     let folder = folder("Lava");
-    let probes = "--samples 1..2 --probe p.weight --probe q.delay";
-    object(folder.path(), &format!("run m.ron {INPUT} {probes} --seed 5 --record-draws draws -o first"), 0);
+    // The scene has the same seed.
+    let probes = "--samples 1..2 --probe p.weight --probe q.delay --seed 5";
+    object(folder.path(), &format!("run m.ron {INPUT} {probes} --record-draws draws -o first"), 0);
     let draws = "--draws p=draws/p.npz --draws q=draws/q.npz";
     object(folder.path(), &format!("run m.ron {INPUT} {probes} --engine golden {draws} -o again"), 0);
+    object(folder.path(), &format!("run m.ron {INPUT} {probes} --draws p=draws/q.npz -o other"), 0);
+    let of = |run: &str, probe: &str| array(&folder.path().join(format!("{run}/{probe}.npy")));
     for probe in ["p.weight", "q.delay"] {
-        let of = |run: &str| array(&folder.path().join(format!("{run}/{probe}.npy")));
-        assert_eq!(of("first"), of("again"), "{probe}");
+        assert_eq!(of("first", probe), of("again", probe), "{probe}");
     }
+    assert_ne!(of("first", "p.weight"), of("other", "p.weight"), "other numbers");
     let (_, _, stderr) = said(folder.path(), "run m.ron --input scene:noise?samples=1&steps=24 --draws p=draws/p.npz");
     let missing = "takes 6 numbers of draw_x_decay in 24 steps, but 5 are given: the one of step 23";
     assert!(stderr.split_whitespace().collect::<Vec<_>>().join(" ").contains(missing), "{stderr}");

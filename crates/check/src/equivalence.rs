@@ -194,7 +194,7 @@ fn check_frame(network: &Quantised, program: &Program) -> Result<(), Difference>
         (actual.semantics == expected.semantics, "semantics"),
         (actual.threshold == expected.threshold, "threshold test"),
         (actual.reset == expected.reset, "reset"),
-        (actual.learning == ProgramLearning::of(network), "learning rules"),
+        (actual.learning == ProgramLearning::in_network(network), "learning rules"),
     ];
     rules.into_iter().find(|(holds, _)| !holds).map_or(Ok(()), |(_, what)| Err(Difference::Frame(what)))
 }

@@ -209,7 +209,7 @@ impl Golden {
 
     /// The weights of a plastic projection, source by source.
     pub fn weights(&self, projection: ProjectionId) -> &[i16] {
-        self.plastic[&projection].latest().of(Variable::Weight)
+        self.plastic[&projection].latest().column(Variable::Weight)
     }
 
     /// Sets the weights of a plastic projection, which fit its format, from the next step's
@@ -224,7 +224,7 @@ impl Golden {
     fn adds(&self, synapse: &Synapse, delivery: u32) -> i64 {
         let Some((projection, number)) = synapse.plastic else { return synapse.adds };
         let plastic = &self.plastic[&projection];
-        scaled(plastic.at(delivery).of(Variable::Weight)[number].into(), exponents(plastic.format).0)
+        scaled(plastic.at(delivery).column(Variable::Weight)[number].into(), exponents(plastic.format).0)
     }
 
     /// Whether the rule of a synapse changes its delay.
@@ -242,7 +242,7 @@ impl Golden {
     fn delay(&self, synapse: &Synapse, delivery: u32) -> u32 {
         match synapse.plastic {
             Some((projection, number)) if self.moves(synapse) => {
-                self.plastic[&projection].at(delivery).of(Variable::Delay)[number] as u32
+                self.plastic[&projection].at(delivery).column(Variable::Delay)[number] as u32
             }
             _ => synapse.latency - synapse.between(),
         }
@@ -447,7 +447,7 @@ impl Engine for Golden {
         };
         let mut by_row = BTreeMap::new();
         for plastic in self.plastic.values().filter(|plastic| plastic.learner == *key) {
-            let values = plastic.latest().of(variable).iter().map(|&value| i32::from(value));
+            let values = plastic.latest().column(variable).iter().map(|&value| i32::from(value));
             by_row.extend(plastic.rows.iter().copied().zip(values));
         }
         by_row.into_values().collect()

@@ -12,7 +12,7 @@ use crate::synapses::connections_by_source;
 pub(crate) struct Columns(pub [Vec<i16>; 3]);
 
 impl Columns {
-    pub(crate) fn of(&self, variable: Variable) -> &[i16] {
+    pub(crate) fn column(&self, variable: Variable) -> &[i16] {
         &self.0[variable as usize]
     }
 }

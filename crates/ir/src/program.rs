@@ -384,7 +384,7 @@ pub struct ProgramLearning {
 
 impl ProgramLearning {
     /// The learning of a network.
-    pub fn of(network: &Quantised) -> Self {
+    pub fn in_network(network: &Quantised) -> Self {
         let units = |id: PopulationId| {
             let population = &network.populations()[id];
             let first = network.first_source(population);

@@ -215,7 +215,7 @@ impl Machine {
                 let firsts = &shard.plastic.projections[index].firsts;
                 for place in firsts[0] as usize..firsts[firsts.len() - 1] as usize {
                     let row = shard.plastic.row_of[place];
-                    let value = state.plastic.of(variable).get(place).copied();
+                    let value = state.plastic.column(variable).get(place).copied();
                     let is_delay =
                         variable == Variable::Delay && self.image.plastic.rules[rule].rule().semantics().delays_act();
                     let constant = if is_delay { of.delay.get().into() } else { 0 };

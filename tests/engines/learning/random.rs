@@ -1,13 +1,14 @@
 //! Random networks with random rules, and the comparison of two engines that learn.
 
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use super::COLUMNS;
 use crate::common::compare::{Shown, shown, small_cores};
 use crate::common::random::Draw;
 use crate::common::unsearched;
 use crate::plastic::{plastic, sample};
-use nsim::compile::compile;
+use crate::ranks::{on_ranks, share};
+use nsim::compile::{Options, compile};
 use nsim::golden::Golden;
 use nsim::ir::activity::{Activity, Overflow, Totals};
 use nsim::ir::base::fixed::{Delay, MessageBits};
@@ -15,7 +16,7 @@ use nsim::ir::base::id::{ChannelId, IdVec, PopulationId, ProjectionId};
 use nsim::ir::graph::Shape;
 use nsim::ir::learning::draws::{Draws, Recorded, Use};
 use nsim::ir::learning::{
-    Change, Graded, Impulse, LearningSemantics, Plastic, Rule, RuleText, Tau, TraceSettings, Variable, parse,
+    Change, Column, Graded, Impulse, LearningSemantics, Plastic, Rule, RuleText, Tau, TraceSettings, Variable, parse,
 };
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
@@ -388,4 +389,49 @@ fn copies_learn_alike() {
         })
         .sum();
     assert!(updates > 100_000, "{updates} updates");
+}
+
+/// Spikes of every rank, and the sum of their counts and columns, equal golden's on 2 and 4 ranks.
+#[test]
+fn random_rules_act_alike_on_any_number_of_ranks() {
+    let updates: u64 = (0..cases(40))
+        .map(|seed| {
+            let (network, draws) = random_plastic(seed);
+            let sample = &samples(&network, seed)[0];
+            let samples = std::slice::from_ref(sample);
+            let expected = learn(&mut Golden::new(&network), (&network, &draws), samples);
+            for count in [2, 4] {
+                let sum = Mutex::new((Totals::default(), 0, Vec::<Vec<Vec<i32>>>::new()));
+                on_ranks(count, |rank, ranks| {
+                    let options = Options { share: share(rank, count, false), ..unsearched() };
+                    let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
+                    let image = Image::new(&compiled.program, 1).unwrap();
+                    let settings = Settings { skip: seed % 2 == 0, per_step: false };
+                    let mut machine = Machine::of_part(&image, settings, ranks.unwrap(), None);
+                    machine.set_draws(&draws);
+                    machine.forget(0);
+                    machine.begin(sample.steps());
+                    (0..sample.steps()).for_each(|step| machine.step(sample.input(step)));
+                    machine.settle();
+                    let mut sum = sum.lock().unwrap();
+                    sum.0 += machine.totals();
+                    sum.1 += machine.synaptic_updates();
+                    let weights = |rule| machine.learned(rule, Column::Variable(Variable::Weight));
+                    sum.2.push(network.parts().rules.ids().map(weights).collect());
+                });
+                let (totals, updates, of_ranks) = sum.into_inner().unwrap();
+                let what = format!("network {seed} on {count} ranks");
+                assert_eq!((totals, updates), (expected[0].totals, expected[0].updates), "{what}");
+                for (rule, meant) in expected[0].settled.iter().step_by(COLUMNS.len()).enumerate() {
+                    let mut found = vec![0; meant.len()];
+                    for of_rank in &of_ranks {
+                        found.iter_mut().zip(&of_rank[rule]).for_each(|(sum, value)| *sum += value);
+                    }
+                    assert_eq!(*meant, found, "{what}: weights of rule {rule}");
+                }
+            }
+            expected[0].updates
+        })
+        .sum();
+    assert!(updates > 50_000, "{updates} updates");
 }

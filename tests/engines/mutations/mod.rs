@@ -26,7 +26,7 @@ use nsim::ir::base::id::{ChannelId, ClassId, CompartmentId, CoreId, Id, IdVec};
 use nsim::ir::firing_rates::Rates;
 use nsim::ir::hardware::{Chip, Target};
 use nsim::ir::partition::CoreUsage;
-use nsim::ir::program::{Compartment, CoreImage, Messages, Parts, Program};
+use nsim::ir::program::{Compartment, CoreImage, Graded, Messages, Parts, Program};
 use nsim::ir::quantised::connectivity::SynapseFormat;
 use nsim::ir::resource::{Packing, Resource};
 use rayon::prelude::*;
@@ -160,7 +160,8 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
     chip.neuron_kinds.retain(|&family| family != kind.family());
     let found = verify(&program, &target.clone().with_chip(chip));
     assert!(matches!(&found, Err(Violation::Kind { kind: of, .. }) if *of == kind.name()), "seed {seed}: {found:?}");
-    if let Some(widest) = program.parts().graded.iter().map(|graded| graded.message.bits()).max() {
+    let sends = |graded: &&Graded| graded.sources.clone().any(|source| program.messages(source).len() > 0);
+    if let Some(widest) = program.parts().graded.iter().filter(sends).map(|graded| graded.message.bits()).max() {
         let narrow = Chip { message_bits: widest - 1, ..target.chip().clone() };
         let found = verify(&program, &target.clone().with_chip(narrow));
         assert!(matches!(found, Err(Violation::Message { bits, .. }) if bits == widest), "seed {seed}: {found:?}");

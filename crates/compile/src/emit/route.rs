@@ -102,7 +102,7 @@ pub(crate) fn route_classes(
         semantics: parts.semantics,
         threshold: parts.threshold,
         reset: parts.reset,
-        learning: ProgramLearning::of(network),
+        learning: ProgramLearning::in_network(network),
         assignment,
     })
     .map_err(|error| error.to_string())

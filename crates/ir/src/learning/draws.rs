@@ -2,7 +2,7 @@
 //!
 //! An entity is the row of a synapse, or the index of a source or target among those of the rule.
 //! So results depend on neither threads, cores nor the division into ranks. Copies of a network
-//! draw alike.
+//! have equal numbers.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;

@@ -1,4 +1,9 @@
+//! Rules of public tools, and texts that are refused.
+
+use std::sync::Arc;
+
 use super::*;
+use crate::base::id::RuleId;
 
 fn shown(text: &str) -> String {
     parse(text).unwrap_or_else(|problem| panic!("{text}: {} at {}", problem.message, problem.at)).to_string()

@@ -13,7 +13,6 @@
 //! are made, and a weight could not be recovered after a negative exponent.
 
 use crate::lanes::sums::Sums;
-use crate::layout::image::NOT_LOCAL;
 use nsim_dynamics::learning::Compiled;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
@@ -121,7 +120,7 @@ impl Columns {
     }
 
     /// A variable's column; empty where no rule uses it.
-    pub fn of(&self, variable: Variable) -> &[i16] {
+    pub fn column(&self, variable: Variable) -> &[i16] {
         match variable {
             Variable::Weight => &self.weights,
             Variable::Delay => &self.delays,
@@ -130,7 +129,7 @@ impl Columns {
     }
 
     /// A variable's column.
-    pub fn of_mut(&mut self, variable: Variable) -> &mut [i16] {
+    pub fn column_mut(&mut self, variable: Variable) -> &mut [i16] {
         match variable {
             Variable::Weight => &mut self.weights,
             Variable::Delay => &mut self.delays,
@@ -182,7 +181,7 @@ impl PlasticSynapses {
             let mut next = 0;
             for source in 0..sources as u32 {
                 all.iter_mut().for_each(PlasticSynapses::begin_row);
-                for found in of_source(program, &projection.of, source, &mut next, lanes) {
+                for found in of_source(program, &projection.of, source, &mut next) {
                     let lane = lanes[found.target.index()];
                     let shard = bases.partition_point(|&base| base <= lane) - 1;
                     let offset = sums.offset(found.target, projection.of.format, projection.of.delay.get());
@@ -241,11 +240,11 @@ impl PlasticSynapses {
 }
 
 /// The local synapses of a source of a projection, by target; `next` is the number of its first.
-fn of_source(program: &Program, of: &PlasticProjection, source: u32, next: &mut u32, lanes: &[u32]) -> Vec<Found> {
+fn of_source(program: &Program, of: &PlasticProjection, source: u32, next: &mut u32) -> Vec<Found> {
     let mut numbered = Vec::new();
     of.connectivity.for_each_from(source, |target, weight| {
         let target = CompartmentId(of.targets.start + target);
-        if lanes[target.index()] != NOT_LOCAL {
+        if program.is_local(program.seats()[target].core) {
             numbered.push(Found { target, weight, number: *next, dense: false });
         }
         *next += 1;

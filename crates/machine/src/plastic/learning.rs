@@ -539,7 +539,7 @@ impl Epoch<'_> {
             }
         };
         let columns = &mut *shard.state;
-        let old = |variable: Variable| match columns.of(variable).get(place) {
+        let old = |variable: Variable| match columns.column(variable).get(place) {
             Some(&value) => value.into(),
             None => delay as i32,
         };
@@ -550,7 +550,7 @@ impl Epoch<'_> {
         });
         for variable in Variable::ALL {
             if let Some(value) = new[variable as usize] {
-                columns.of_mut(variable)[place] = value;
+                columns.column_mut(variable)[place] = value;
             }
         }
         shard.updates += 1;
