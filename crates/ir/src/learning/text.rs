@@ -14,7 +14,9 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::{Change, Dependency, EXPONENTS, Factor, MANTISSAS, Product, Quantity, SLOWEST, Trace, Variable, WIDEST};
+use super::rule::{
+    Change, Dependency, EXPONENTS, Factor, MANTISSAS, Product, Quantity, SLOWEST, Trace, Variable, WIDEST,
+};
 
 /// The longest text, in bytes.
 const LONGEST: usize = 2000;
