@@ -48,7 +48,7 @@ pub enum Weights {
 }
 
 impl Weights {
-    /// The numbers of a model whose arrays are in place, as [`Network::resolved`] makes them.
+    /// The numbers of a model whose arrays are in place, as `Network::resolved` makes them.
     ///
     /// # Panics
     /// When they are elsewhere, an error of the caller.
