@@ -54,7 +54,7 @@ pub fn add(value: i16, impulse: Impulse, draw: impl FnOnce() -> u16) -> i16 {
 
 /// What a factor of a compiled product reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Read {
+enum Read {
     /// x0.
     Pre,
     /// y0.
@@ -63,8 +63,23 @@ pub enum Read {
     X(usize),
     /// A postsynaptic trace, 0 to 2.
     Y(usize),
-    /// The weight, the delay or the tag.
     Variable(Variable),
+}
+
+/// The most synapses that are evaluated together, so that a rule is interpreted once for all.
+pub const BATCH: usize = 256;
+
+/// Synapses for which the same dependencies are true. Each function writes one value a synapse;
+/// variables are those before this epoch's learning.
+pub trait Synapses {
+    /// Their number, at most [`BATCH`].
+    fn number(&self) -> usize;
+    /// A presynaptic trace, 0 or 1, at the time of a dependency.
+    fn x(&self, trace: usize, at: Dependency, values: &mut [i32]);
+    /// A postsynaptic trace, 0 to 2, at the time of a dependency.
+    fn y(&self, trace: usize, at: Dependency, values: &mut [i32]);
+    /// A variable.
+    fn variable(&self, variable: Variable, values: &mut [i32]);
 }
 
 #[derive(Debug, Clone, Copy)]
@@ -100,7 +115,20 @@ pub struct When {
 }
 
 impl When {
+    /// How many there are.
+    pub const COUNT: usize = 8;
+
+    /// Every one, by [`Self::index`].
+    pub fn all() -> [When; When::COUNT] {
+        std::array::from_fn(|index| When { pre: index & 1 > 0, post: index & 2 > 0, epoch: index & 4 > 0 })
+    }
+
+    /// Its place among all.
     #[inline]
+    pub fn index(self) -> usize {
+        usize::from(self.pre) | usize::from(self.post) << 1 | usize::from(self.epoch) << 2
+    }
+
     fn holds(self, dependency: Dependency) -> bool {
         match dependency {
             Dependency::Pre => self.pre,
@@ -110,13 +138,24 @@ impl When {
     }
 }
 
+/// The change of a variable where some dependencies are true.
+#[derive(Debug, Clone)]
+struct CompiledChange {
+    variable: Variable,
+    /// Whether the first product waits: it adds 0, and the sum is clipped.
+    clips_first: bool,
+    /// The products that count.
+    products: Box<[CompiledProduct]>,
+}
+
 /// A rule as the machine computes it.
 #[derive(Debug, Clone)]
 pub struct Compiled {
     rule: Rule,
     /// Decay of each trace; `None` where the trace is always 0.
     decays: [Option<Decay>; TRACES],
-    changes: Vec<(Variable, Vec<CompiledProduct>)>,
+    /// By [`When::index`]; none where the synapse is not evaluated.
+    changes: [Box<[CompiledChange]>; When::COUNT],
     accumulator: (i32, i32),
 }
 
@@ -128,11 +167,8 @@ impl Compiled {
             let overwritten = trace == Trace::X1 && rule.graded() != Graded::Regular;
             (settings.impulse != Impulse::default() || overwritten).then(|| Decay::new(settings.tau.get()))
         });
-        let semantics = rule.semantics();
-        let product = |product: &Product| CompiledProduct::new(product, semantics);
-        let change = |variable| (variable, rule.products(variable).iter().map(product).collect::<Vec<_>>());
-        let changes = Variable::ALL.map(change).into_iter().filter(|(_, products)| !products.is_empty()).collect();
-        Compiled { rule: rule.clone(), decays, changes, accumulator: semantics.accumulator() }
+        let changes = When::all().map(|when| CompiledChange::all(rule, when));
+        Compiled { rule: rule.clone(), decays, changes, accumulator: rule.semantics().accumulator() }
     }
 
     /// The rule.
@@ -156,7 +192,7 @@ impl Compiled {
     /// Whether a synapse is evaluated: the dependency of a product is true.
     #[inline]
     pub fn is_evaluated(&self, when: When) -> bool {
-        self.changes.iter().flat_map(|(_, products)| products).any(|product| when.holds(product.when))
+        !self.changes[when.index()].is_empty()
     }
 
     /// Whether the rule reads or changes a variable besides the weight.
@@ -168,41 +204,31 @@ impl Compiled {
                 .any(|product| product.factors.iter().any(|factor| factor.of == Quantity::Variable(variable)))
     }
 
-    /// The accumulators of the changed variables: (L6) up to rounding. `read` gives what a product
-    /// of this dependency reads; `old` the variables.
-    #[inline]
-    pub fn accumulate(
-        &self,
-        when: When,
-        old: impl Fn(Variable) -> i32,
-        read: impl Fn(Dependency, Read) -> i32,
-        mut change: impl FnMut(Variable, i32),
-    ) {
+    /// The accumulators of the changed variables: (L6) up to rounding. `change` gets one of each
+    /// synapse.
+    pub fn accumulate(&self, when: When, synapses: &impl Synapses, mut change: impl FnMut(Variable, &mut [i32])) {
         let (low, high) = self.accumulator;
-        for (variable, products) in &self.changes {
-            let mut sum = old(*variable) << 7;
-            for product in products {
-                // A product that waits adds 0, and the sum is clipped.
-                if !when.holds(product.when) {
-                    sum = sum.clamp(low, high);
-                    continue;
-                }
-                let mut m = 1;
-                for factor in &product.factors {
-                    let value = factor.plus
-                        + match factor.read {
-                            Read::Pre => i32::from(when.pre),
-                            Read::Post => i32::from(when.post),
-                            Read::Variable(variable) => old(variable),
-                            trace => read(product.when, trace),
-                        };
-                    m *= if factor.sign { value.signum() } else { value.clamp(factor.range.0, factor.range.1) };
-                }
-                m = (m * product.mantissa) >> product.down;
-                // At most 2^15 before the shift, and 15 bits of it.
-                sum = (sum + (m << product.up).clamp(low, high)).clamp(low, high);
+        let (mut sums, mut m, mut read) = ([0; BATCH], [0; BATCH], [0; BATCH]);
+        let [sums, m, read] = [&mut sums, &mut m, &mut read].map(|all| &mut all[..synapses.number()]);
+        for CompiledChange { variable, clips_first, products } in &self.changes[when.index()] {
+            synapses.variable(*variable, sums);
+            sums.iter_mut().for_each(|sum| *sum <<= 7);
+            if *clips_first {
+                sums.iter_mut().for_each(|sum| *sum = (*sum).clamp(low, high));
             }
-            change(*variable, sum);
+            for product in products {
+                m.fill(product.mantissa);
+                for factor in &product.factors {
+                    factor.read(when, product.when, synapses, read);
+                    factor.multiply(m, read);
+                }
+                for (sum, m) in sums.iter_mut().zip(&*m) {
+                    // At most 2^15 before the shift, and 15 bits of it.
+                    let added = ((m >> product.down) << product.up).clamp(low, high);
+                    *sum = (*sum + added).clamp(low, high);
+                }
+            }
+            change(*variable, sums);
         }
     }
 
@@ -211,19 +237,14 @@ impl Compiled {
         (old << 7).clamp(self.accumulator.0, self.accumulator.1)
     }
 
-    /// (L6), (L7): a variable after rounding its accumulator; `draw` is from 0 to below 1.
-    #[inline]
-    pub fn rounded(&self, variable: Variable, format: SynapseFormat, sum: i32, draw: impl FnOnce() -> f64) -> i16 {
+    /// How a variable is rounded.
+    pub fn rounding(&self, variable: Variable, format: SynapseFormat) -> Rounding {
         let step = match (variable, self.rule.semantics()) {
             (Variable::Weight, LearningSemantics::Silicon) => i32::from(format.sign.step(format.bits)),
             _ => 1,
         };
-        // Steps are powers of 2.
-        let unit = step << 7;
-        let (whole, rest) = (sum >> unit.trailing_zeros(), sum & (unit - 1));
-        let up = i32::from(rest > 0 && draw() < f64::from(rest) / f64::from(unit));
         let (low, high) = self.range(variable, format);
-        (step * (whole + up)).clamp(low, high) as i16
+        Rounding { step, bits: (step << 7).trailing_zeros(), low, high }
     }
 
     /// The values of a variable.
@@ -240,6 +261,76 @@ impl Compiled {
             (Variable::Weight, LearningSemantics::Lava, SignMode::Excitatory) => (0, 255),
             (Variable::Weight, LearningSemantics::Lava, SignMode::Inhibitory) => (-255, 0),
         }
+    }
+}
+
+/// (L6), (L7): from the accumulator of a variable to its new value.
+#[derive(Debug, Clone, Copy)]
+pub struct Rounding {
+    step: i32,
+    /// Bits of the accumulator below a step, which is a power of 2: at most 15.
+    bits: u32,
+    low: i32,
+    high: i32,
+}
+
+impl Rounding {
+    /// A random number from 0 to below 1, as whole units of the accumulator within a step.
+    pub fn share(&self, draw: f64) -> i32 {
+        (draw * f64::from(1 << self.bits)) as i32
+    }
+
+    /// The random number of which these are the bits after the point.
+    #[inline]
+    pub fn share_of_bits(&self, bits: u64) -> i32 {
+        (bits >> (64 - self.bits)) as i32
+    }
+
+    /// The new value: rounded up where the share is below the accumulator's fraction of a step.
+    #[inline]
+    pub fn rounded(&self, sum: i32, share: i32) -> i16 {
+        let (whole, rest) = (sum >> self.bits, sum & ((1 << self.bits) - 1));
+        (self.step * (whole + i32::from(share < rest))).clamp(self.low, self.high) as i16
+    }
+}
+
+impl CompiledFactor {
+    fn read(&self, when: When, at: Dependency, synapses: &impl Synapses, values: &mut [i32]) {
+        match self.read {
+            Read::Pre => values.fill(when.pre.into()),
+            Read::Post => values.fill(when.post.into()),
+            Read::X(trace) => synapses.x(trace, at, values),
+            Read::Y(trace) => synapses.y(trace, at, values),
+            Read::Variable(variable) => synapses.variable(variable, values),
+        }
+    }
+
+    fn multiply(&self, m: &mut [i32], read: &[i32]) {
+        let (low, high) = self.range;
+        for (m, read) in m.iter_mut().zip(read) {
+            let value = read + self.plus;
+            *m *= if self.sign { value.signum() } else { value.clamp(low, high) };
+        }
+    }
+}
+
+impl CompiledChange {
+    /// The changes of a rule where these dependencies are true; none where nothing is evaluated.
+    fn all(rule: &Rule, when: When) -> Box<[Self]> {
+        if !rule.all_products().any(|product| when.holds(product.when)) {
+            return Box::default();
+        }
+        let (semantics, mut all) = (rule.semantics(), Vec::new());
+        for variable in Variable::ALL.into_iter().filter(|&variable| rule.changes(variable)) {
+            let products = rule.products(variable);
+            let counts = products.iter().filter(|product| when.holds(product.when));
+            all.push(CompiledChange {
+                variable,
+                clips_first: !when.holds(products[0].when),
+                products: counts.map(|product| CompiledProduct::new(product, semantics)).collect(),
+            });
+        }
+        all.into()
     }
 }
 

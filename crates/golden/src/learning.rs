@@ -162,8 +162,8 @@ impl Learner {
         if self.is_signal(trace) { 65_535.0 } else { self.rule.trace(trace).tau.get() }
     }
 
-    fn place(&self, of: Use, trace: Trace, entity: u32, step: u64) -> Place {
-        Place { rule: self.id, of, part: trace.index() as u8, entity, step }
+    fn place(&self, of: Use, trace: Trace, step: u64) -> Place {
+        Place { rule: self.id, of, part: trace.index() as u8, step }
     }
 
     /// (L9) for (L3): r of a further spike.
@@ -174,7 +174,7 @@ impl Learner {
             (LearningSemantics::Lava, false) => numbers.draws.shared(self.id, Use::Post, step, now),
             (LearningSemantics::Silicon, pre) => {
                 let of = if pre { Use::Pre } else { Use::Post };
-                (numbers.draws.bits(self.place(of, trace, entity, now)) >> 56) as f64
+                (numbers.draws.at(self.place(of, trace, now)).bits(entity) >> 56) as f64
             }
         }
     }
@@ -184,7 +184,7 @@ impl Learner {
         let of = if trace.is_presynaptic() { Use::PreDecay } else { Use::PostDecay };
         match self.is_lava() {
             true => self.shared(numbers, of, last),
-            false => numbers.draws.unit(self.place(of, trace, entity, numbers.base + u64::from(step))),
+            false => numbers.draws.at(self.place(of, trace, numbers.base + u64::from(step))).unit(entity),
         }
     }
 
@@ -193,7 +193,10 @@ impl Learner {
         let of = if trace.is_presynaptic() { Use::PreImpulse } else { Use::PostImpulse };
         match self.is_lava() {
             true => self.shared(numbers, of, last),
-            false => (numbers.draws.bits(self.place(of, trace, entity, numbers.base + u64::from(last))) >> 56) as f64,
+            false => {
+                let place = self.place(of, trace, numbers.base + u64::from(last));
+                (numbers.draws.at(place).bits(entity) >> 56) as f64
+            }
         }
     }
 
@@ -203,7 +206,7 @@ impl Learner {
         let part = variable as u8;
         match self.is_lava() {
             true => self.shared(numbers, Use::Round, last),
-            false => numbers.draws.unit(Place { rule: self.id, of: Use::Round, part, entity: row, step }),
+            false => numbers.draws.at(Place { rule: self.id, of: Use::Round, part, step }).unit(row),
         }
     }
 

@@ -26,6 +26,12 @@ pub(crate) fn prefetch<T>(slice: &[T], index: usize) {
     let _ = (slice, index);
 }
 
+/// Prefetches the lines that hold these elements.
+#[inline]
+pub(crate) fn prefetch_range<T>(slice: &[T], range: std::ops::Range<usize>) {
+    range.step_by(LINE / size_of::<T>()).for_each(|index| prefetch(slice, index));
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -56,19 +56,35 @@ pub struct Draws {
     pub recorded: Arc<IdVec<RuleId, Option<Recorded>>>,
 }
 
-/// Place of a random number that an entity draws for itself.
+/// What random numbers decide in a step, one for each entity.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Place {
     /// The rule.
     pub rule: RuleId,
-    /// Its use.
+    /// Their use.
     pub of: Use,
     /// Number of the trace or variable among those of the rule.
     pub part: u8,
-    /// The synapse, source or target.
-    pub entity: u32,
     /// The step, counted over the samples since learning began.
     pub step: u64,
+}
+
+/// The random numbers of a place.
+#[derive(Debug, Clone, Copy)]
+pub struct Numbers(u64);
+
+impl Numbers {
+    /// 64 random bits for an entity: a synapse, a source or a target.
+    #[inline]
+    pub fn bits(self, entity: u32) -> u64 {
+        rng::digest(self.0, entity.into())
+    }
+
+    /// A real number in [0, 1) with 53 bits.
+    #[inline]
+    pub fn unit(self, entity: u32) -> f64 {
+        (self.bits(entity) >> 11) as i64 as f64 / (1u64 << 53) as f64
+    }
 }
 
 impl Draws {
@@ -77,17 +93,10 @@ impl Draws {
         Draws { seed, ..Draws::default() }
     }
 
-    /// 64 random bits for one entity: a function of the seed and the place.
-    #[inline]
-    pub fn bits(&self, Place { rule, of, part, entity, step }: Place) -> u64 {
-        let entity = u64::from(entity) | u64::from(part) << 32 | (of as u64) << 40 | (rule.index() as u64) << 44;
-        rng::bits(self.seed, entity, step)
-    }
-
-    /// A real number in [0, 1) with 53 bits, for one entity.
-    #[inline]
-    pub fn unit(&self, place: Place) -> f64 {
-        (self.bits(place) >> 11) as f64 / (1u64 << 53) as f64
+    /// The random numbers of a place: a function of the seed, the place and the entity.
+    pub fn at(&self, Place { rule, of, part, step }: Place) -> Numbers {
+        let part = u64::from(part) | (of as u64) << 8 | (rule.index() as u64) << 16;
+        Numbers(rng::bits(self.seed, part, step))
     }
 
     /// The number that all entities of a rule share: real in [0, 1), or whole from 0 to 127.
@@ -97,7 +106,7 @@ impl Draws {
         if let Some(numbers) = recorded {
             return numbers.get(number as usize).copied().unwrap_or(0.0);
         }
-        let place = Place { rule, of, part: 0, entity: 0, step };
-        if of.is_whole() { (self.bits(place) >> 57) as f64 } else { self.unit(place) }
+        let numbers = self.at(Place { rule, of, part: 0, step });
+        if of.is_whole() { (numbers.bits(0) >> 57) as f64 } else { numbers.unit(0) }
     }
 }

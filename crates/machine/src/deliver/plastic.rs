@@ -1,9 +1,13 @@
 //! Delivery over plastic synapses, synapse by synapse, with the current weights and delays.
 
+use std::ops::Range;
+
 use crate::deliver::accumulate::Accumulate;
 use crate::deliver::delay_ring::{DelayRing, Now};
 use crate::lanes::kernel::Sum;
-use crate::layout::plastic::{Columns, Plan, PlasticSynapses};
+use crate::layout::plastic::{Columns, Plan, PlasticSynapses, ProjectionPlan};
+use crate::layout::shard::SKIP_BLOCK;
+use crate::prefetch::prefetch_range;
 use nsim_dynamics::arithmetic::scaled;
 use nsim_ir::base::fixed::WEIGHT_SHIFT;
 use nsim_ir::spikes::Spike;
@@ -27,26 +31,56 @@ impl<S: Sum> DelayRing<S> {
     {
         self.note_spikes(spikes);
         let mut events = 0;
-        for spike in spikes {
-            let source = first as usize + spike.source();
-            for &number in plan.of_source.get(source) {
-                let projection = &plan.projections[number as usize];
-                let index = source - projection.of.sources.start as usize;
-                let (format, delay) = (projection.of.format, projection.of.delay.get());
-                for place in synapses.projections[number as usize].of_source(index) {
-                    let delay = if projection.moves { state.delays[place] as u8 } else { delay };
-                    if u32::from(delay) >= now.left {
-                        continue;
+        for (place, spike) in spikes.iter().enumerate() {
+            if let Some(ahead) = spikes.get(place + AHEAD) {
+                for (_, places) in rows(plan, synapses, first as usize + ahead.source()) {
+                    prefetch_range(&synapses.lanes, places.clone());
+                    prefetch_range(&state.weights, places);
+                }
+            }
+            for (projection, places) in rows(plan, synapses, first as usize + spike.source()) {
+                let format = projection.of.format;
+                let units = |place: usize| (scaled(format, state.weights[place]) >> WEIGHT_SHIFT) as i16;
+                if projection.moves {
+                    for place in places.filter(|&place| (state.delays[place] as u32) < now.left) {
+                        let at = self.slot(now, state.delays[place] as u8) + synapses.lanes[place] as usize;
+                        self.add(at, units(place), spike.payload());
+                        events += 1;
                     }
-                    let (slot, lane) = (self.slot(now, delay), synapses.lanes[place] as usize);
-                    let units = (scaled(format, state.weights[place]) >> WEIGHT_SHIFT) as i16;
-                    let sum = &mut self.sums[slot + lane];
-                    *sum = sum.accumulate(units, spike.payload());
-                    self.mark(slot, lane..lane + 1);
-                    events += 1;
+                } else if u32::from(projection.of.delay.get()) < now.left {
+                    events += places.len() as u64;
+                    let slot = self.slot(now, projection.of.delay.get());
+                    for place in places {
+                        self.add(slot + synapses.lanes[place] as usize, units(place), spike.payload());
+                    }
                 }
             }
         }
         events
     }
+
+    #[inline(always)]
+    fn add<P>(&mut self, at: usize, units: i16, payload: P)
+    where
+        S: Accumulate<P>,
+    {
+        self.sums[at] = self.sums[at].accumulate(units, payload);
+        self.marks[at / SKIP_BLOCK] = 1;
+    }
+}
+
+/// Spikes between the prefetch of a row and its use.
+const AHEAD: usize = 2;
+
+/// The rows of a source: the projection, and the places of its synapses.
+fn rows<'a>(
+    plan: &'a Plan,
+    synapses: &'a PlasticSynapses,
+    source: usize,
+) -> impl Iterator<Item = (&'a ProjectionPlan, Range<usize>)> {
+    plan.of_source.get(source).iter().map(move |&number| {
+        let projection = &plan.projections[number as usize];
+        let index = source - projection.of.sources.start as usize;
+        (projection, synapses.projections[number as usize].of_source(index))
+    })
 }

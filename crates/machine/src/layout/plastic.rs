@@ -94,8 +94,7 @@ pub(crate) struct PlasticSynapses {
     pub projections: Vec<Rows>,
     /// Lane of the sum that each adds to, within the shard.
     pub lanes: Vec<u32>,
-    /// Source and target of each, within their populations.
-    pub sources: Vec<u32>,
+    /// Target of each, within its population.
     pub targets: Vec<u32>,
     /// Row of each among those of its rule.
     pub row_of: Vec<u32>,
@@ -143,10 +142,21 @@ impl Columns {
 pub(crate) struct Rows {
     /// First place of each source, and the end of the last.
     pub firsts: Vec<u32>,
-    /// Places by target.
-    pub by_target: Csr<u32>,
+    /// Synapses by target.
+    pub by_target: Csr<Incoming>,
     /// Core of each target.
     pub core_of: Vec<CoreId>,
+}
+
+/// A synapse as its target finds it: what is needed lies together, since its columns are far
+/// apart.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Incoming {
+    pub place: u32,
+    /// Its source, within the population.
+    pub source: u32,
+    /// Its row among those of its rule.
+    pub row: u32,
 }
 
 impl Rows {
@@ -185,7 +195,7 @@ impl PlasticSynapses {
                     let lane = lanes[found.target.index()];
                     let shard = bases.partition_point(|&base| base <= lane) - 1;
                     let offset = sums.offset(found.target, projection.of.format, projection.of.delay.get());
-                    all[shard].push(projection, source, &found, lane - bases[shard] + offset, plan);
+                    all[shard].push(projection, &found, lane - bases[shard] + offset, plan);
                 }
             }
             for of_shard in &mut all {
@@ -203,10 +213,9 @@ impl PlasticSynapses {
         }
     }
 
-    fn push(&mut self, projection: &ProjectionPlan, source: u32, found: &Found, lane: u32, plan: &Plan) {
+    fn push(&mut self, projection: &ProjectionPlan, found: &Found, lane: u32, plan: &Plan) {
         let (of, number) = (&projection.of, found.number as usize);
         self.lanes.push(lane);
-        self.sources.push(source);
         self.targets.push(found.target.0 - of.targets.start);
         self.row_of.push(of.plastic.rows[number]);
         self.dense.push(found.dense);
@@ -223,9 +232,13 @@ impl PlasticSynapses {
     /// Indexes the places of the last projection by target.
     fn index_targets(&mut self, targets: usize) {
         let Some(rows) = self.projections.last_mut() else { return };
-        let places = rows.firsts.first().copied().unwrap_or(0)..rows.firsts.last().copied().unwrap_or(0);
         rows.by_target = Csr::by_row(targets, |put| {
-            places.clone().for_each(|place| put(self.targets[place as usize] as usize, place));
+            for source in 0..rows.firsts.len() as u32 - 1 {
+                for place in rows.firsts[source as usize]..rows.firsts[source as usize + 1] {
+                    let row = self.row_of[place as usize];
+                    put(self.targets[place as usize] as usize, Incoming { place, source, row });
+                }
+            }
         });
     }
 
@@ -234,8 +247,8 @@ impl PlasticSynapses {
         let rows = self
             .projections
             .iter()
-            .map(|rows| 4 * (rows.firsts.len() + rows.by_target.items().len() + rows.by_target.len()));
-        17 * self.lanes.len() + self.first.bytes() + rows.sum::<usize>()
+            .map(|rows| 4 * (rows.firsts.len() + 3 * rows.by_target.items().len() + rows.by_target.len()));
+        13 * self.lanes.len() + self.first.bytes() + rows.sum::<usize>()
     }
 }
 

@@ -9,14 +9,16 @@ use std::ops::Range;
 use rayon::prelude::*;
 
 use crate::layout::image::Image;
-use crate::layout::plastic::{Columns, PlasticSynapses, ProjectionPlan, Rows};
+use crate::layout::plastic::{Plan, ProjectionPlan};
+use crate::plastic::epoch::Epoch;
+use crate::plastic::signals::Signals;
 use crate::plastic::traces::{Side, Source, Traces};
 use crate::update::state::ShardState;
-use nsim_dynamics::learning::{Compiled, Read, When, decayed_signal};
+use nsim_dynamics::learning::Compiled;
 use nsim_ir::activity::StepActivity;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id, RuleId};
-use nsim_ir::learning::draws::{Draws, Use};
-use nsim_ir::learning::{Dependency, GREATEST_TRACE, LearningSemantics, Trace, Variable};
+use nsim_ir::learning::draws::Draws;
+use nsim_ir::learning::{Dependency, Trace};
 use nsim_ir::spikes::Spikes;
 
 /// Learning of a run: random numbers, traces and notes.
@@ -81,11 +83,12 @@ impl Learning {
     pub fn new(image: &Image) -> Self {
         let plan = &image.plastic;
         let state = |projection: &ProjectionPlan| {
-            let (of, units) = (&projection.of, projection.of.sources.len());
+            let (of, rule) = (&projection.of, &plan.rules[projection.of.plastic.rule]);
+            let (first, late) = (of.plastic.first_source, projection.sees_late);
             State {
-                pre: Traces::new(Side::Pre, of.plastic.first_source, units, projection.sees_late),
-                post: Traces::new(Side::Post, 0, of.targets.len(), false),
-                signals: Signals::new(projection, plan.rules[of.plastic.rule].rule().epoch()),
+                pre: Traces::new(Side::Pre, first, of.sources.len(), late, rule),
+                post: Traces::new(Side::Post, 0, of.targets.len(), false, rule),
+                signals: Signals::new(projection, rule.rule().epoch()),
             }
         };
         let signals = || plan.projections.iter().flat_map(|projection| projection.of.signals.iter().flatten());
@@ -155,21 +158,24 @@ impl Learning {
             pre.make_histories(&source);
             post.make_histories(&source);
             signals.make_histories(post, &source);
-            let epoch = Epoch { projection, compiled, pre, post, source, signals };
+            let round = source.shared_round();
+            let epoch = Epoch { projection, compiled, pre, post, source, round, signals };
             let before: Option<Vec<u64>> = changes.is_some().then(|| updates_by_core(shards));
-            let learned = shards.par_iter_mut().zip(&image.shards).map(|(state, shard)| {
-                let ShardState { state, .. } = state;
-                epoch.learn(&shard.plastic, &shard.plastic.projections[index], &mut state.plastic, &mut state.updates)
-            });
-            self.updates += learned.sum::<u64>();
+            self.updates += match (&mut *shards, image.shards.as_slice()) {
+                ([state], [shard]) => epoch.learn(index, state, shard),
+                (states, shards) => {
+                    let pairs = states.par_iter_mut().zip(shards);
+                    pairs.map(|(state, shard)| epoch.learn(index, state, shard)).sum()
+                }
+            };
             if let (Some(changes), Some(before)) = (&mut changes, before) {
                 let by_core = updates_by_core(shards).into_iter().zip(before).enumerate();
                 changes.extend(by_core.filter(|(_, (now, before))| now > before).map(|(core, (now, before))| {
                     StepChange::Updates { core: CoreId::new(core), updates: now - before }
                 }));
             }
-            pre.end_epoch(step, rule.epoch());
-            post.end_epoch(step, rule.epoch());
+            pre.end_epoch(step);
+            post.end_epoch(step);
         }
     }
 
@@ -191,37 +197,20 @@ impl Learning {
     /// (L3) for all spikes of a step.
     fn note(&mut self, step: u32, delivered: Delivered<'_>, image: &Image) {
         let plan = &image.plastic;
-        let Learning { draws, base, projections, .. } = self;
         let Delivered { channels, compartments, values } = delivered;
-        let mut each =
-            |units: &[u32], unit: u32, see: &mut dyn FnMut(&mut State, u32, &ProjectionPlan, &Source<'_>)| {
-                for &number in units {
-                    let projection = &plan.projections[number as usize];
-                    let compiled = &plan.rules[projection.of.plastic.rule];
-                    if compiled.rule().learns() && compiled.rule().notes(step) {
-                        let source = source(draws, *base, step, projection, compiled);
-                        see(&mut projections[number as usize], unit, projection, &source);
-                    }
-                }
-            };
-        let pre = |state: &mut State, unit: u32, projection: &ProjectionPlan, source: &Source<'_>, value: i32| {
-            state.pre.note(unit - projection.of.sources.start, value, source);
-        };
         for (place, channel) in channels.ids.iter().enumerate() {
             let value = image.value_of(channel.index(), channels.values.get(place).copied());
-            each(plan.of_source.get(channel.index()), channel.0, &mut |state, unit, projection, source| {
-                pre(state, unit, projection, source, value);
-            });
+            self.note_source(step, channel.0, value, plan);
         }
         for (place, compartment) in compartments.iter().enumerate() {
             let unit = image.channels + compartment.0;
             let value = image.value_of(unit as usize, values.get(place).copied());
-            each(plan.of_source.get(unit as usize), unit, &mut |state, unit, projection, source| {
-                pre(state, unit, projection, source, value);
-            });
-            each(plan.of_target.get(compartment.index()), compartment.0, &mut |state, unit, projection, source| {
-                state.post.note(unit - projection.of.targets.start, 1, source);
-            });
+            self.note_source(step, unit, value, plan);
+            for &number in plan.of_target.get(compartment.index()) {
+                if let Some((state, projection, source)) = self.noting(step, number, plan) {
+                    state.post.note(compartment.0 - projection.of.targets.start, 1, &source);
+                }
+            }
         }
         self.note_overflows(step, delivered, image);
         for (projection, state) in plan.projections.iter().zip(&mut self.projections) {
@@ -231,6 +220,29 @@ impl Learning {
                 state.signals.store(k, projection, self.of_signals.start, &self.signals);
             }
         }
+    }
+
+    /// Notes the spike of a source, whose message carries this value.
+    fn note_source(&mut self, step: u32, unit: u32, value: i32, plan: &Plan) {
+        for &number in plan.of_source.get(unit as usize) {
+            if let Some((state, projection, source)) = self.noting(step, number, plan) {
+                state.pre.note(unit - projection.of.sources.start, value, &source);
+            }
+        }
+    }
+
+    /// The state of the projection of this number, if it notes the spikes of this step.
+    fn noting<'a>(
+        &'a mut self,
+        step: u32,
+        number: u32,
+        plan: &'a Plan,
+    ) -> Option<(&'a mut State, &'a ProjectionPlan, Source<'a>)> {
+        let projection = &plan.projections[number as usize];
+        let compiled = &plan.rules[projection.of.plastic.rule];
+        let Learning { draws, base, projections, .. } = self;
+        (compiled.rule().learns() && compiled.rule().notes(step))
+            .then(|| (&mut projections[number as usize], projection, source(draws, *base, step, projection, compiled)))
     }
 
     /// Adds nothing to the traces that exceed 7 bits, as lava does in each step (L11).
@@ -298,272 +310,4 @@ fn source<'a>(
     compiled: &'a Compiled,
 ) -> Source<'a> {
     Source { draws, rule: projection.of.plastic.rule, compiled, step, since: base + u64::from(step) }
-}
-
-/// Values of the signals of a projection, which replace postsynaptic traces: (L10).
-#[derive(Debug, Clone, Default)]
-struct Signals {
-    /// Values of each trace's channels by step of the epoch from 1 on; none where there is no
-    /// signal.
-    given: [Option<Vec<Vec<i32>>>; 3],
-    /// In lava's semantics, each trace's history in the epoch that ends: by target, then step.
-    histories: [Vec<i32>; 3],
-}
-
-impl Signals {
-    fn new(projection: &ProjectionPlan, epoch: u32) -> Self {
-        let given = projection.of.signals.clone().map(|channels| {
-            let channels = channels?.len();
-            Some(vec![vec![0; channels]; epoch as usize + 1])
-        });
-        Signals { given, histories: Default::default() }
-    }
-
-    fn clear(&mut self) {
-        self.given.iter_mut().flatten().flatten().for_each(|values| values.fill(0));
-    }
-
-    /// Stores the values of step k; `all` has those of the channels from `first` on.
-    fn store(&mut self, k: u32, projection: &ProjectionPlan, first: u32, all: &[i32]) {
-        for (given, channels) in self.given.iter_mut().zip(&projection.of.signals) {
-            if let (Some(given), Some(channels)) = (given, channels) {
-                let values = &all[(channels.start - first) as usize..(channels.end - first) as usize];
-                given[k as usize].copy_from_slice(values);
-                // The last value is kept beyond the epoch, for probes.
-                given[0].copy_from_slice(values);
-            }
-        }
-    }
-
-    /// The last value of a trace by target.
-    fn column(&self, trace: usize, targets: usize) -> Option<Vec<i32>> {
-        let last = &self.given[trace].as_ref()?[0];
-        Some((0..targets).map(|target| last[target.min(last.len() - 1)]).collect())
-    }
-
-    /// In lava a trace decays from its last value, over the whole epoch, and a spike cuts it.
-    fn make_histories(&mut self, post: &Traces, source: &Source<'_>) {
-        let rule = source.compiled.rule();
-        if rule.semantics() != LearningSemantics::Lava {
-            return;
-        }
-        let epoch = rule.epoch();
-        let draw = || source.draws.shared(source.rule, Use::PostDecay, (source.step + 1) / epoch - 1, source.since);
-        for trace in 0..3 {
-            let Some(values) = self.column(trace, post.units()) else { continue };
-            let (history, draw) = (&mut self.histories[trace], draw());
-            history.clear();
-            for (target, mut value) in values.into_iter().enumerate() {
-                history.push(value);
-                for k in 1..=epoch {
-                    value = decayed_signal(value, draw);
-                    if k == post.note_of(target) {
-                        value = value.clamp(0, GREATEST_TRACE);
-                    }
-                    history.push(value);
-                }
-            }
-        }
-    }
-
-    /// The value of a trace at step k of the epoch, where a signal gives it.
-    #[inline]
-    fn at(&self, trace: usize, target: usize, k: u32) -> Option<i32> {
-        let given = self.given[trace].as_ref()?;
-        if let Some(&value) = self.histories[trace].get(target * given.len() + k as usize) {
-            return Some(value);
-        }
-        let values = &given[k as usize];
-        Some(values[target.min(values.len() - 1)])
-    }
-}
-
-/// The learning of a projection at the end of an epoch.
-struct Epoch<'a> {
-    projection: &'a ProjectionPlan,
-    compiled: &'a Compiled,
-    pre: &'a Traces,
-    post: &'a Traces,
-    source: Source<'a>,
-    signals: &'a Signals,
-}
-
-/// What the synapses of one source read.
-#[derive(Clone, Copy)]
-struct OfSource<'a> {
-    source: usize,
-    /// Step of the source's last spike in the epoch; 0 for none.
-    tx: u32,
-    history: &'a [[i16; 3]],
-}
-
-/// Visits to a synapse by its target's column for which all synapses can be looked through.
-const COLUMN_VISIT: usize = 16;
-
-impl Epoch<'_> {
-    /// Changes the synapses of a shard; returns how many were evaluated.
-    fn learn(&self, synapses: &PlasticSynapses, rows: &Rows, state: &mut Columns, by_core: &mut [u64]) -> u64 {
-        let mut shard = OfShard { synapses, rows, state, by_core, updates: 0 };
-        self.raise_least_tags(&mut shard);
-        match self.projection.sees_late {
-            true => self.visit::<true>(&mut shard),
-            false => self.visit::<false>(&mut shard),
-        }
-        shard.updates
-    }
-
-    /// lava clips the accumulator of a tag of -257 although no product counts, which mostly makes it
-    /// -256 (L6). These synapses are not counted as evaluated.
-    fn raise_least_tags(&self, shard: &mut OfShard<'_>) {
-        let rule = self.compiled.rule();
-        let least = rule.semantics().tags().0;
-        if !rule.changes(Variable::Tag) || self.compiled.unchanged(least) == least << 7 {
-            return;
-        }
-        let slow = self.is_slow();
-        for source in 0..shard.rows.firsts.len() - 1 {
-            for place in shard.rows.of_source(source) {
-                let target = shard.synapses.targets[place] as usize;
-                let (pre, post) = (self.pre.note_of(source) > 0, self.post.note_of(target) > 0);
-                let is_least = i32::from(shard.state.tags[place]) == least;
-                if is_least && !self.compiled.is_evaluated(When { pre, post, epoch: slow }) {
-                    let round = || self.source.round(Variable::Tag as u8, shard.synapses.row_of[place]);
-                    let (sum, format) = (self.compiled.unchanged(least), self.projection.of.format);
-                    shard.state.tags[place] = self.compiled.rounded(Variable::Tag, format, sum, round);
-                }
-            }
-        }
-    }
-
-    /// Whether u is true in this epoch.
-    fn is_slow(&self) -> bool {
-        let rule = self.compiled.rule();
-        let number = (self.source.step + 1) / rule.epoch();
-        rule.waits_for(Dependency::Epoch) && number.is_multiple_of(1 << rule.slow())
-    }
-
-    /// Visits each synapse that may be evaluated. Each is visited once, so order does not matter.
-    fn visit<const LATE: bool>(&self, shard: &mut OfShard<'_>) {
-        let (rule, rows) = (self.compiled.rule(), shard.rows);
-        let slow = self.is_slow();
-        let (by_rows, by_columns) = (rule.waits_for(Dependency::Pre), rule.waits_for(Dependency::Post));
-        let all = rows.firsts.len() - 1;
-        let places = (rows.firsts[all] - rows.firsts[0]) as usize;
-        let of_columns = |&target: &u32| rows.by_target.get(target as usize).len();
-        let columns: usize = self.post.noted().iter().filter(|_| by_columns).map(of_columns).sum();
-        if slow || (columns > 0 && COLUMN_VISIT * columns >= places) {
-            for source in 0..all {
-                let of_source = self.of_source(source);
-                let whole = slow || by_rows && self.may_have_spiked::<LATE>(source);
-                for place in rows.of_source(source) {
-                    let target = shard.synapses.targets[place] as usize;
-                    if whole || by_columns && self.post.note_of(target) > 0 {
-                        self.change::<LATE>(of_source, target, place, slow, shard);
-                    }
-                }
-            }
-            return;
-        }
-        // A source's spikes of earlier epochs may be seen in this one.
-        let sources = if LATE { self.pre.live() } else { self.pre.noted() };
-        for &source in sources.iter().filter(|_| by_rows) {
-            let of_source = self.of_source(source as usize);
-            for place in rows.of_source(source as usize) {
-                let target = shard.synapses.targets[place] as usize;
-                self.change::<LATE>(of_source, target, place, false, shard);
-            }
-        }
-        for &target in self.post.noted().iter().filter(|_| by_columns) {
-            for &place in rows.by_target.get(target as usize) {
-                let source = shard.synapses.sources[place as usize] as usize;
-                // Synapses of the rows above have learned.
-                if !(by_rows && self.may_have_spiked::<LATE>(source)) {
-                    self.change::<LATE>(self.of_source(source), target as usize, place as usize, false, shard);
-                }
-            }
-        }
-    }
-
-    /// Whether a spike of a source may be seen in this epoch.
-    #[inline]
-    fn may_have_spiked<const LATE: bool>(&self, source: usize) -> bool {
-        if LATE { self.pre.is_live(source) } else { self.pre.note_of(source) > 0 }
-    }
-
-    #[inline]
-    fn of_source(&self, source: usize) -> OfSource<'_> {
-        let history = self.pre.history(source, self.compiled.rule().epoch());
-        OfSource { source, tx: self.pre.note_of(source), history }
-    }
-
-    /// Evaluates a synapse, if the dependency of a product is true.
-    #[inline]
-    fn change<const LATE: bool>(
-        &self,
-        OfSource { source, mut tx, history }: OfSource<'_>,
-        target: usize,
-        place: usize,
-        slow: bool,
-        shard: &mut OfShard<'_>,
-    ) {
-        let of = &self.projection.of;
-        let delay = match self.projection.moves {
-            true => shard.state.delays[place].into(),
-            false => i64::from(of.delay.get()),
-        };
-        let (epoch, end) = (self.compiled.rule().epoch(), i64::from(self.source.step));
-        let begin = end - i64::from(epoch);
-        if LATE {
-            let spiked = self.pre.late_spike(source, end - delay, epoch);
-            tx = spiked.map_or(0, |step| step + delay - begin) as u32;
-        }
-        let ty = self.post.note_of(target);
-        let when = When { pre: tx > 0, post: ty > 0, epoch: slow };
-        if !self.compiled.is_evaluated(when) {
-            return;
-        }
-        let of_target = self.post.history(target, epoch);
-        let read = |dependency: Dependency, read: Read| {
-            let k = match dependency {
-                Dependency::Pre => tx,
-                Dependency::Post => ty,
-                Dependency::Epoch => epoch,
-            };
-            match read {
-                Read::X(trace) if LATE => self.pre.late_at(source, begin + i64::from(k) - delay, trace),
-                Read::X(trace) => history[k as usize][trace].into(),
-                Read::Y(trace) => {
-                    self.signals.at(trace, target, k).unwrap_or_else(|| of_target[k as usize][trace].into())
-                }
-                _ => 0,
-            }
-        };
-        let columns = &mut *shard.state;
-        let old = |variable: Variable| match columns.column(variable).get(place) {
-            Some(&value) => value.into(),
-            None => delay as i32,
-        };
-        let mut new = [None; 3];
-        self.compiled.accumulate(when, old, read, |variable, sum| {
-            let round = || self.source.round(variable as u8, shard.synapses.row_of[place]);
-            new[variable as usize] = Some(self.compiled.rounded(variable, of.format, sum, round));
-        });
-        for variable in Variable::ALL {
-            if let Some(value) = new[variable as usize] {
-                columns.column_mut(variable)[place] = value;
-            }
-        }
-        shard.updates += 1;
-        shard.by_core[shard.rows.core_of[target].index()] += 1;
-    }
-}
-
-/// The synapses of a projection in a shard, while they learn.
-struct OfShard<'a> {
-    synapses: &'a PlasticSynapses,
-    rows: &'a Rows,
-    state: &'a mut Columns,
-    /// Updates of each core.
-    by_core: &'a mut [u64],
-    updates: u64,
 }

@@ -2,8 +2,12 @@
 //!
 //! - `places`: the plastic synapses of each projection of a network.
 //! - `traces`: notes and traces of sources and targets.
-//! - `learning`: the phase in which a rule changes weights, delays and tags.
+//! - `signals`: values of input populations that replace traces.
+//! - `epoch`: the end of an epoch, in which a rule changes weights, delays and tags.
+//! - `learning`: the phase Learn, step by step.
 
+pub(crate) mod epoch;
 pub(crate) mod learning;
 pub mod places;
+pub(crate) mod signals;
 pub(crate) mod traces;

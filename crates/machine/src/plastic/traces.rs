@@ -5,17 +5,13 @@
 
 use nsim_dynamics::learning::{Compiled, add};
 use nsim_ir::base::id::RuleId;
-use nsim_ir::learning::draws::{Draws, Place, Use};
-use nsim_ir::learning::{Graded, LONGEST_EPOCH, LearningSemantics, Trace};
+use nsim_ir::learning::draws::{Draws, Numbers, Place, Use};
+use nsim_ir::learning::{Graded, LearningSemantics, Trace, Variable};
 
 /// Traces of one side: two presynaptic or three postsynaptic ones, the first of five each.
 const MOST: usize = 3;
 /// Steps of which late spikes and traces are kept: a delay of 62, an epoch of 63.
 const KEPT: usize = 128;
-/// The history of a unit whose traces are 0.
-static SILENT: [[i16; MOST]; LONGEST_EPOCH as usize + 1] = [[0; MOST]; LONGEST_EPOCH as usize + 1];
-/// A unit without history: its traces are 0 in the whole epoch.
-const NO_SLOT: u32 = u32::MAX;
 
 /// Where random numbers of a projection come from.
 #[derive(Debug, Clone, Copy)]
@@ -38,12 +34,19 @@ impl Source<'_> {
         (self.step + 1) / self.compiled.rule().epoch() - 1
     }
 
-    /// The number that decides about the rounding of a variable of a synapse.
-    pub fn round(&self, part: u8, entity: u32) -> f64 {
-        if self.is_shared() {
-            return self.draws.shared(self.rule, Use::Round, self.epoch(), self.since);
-        }
-        self.draws.unit(Place { rule: self.rule, of: Use::Round, part, entity, step: self.since })
+    /// The numbers that units draw for a trace at a step, counted since learning began.
+    fn of_trace(&self, of: Use, trace: Trace, step: u64) -> Numbers {
+        self.draws.at(Place { rule: self.rule, of, part: trace.index() as u8, step })
+    }
+
+    /// The number that decides about the rounding of all synapses, where they share it.
+    pub fn shared_round(&self) -> Option<f64> {
+        self.is_shared().then(|| self.draws.shared(self.rule, Use::Round, self.epoch(), self.since))
+    }
+
+    /// The numbers that decide about the rounding of a variable, by row.
+    pub fn round(&self, variable: Variable) -> Numbers {
+        self.draws.at(Place { rule: self.rule, of: Use::Round, part: variable as u8, step: self.since })
     }
 
     /// A step of this number in the epoch that ends, since learning began.
@@ -81,7 +84,7 @@ struct Late {
     /// Noted steps of each unit, one bit each, by the step modulo [`KEPT`].
     spikes: Vec<u128>,
     /// Traces of each unit, by the step modulo [`KEPT`].
-    past: Vec<[i16; MOST]>,
+    past: Vec<[u8; MOST]>,
 }
 
 /// Traces and notes of the units of one side.
@@ -90,19 +93,22 @@ pub(crate) struct Traces {
     side: Side,
     /// Index of the first unit among those of the rule.
     first: u32,
-    /// Traces at the epoch's start, with the additions of the epoch.
-    values: Vec<[i16; MOST]>,
-    /// The step of the last spike in this epoch, from 1; 0 for none.
+    /// Steps of an epoch.
+    epoch: usize,
+    /// The step of each unit's last spike in this epoch, from 1; 0 for none.
     notes: Vec<u8>,
+    /// By unit: for each trace that is not always 0 the values at steps 0 to E of the epoch. That of
+    /// step 0 has the additions of the epoch; the others are made at its end.
+    records: Vec<u8>,
+    /// Bytes of a record.
+    stride: usize,
+    /// Where the values of each trace begin in a record; `None` where it is always 0.
+    places: [Option<usize>; MOST],
     /// Units with a note in this epoch.
     noted: Vec<u32>,
     /// Units with a note or a trace above 0, or kept spikes; each once.
     live: Vec<u32>,
     is_live: Vec<bool>,
-    /// The slot of each unit among the histories of the epoch that ends.
-    slots: Vec<u32>,
-    /// Traces by slot, then by step of the epoch from 0 on.
-    histories: Vec<[i16; MOST]>,
     /// Units whose x1 exceeds 7 bits: lava adds without saturation in each step.
     over: Vec<u32>,
     late: Option<Late>,
@@ -110,18 +116,27 @@ pub(crate) struct Traces {
 
 impl Traces {
     /// Empty traces of `units` units.
-    pub fn new(side: Side, first: u32, units: usize, is_late: bool) -> Self {
+    pub fn new(side: Side, first: u32, units: usize, is_late: bool, compiled: &Compiled) -> Self {
         let late = is_late.then(|| Late { spikes: vec![0; units], past: vec![[0; MOST]; units * KEPT] });
+        let epoch = compiled.rule().epoch() as usize;
+        let (mut stride, mut places) = (0, [None; MOST]);
+        for (place, &trace) in places.iter_mut().zip(side.traces()) {
+            if compiled.decay(trace).is_some() {
+                *place = Some(stride);
+                stride += epoch + 1;
+            }
+        }
         Traces {
             side,
             first,
-            values: vec![[0; MOST]; units],
+            epoch,
             notes: vec![0; units],
+            records: vec![0; units * stride],
+            stride,
+            places,
             noted: Vec::new(),
             live: Vec::new(),
             is_live: vec![false; units],
-            slots: vec![NO_SLOT; units],
-            histories: Vec::new(),
             over: Vec::new(),
             late,
         }
@@ -129,12 +144,38 @@ impl Traces {
 
     /// Empties all traces.
     pub fn clear(&mut self) {
-        *self = Traces::new(self.side, self.first, self.values.len(), self.late.is_some());
+        self.notes.fill(0);
+        self.records.fill(0);
+        self.is_live.fill(false);
+        self.noted.clear();
+        self.live.clear();
+        self.over.clear();
+        if let Some(late) = &mut self.late {
+            late.spikes.fill(0);
+            late.past.fill([0; MOST]);
+        }
     }
 
     /// The value of a trace by unit.
     pub fn column(&self, trace: usize) -> impl Iterator<Item = i32> {
-        self.values.iter().map(move |values| values[trace].into())
+        (0..self.units()).map(move |unit| self.at(unit, trace, 0))
+    }
+
+    /// The note of a unit.
+    #[inline]
+    pub fn note_of(&self, unit: usize) -> u8 {
+        self.notes[unit]
+    }
+
+    /// A trace of a unit at step k of the epoch, once histories are made.
+    #[inline]
+    pub fn at(&self, unit: usize, trace: usize, k: u8) -> i32 {
+        self.places[trace].map_or(0, |place| self.records[unit * self.stride + place + usize::from(k)].into())
+    }
+
+    /// The value of x1 or y1 at the epoch's start.
+    fn first_trace(&mut self, unit: u32) -> Option<&mut u8> {
+        self.places[0].map(|place| &mut self.records[unit as usize * self.stride + place])
     }
 
     /// Units with a note in this epoch.
@@ -155,41 +196,33 @@ impl Traces {
 
     /// Number of units.
     pub fn units(&self) -> usize {
-        self.notes.len()
-    }
-
-    /// The note of a unit.
-    #[inline]
-    pub fn note_of(&self, unit: usize) -> u32 {
-        self.notes[unit].into()
+        self.is_live.len()
     }
 
     /// (L3): notes the spike of a unit, whose message carries this value.
     pub fn note(&mut self, unit: u32, value: i32, source: &Source<'_>) {
         let graded = if self.side == Side::Pre { source.compiled.rule().graded() } else { Graded::Regular };
-        let x1 = self.values[unit as usize][0];
-        let after = |sum: i16| (sum % 256).min(GREATEST);
-        match graded {
-            Graded::Regular => {}
-            Graded::Overwrite => self.values[unit as usize][0] = half(value),
-            Graded::AddSaturating => self.values[unit as usize][0] = after(x1 + half(value)),
-            Graded::AddWithoutSaturation => {
-                self.enliven(unit);
-                if !self.add_without_saturation(unit, half(value)) {
-                    return;
-                }
+        if graded == Graded::AddWithoutSaturation {
+            self.enliven(unit);
+            if !self.add_without_saturation(unit, half(value)) {
+                return;
             }
+        } else if let (true, Some(x1)) = (graded != Graded::Regular, self.first_trace(unit)) {
+            let before = if graded == Graded::Overwrite { 0 } else { i16::from(*x1) };
+            let sum = (before + half(value)) % 256;
+            *x1 = if graded == Graded::Overwrite { sum } else { sum.min(GREATEST) } as u8;
         }
         self.note_spike(unit, source);
     }
 
     /// lava's addition, which starts again above 127; returns whether it did.
     fn add_without_saturation(&mut self, unit: u32, half: i16) -> bool {
-        let x1 = &mut self.values[unit as usize][0];
-        let sum = (*x1 + half) % 256;
+        let Some(x1) = self.first_trace(unit) else { return false };
+        let sum = (i16::from(*x1) + half) % 256;
         let starts_again = sum > GREATEST;
-        *x1 = if starts_again { sum - GREATEST } else { sum };
-        if *x1 > GREATEST {
+        let after = if starts_again { sum - GREATEST } else { sum };
+        *x1 = after as u8;
+        if after > GREATEST {
             self.over.push(unit);
         }
         starts_again
@@ -199,7 +232,7 @@ impl Traces {
     pub fn end_step(&mut self, received: impl Fn(u32) -> bool) {
         let mut over = std::mem::take(&mut self.over);
         over.retain(|&unit| received(unit) || !self.add_without_saturation(unit, 0));
-        over.retain(|&unit| self.values[unit as usize][0] > GREATEST);
+        over.retain(|&unit| self.at(unit as usize, 0, 0) > i32::from(GREATEST));
         self.over.append(&mut over);
         self.over.sort_unstable();
         self.over.dedup();
@@ -212,33 +245,35 @@ impl Traces {
 
     fn note_spike(&mut self, unit: u32, source: &Source<'_>) {
         let rule = source.compiled.rule();
-        let k = source.step % rule.epoch() + 1;
-        let index = unit as usize;
-        if self.notes[index] > 0 {
-            let use_of = self.side.uses().0;
-            for (place, &trace) in self.side.traces().iter().enumerate() {
-                let value = &mut self.values[index][place];
-                if place == 0 && self.side == Side::Pre && rule.graded() != Graded::Regular {
-                    continue;
+        let begin = unit as usize * self.stride;
+        if self.notes[unit as usize] > 0 {
+            for (&trace, place) in self.side.traces().iter().zip(self.places) {
+                let Some(place) = place else { continue };
+                let graded = trace == Trace::X1 && rule.graded() != Graded::Regular;
+                if !graded {
+                    let draw = || self.further_draw(trace, unit, source);
+                    let value = add(self.records[begin + place].into(), source.compiled.impulse(trace), draw);
+                    self.records[begin + place] = value as u8;
                 }
-                *value = add(*value, source.compiled.impulse(trace), || match (source.is_shared(), self.side) {
-                    (true, Side::Pre) => 0,
-                    (true, Side::Post) => source.draws.shared(source.rule, use_of, source.step, source.since) as u16,
-                    (false, _) => {
-                        let (part, entity) = (trace.index() as u8, self.first + unit);
-                        let place = Place { rule: source.rule, of: use_of, part, entity, step: source.since };
-                        (source.draws.bits(place) >> 56) as u16
-                    }
-                });
             }
         } else {
             self.noted.push(unit);
         }
-        self.notes[index] = k as u8;
+        self.notes[unit as usize] = (source.step % rule.epoch() + 1) as u8;
         if let Some(late) = &mut self.late {
-            late.spikes[index] |= 1 << (source.step as usize % KEPT);
+            late.spikes[unit as usize] |= 1 << (source.step as usize % KEPT);
         }
         self.enliven(unit);
+    }
+
+    /// The draw of a further spike in an epoch.
+    fn further_draw(&self, trace: Trace, unit: u32, source: &Source<'_>) -> u16 {
+        let of = self.side.uses().0;
+        match (source.is_shared(), self.side) {
+            (true, Side::Pre) => 0,
+            (true, Side::Post) => source.draws.shared(source.rule, of, source.step, source.since) as u16,
+            (false, _) => (source.of_trace(of, trace, source.since).bits(self.first + unit) >> 56) as u16,
+        }
     }
 
     fn enliven(&mut self, unit: u32) {
@@ -249,45 +284,40 @@ impl Traces {
 
     /// (L4): the histories of the epoch that ends with the step of the source.
     pub fn make_histories(&mut self, source: &Source<'_>) {
-        let epoch = source.compiled.rule().epoch();
-        self.histories.clear();
-        for (slot, &unit) in (0..).zip(&self.live) {
-            self.slots[unit as usize] = slot;
-            let begin = self.histories.len();
-            self.histories.extend(std::iter::repeat_n([0; MOST], epoch as usize + 1));
-            for (place, &trace) in self.side.traces().iter().enumerate() {
-                let history = History { traces: self, trace, unit, source };
-                let (value, note) = (self.values[unit as usize][place], self.notes[unit as usize].into());
-                let column = history.values(value, note);
-                let of_unit = &mut self.histories[begin..];
-                of_unit.iter_mut().zip(column).for_each(|(values, value)| values[place] = value);
+        for (&trace, place) in self.side.traces().iter().zip(self.places) {
+            let (Some(place), Some(decay)) = (place, source.compiled.decay(trace)) else { continue };
+            let numbers = OfHistory::new(source, self.side, trace);
+            let impulse = source.compiled.impulse(trace);
+            for &unit in &self.live {
+                let record = &mut self.records[unit as usize * self.stride..][..self.stride];
+                let (note, entity) = (u32::from(self.notes[unit as usize]), self.first + unit);
+                let mut value = i16::from(record[place]);
+                for (k, after) in (1..).zip(&mut record[place + 1..=place + self.epoch]) {
+                    value = decay.after(value, || numbers.decay(k, entity));
+                    if k == note {
+                        value = add(value, impulse, || numbers.impulse(entity));
+                    }
+                    *after = value as u8;
+                }
             }
         }
         let Some(late) = &mut self.late else { return };
-        for (slot, &unit) in self.live.iter().enumerate() {
-            for k in 1..=epoch {
-                let step = (source.step + k - epoch) as usize % KEPT;
-                late.past[unit as usize * KEPT + step] = self.histories[slot * (epoch as usize + 1) + k as usize];
+        for &unit in &self.live {
+            let record = &self.records[unit as usize * self.stride..][..self.stride];
+            for k in 1..=self.epoch {
+                let step = (source.step as usize + k - self.epoch) % KEPT;
+                let values = self.places.map(|place| place.map_or(0, |place| record[place + k]));
+                late.past[unit as usize * KEPT + step] = values;
             }
         }
     }
 
-    /// The traces of a unit by step of the epoch that ends, once histories are made.
+    /// (L8): the last of an epoch's steps up to `last` in which a spike of a unit was noted.
     #[inline]
-    pub fn history(&self, unit: usize, epoch: u32) -> &[[i16; MOST]] {
-        let steps = epoch as usize + 1;
-        match self.slots[unit] {
-            NO_SLOT => &SILENT[..steps],
-            slot => &self.histories[slot as usize * steps..][..steps],
-        }
-    }
-
-    /// (L8): the last of the `epoch` steps up to `last` in which a spike of a unit was noted.
-    #[inline]
-    pub fn late_spike(&self, unit: usize, last: i64, epoch: u32) -> Option<i64> {
-        let first = last + 1 - i64::from(epoch);
+    pub fn late_spike(&self, unit: usize, last: i64) -> Option<i64> {
+        let first = last + 1 - self.epoch as i64;
         let bits = self.late.as_ref()?.spikes[unit].rotate_right(first.rem_euclid(KEPT as i64) as u32);
-        let within = bits & ((1 << epoch) - 1);
+        let within = bits & ((1 << self.epoch) - 1);
         (within > 0).then(|| first + i64::from(within.ilog2()))
     }
 
@@ -299,26 +329,28 @@ impl Traces {
     }
 
     /// Begins the next epoch, after the one that ends with `step`.
-    pub fn end_epoch(&mut self, step: u32, epoch: u32) {
-        let end = epoch as usize;
-        for (slot, &unit) in self.live.iter().enumerate() {
-            self.values[unit as usize] = self.histories[slot * (end + 1) + end];
-            self.slots[unit as usize] = NO_SLOT;
-        }
-        self.noted.drain(..).for_each(|unit| self.notes[unit as usize] = 0);
+    pub fn end_epoch(&mut self, step: u32) {
+        self.noted.clear();
         // Bits of the steps to come are left from the steps before the kept ones.
-        let next = ((1u128 << epoch) - 1).rotate_left((step + 1) % KEPT as u32);
-        if let Some(late) = &mut self.late {
-            self.live.iter().for_each(|&unit| late.spikes[unit as usize] &= !next);
-        }
-        let (values, is_live, late) = (&self.values, &mut self.is_live, &self.late);
-        self.live.retain(|&unit| {
+        let next = ((1u128 << self.epoch) - 1).rotate_left((step + 1) % KEPT as u32);
+        let Traces { epoch, notes, records, stride, places, live, is_live, late, .. } = self;
+        live.retain(|&unit| {
             let index = unit as usize;
-            let stays = values[index] != [0; MOST]
-                || late.as_ref().is_some_and(|late| {
-                    let mut past = late.past[index * KEPT..(index + 1) * KEPT].iter();
-                    late.spikes[index] != 0 || past.any(|values| *values != [0; MOST])
-                });
+            let record = &mut records[index * *stride..][..*stride];
+            notes[index] = 0;
+            let mut stays = false;
+            for place in places.iter().flatten() {
+                record[*place] = record[place + *epoch];
+                stays |= record[*place] > 0;
+            }
+            if !stays {
+                record.fill(0);
+            }
+            if let Some(late) = late {
+                late.spikes[index] &= !next;
+                let mut past = late.past[index * KEPT..(index + 1) * KEPT].iter();
+                stays |= late.spikes[index] != 0 || past.any(|values| *values != [0; MOST]);
+            }
             is_live[index] = stays;
             stays
         });
@@ -335,54 +367,41 @@ fn half(value: i32) -> i16 {
     (floor + up).rem_euclid(256) as i16
 }
 
-/// The history of one trace of one unit in the epoch that ends.
-struct History<'a> {
-    traces: &'a Traces,
-    trace: Trace,
-    unit: u32,
-    source: &'a Source<'a>,
+/// Random numbers of the histories of a trace in an epoch.
+enum OfHistory {
+    /// One for all units and steps.
+    Shared { decay: f64, impulse: u16 },
+    /// One for each; those of decay by step of the epoch from 1 on.
+    Each { decay: Vec<Numbers>, impulse: Numbers },
 }
 
-impl History<'_> {
-    /// The values from step 0 to the epoch's end; the spike is at step `note`, if that is above 0.
-    fn values(&self, start: i16, note: u32) -> Vec<i16> {
-        let compiled = self.source.compiled;
-        let epoch = compiled.rule().epoch();
-        let mut values = vec![start; epoch as usize + 1];
-        let Some(decay) = compiled.decay(self.trace) else { return values };
-        let mut value = start;
-        for k in 1..=epoch {
-            if value > 0 {
-                value = decay.after(value, || self.decay_draw(k));
-            }
-            if k == note {
-                value = add(value, compiled.impulse(self.trace), || self.impulse_draw());
-            }
-            values[k as usize] = value;
+impl OfHistory {
+    fn new(source: &Source<'_>, side: Side, trace: Trace) -> Self {
+        let (_, decay, impulse) = side.uses();
+        if source.is_shared() {
+            let shared = |of| source.draws.shared(source.rule, of, source.epoch(), source.since);
+            return OfHistory::Shared { decay: shared(decay), impulse: shared(impulse) as u16 };
         }
-        values
+        let steps = (1..=source.compiled.rule().epoch()).map(|k| source.since_at(k));
+        OfHistory::Each {
+            decay: steps.map(|step| source.of_trace(decay, trace, step)).collect(),
+            impulse: source.of_trace(impulse, trace, source.since),
+        }
     }
 
-    fn decay_draw(&self, k: u32) -> f64 {
-        let (_, of, _) = self.traces.side.uses();
-        let Source { draws, rule, .. } = *self.source;
-        if self.source.is_shared() {
-            return draws.shared(rule, of, self.source.epoch(), self.source.since);
+    #[inline]
+    fn decay(&self, k: u32, entity: u32) -> f64 {
+        match self {
+            OfHistory::Shared { decay, .. } => *decay,
+            OfHistory::Each { decay, .. } => decay[k as usize - 1].unit(entity),
         }
-        draws.unit(self.place(of, self.source.since_at(k)))
     }
 
-    fn impulse_draw(&self) -> u16 {
-        let (_, _, of) = self.traces.side.uses();
-        let Source { draws, rule, since, .. } = *self.source;
-        if self.source.is_shared() {
-            return draws.shared(rule, of, self.source.epoch(), since) as u16;
+    #[inline]
+    fn impulse(&self, entity: u32) -> u16 {
+        match self {
+            OfHistory::Shared { impulse, .. } => *impulse,
+            OfHistory::Each { impulse, .. } => (impulse.bits(entity) >> 56) as u16,
         }
-        (draws.bits(self.place(of, since)) >> 56) as u16
-    }
-
-    fn place(&self, of: Use, step: u64) -> Place {
-        let entity = self.traces.first + self.unit;
-        Place { rule: self.source.rule, of, part: self.trace.index() as u8, entity, step }
     }
 }
