@@ -102,7 +102,7 @@ fn learning_settings(
         let read = || {
             let numbers = read_draws(path)?;
             let steps = samples.first().map_or(0, |sample| sample.steps());
-            learning::check_recorded(rule, &numbers, steps).map(|()| numbers)
+            learning::check_recorded(rule, learning::units(network, id), &numbers, steps).map(|()| numbers)
         };
         recorded[id.index()] = Some(read().map_err(|problem| exception(py, problem))?);
     }

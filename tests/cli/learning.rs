@@ -130,3 +130,66 @@ fn rules_and_options_of_rules_are_refused_by_name() {
         assert!(status == code && stderr.contains(says), "{line}: {status} {stderr}");
     }
 }
+
+/// A network that learns by PES.
+fn pes(learning: &str) -> String {
+    format!(
+        "Network(name: \"m\", timestep_ms: 1.0, learning_semantics: Nengo, populations: [
+            Input(name: \"in\", shape: [4]), Signal(name: \"err\", shape: [2]), Signal(name: \"three\", shape: [3]),
+            Loihi(name: \"out\", shape: [4], du: 4096, dv: 2048, vth_mant: 4)],
+        projections: [Dense(name: \"p\", from: [\"in\"], to: \"out\", learning: {learning},
+            weights: [[8, 2, 4, 6], [2, 8, 4, 6], [4, 6, 8, 2], [2, 4, 4, 2]])],
+        output: \"out\")"
+    )
+}
+
+#[test]
+fn pes_learns_alike_on_both_engines_and_from_recorded_numbers() {
+    let folder = tempfile::tempdir().unwrap();
+    let rule = "Pes(error: \"err\", x1: (impulse: 99.5, tau: 5), until: 30)";
+    std::fs::write(folder.path().join("m.ron"), pes(rule)).unwrap();
+    let input = INPUT.replace("steps=20", "steps=40");
+    let line = format!("run m.ron {input} --samples 1..2 --probe p.weight --probe p.x1 --probe p.weight.last");
+    let run = object(folder.path(), &format!("{line} --record-draws draws --learned after.ron -o first"), 0);
+    // 16 synapses in 7 epochs up to step 27.
+    assert_eq!((&run["learning"][0]["updates"], &run["learning"][0]["epochs"]), (&(16 * 7).into(), &7.into()));
+    object(folder.path(), &format!("{line} --engine golden --draws p=draws/p.npz -o again"), 0);
+    object(folder.path(), &format!("{line} --seed 6 -o other"), 0);
+    let of = |run: &str, probe: &str| array(&folder.path().join(format!("{run}/{probe}.npy")));
+    for (probe, rows) in [("p.weight", 16), ("p.x1", 4)] {
+        let (shape, values) = of("first", probe);
+        assert_eq!(of("again", probe).1, values, "{probe}");
+        assert_ne!(of("other", probe).1, values, "{probe}");
+        assert_eq!(shape[..2], [1, rows]);
+    }
+    // The step in which weights learn has them.
+    let (shape, weights) = of("first", "p.weight");
+    let steps = shape[2];
+    let differ = |step: usize| (0..16).any(|row| weights[row * steps + step] != weights[row * steps + step - 1]);
+    assert!((1..steps).filter(|&step| differ(step)).all(|step| step % 4 == 3));
+    assert!(differ(3) || differ(7));
+    let last: Vec<i32> = (0..16).map(|row| weights[row * steps + steps - 1]).collect();
+    assert_eq!(of("first", "p.weight.last").1, last);
+    let path = folder.path().join("after.ron");
+    let learned = nsim::import::model::load_model(path.to_str().unwrap()).unwrap();
+    assert!(std::fs::read_to_string(path).unwrap().contains("learning: Pes("), "{:?}", learned.file().projections);
+    object(folder.path(), &format!("run after.ron {input} --draws p=draws/p.npz --samples 0..1"), 0);
+}
+
+#[test]
+fn what_learning_semantics_lack_is_refused_by_name() {
+    let folder = tempfile::tempdir().unwrap();
+    let plain = "Pes(error: \"err\", x1: (impulse: 9, tau: 5))";
+    for (text, says) in [
+        (pes("Rule(dw: \"x0\")"), "have Pes alone | 4"),
+        (pes(plain).replace("Nengo", "Lava"), "the network's learning semantics are Lava | 4"),
+        (pes(&plain.replace("err\"", "three\"")), "'three' has 3 values for 4 targets, which are not two"),
+        (pes(&plain.replace("err\"", "in\"")), "'in' is not a Signal population"),
+        (pes(&plain.replace("tau: 5)", "tau: 5), dw: \"x0\"")), "`dw`"),
+    ] {
+        std::fs::write(folder.path().join("m.ron"), text).unwrap();
+        let (status, _, stderr) = said(folder.path(), &format!("run m.ron {INPUT}"));
+        let stderr = stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+        assert!(status == 3 && stderr.contains(says), "{says}: {status} {stderr}");
+    }
+}

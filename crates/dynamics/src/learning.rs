@@ -253,7 +253,7 @@ impl Compiled {
         match (variable, semantics, format.sign) {
             (Variable::Delay, ..) => semantics.delays(),
             (Variable::Tag, ..) => semantics.tags(),
-            (Variable::Weight, LearningSemantics::Silicon, sign) => {
+            (Variable::Weight, LearningSemantics::Silicon | LearningSemantics::Nengo, sign) => {
                 let (low, high) = sign.range(format.bits);
                 (low.into(), high.into())
             }

@@ -13,6 +13,7 @@ mod kind;
 pub mod kinds;
 pub mod learning;
 mod loihi;
+pub mod pes;
 mod soft_reset;
 pub mod synapses;
 

@@ -506,8 +506,9 @@ impl ProjectionLowering<'_> {
         let &ProjectionLowering { desc, span, .. } = self;
         let sizes = sources.iter().map(|&node| graph[node].shape.len());
         let firsts: Vec<u32> = sizes.scan(0, |next, size| Some(std::mem::replace(next, *next + size))).collect();
-        // The quantiser refuses other widths.
-        let bits = WeightBits::new(desc.weight_bits);
+        // The quantiser refuses other widths. Weights that PES changes are of both signs.
+        let is_pes = desc.learning.as_ref().is_some_and(|rule| rule.is_pes);
+        let bits = WeightBits::new(desc.weight_bits).ok().filter(|_| !is_pes);
         let sign = desc.sign.unwrap_or_else(|| bits.map_or(SignMode::Mixed, |bits| whole.sign_of_weights(bits)));
         let kinds = match whole {
             ProjectionKind::Sparse { synapses } if sources.len() > 1 => {

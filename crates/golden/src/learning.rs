@@ -2,6 +2,8 @@
 //!
 //! All values of all traces are stored by step, and every synapse is visited.
 
+mod pes;
+
 use std::collections::BTreeMap;
 
 use nsim_ir::base::fixed::SignMode;
@@ -118,8 +120,8 @@ impl Learner {
         for (trace, signal) in [Trace::Y1, Trace::Y2, Trace::Y3].into_iter().zip(plastic.signals) {
             let Some(signal) = signal.map(|id| &network.populations()[id]) else { continue };
             let first = signal.first_channel().expect("a signal is an input").0;
-            let one_for_all = signal.shape.len() == 1;
-            let channel = |target| ChannelId(first + if one_for_all { 0 } else { target });
+            // One for each target, one for all of them, or one for each pair in PES.
+            let channel = |target| ChannelId(first + target % signal.shape.len());
             self.signals[trace.index()] = Some((0..self.targets.len() as u32).map(channel).collect());
         }
     }
@@ -172,7 +174,7 @@ impl Learner {
         match (self.rule.semantics(), trace.is_presynaptic()) {
             (LearningSemantics::Lava, true) => 0.0,
             (LearningSemantics::Lava, false) => numbers.draws.shared(self.id, Use::Post, step, now),
-            (LearningSemantics::Silicon, pre) => {
+            (_, pre) => {
                 let of = if pre { Use::Pre } else { Use::Post };
                 (numbers.draws.at(self.place(of, trace, now)).bits(entity) >> 56) as f64
             }
@@ -467,7 +469,7 @@ impl Synapse<'_> {
                 SignMode::Excitatory => (0, 255),
                 SignMode::Inhibitory => (-255, 0),
             },
-            (Variable::Weight, LearningSemantics::Silicon) => {
+            (Variable::Weight, _) => {
                 let (least, greatest) = sign.range(bits);
                 (least.into(), greatest.into())
             }

@@ -309,8 +309,22 @@ impl Golden {
 
     /// What is delivered after the last step, with these inputs of the next one.
     fn delivery(&self, channels: Vec<Option<i64>>) -> Delivery {
-        let last = |history: &VecDeque<Vec<Option<i64>>>| history.front().cloned().unwrap_or_default();
-        Delivery { channels, compartments: last(&self.compartment_history), inputs: last(&self.channel_history) }
+        let compartments = self.compartment_history.front().cloned();
+        let inputs = self.channel_history.front().cloned().unwrap_or_default();
+        Delivery { channels, compartments: compartments.unwrap_or(vec![None; self.compartments.len()]), inputs }
+    }
+
+    /// (L12) and (L13): PES learns from the arrivals of a step, by the inputs of that step.
+    fn learn_errors(&mut self, step: u32, delivery: &Delivery) {
+        let numbers = Numbers { draws: &self.draws, base: self.base };
+        for (key, learner) in self.learners.iter_mut().filter(|(_, learner)| learner.is_pes()) {
+            learner.trace_arrivals(numbers, step, delivery);
+            if learner.learns_after(step) {
+                for plastic in self.plastic.values_mut().filter(|plastic| plastic.learner == *key) {
+                    self.synaptic_updates += learner.learn_error(numbers, step, delivery, plastic);
+                }
+            }
+        }
     }
 
     /// (L1) and (L2): notes the spikes that are delivered after the last step that was not noted,
@@ -319,7 +333,7 @@ impl Golden {
         let step = self.noted;
         self.noted += 1;
         let numbers = Numbers { draws: &self.draws, base: self.base };
-        for (key, learner) in &mut self.learners {
+        for (key, learner) in self.learners.iter_mut().filter(|(_, learner)| !learner.is_pes()) {
             learner.note(numbers, step, delivery);
             if !learner.learns_after(step) {
                 continue;
@@ -476,7 +490,7 @@ impl Engine for Golden {
                 Message::Value(_) => input.values.get(place).map_or(1, |&value| value.into()),
             });
         }
-        let delivery = (self.noted < step).then(|| self.delivery(inputs.clone()));
+        let delivery = self.delivery(inputs.clone());
         self.channel_history.push_front(inputs);
         // This step's own row is not read: a compartment's spike arrives a step later at the
         // earliest.
@@ -494,9 +508,10 @@ impl Engine for Golden {
         self.spikes = spikes;
         self.done += 1;
         // Its weights are those of the arrivals that were just added.
-        if let Some(delivery) = delivery {
+        if self.noted < step {
             self.note(&delivery);
         }
+        self.learn_errors(step, &delivery);
     }
 
     fn spikes(&self) -> &[CompartmentId] {

@@ -42,17 +42,23 @@ pub fn read_draws(path: &Path) -> Result<Recorded> {
     Ok(recorded)
 }
 
-/// Writes the numbers of a rule.
+/// Writes the numbers of a rule with these numbers of sources and targets.
 ///
 /// # Errors
 /// `write.*`.
-pub fn write_draws(path: &Path, recorded: &Recorded, batch: &mut Batch) -> Result<()> {
+pub fn write_draws(path: &Path, recorded: &Recorded, (sources, targets): (u32, u32), batch: &mut Batch) -> Result<()> {
     let wrong = |error: &dyn std::fmt::Display| {
         Diagnostic::new("write.failed", format!("cannot be written: {error}")).in_file(path)
     };
     let mut zip = ZipWriter::new(Cursor::new(Vec::new()));
     for (of, numbers) in recorded {
-        let (shape, mut bytes) = ([numbers.len() as u64], Vec::new());
+        let of_each: Vec<u64> = match of {
+            Use::Trace => vec![sources.into()],
+            Use::Weight => vec![sources.into(), targets.into()],
+            _ => Vec::new(),
+        };
+        let count = numbers.len() as u64 / of_each.iter().product::<u64>().max(1);
+        let (shape, mut bytes) = ([vec![count], of_each].concat(), Vec::new());
         let written = match of.is_whole() {
             true => npy::write(&mut bytes, &shape, numbers.iter().map(|&number| number as u8)),
             false => npy::write(&mut bytes, &shape, numbers.iter().copied()),

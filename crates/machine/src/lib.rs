@@ -117,7 +117,7 @@ impl Machine {
     /// A machine in its initial state.
     pub fn new(image: &Arc<Image>, settings: Settings) -> Self {
         let slots = image.longest_delay as usize + 1;
-        let learns = image.plastic.rules.iter().any(|rule| rule.rule().learns());
+        let learns = image.plastic.rules.iter().any(|rule| rule.rule().is_active());
         Machine {
             image: image.clone(),
             shards: image.shards.iter().map(|shard| ShardState::new(image, shard, slots)).collect(),
@@ -272,6 +272,7 @@ impl Machine {
                 learning.advance(before, delivered, &self.image, &mut self.shards, None);
             }
             learning.set_signals(Spikes::default());
+            learning.learn_errors(step, delivered, &self.image, &mut self.shards, None);
         }
     }
 
@@ -388,14 +389,15 @@ impl Machine {
             self.lose(&sources, left);
         }
         let Some(learning) = &mut self.learning else { return };
+        let (compartments, values) = (self.carried.as_slice(), self.carried_payloads.as_slice());
+        let delivered = Delivered { channels: input, compartments, values };
+        let mut changes = self.settings.per_step.then_some(&mut self.step_changes);
         // The spikes of a step are noted once.
         if let Some(before) = self.step.checked_sub(1).filter(|_| !std::mem::take(&mut self.settled)) {
-            let (compartments, values) = (self.carried.as_slice(), self.carried_payloads.as_slice());
-            let delivered = Delivered { channels: input, compartments, values };
-            let changes = self.settings.per_step.then_some(&mut self.step_changes);
-            learning.advance(before, delivered, &self.image, &mut self.shards, changes);
+            learning.advance(before, delivered, &self.image, &mut self.shards, changes.as_deref_mut());
         }
         learning.set_signals(input);
+        learning.learn_errors(self.step, delivered, &self.image, &mut self.shards, changes);
     }
 
     /// Exchange: the spikes of all shards in one list.

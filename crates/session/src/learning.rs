@@ -11,8 +11,8 @@ use nsim_files::network::learned::LearnedState;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::fixed::SignMode;
 use nsim_ir::base::id::{CompartmentId, Id, IdVec, ProjectionId, RuleId};
-use nsim_ir::learning::draws::{Draws, Recorded, Use};
-use nsim_ir::learning::{Column, Learning, LearningSemantics, Trace, Variable};
+use nsim_ir::learning::draws::{Draws, Place, Recorded, Use};
+use nsim_ir::learning::{Column, Learning, LearningSemantics, PES_TRACE_EPOCH, Trace, Variable};
 use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::quantised::{Projection, Quantised};
 use nsim_ir::spikes::Engine;
@@ -21,7 +21,7 @@ use crate::outcome::{Outcome, Probe, Quantity};
 
 /// Whether any rule changes synapses by itself.
 pub fn learns(rules: &IdVec<RuleId, Learning>) -> bool {
-    rules.iter().any(|learning| learning.rule.learns())
+    rules.iter().any(|learning| learning.rule.is_active())
 }
 
 /// The state of a rule's synapses, by row; empty from engines that do not learn.
@@ -66,6 +66,7 @@ fn projections(network: &Quantised, rule: RuleId) -> impl Iterator<Item = (Proje
 /// The probe of a column of a rule: its value after each step, or after the `last` one.
 pub fn probe(network: &Quantised, rule: RuleId, column: Column, last: bool) -> Probe {
     let units = |id| network.populations()[id].shape.len();
+    let lag = network.parts().rules[rule].rule.lag();
     let mut count = 0;
     for (id, projection) in projections(network, rule) {
         let first = projection.plastic.as_ref().map_or(0, |plastic| plastic.first_source);
@@ -75,7 +76,7 @@ pub fn probe(network: &Quantised, rule: RuleId, column: Column, last: bool) -> P
             Column::Trace(_) => units(projection.target),
         };
     }
-    Probe { first: CompartmentId(0), count, quantity: Quantity::Learned { rule, column, last } }
+    Probe { first: CompartmentId(0), count, quantity: Quantity::Learned { rule, column, last, lag } }
 }
 
 /// First weights of a rule by row, and the format of its synapses.
@@ -105,9 +106,11 @@ fn weight_range(semantics: LearningSemantics, format: SynapseFormat) -> (i32, i3
         (LearningSemantics::Lava, SignMode::Mixed) => (-256, 255),
         (LearningSemantics::Lava, SignMode::Excitatory) => (0, 255),
         (LearningSemantics::Lava, SignMode::Inhibitory) => (-255, 0),
-        (LearningSemantics::Silicon, sign) => {
+        (_, sign) => {
             let (low, high) = sign.range(format.bits);
-            (low.into(), high.into())
+            // (L13) has as many negative weights as positive ones.
+            let least = if semantics == LearningSemantics::Nengo { sign.step(format.bits) - 256 } else { low };
+            (low.max(least).into(), high.into())
         }
     }
 }
@@ -170,53 +173,100 @@ pub fn rows(network: &Quantised, learned: &[LearnedRule], outcomes: &[Outcome]) 
     rules.enumerate().map(row).collect()
 }
 
-/// The shared random numbers of a rule, and the number that a sample of `steps` steps takes of each.
-fn shared_numbers(learning: &Learning, steps: u32) -> Result<Vec<(Use, u32)>, Diagnostic> {
-    let Learning { name, rule } = learning;
-    if rule.semantics() != LearningSemantics::Lava {
-        let message = format!("the rule of '{name}' draws for each synapse, so there are no numbers to record");
-        return Err(Diagnostic::new("run.draws", message).help("give learning_semantics: Lava, or only --seed"));
+/// Number of sources and targets of a rule.
+pub fn units(network: &Quantised, rule: RuleId) -> (u32, u32) {
+    let count = |trace| probe(network, rule, Column::Trace(trace), true).count;
+    (count(Trace::X1), count(Trace::Y1))
+}
+
+/// A number that a rule takes in a sample: of each entity, one every `every` steps.
+struct Taken {
+    of: Use,
+    count: u32,
+    every: u32,
+    entities: u64,
+}
+
+impl Taken {
+    /// The step of a number.
+    fn step(&self, number: u64) -> u64 {
+        (number / self.entities.max(1) + 1) * u64::from(self.every) - 1
     }
+}
+
+/// The random numbers that a rule with these numbers of sources and targets takes in a sample of
+/// `steps` steps.
+fn numbers_taken(learning: &Learning, (sources, targets): (u32, u32), steps: u32) -> Result<Vec<Taken>, Diagnostic> {
+    let Learning { name, rule } = learning;
     let epochs = epochs(learning, steps);
     // Of an epoch that does not end, only the numbers of steps are taken.
     let noted = if rule.until().is_none() { steps } else { epochs * rule.epoch() };
-    let uses = Use::ALL.into_iter().filter(|of| *of != Use::Pre);
-    Ok(uses.map(|of| (of, if of.is_of_steps() { noted } else { epochs })).collect())
-}
-
-/// The step at which a rule takes a number.
-fn step_of(learning: &Learning, of: Use, number: u64) -> u64 {
-    if of.is_of_steps() { number } else { (number + 1) * u64::from(learning.rule.epoch()) - 1 }
+    let (sources, targets) = (u64::from(sources), u64::from(targets));
+    let taken = |of, every: u32, entities| Taken { of, count: noted / every, every, entities };
+    match rule.semantics() {
+        LearningSemantics::Lava => {
+            let lava = [Use::PreDecay, Use::PreImpulse, Use::PostDecay, Use::PostImpulse, Use::Round, Use::Post];
+            Ok(lava.map(|of| taken(of, if of.is_of_steps() { 1 } else { rule.epoch() }, 1)).into())
+        }
+        LearningSemantics::Nengo => {
+            let weights = taken(Use::Weight, rule.epoch(), sources * targets);
+            Ok(vec![taken(Use::Trace, PES_TRACE_EPOCH, sources), weights])
+        }
+        LearningSemantics::Silicon => {
+            let message = format!("the rule of '{name}' draws for each synapse, so there are no numbers to record");
+            Err(Diagnostic::new("run.draws", message).help("give learning_semantics: Lava or Nengo, or only --seed"))
+        }
+    }
 }
 
 /// The seeded random numbers that a rule takes in the first sample of a run.
 ///
 /// # Errors
 /// `run.draws` for a rule that draws for each synapse.
-pub fn recorded(draws: &Draws, rule: RuleId, learning: &Learning, steps: u32) -> Result<Recorded, Diagnostic> {
-    let number = |of: Use, number: u32| draws.shared(rule, of, number, step_of(learning, of, number.into()));
-    let uses = shared_numbers(learning, steps)?.into_iter();
-    Ok(uses.map(|(of, count)| (of, (0..count).map(|place| number(of, place)).collect())).collect())
+pub fn recorded(
+    draws: &Draws,
+    rule: RuleId,
+    learning: &Learning,
+    units: (u32, u32),
+    steps: u32,
+) -> Result<Recorded, Diagnostic> {
+    let column = |taken: Taken| {
+        let number = |number: u64| {
+            let (step, entity) = (taken.step(number), (number % taken.entities) as u32);
+            match learning.rule.is_pes() {
+                true => draws.at(Place { rule, of: taken.of, part: 0, step }).unit(entity),
+                false => draws.shared(rule, taken.of, number as u32, step),
+            }
+        };
+        (taken.of, (0..u64::from(taken.count) * taken.entities).map(number).collect())
+    };
+    Ok(numbers_taken(learning, units, steps)?.into_iter().map(column).collect())
 }
 
 /// Checks that a rule with recorded random numbers has all that a sample of `steps` steps takes.
 ///
 /// # Errors
 /// `run.draws`.
-pub fn check_recorded(learning: &Learning, recorded: &Recorded, steps: u32) -> Result<(), Diagnostic> {
-    for (of, needed) in shared_numbers(learning, steps)? {
-        let given = recorded.get(&of).map_or(0, Vec::len) as u64;
-        if given < needed.into() {
+pub fn check_recorded(
+    learning: &Learning,
+    units: (u32, u32),
+    recorded: &Recorded,
+    steps: u32,
+) -> Result<(), Diagnostic> {
+    for taken in numbers_taken(learning, units, steps)? {
+        let (needed, name) = (u64::from(taken.count) * taken.entities, &learning.name);
+        let given = recorded.get(&taken.of).map_or(0, Vec::len) as u64;
+        if given < needed {
+            let (of, step) = (taken.of.name(), taken.step(given));
             let message = format!(
-                "the rule of '{}' takes {needed} numbers of {} in {steps} steps, but {given} are given: the one of step \
-                 {} is missing",
-                learning.name,
-                of.name(),
-                step_of(learning, of, given)
+                "the rule of '{name}' takes {needed} numbers of {of} in {steps} steps, but {given} are given: the one \
+                 of step {step} is missing"
             );
-            return Err(
-                Diagnostic::new("run.draws", message).help("give a number for each epoch, of draw_post for each step")
-            );
+            let help = match learning.rule.is_pes() {
+                true => "give draw_trace [steps / 2, sources] and draw_weight [steps / 4, sources, targets]",
+                false => "give a number for each epoch, of draw_post for each step",
+            };
+            return Err(Diagnostic::new("run.draws", message).help(help));
         }
     }
     Ok(())
@@ -296,7 +346,11 @@ mod tests {
         let output = Output { first: CompartmentId(0), count: 1, decision: ReadOut::Spikes, start_step: 0 };
         let probe = |last| {
             let column = Column::Variable(Variable::Weight);
-            Probe { first: CompartmentId(0), count: 2, quantity: Quantity::Learned { rule: RuleId(0), column, last } }
+            Probe {
+                first: CompartmentId(0),
+                count: 2,
+                quantity: Quantity::Learned { rule: RuleId(0), column, last, lag: 1 },
+            }
         };
         let run = |session: &mut Session<Counter>, probes: Vec<Probe>| {
             session.run(&Sample::silent(3), &SampleSettings { probes, ..SampleSettings::new(output) }, ()).probes
@@ -319,11 +373,11 @@ mod tests {
         };
         let learning = Learning { name: "p".to_string(), rule: nsim_ir::learning::Rule::new(text).unwrap() };
         let draws = Draws::seeded(7);
-        let numbers = recorded(&draws, RuleId(0), &learning, 11).unwrap();
+        let numbers = recorded(&draws, RuleId(0), &learning, (1, 1), 11).unwrap();
         assert_eq!((numbers[&Use::Round].len(), numbers[&Use::Post].len(), numbers.len()), (2, 11, 6));
         assert_eq!(numbers[&Use::Round][1], draws.shared(RuleId(0), Use::Round, 1, 7));
-        check_recorded(&learning, &numbers, 11).unwrap();
-        let said = check_recorded(&learning, &numbers, 12).unwrap_err().to_string();
+        check_recorded(&learning, (1, 1), &numbers, 11).unwrap();
+        let said = check_recorded(&learning, (1, 1), &numbers, 12).unwrap_err().to_string();
         assert!(
             said.contains("takes 3 numbers of draw_x_decay in 12 steps, but 2 are given: the one of step 11"),
             "{said}"

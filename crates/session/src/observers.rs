@@ -148,7 +148,7 @@ impl<E: Engine + ?Sized> Observer<E> for Outputs<'_> {
 }
 
 /// Values recorded by probes, `[compartments][steps]` for each. State is constant in idle steps. An
-/// engine learns a step while it runs the next one, so a column of a rule lags by a step.
+/// engine mostly learns a step while it runs the next one, so a column of a rule lags by a step.
 pub(crate) struct Recording<'k, T, R> {
     probes: &'k [Probe],
     steps: usize,
@@ -168,7 +168,7 @@ impl<'k, T: Copy + From<i32>, R> Recording<'k, T, R> {
     /// Records the columns of rules of a settled engine, which ran `steps` steps.
     pub(crate) fn finish<E: Engine + ?Sized>(&mut self, engine: &E, steps: u32) {
         for (probe, values) in self.probes.iter().zip(&mut self.values) {
-            let Quantity::Learned { rule, column, last } = probe.quantity else { continue };
+            let Quantity::Learned { rule, column, last, .. } = probe.quantity else { continue };
             let (width, step) = if last { (1, 0) } else { (self.steps, steps.saturating_sub(1) as usize) };
             values.iter_mut().skip(step).step_by(width.max(1)).zip(engine.learned(rule, column)).for_each(set);
         }
@@ -184,9 +184,9 @@ where
     fn observe(&mut self, engine: &E, range: StepRange) {
         for (probe, values) in self.probes.iter().zip(&mut self.values) {
             let place = |i: u32| i as usize * self.steps + range.first as usize;
-            if let Quantity::Learned { rule, column, last } = probe.quantity {
-                if let Some(before) = range.first.checked_sub(1).filter(|_| !last) {
-                    let places = values.iter_mut().skip(before as usize).step_by(self.steps.max(1));
+            if let Quantity::Learned { rule, column, last, lag } = probe.quantity {
+                if let Some(step) = range.first.checked_sub(lag).filter(|_| !last) {
+                    let places = values.iter_mut().skip(step as usize).step_by(self.steps.max(1));
                     places.zip(engine.learned(rule, column)).for_each(set);
                 }
                 continue;

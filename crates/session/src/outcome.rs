@@ -38,6 +38,8 @@ pub enum Quantity {
         column: Column,
         /// Whether only the value after the last step is recorded.
         last: bool,
+        /// Steps by which an engine shows it late.
+        lag: u32,
     },
 }
 

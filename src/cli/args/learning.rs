@@ -23,10 +23,11 @@ use nsim_session::outcome::LearningSettings;
 #[command(next_help_heading = "Learning")]
 pub struct LearningArgs {
     /// Random numbers of the rule of a projection, in place of seeded ones: an archive with the arrays
-    /// draw_x_decay, draw_x_impulse, draw_y_decay, draw_y_impulse, draw_round and draw_post (Lava)
+    /// draw_x_decay, draw_x_impulse, draw_y_decay, draw_y_impulse, draw_round and draw_post (Lava), or
+    /// draw_trace and draw_weight (Nengo)
     #[arg(long, value_name = "NAME=FILE.npz", value_parser = named_file)]
     pub draws: Vec<(String, PathBuf)>,
-    /// Folder for the random numbers of a run of one sample, NAME.npz for each rule (Lava)
+    /// Folder for the random numbers of a run of one sample, NAME.npz for each rule (Lava, Nengo)
     #[arg(long, value_name = "DIR", conflicts_with = "draws")]
     pub record_draws: Option<PathBuf>,
     /// Start each sample from the weights of the model, not from those that were learned
@@ -92,7 +93,8 @@ impl LearningArgs {
             refuse_if(recorded[rule.index()].is_some(), format!("--draws {name} is given twice"))?;
             let numbers = read_draws(path)?;
             let steps = samples.first().map_or(0, |sample| sample.steps());
-            learning::check_recorded(&rules[rule], &numbers, steps).map_err(|error| error.in_file(path))?;
+            learning::check_recorded(&rules[rule], learning::units(network, rule), &numbers, steps)
+                .map_err(|error| error.in_file(path))?;
             recorded[rule.index()] = Some(numbers);
         }
         let draws = Draws { recorded: std::sync::Arc::new(recorded.into()), ..Draws::seeded(input.seed.unwrap_or(0)) };
@@ -137,7 +139,8 @@ impl LearningArgs {
         let mut files = Vec::new();
         for (rule, learning) in network.parts().rules.enumerate() {
             let path = draws_file(folder, &learning.name);
-            write_draws(&path, &learning::recorded(draws, rule, learning, steps)?, batch)?;
+            let units = learning::units(network, rule);
+            write_draws(&path, &learning::recorded(draws, rule, learning, units, steps)?, units, batch)?;
             files.push(path.display().to_string());
         }
         Ok(files)

@@ -1,5 +1,5 @@
-//! Recordings of lava-nc 0.10.0: single connections of its own class, and networks of its runtime,
-//! with the random numbers that they used.
+//! Recordings of lava-nc 0.10.0, single connections of its own class and networks of its runtime, and
+//! of nengo-loihi 1.1.0's emulator, with the random numbers that they used.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -16,7 +16,7 @@ use nsim::ir::base::id::{ChannelId, CompartmentId, IdVec, PopulationId, RuleId};
 use nsim::ir::graph::Shape;
 use nsim::ir::learning::draws::{Draws, Recorded, Use};
 use nsim::ir::learning::{
-    Change, Column, Graded, LearningSemantics, Plastic, Rule, RuleText, Trace, TraceSettings, parse,
+    Change, Column, Graded, LearningSemantics, Plastic, Rule, RuleText, Trace, TraceSettings, Variable, parse,
 };
 use nsim::ir::quantised::Quantised;
 use nsim::ir::quantised::connectivity::Connectivity;
@@ -143,10 +143,13 @@ impl Compared {
     /// Compares the values of a step.
     fn row(&mut self, recording: &Recording, step: u32, engine: &dyn Engine, is_settled: bool) {
         for (number, (read, array)) in recording.values.iter().enumerate() {
-            // The call of step s shows the learning after step s - 1, and `settle` that after the last.
-            let of_last = matches!(read, Read::Column(..)) && !is_settled;
-            let Some(step) = step.checked_sub(u32::from(of_last)) else { continue };
-            if is_settled && !matches!(read, Read::Column(..)) || step as usize >= array.shape[0] {
+            // The call of step s mostly shows the learning after step s - 1, and `settle` that after the last.
+            let lag = match read {
+                Read::Column(rule, _) => recording.network.parts().rules[*rule].rule.lag(),
+                _ => 0,
+            };
+            let Some(step) = step.checked_sub(if is_settled { 0 } else { lag }) else { continue };
+            if is_settled && lag == 0 || step as usize >= array.shape[0] {
                 continue;
             }
             let population = |id: PopulationId| {
@@ -338,6 +341,58 @@ fn nets(folder: &Path) -> Vec<Recording> {
     nets.iter().map(|case| net(folder, case)).collect()
 }
 
+#[derive(Deserialize)]
+struct Pes {
+    name: String,
+    axons: u32,
+    dims: u32,
+    steps: u32,
+    tau: f64,
+    magnitude: f64,
+    /// Of the weights as they are recorded, 6 more than in a format.
+    weight_exp: i64,
+}
+
+/// A connection that learns by PES from `error`, of which entry t is the one of step t.
+fn pes(folder: &Path, case: &Pes) -> Recording {
+    let archive = Archive::read(&folder.join(format!("{}.npz", case.name)));
+    let mut net = Builder::new();
+    let (input, error) = (net.input("in", case.axons), net.input("error", case.dims));
+    net.parts.populations[error].message = Message::Value(MessageBits::new(17).unwrap());
+    let targets = 2 * case.dims;
+    let neurons = vec![neuron(4096, 4096, 8_000, 1); targets as usize];
+    let out = net.each("out", Shape::Line(targets), &neurons, 0);
+    let mantissas = |name| {
+        let mut array = archive.array(name);
+        array.values.iter_mut().for_each(|weight| *weight >>= case.weight_exp);
+        array
+    };
+    let weights = mantissas("w0").values.iter().map(|&weight| weight as i16).collect();
+    let format = format(case.weight_exp - 6, SignMode::Mixed, 8);
+    net.connect((input, out), format, 0, Connectivity::Dense { targets, weights });
+    let x1 = TraceSettings { impulse: case.magnitude.try_into().unwrap(), tau: case.tau.try_into().unwrap() };
+    let id = net.parts.projections.ids().last().unwrap();
+    let rule = make_plastic(&mut net.parts, id, Rule::pes(x1, None));
+    let plastic = Arc::make_mut(net.parts.projections[id].plastic.as_mut().unwrap());
+    plastic.signals = [Some(error), None, None];
+    let mut events = Vec::new();
+    for (name, units, first) in [("spikes", case.axons, 0), ("error", case.dims, case.axons)] {
+        let values = archive.array(name).values;
+        let all = (0..case.steps).flat_map(|step| (0..units).map(move |unit| (step, unit)));
+        let event = |(step, unit)| (step, ChannelId(first + unit), values[(step * units + unit) as usize] as i32);
+        events.extend(all.map(event));
+    }
+    let columns =
+        [(Column::Variable(Variable::Weight), mantissas("w")), (Column::Trace(Trace::X1), archive.array("trace"))];
+    Recording {
+        name: case.name.clone(),
+        network: net.build(),
+        draws: Draws { seed: 0, recorded: IdVec::from(vec![recorded(&archive, "")]).into() },
+        sample: Sample::with_values(case.steps, &events, None).unwrap(),
+        values: columns.map(|(column, array)| (Read::Column(rule, column), array)).into(),
+    }
+}
+
 /// Compares golden with recordings; returns the number of values, none of which differs.
 fn on_golden(recordings: &[Recording]) -> u64 {
     let mut compared = Compared::default();
@@ -372,4 +427,13 @@ fn lavas_networks_learn_as_recorded() {
     let Some(folder) = data("learning/lava_nets") else { return };
     let recordings = nets(&folder);
     assert_eq!((recordings.len(), on_golden(&recordings), on_machine(&recordings)), (6, 140_960, 140_960));
+}
+
+#[test]
+fn pes_learns_as_recorded() {
+    let Some(folder) = data("learning/pes") else { return };
+    let text = std::fs::read_to_string(folder.join("cases.json")).unwrap();
+    let cases: Vec<Pes> = serde_json::from_str(&text).unwrap();
+    let recordings: Vec<Recording> = cases.iter().map(|case| pes(&folder, case)).collect();
+    assert_eq!((recordings.len(), on_golden(&recordings), on_machine(&recordings)), (6, 148_080, 148_080));
 }

@@ -121,7 +121,7 @@ pub fn cases() -> Vec<Case> {
 
     // Model files: replaced text, its replacement, code, line (0: the file as a whole), message.
     let syntax = "model.syntax";
-    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 75] = [
+    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 76] = [
         ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`Loihi` has no field `dw`"),
         ("unknown kind of population", "Loihi(", "Loki(", syntax, 6, "Loki"),
         ("unknown kind of projection", "Dense(", "Dence(", syntax, 9, "Dence"),
@@ -197,7 +197,15 @@ pub fn cases() -> Vec<Case> {
             "epoch of 64 steps is not 1 to 63",
         ),
         ("two k of u", RULE, "learning: Rule(dw: \"u0\", dt: \"u1*x1\")", LEARNING, 9, "but u0 and u1 are used"),
-        ("rule of PES", RULE, "learning: Pes(error: \"in\")", syntax, 9, "Pes is not supported yet"),
+        (
+            "PES",
+            RULE,
+            "learning: Pes(error: \"in\", x1: (impulse: 1, tau: 1))",
+            LEARNING,
+            9,
+            "learning_semantics: Nengo",
+        ),
+        ("PES without a trace", RULE, "learning: Pes(error: \"in\")", syntax, 9, "`x1`"),
         ("reward channel", RULE, "learning: Rule(dw: \"u0\", r1: (tau: 1))", syntax, 9, "r1 is not supported yet"),
         ("great impulse", RULE, "learning: Rule(dw: \"x0\", x1: (impulse: 128, tau: 1))", syntax, 9, "impulse of 128"),
         ("signal that is none", RULE, "learning: Rule(dw: \"x0\", y2: Signal(\"in\"))", LEARNING, 9, "declare it so"),

@@ -84,7 +84,12 @@ impl ProjectionLowering<'_> {
                 return Err(self.refused(field, format!("'{name}' is not a Signal population")).help(help));
             }
             let size = graph[node].shape.len();
-            if ![1, units].contains(&size) {
+            if desc.is_pes && 2 * u64::from(size) != u64::from(units) {
+                let what = format!("'{name}' has {size} values for {units} targets, which are not two for each value");
+                let help = "the first half of the targets learns from the negative error, the second half from it";
+                return Err(self.refused(field, what).help(help));
+            }
+            if !desc.is_pes && ![1, units].contains(&size) {
                 let what = format!("'{name}' has {size} values for {units} targets");
                 return Err(self.refused(field, what).help(format!("give it the shape [1] or [{units}]")));
             }
@@ -117,7 +122,11 @@ impl ProjectionLowering<'_> {
                 return Err(self.refused("", what).help("remove learning, or declare Loihi neurons"));
             }
         }
-        let synapses = self.shape_of_rows().into_iter().fold(1, u64::saturating_mul);
+        // PES draws for each pair of a source and a target.
+        let is_pes = self.desc.learning.as_ref().is_some_and(|rule| rule.is_pes);
+        let pairs = || vec![self.source_units, u64::from(self.target_shape.len())];
+        let counted = if is_pes { pairs() } else { self.shape_of_rows() };
+        let synapses = counted.into_iter().fold(1, u64::saturating_mul);
         if synapses > MOST_UNIFORM {
             let what = format!("{synapses} synapses that learn are more than {MOST_UNIFORM}");
             return Err(self.refused("", what).help("divide the populations, or remove learning"));
@@ -138,6 +147,18 @@ impl ProjectionLowering<'_> {
     fn checked(&self, desc: &RuleDesc) -> Result<Rule> {
         let mut text = RuleText { graded: desc.graded, until: desc.until, ..RuleText::default() };
         text.semantics = self.lowering.learning_semantics();
+        match (desc.is_pes, text.semantics == LearningSemantics::Nengo) {
+            (true, true) => return Ok(Rule::pes(desc.x1.unwrap_or_default(), desc.until)),
+            (true, false) => {
+                let what = format!("Pes is a rule of Nengo, the network's learning semantics are {:?}", text.semantics);
+                return Err(self.refused("", what).help("give the network learning_semantics: Nengo"));
+            }
+            (false, true) => {
+                let help = "write Pes(error: \"..\", x1: (impulse: 16, tau: 5)), or learning_semantics: Silicon";
+                return Err(self.refused("", "of all rules, learning semantics Nengo have Pes alone").help(help));
+            }
+            (false, false) => {}
+        }
         for variable in Variable::ALL {
             let (field, change) = desc.change(variable);
             if !change.is_empty() {

@@ -30,6 +30,9 @@ pub enum PostTrace {
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields, rename = "Rule")]
 pub struct RuleDesc {
+    /// Whether it is PES, whose fields are those of [`Pes`].
+    #[serde(skip)]
+    pub is_pes: bool,
     /// The change of weights.
     #[serde(skip_serializing_if = "is_default")]
     pub dw: String,
@@ -71,7 +74,36 @@ pub struct RuleDesc {
     pub until: Option<u32>,
 }
 
+/// The rule PES as a model file states it.
+#[derive(Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Pes {
+    /// The population of its error, which is y1 of the description.
+    error: String,
+    x1: TraceSettings,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    until: Option<u32>,
+}
+
+/// A rule as a model file states it.
+#[derive(Serialize)]
+#[serde(untagged)]
+pub(super) enum Written<'a> {
+    Rule(&'a RuleDesc),
+    Pes(Pes),
+}
+
 impl RuleDesc {
+    /// The rule, to be written.
+    pub(super) fn written(&self) -> Written<'_> {
+        match (&self.y1, self.x1) {
+            (Some(PostTrace::Signal(error)), Some(x1)) if self.is_pes => {
+                Written::Pes(Pes { error: error.clone(), x1, until: self.until })
+            }
+            _ => Written::Rule(self),
+        }
+    }
+
     /// The text of a variable's change; empty without one.
     pub fn change(&self, variable: Variable) -> (&'static str, &str) {
         match variable {
@@ -83,7 +115,11 @@ impl RuleDesc {
 
     /// The postsynaptic traces, by name.
     pub fn post_traces(&self) -> [(&'static str, Option<&PostTrace>); 3] {
-        [("y1", self.y1.as_ref()), ("y2", self.y2.as_ref()), ("y3", self.y3.as_ref())]
+        [
+            (if self.is_pes { "error" } else { "y1" }, self.y1.as_ref()),
+            ("y2", self.y2.as_ref()),
+            ("y3", self.y3.as_ref()),
+        ]
     }
 
     /// First values of tags and delays that are arrays, by field.
@@ -109,7 +145,9 @@ impl RuleDesc {
 pub(super) fn rule<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<RuleDesc>, D::Error> {
     let (text, span) = raw(deserializer)?;
     if text.starts_with("Pes") {
-        return refuse(span, "the rule Pes is not supported yet: write Rule(dw: \"..\")");
+        let Pes { error, x1, until } = parse_at(text, span)?;
+        let y1 = Some(PostTrace::Signal(error));
+        return Ok(Some(RuleDesc { is_pes: true, x1: Some(x1), y1, until, ..RuleDesc::default() }));
     }
     for channel in ["r0", "r1"] {
         if let Some(Span { start, end }) = locate(text, Span { start: 0, end: text.len() }, channel) {
@@ -126,9 +164,7 @@ pub(super) fn rule<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<
 /// Reads semantics of learning, and refuses those that are known but not supported.
 pub(super) fn semantics<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<LearningSemantics>, D::Error> {
     match raw(deserializer)? {
-        (text @ ("Nengo" | "Brian"), span) => {
-            refuse(span, format!("learning semantics {text} are not supported yet: write Silicon or Lava"))
-        }
+        ("Brian", span) => refuse(span, "learning semantics Brian are not supported yet: write Silicon, Lava or Nengo"),
         (text, span) => parse_at(text, span),
     }
 }

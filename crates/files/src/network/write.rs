@@ -107,7 +107,7 @@ impl Serialize for ProjectionDesc {
         given(&mut fields, "delay", (self.delay != 0).then_some(self.delay))?;
         given(&mut fields, "weight_scale", self.weight_scale)?;
         given(&mut fields, "port", (!self.port.is_first()).then_some(self.port))?;
-        given(&mut fields, "learning", self.learning.as_ref())?;
+        given(&mut fields, "learning", self.learning.as_ref().map(RuleDesc::written))?;
         fields.end()
     }
 }

@@ -29,6 +29,10 @@ named_variants! {
         Post = "draw_post",
         /// The fraction of a further spike of a source in an epoch, where it is drawn.
         Pre = "draw_pre",
+        /// Rounding of a trace of PES, for each source.
+        Trace = "draw_trace",
+        /// Rounding of a weight of PES, for each source and target.
+        Weight = "draw_weight",
     }
 }
 
@@ -52,7 +56,7 @@ pub type Recorded = BTreeMap<Use, Vec<f64>>;
 pub struct Draws {
     /// The seed.
     pub seed: u64,
-    /// Recorded numbers, which replace the seeded ones of lava's semantics.
+    /// Recorded numbers, which replace the seeded ones of lava's semantics and of PES.
     pub recorded: Arc<IdVec<RuleId, Option<Recorded>>>,
 }
 
@@ -97,6 +101,15 @@ impl Draws {
     pub fn at(&self, Place { rule, of, part, step }: Place) -> Numbers {
         let part = u64::from(part) | (of as u64) << 8 | (rule.index() as u64) << 16;
         Numbers(rng::bits(self.seed, part, step))
+    }
+
+    /// The number of one of a count of entities, real in [0, 1). `number` counts those of each entity
+    /// in the run from 0; recorded ones have all entities in a row.
+    pub fn each(&self, place: Place, number: u32, (entity, count): (u32, usize)) -> f64 {
+        match self.recorded.get(place.rule).and_then(Option::as_ref).and_then(|recorded| recorded.get(&place.of)) {
+            Some(numbers) => numbers.get(number as usize * count + entity as usize).copied().unwrap_or(0.0),
+            None => self.at(place).unit(entity),
+        }
     }
 
     /// The number that all entities of a rule share: real in [0, 1), or whole from 0 to 127.

@@ -13,6 +13,12 @@ use crate::base::names::named_variants;
 
 /// The most steps of an epoch: 6 bits (Davies et al. 2018).
 pub const LONGEST_EPOCH: u8 = 63;
+/// Steps of an epoch of PES.
+pub const PES_EPOCH: u8 = 4;
+/// Steps after which traces of PES change.
+pub const PES_TRACE_EPOCH: u32 = 2;
+/// The greatest magnitude of an error of PES.
+pub const GREATEST_ERROR: i32 = 127;
 /// The greatest k of a dependency u_k.
 pub const SLOWEST: u8 = 9;
 /// Mantissas of products: 4 bits.
@@ -157,6 +163,8 @@ named_variants! {
         Silicon = "Silicon",
         /// lava-nc's, exactly.
         Lava = "Lava",
+        /// nengo-loihi's rule PES, exactly. Weights learn from an error, which is a signal.
+        Nengo = "Nengo",
     }
 }
 
@@ -165,7 +173,7 @@ impl LearningSemantics {
     pub const fn mantissa_bits(self) -> u32 {
         match self {
             LearningSemantics::Lava => 4,
-            LearningSemantics::Silicon => 3,
+            LearningSemantics::Silicon | LearningSemantics::Nengo => 3,
         }
     }
 
@@ -174,6 +182,7 @@ impl LearningSemantics {
         match self {
             LearningSemantics::Lava => (-257, 255),
             LearningSemantics::Silicon => (-256, 255),
+            LearningSemantics::Nengo => (0, 0),
         }
     }
 
@@ -182,6 +191,7 @@ impl LearningSemantics {
         match self {
             LearningSemantics::Lava => (0, 255),
             LearningSemantics::Silicon => (0, 62),
+            LearningSemantics::Nengo => (0, 0),
         }
     }
 
@@ -189,7 +199,7 @@ impl LearningSemantics {
     pub const fn accumulator(self) -> (i32, i32) {
         match self {
             LearningSemantics::Lava => (-32_769, 32_767),
-            LearningSemantics::Silicon => (-32_768, 32_767),
+            LearningSemantics::Silicon | LearningSemantics::Nengo => (-32_768, 32_767),
         }
     }
 
@@ -341,11 +351,16 @@ impl Rule {
     /// A rule from its fields. One without changes is allowed: its weights change by writing.
     ///
     /// # Errors
-    /// A sentence: the epoch is not 1 to [`LONGEST_EPOCH`], two changes have different k of u.
+    /// A sentence: the epoch is not 1 to [`LONGEST_EPOCH`], two changes have different k of u, PES
+    /// has a change or another epoch.
     pub fn new(text: RuleText) -> Result<Self, String> {
         let RuleText { changes, epoch, traces, semantics, graded, until } = text;
         if !(1..=LONGEST_EPOCH).contains(&epoch) {
             return Err(format!("an epoch of {epoch} steps is not 1 to {LONGEST_EPOCH}"));
+        }
+        let is_pes = semantics == LearningSemantics::Nengo;
+        if is_pes && (epoch != PES_EPOCH || changes.iter().any(|change| !change.products.is_empty())) {
+            return Err(format!("the rule PES of Nengo has an epoch of {PES_EPOCH} and no products"));
         }
         let mut slow = changes.iter().filter_map(|change| change.slow);
         let first = slow.next();
@@ -363,6 +378,29 @@ impl Rule {
         Rule { epoch: 1, ..Rule::default() }
     }
 
+    /// PES, with the trace of its sources.
+    pub fn pes(x1: TraceSettings, until: Option<u32>) -> Self {
+        let semantics = LearningSemantics::Nengo;
+        let mut rule = Rule { epoch: PES_EPOCH, semantics, until, ..Rule::default() };
+        rule.traces[Trace::X1.index()] = x1;
+        rule
+    }
+
+    /// Whether it is PES, which has no products.
+    pub fn is_pes(&self) -> bool {
+        self.semantics == LearningSemantics::Nengo
+    }
+
+    /// Whether it changes synapses by itself: by its products, or as PES.
+    pub fn is_active(&self) -> bool {
+        self.learns() || self.is_pes()
+    }
+
+    /// Steps after which an engine learns from a spike that it has delivered in a step.
+    pub fn lag(&self) -> u32 {
+        u32::from(!self.is_pes())
+    }
+
     /// The products that change a variable, in order; none where the rule leaves it.
     pub fn products(&self, variable: Variable) -> &[Product] {
         &self.changes[variable as usize].products
@@ -378,7 +416,7 @@ impl Rule {
         self.changes.iter().flat_map(|change| &change.products)
     }
 
-    /// Whether the rule changes anything.
+    /// Whether its products change anything.
     pub fn learns(&self) -> bool {
         self.all_products().next().is_some()
     }
@@ -455,7 +493,7 @@ pub struct Plastic {
     /// First delay of each synapse where delays do not act; empty where all are 0.
     pub delays: Arc<[i16]>,
     /// The input populations whose values replace y1, y2 and y3: one for each target, or one for
-    /// all of them.
+    /// all of them. The first of PES is its error, with a value for each pair of targets.
     pub signals: [Option<PopulationId>; 3],
 }
 

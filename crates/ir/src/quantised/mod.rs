@@ -842,6 +842,14 @@ fn check_plastic(parts: &Parts, projection: &Projection) -> Result<(), &'static 
     if !within(&plastic.tags, semantics.tags()) || !within(&plastic.delays, semantics.delays()) {
         return Err("a first tag or delay is out of range");
     }
+    if learning.rule.is_pes() {
+        let error = plastic.signals[0].and_then(|signal| parts.populations.get(signal));
+        let pairs = |error: &Population| 2 * u64::from(error.shape.len()) == u64::from(target.shape.len());
+        return match error.filter(|error| matches!(error.units, Units::Input(_)) && pairs(error)) {
+            Some(_) if plastic.signals[1..] == [None, None] => Ok(()),
+            _ => Err("its error is no input population of one value for each pair of targets"),
+        };
+    }
     for signal in plastic.signals.into_iter().flatten() {
         let one_or_each = |population: &Population| [1, target.shape.len()].contains(&population.shape.len());
         if !parts.populations.get(signal).is_some_and(|p| matches!(p.units, Units::Input(_)) && one_or_each(p)) {

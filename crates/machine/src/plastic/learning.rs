@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use crate::layout::image::Image;
 use crate::layout::plastic::{Plan, ProjectionPlan};
 use crate::plastic::epoch::Epoch;
+use crate::plastic::pes::{self, Arrivals};
 use crate::plastic::signals::Signals;
 use crate::plastic::traces::{Side, Source, Traces};
 use crate::update::state::ShardState;
@@ -29,6 +30,8 @@ pub(crate) struct Learning {
     base: u64,
     /// By plastic projection.
     projections: Vec<State>,
+    /// The projections that learn by PES.
+    pes: Vec<pes::Learner>,
     /// Value of each channel that is a signal, in the step that learns next; channels in order.
     signals: Vec<i32>,
     /// The value of each channel that always sends the same one.
@@ -57,6 +60,19 @@ pub(crate) enum StepChange {
 }
 
 impl StepChange {
+    /// Adds the updates of each core since there were `before` ones.
+    fn add_updates(changes: &mut Option<&mut Vec<StepChange>>, before: Option<Vec<u64>>, shards: &[ShardState]) {
+        if let (Some(changes), Some(before)) = (changes, before) {
+            let by_core = updates_by_core(shards).into_iter().zip(before).enumerate();
+            changes.extend(
+                by_core.filter(|(_, (now, before))| now > before).map(|(core, (now, before))| StepChange::Updates {
+                    core: CoreId::new(core),
+                    updates: now - before,
+                }),
+            );
+        }
+    }
+
     /// Applies the changes of a step to its counts.
     pub fn apply_all(changes: &mut Vec<StepChange>, step: &mut StepActivity) {
         for change in changes.drain(..) {
@@ -96,6 +112,7 @@ impl Learning {
         let end = signals().map(|signal| signal.end).max().unwrap_or(first);
         Learning {
             projections: plan.projections.iter().map(state).collect(),
+            pes: pes::Learner::all(image),
             signals: vec![0; (end - first) as usize],
             constants: (first..end).map(|channel| factor(image, channel)).collect(),
             of_signals: first..end,
@@ -118,6 +135,7 @@ impl Learning {
         self.base += u64::from(steps);
         self.signals.fill(0);
         self.updates = 0;
+        self.pes.iter_mut().for_each(pes::Learner::clear);
         for state in &mut self.projections {
             state.pre.clear();
             state.post.clear();
@@ -127,6 +145,9 @@ impl Learning {
 
     /// Whether a step without spikes may update a synapse.
     pub fn may_update(&self, image: &Image) -> bool {
+        if !self.pes.is_empty() {
+            return true;
+        }
         let plan = &image.plastic;
         plan.projections.iter().zip(&self.projections).any(|(projection, State { pre, post, .. })| {
             let rule = plan.rules[projection.of.plastic.rule].rule();
@@ -160,7 +181,7 @@ impl Learning {
             signals.make_histories(post, &source);
             let round = source.shared_round();
             let epoch = Epoch { projection, compiled, pre, post, source, round, signals };
-            let before: Option<Vec<u64>> = changes.is_some().then(|| updates_by_core(shards));
+            let before = changes.is_some().then(|| updates_by_core(shards));
             self.updates += match (&mut *shards, image.shards.as_slice()) {
                 ([state], [shard]) => epoch.learn(index, state, shard),
                 (states, shards) => {
@@ -168,15 +189,32 @@ impl Learning {
                     pairs.map(|(state, shard)| epoch.learn(index, state, shard)).sum()
                 }
             };
-            if let (Some(changes), Some(before)) = (&mut changes, before) {
-                let by_core = updates_by_core(shards).into_iter().zip(before).enumerate();
-                changes.extend(by_core.filter(|(_, (now, before))| now > before).map(|(core, (now, before))| {
-                    StepChange::Updates { core: CoreId::new(core), updates: now - before }
-                }));
-            }
+            StepChange::add_updates(&mut changes, before, shards);
             pre.end_epoch(step);
             post.end_epoch(step);
         }
+    }
+
+    /// PES learns from the spikes that arrive in a step, and from its signals; adds the updates of
+    /// each core to `changes`.
+    pub fn learn_errors(
+        &mut self,
+        step: u32,
+        delivered: Delivered<'_>,
+        image: &Image,
+        shards: &mut [ShardState],
+        mut changes: Option<&mut Vec<StepChange>>,
+    ) {
+        if self.pes.is_empty() {
+            return;
+        }
+        let compartments = delivered.compartments.iter().map(|compartment| image.channels + compartment.0);
+        let units: Vec<u32> = delivered.channels.ids.iter().map(|channel| channel.0).chain(compartments).collect();
+        let (since, signals) = (self.base + u64::from(step), (self.of_signals.start, self.signals.as_slice()));
+        let arrivals = Arrivals { step, since, draws: &self.draws, units: &units, signals };
+        let before = changes.is_some().then(|| updates_by_core(shards));
+        self.updates += self.pes.iter_mut().map(|pes| pes.advance(arrivals, image, shards)).sum::<u64>();
+        StepChange::add_updates(&mut changes, before, shards);
     }
 
     /// Sets the values of signals in a step.
@@ -269,13 +307,16 @@ impl Learning {
     pub fn traces(&self, image: &Image, rule: RuleId, trace: Trace) -> Vec<i32> {
         let mut column = Vec::new();
         let mut targets = None;
-        for (projection, state) in image.plastic.projections.iter().zip(&self.projections) {
+        for (index, (projection, state)) in image.plastic.projections.iter().zip(&self.projections).enumerate() {
             let of = &projection.of;
             if of.plastic.rule != rule || *targets.get_or_insert(of.targets.clone()) != of.targets {
                 continue;
             }
             let values: Vec<i32> = match trace.index().checked_sub(2) {
-                None => state.pre.column(trace.index()).collect(),
+                None => match self.pes.iter().find(|pes| pes.projection == index && trace == Trace::X1) {
+                    Some(pes) => pes.traces.iter().map(|&value| value.into()).collect(),
+                    None => state.pre.column(trace.index()).collect(),
+                },
                 Some(place) => {
                     let signal = state.signals.column(place, of.targets.len());
                     signal.unwrap_or_else(|| state.post.column(place).collect())
