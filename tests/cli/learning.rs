@@ -193,3 +193,72 @@ fn what_learning_semantics_lack_is_refused_by_name() {
         assert!(status == 3 && stderr.contains(says), "{says}: {status} {stderr}");
     }
 }
+
+/// A network of two projections into one compartment, each with its rule or none.
+fn two_rules(sources: usize, rules: [&str; 2]) -> String {
+    let weights = vec!["2"; sources].join(", ");
+    let [a, b] = rules.map(|rule| if rule.is_empty() { String::new() } else { format!(", learning: Rule({rule})") });
+    format!(
+        "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [{sources}]), \
+         Input(name: \"in2\", shape: [1]), Loihi(name: \"out\", shape: [1], du: 4095, dv: 128, vth_mant: 80)], \
+         projections: [Dense(name: \"a\", from: [\"in\"], to: \"out\", weights: [[{weights}]]{a}), \
+         Dense(name: \"b\", from: [\"in2\"], to: \"out\", weights: [[2]]{b})], output: \"out\")"
+    )
+}
+
+/// Each remedy of each reason is tried.
+#[test]
+fn what_a_core_cannot_learn_is_refused_with_remedies_that_work() {
+    let folder = tempfile::tempdir().unwrap();
+    let fits = |more: &str, sources, rules: [&str; 2]| {
+        std::fs::write(folder.path().join("m.ron"), two_rules(sources, rules)).unwrap();
+        let map = object(folder.path(), &format!("map m.ron {more}"), 0);
+        assert_eq!(map["fits"], true, "{more} {rules:?}: {}", map["reasons"]);
+    };
+    let sum = |products: usize| format!("dw: \"{}\"", vec!["x1*y1*y0"; products].join(" + "));
+    let (nine, eight) = (sum(9), sum(8));
+    let traces = |x1, x2| format!("dw: \"x1*x2*y0\", x1: (impulse: {x1}, tau: 5), x2: (impulse: {x2}, tau: 5)");
+    let (one, other) = (traces(1, 2), traces(3, 4));
+    let pair = "dw: \"x1*y0 - y1*x0\"";
+    let remove = "; or remove `learning` from";
+    for (sources, rules, resource, need, limit, advice, remedies) in [
+        (
+            1,
+            [&*nine, &eight],
+            "rule_words",
+            17,
+            16,
+            "equal rules, or rules of fewer products",
+            vec![[&*nine, &nine], [&eight, &eight]],
+        ),
+        (1, [&one, &other], "trace_configurations", 4, 3, "equal impulse and tau", vec![[&*one, &one]]),
+        (2048, [pair, ""], "axons_in", 4097, 4096, remove, vec![]),
+    ] {
+        std::fs::write(folder.path().join("m.ron"), two_rules(sources, rules)).unwrap();
+        let map = object(folder.path(), "map m.ron", 1);
+        let reason = &map["reasons"][0];
+        let found = [&reason["resource"], &reason["need"], &reason["limit"], &reason["population"]];
+        assert_eq!(found.map(ToString::to_string).join(" "), format!("\"{resource}\" {need} {limit} \"out\""));
+        let help = reason["help"].as_str().unwrap();
+        assert!(help.contains(advice) && help.contains(&format!("{remove} 'a'")), "{help}");
+        remedies.into_iter().for_each(|rules| fits("--target loihi1-chip", sources, rules));
+        fits("--target loihi1-chip", sources, ["", rules[1]]);
+        fits(&format!("--set target.limits.{resource}={need}"), sources, rules);
+    }
+    // A target that does not learn.
+    let target = |name: &str, learns: bool| {
+        let text = format!("Target(base: \"loihi1-chip\", name: \"{name}\", notes: \"\", learning: {learns})");
+        std::fs::write(folder.path().join(format!("{name}.ron")), text).unwrap();
+    };
+    target("fixed", false);
+    target("own", true);
+    std::fs::write(folder.path().join("m.ron"), two_rules(1, [pair, ""])).unwrap();
+    let refused = object(folder.path(), "map m.ron --target fixed.ron", 3);
+    assert_eq!(refused["code"], "map.learning");
+    let all = format!("{} {}", refused["message"], refused["help"]);
+    let says = "'a' has a learning rule, and synapses of fixed do not learn";
+    assert!(all.contains(says) && all.contains("set learning: true"), "{refused}");
+    fits("--target own.ron", 1, [pair, ""]);
+    fits("--target loihi1-chip", 1, [pair, ""]);
+    fits("--target fixed.ron", 1, ["", ""]);
+}

@@ -21,6 +21,7 @@ pub fn roomy(name: &str) -> Target {
     (limits[Resource::CompartmentProfiles], limits[Resource::ThresholdProfiles], limits[Resource::SynapseFormats]) =
         (1024, 1024, 64);
     (limits[Resource::Accumulators], limits[Resource::AxonsIn]) = (1 << 16, 1 << 16);
+    (limits[Resource::RuleWords], limits[Resource::TraceConfigurations]) = (1 << 16, 1 << 16);
     target.with_limits(limits)
 }
 

@@ -20,6 +20,7 @@ use nsim_ir::quantised::{Projection, Quantised};
 use nsim_ir::resource::{Packing, Resource};
 
 use crate::verify::{self, Violation};
+use crate::words::bits_of_tag;
 
 /// Checks every rule of [`verify`], and the words of each core; returns the usage of each core.
 ///
@@ -66,8 +67,9 @@ fn words(bits: u64) -> u64 {
     bits / 64 + u64::from(!bits.is_multiple_of(64))
 }
 
-/// Bits of a stored weight: those of its format, or as few as hold all weights of the projection.
-fn bits_of_weights(projection: &Projection) -> u64 {
+/// Bits of a stored weight with its tag: those of its format, or as few as hold all weights of the
+/// projection.
+fn bits_of_weights(network: &Quantised, projection: &Projection) -> u64 {
     let format = projection.format;
     let weights: Vec<i16> = match &projection.connectivity {
         Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => weights.to_vec(),
@@ -82,7 +84,8 @@ fn bits_of_weights(projection: &Projection) -> u64 {
         })
     };
     let widest = u64::from(format.bits.get());
-    if format.is_plastic() { widest } else { (1..widest).find(holds).unwrap_or(widest) }
+    let tag = u64::from(bits_of_tag(&network.parts().rules, format));
+    if format.is_plastic() { widest + tag } else { (1..widest).find(holds).unwrap_or(widest) }
 }
 
 impl Count<'_> {
@@ -119,7 +122,7 @@ impl Count<'_> {
 
     /// Words of the synapses of a projection.
     fn synapses(&mut self, projection: &Projection, synapse_bits: u32, list_bits: u32) {
-        let (weight, list) = (bits_of_weights(projection), u64::from(list_bits));
+        let (weight, list) = (bits_of_weights(self.network, projection), u64::from(list_bits));
         let of_list = |targets: u64| words(targets * (weight + u64::from(synapse_bits)) + list);
         let sources = self.network.populations()[projection.source].shape.len();
         if let Some(window) = projection.connectivity.window() {

@@ -14,8 +14,8 @@
 //! - neurons are of kinds that the chip has (`Kind`), and no message is wider than the chip's
 //!   (`Message`);
 //! - a compartment pops exactly if the compartment before it pushes (`Neuron`);
-//! - formats are distinct, each is used, and its fields can be stored: weights not of 7 bits, the
-//!   core's index and delay widths or none (`Format`);
+//! - formats are distinct, each is used, and its fields can be stored: a rule that the program has,
+//!   weights not of 7 bits, the core's index and delay widths or none (`Format`);
 //! - in a list the synapses of one format are consecutive, and two groups do not differ in density
 //!   or delay alone (`Scattered`);
 //! - the slots of a dense group are consecutive; the slots of a sparse group ascend and fit its
@@ -48,7 +48,7 @@ use nsim_ir::program::{
 use nsim_ir::quantised::Neuron;
 use nsim_ir::resource::{Capacity, Limits, OutputAxons, PerResource, Resource};
 
-use crate::words::{Layout, RUNS, delay_slots};
+use crate::words::{Layout, RUNS, bits_of_tag, delay_slots, has_all_delays, of_rules};
 
 /// Bases of pop16 axons are multiples of this, and all bases are below the end (nengo-loihi e564f66
 /// `hardware/builder.py`).
@@ -428,9 +428,12 @@ fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<Cor
         return Err(Violation::Neuron { core, slot });
     }
     let in_table = verify_populations(core, &class.inputs, limits)?;
-    let longest = class.inputs.lists.items().iter().map(|s| s.delay).max().unwrap_or(Delay::MIN);
+    let rules = &program.parts().learning.rules;
+    let moves: Vec<bool> = class.formats.iter().map(|format| has_all_delays(rules, format.synapse)).collect();
+    let delay = |s: &Synapse| if moves[usize::from(s.format)] { Delay::MAX } else { s.delay };
+    let longest = class.inputs.lists.items().iter().map(delay).max().unwrap_or(Delay::MIN);
     let layout = Layout::of_core(class.compartments.len() as u32, longest, limits);
-    verify_formats(core, class, layout)?;
+    verify_formats(core, class, layout, rules.len())?;
     let mut of_lists = Vec::with_capacity(class.inputs.lists.len());
     let (mut used, mut kinds) = (vec![false; class.formats.len()], Vec::new());
     for (list, synapses) in class.inputs.lists.iter().enumerate() {
@@ -446,8 +449,8 @@ fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<Cor
                 return Err(Violation::Scattered { core, list });
             }
             kinds.push(format.synapse);
-            verify_group(core, list, group, format)?;
-            list_words += layout.words(format, group.len() as u32, in_table[list]);
+            verify_group(core, list, group, format, moves[usize::from(group[0].format)])?;
+            list_words += layout.words(format, bits_of_tag(rules, format.synapse), group.len() as u32, in_table[list]);
         }
         of_lists.push(list_words);
     }
@@ -456,7 +459,9 @@ fn verify_tables(program: &Program, core: CoreId, limits: &Limits) -> Result<Cor
     }
     let stored = if limits.is_limited(Resource::StoredSynapses) { stored_synapses(program, core) } else { 0 };
     let (words, widest) = words_of(&class.inputs, &of_lists, &in_table);
+    let (microcode, traces) = of_rules(rules, &class.formats);
     let usage = usage_of(class, longest, words, widest).with(Resource::StoredSynapses, stored);
+    let usage = usage.with(Resource::RuleWords, microcode).with(Resource::TraceConfigurations, traces);
     Ok(if limits.counts_kernels() { usage.with(Resource::AxonsIn, 0).with(Resource::SynapseWords, 0) } else { usage })
 }
 
@@ -483,12 +488,15 @@ fn stored_synapses(program: &Program, core: CoreId) -> u64 {
     most.sum()
 }
 
-fn verify_formats(core: CoreId, class: &CoreClass, layout: Layout) -> Result<(), Violation> {
+fn verify_formats(core: CoreId, class: &CoreClass, layout: Layout, rules: usize) -> Result<(), Violation> {
     let mut distinct = BTreeSet::new();
     for (number, format) in class.formats.iter().enumerate() {
         let wrong = |what| Err(Violation::Format { core, format: number, what });
         if !distinct.insert(format) {
             return wrong("is duplicated");
+        }
+        if format.synapse.rule.is_some_and(|rule| rule.index() >= rules) {
+            return wrong("names a rule that the program does not have");
         }
         if format.synapse.bits.get() == 7 {
             return wrong("has weights of 7 bits");
@@ -506,7 +514,13 @@ fn verify_formats(core: CoreId, class: &CoreClass, layout: Layout) -> Result<(),
     Ok(())
 }
 
-fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat) -> Result<(), Violation> {
+fn verify_group(
+    core: CoreId,
+    list: usize,
+    group: &[Synapse],
+    format: CoreFormat,
+    moves: bool,
+) -> Result<(), Violation> {
     let in_order = match format.index_bits {
         None => group.windows(2).all(|pair| u32::from(pair[1].slot) == u32::from(pair[0].slot) + 1),
         Some(bits) => {
@@ -524,7 +538,7 @@ fn verify_group(core: CoreId, list: usize, group: &[Synapse], format: CoreFormat
     if !in_order || !format.skip_bits.is_none_or(holds) {
         return Err(Violation::Slots(core, list));
     }
-    let longest = group.iter().map(|s| s.delay.get()).max().unwrap_or(0);
+    let longest = if moves { Delay::MAX } else { group.iter().map(|s| s.delay).max().unwrap_or(Delay::MIN) }.get();
     if (longest > 0) != (format.delay_bits > 0) || u32::from(longest) >= 1 << format.delay_bits {
         return Err(Violation::Delay(core, list));
     }
@@ -541,7 +555,12 @@ fn usage_of(class: &CoreClass, longest: Delay, words: u64, widest: u32) -> CoreU
     let profiles = |neuron: &Neuron| (neuron.profile(), neuron.threshold());
     let distinct = class.compartments.iter().map(|c| profiles(&c.neuron));
     let (profiles, thresholds): (BTreeSet<_>, BTreeSet<_>) = distinct.unzip();
-    let axons_in = (class.inputs.populations.len() + class.inputs.iter_discrete().count()) as u64;
+    let lists = class.inputs.lists.iter();
+    // Traces of a source take a second entry.
+    let learns =
+        |synapses: &&[Synapse]| synapses.iter().any(|s| class.formats[usize::from(s.format)].synapse.rule.is_some());
+    let learning = lists.filter(learns).count();
+    let axons_in = (class.inputs.populations.len() + class.inputs.iter_discrete().count() + learning) as u64;
     let of = |resource| match resource {
         Resource::Compartments => u64::from(compartments),
         Resource::AxonsIn => axons_in,
@@ -555,6 +574,8 @@ fn usage_of(class: &CoreClass, longest: Delay, words: u64, widest: u32) -> CoreU
         Resource::Accumulators => u64::from(compartments) * u64::from(delay_slots(longest)),
         // These depend on the populations of the compartments.
         Resource::StoredSynapses | Resource::NeuronWords | Resource::AxonMapWords | Resource::Groups => 0,
+        // Of these the caller counts.
+        Resource::RuleWords | Resource::TraceConfigurations => 0,
     };
     CoreUsage { synapses: class.inputs.count(), of: PerResource::from_fn(of) }
 }

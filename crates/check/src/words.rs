@@ -7,14 +7,17 @@
 //!
 //! An entry has a header of 4 bits for the format and 6 for the count (nengo-loihi e564f66
 //! `builder/validate.py`, `bits_per_axon`). Then come optionally the index of its first slot, then
-//! its synapses, up to a maximum. A synapse has its weight, its delay where its group has one, and
-//! its slot. The slot has no bits if slots are consecutive, the number of skipped slots for runs,
-//! an index otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first
+//! its synapses, up to a maximum. A synapse has its weight, its tag where its rule uses tags, its
+//! delay where its group has one, and its slot. The slot has no bits if slots are consecutive, the
+//! number of skipped slots for runs, an index otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first
 //! slot wherever there is no index, and one more word where the last word has 0 or at least 59
 //! bits.
 
 use nsim_ir::base::fixed::Delay;
+use nsim_ir::base::id::{IdVec, RuleId};
+use nsim_ir::learning::{Learning, Quantity, Variable};
 use nsim_ir::program::CoreFormat;
+use nsim_ir::quantised::connectivity::SynapseFormat;
 use nsim_ir::resource::{Limits, Packing};
 
 /// Bits of a word.
@@ -56,16 +59,16 @@ impl Layout {
         Layout { index, delay, per_entry, nxtf }
     }
 
-    /// Words of a group of `synapses` synapses of a format, in the list of a discrete axon or in a
-    /// table of a population axon.
-    pub fn words(&self, format: CoreFormat, synapses: u32, in_table: bool) -> u32 {
+    /// Words of a group of `synapses` synapses of a format with tags of `tag` bits, in the list of a
+    /// discrete axon or in a table of a population axon.
+    pub fn words(&self, format: CoreFormat, tag: u32, synapses: u32, in_table: bool) -> u32 {
         let slot = match (format.index_bits, format.skip_bits) {
             (None, _) => 0,
             (Some(_), Some(run)) => run,
             (Some(_), None) => self.index,
         };
         let delay = if format.delay_bits > 0 { self.delay } else { 0 };
-        let each = u32::from(format.synapse.bits.get()) + u32::from(delay) + u32::from(slot);
+        let each = u32::from(format.synapse.bits.get()) + tag + u32::from(delay) + u32::from(slot);
         // The first slot is stored for runs, and for synapses without slots in a table or in NxTF.
         let first = if format.index_bits.is_none() { in_table || self.nxtf } else { format.skip_bits.is_some() };
         let begin = HEADER + if first { u32::from(self.index) } else { 0 };
@@ -81,6 +84,51 @@ impl Layout {
         }
         words
     }
+}
+
+/// Bits of a synapse's tag, and of a delay that does not act, where its rule has them in a change or
+/// a factor.
+pub(crate) fn bits_of_tag(rules: &IdVec<RuleId, Learning>, format: SynapseFormat) -> u32 {
+    let Some(Learning { rule, .. }) = format.rule.and_then(|rule| rules.get(rule)) else { return 0 };
+    let mut bits = [0, 0];
+    for (variable, bits) in [Variable::Tag, Variable::Delay].into_iter().zip(&mut bits) {
+        let factors = rule.all_products().flat_map(|product| &product.factors);
+        let is_read = factors.into_iter().any(|factor| factor.of == Quantity::Variable(variable));
+        if is_read || !rule.products(variable).is_empty() {
+            *bits = if variable == Variable::Tag { 9 } else { 6 };
+        }
+    }
+    if rule.semantics().delays_act() { bits[0] } else { bits[0] + bits[1] }
+}
+
+/// Words of microcode of a core's distinct rules, two products of at most one factor in a word, and
+/// the distinct settings of the presynaptic traces that they read.
+pub(crate) fn of_rules(rules: &IdVec<RuleId, Learning>, formats: &[CoreFormat]) -> (u64, u64) {
+    let (mut programs, mut settings) = (Vec::new(), Vec::new());
+    let mut words = 0;
+    for Learning { rule, .. } in formats.iter().filter_map(|format| rules.get(format.synapse.rule?)) {
+        let program = Variable::ALL.map(|variable| rule.products(variable));
+        for factor in rule.all_products().flat_map(|product| &product.factors) {
+            match factor.of {
+                Quantity::Trace(trace) if trace.is_presynaptic() && !settings.contains(&rule.trace(trace)) => {
+                    settings.push(rule.trace(trace));
+                }
+                _ => {}
+            }
+        }
+        if !programs.contains(&program) {
+            let short = rule.all_products().filter(|product| product.factors.len() < 2).count();
+            words += rule.all_products().count() - short + short.div_ceil(2);
+            programs.push(program);
+        }
+    }
+    (words as u64, settings.len() as u64)
+}
+
+/// Whether a core keeps room for every delay of these synapses, as a rule changes them.
+pub(crate) fn has_all_delays(rules: &IdVec<RuleId, Learning>, format: SynapseFormat) -> bool {
+    let learning = format.rule.and_then(|rule| rules.get(rule)).map(|learning| &learning.rule);
+    learning.is_some_and(|rule| rule.semantics().delays_act() && !rule.products(Variable::Delay).is_empty())
 }
 
 /// Slots of a core's accumulators: a power of two above the longest delay.

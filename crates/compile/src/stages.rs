@@ -22,7 +22,7 @@ use nsim_ir::mapping::MappingFile;
 use nsim_ir::neurons::NeuronKind;
 use nsim_ir::partition::Partition;
 use nsim_ir::placement::{Mesh, Placement, Site};
-use nsim_ir::quantised::{Inconsistent, Note, Parts, Population, Quantised, Units};
+use nsim_ir::quantised::{Inconsistent, Note, Parts, Population, Projection, Quantised, Units};
 use nsim_ir::ranks::{RankAssignment, RankShare};
 use nsim_ir::resource::Resource;
 use nsim_partition::error::{CompileError, Result};
@@ -326,8 +326,18 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
         let messages = if sends { has_messages(population, target) } else { Ok(()) };
         [messages, has_kind(population, target)]
     });
-    collect_all(checked)?;
+    let learning = network.plastic().map(|(_, projection)| has_learning(network, projection, target));
+    collect_all(checked.chain(learning))?;
     Ok(())
+}
+
+fn has_learning(network: &Quantised, projection: &Projection, target: &Target) -> Result<(), Diagnostic> {
+    let Some(rule) = projection.format.rule.filter(|_| !target.chip().learning) else { return Ok(()) };
+    let (name, target) = (&network.parts().rules[rule].name, target.name());
+    let message = format!("projection '{name}' has a learning rule, and synapses of {target} do not learn");
+    Err(Diagnostic::new("map.learning", message).help(
+        "set learning: true in a chip of your own, choose a target that learns, or remove the projection's learning",
+    ))
 }
 
 fn has_messages(population: &Population, target: &Target) -> Result<(), Diagnostic> {

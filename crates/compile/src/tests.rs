@@ -16,6 +16,7 @@ use nsim_ir::base::id::{CompartmentId, CoreId, IdVec, PopulationId, ProjectionId
 use nsim_ir::base::rng;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::{Shape, Window};
+use nsim_ir::learning::{self, Change, LearningSemantics, Rule, RuleText};
 use nsim_ir::partition::{CoreUsage, Partition, seats};
 use nsim_ir::program::Program;
 use nsim_ir::quantised::connectivity::Connectivity;
@@ -27,7 +28,8 @@ use nsim_partition::resources::fan_in::FanIn;
 use nsim_partition::resources::incremental::{Filling, Newcomer};
 use nsim_partition::strategy::tiles;
 use nsim_testing::{
-    Builder, cases, limits, neurons, plain_format, random_network, slip, sparse, target, without_classes,
+    Builder, cases, limits, make_plastic, neurons, plain_format, random_network, slip, sparse, target, with_rules,
+    without_classes,
 };
 
 fn compiled(network: Quantised, limits: Limits) -> Mapping {
@@ -149,6 +151,8 @@ fn drawn_limits(seed: u64) -> Limits {
         Resource::NeuronWords if seed.is_multiple_of(3) => draw(12, 20, 60),
         Resource::AxonMapWords if seed.is_multiple_of(3) => draw(13, 20, 60),
         Resource::Groups if seed.is_multiple_of(3) => draw(14, 1, 4),
+        Resource::RuleWords => draw(15, 3, 8),
+        Resource::TraceConfigurations => draw(16, 2, 3),
         Resource::StoredSynapses | Resource::NeuronWords | Resource::AxonMapWords | Resource::Groups => u32::MAX,
     };
     let packing = match draw(10, 0, 2) {
@@ -161,7 +165,7 @@ fn drawn_limits(seed: u64) -> Limits {
 
 #[test]
 fn every_limit_is_kept_on_hundreds_of_random_networks() {
-    let (mut fitted, mut split, mut refused) = (0, 0, 0);
+    let (mut fitted, mut split, mut refused, mut learning) = (0, 0, 0, 0);
     let networks = cases(500);
     for seed in 0..networks {
         let limits = drawn_limits(seed);
@@ -169,9 +173,12 @@ fn every_limit_is_kept_on_hundreds_of_random_networks() {
         let place = seed.is_multiple_of(5);
         let options = Options { copies: 1 + (seed % 3) as u32, place, ..Options::default() };
         // Compiling verifies the tables against the limits and checks them against the network.
-        match compile(random_network(seed), &target(2, 2, limits.clone()), &options) {
+        let network = random_network(seed);
+        let network = if seed.is_multiple_of(4) { with_rules(network, seed) } else { network };
+        match compile(network, &target(2, 2, limits.clone()), &options) {
             Ok(compiled) => {
                 fitted += 1;
+                learning += u64::from(!compiled.quantised.parts().rules.is_empty());
                 split += u64::from(compiled.partition.cores() > 1);
                 for (core, used) in compiled.partition.usage().enumerate() {
                     assert_eq!(used.excesses(&limits).next(), None, "seed {seed} {core}");
@@ -185,6 +192,7 @@ fn every_limit_is_kept_on_hundreds_of_random_networks() {
         }
     }
     assert!(fitted > networks * 3 / 5 && split > networks / 2, "{fitted} fitted, {split} split, {refused} did not fit");
+    assert!(learning > networks / 10, "{learning} of them learn");
 }
 
 #[test]
@@ -459,4 +467,57 @@ fn copies_are_written_as_each_by_itself_and_proven_from_one_of_each_kind() {
     }
     assert!(proven > 60, "{proven} cores were proven from others");
     assert!(sharing > 60, "{sharing} cores share the messages of others");
+}
+
+#[test]
+fn what_learns_takes_bits_of_tags_and_delays_a_second_input_axon_microcode_and_traces() {
+    let network = |rule: Option<[&str; 3]>, semantics, targets| {
+        let mut builder = Builder::new();
+        let (a, b) = (builder.input("a", 64), builder.loihi("b", targets));
+        builder.dense(a, b, |s, t| (s + t) as i16 % 100 * 2 - 60);
+        let mut parts = builder.build().parts().clone();
+        if let Some(rule) = rule {
+            let changes =
+                rule.map(|text| if text.is_empty() { Change::default() } else { learning::parse(text).unwrap() });
+            let rule = Rule::new(RuleText { changes, epoch: 1, semantics, ..RuleText::default() }).unwrap();
+            make_plastic(&mut parts, ProjectionId(0), rule);
+        }
+        Quantised::new(parts).unwrap()
+    };
+    let resources = [
+        Resource::AxonsIn,
+        Resource::SynapseWords,
+        Resource::Accumulators,
+        Resource::RuleWords,
+        Resource::TraceConfigurations,
+    ];
+    let (silicon, lava) = (LearningSemantics::Silicon, LearningSemantics::Lava);
+    // A list of 8 synapses takes 10 bits and 8 times 8 of weights, 9 of tags, 6 of delays. x1 and x2
+    // have one configuration.
+    for (rule, semantics, expected) in [
+        (None, silicon, [64, 64 * 2, 8, 0, 0]),
+        (Some(["2^-2*x1*y0", "", ""]), silicon, [128, 64 * 2, 8, 1, 1]),
+        (Some(["2^-2*x1*y0", "", "x0*y1"]), silicon, [128, 64 * 3, 8, 1, 1]),
+        (Some(["u0*t", "", ""]), silicon, [128, 64 * 3, 8, 1, 0]),
+        (Some(["", "x0*y1", ""]), silicon, [128, 64 * 2, 512, 1, 0]),
+        (Some(["", "x0*y1", "y0*x1"]), silicon, [128, 64 * 4, 512, 1, 1]),
+        (Some(["u0*x1*y1 + x0*x2", "", ""]), silicon, [128, 64 * 2, 8, 2, 1]),
+        (Some(["u0*d*t", "", ""]), silicon, [128, 64 * 3, 8, 1, 0]),
+        (Some(["u0*d*t", "", ""]), lava, [128, 64 * 4, 8, 1, 0]),
+        (Some(["", "x0*y1", ""]), lava, [128, 64 * 2, 8, 1, 0]),
+    ] {
+        let mapped = compiled(network(rule, semantics, 8), limits());
+        let used = &mapped.partition.usage()[CoreId(0)];
+        assert_eq!(resources.map(|one| used[one]), expected, "{rule:?}");
+        // The checker counts as much, so that one less is too few.
+        for (resource, used) in resources.into_iter().zip(expected).filter(|(_, used)| *used > 0) {
+            let board = |limit: u64| target(2, 2, limits().with(resource, limit as u32));
+            assert_eq!(verify(&mapped.program, &board(used)), Ok(()), "{rule:?}: {resource:?}");
+            let excess = verify(&mapped.program, &board(used - 1)).unwrap_err();
+            assert!(matches!(excess, Violation::Excess { need, .. } if need == used), "{rule:?}: {excess}");
+        }
+    }
+    // 64 accumulators of a core's 8,192 for each compartment.
+    let cores = |targets| compiled(network(Some(["", "x0*y1", ""]), silicon, targets), limits()).partition.cores();
+    assert_eq!((cores(128), cores(129)), (1, 2));
 }

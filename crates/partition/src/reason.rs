@@ -135,6 +135,17 @@ const MERGE_INPUTS: &str = "every input channel that sends to a core takes one i
                             (halves the channels), prune inputs that never fire (--prune INPUT), pool more before this \
                             population, or split the fan-in over intermediate populations";
 
+/// Resources of which plastic synapses take more than others.
+const TAKEN_BY_RULES: [Resource; 7] = [
+    Resource::AxonsIn,
+    Resource::SynapseWords,
+    Resource::SynapseWordsPerAxon,
+    Resource::SynapseFormats,
+    Resource::Accumulators,
+    Resource::RuleWords,
+    Resource::TraceConfigurations,
+];
+
 impl Reason {
     fn new(resource: Capacity, need: u64, limit: u64, help: String) -> Self {
         Reason { code: resource.code(), population: None, core: None, resource, need, limit, taken: None, help }
@@ -146,8 +157,14 @@ impl Reason {
         let from_inputs = network.incoming(id).any(|(_, p)| is_input(p.source));
         let population = Some(network.populations()[id].name.clone());
         let merge = resource == Resource::AxonsIn && from_inputs;
-        let help = if merge { MERGE_INPUTS.into() } else { resource.advice() };
-        Reason { population, ..Reason::new(resource, need, limit, help.into_owned()) }
+        let mut help = if merge { MERGE_INPUTS.into() } else { resource.advice() }.into_owned();
+        let rules = network.incoming(id).filter_map(|(_, projection)| projection.format.rule);
+        let learn: Vec<String> = rules.map(|rule| format!("'{}'", network.parts().rules[rule].name)).collect();
+        if !learn.is_empty() && TAKEN_BY_RULES.iter().any(|one| resource == *one) {
+            let plastic = "whose synapses take more of them than others";
+            help += &format!("; or remove `learning` from {}, {plastic}", learn.join(", "));
+        }
+        Reason { population, ..Reason::new(resource, need, limit, help) }
     }
 
     /// A compartment of a population of this name needs more than any core has.

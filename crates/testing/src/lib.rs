@@ -18,7 +18,7 @@ use nsim_ir::base::id::{ChannelId, ClassId, CompartmentId, PopulationId, Project
 use nsim_ir::base::rng;
 use nsim_ir::graph::{Graph, PerCompartment, Shape, Window};
 use nsim_ir::hardware::{Chip, Target, TargetFile};
-use nsim_ir::learning::{Learning, Plastic, Rule};
+use nsim_ir::learning::{self, Change, Learning, LearningSemantics, Plastic, Rule, RuleText, TRACES, TraceSettings};
 use nsim_ir::neurons::Port;
 use nsim_ir::program::{self, Program};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
@@ -90,6 +90,32 @@ pub fn make_plastic(parts: &mut Parts, projection: ProjectionId, rule: Rule) -> 
     let (tags, delays) = (Default::default(), Default::default());
     own.plastic = Some(Arc::new(Plastic { rule, first_source: 0, rows, tags, delays, signals: [None; 3] }));
     rule
+}
+
+/// The network with random rules on most projections that may have one.
+pub fn with_rules(mut network: Quantised, seed: u64) -> Quantised {
+    for id in network.projections().ids() {
+        let draw = |k, end| rng::below(end, seed, id.0.into(), k);
+        let pick = |k, texts: [&str; 3]| {
+            let text = texts[draw(k, 3) as usize];
+            if text.is_empty() { Change::default() } else { learning::parse(text).unwrap() }
+        };
+        let changes = [
+            pick(0, ["2^-2*x1*y0 - 2^-2*y1*x0", "u0*t*x2*w", ""]),
+            pick(1, ["x0*y1", "", ""]),
+            pick(2, ["y0*x2 - u0*d", "", ""]),
+        ];
+        let semantics = if draw(3, 2) == 0 { LearningSemantics::Lava } else { LearningSemantics::Silicon };
+        let mut traces = <[TraceSettings; TRACES]>::default();
+        traces[0].impulse.whole = draw(4, 2) as u8;
+        let rule = Rule::new(RuleText { changes, epoch: 1, semantics, traces, ..RuleText::default() }).unwrap();
+        let mut parts = network.parts().clone();
+        if draw(5, 4) > 0 {
+            make_plastic(&mut parts, id, rule);
+        }
+        network = Quantised::new(parts).unwrap_or(network);
+    }
+    network
 }
 
 /// Connectivity from a list of (target, weight) for each source.

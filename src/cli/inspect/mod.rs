@@ -399,7 +399,7 @@ Network(name: "m", timestep_ms: 1.0,
                 of.into_iter().all(|c| c["unit"].is_string() && c["source"].is_string() && c["status"].is_string())
             );
         }
-        assert_eq!(object["limits"].as_array().unwrap().len(), 15);
+        assert_eq!(object["limits"].as_array().unwrap().len(), 17);
     }
 
     #[test]

@@ -348,6 +348,9 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("weights of seven bits", |p, d| {
         format_field(p, d, BREAKS_FORMAT, |f, _| f.synapse.bits = WeightBits::new(7).unwrap())
     }),
+    ("a rule that the program lacks", |p, d| {
+        format_field(p, d, BREAKS_FORMAT, |f, _| f.synapse.rule = Some(RuleId(99)))
+    }),
     // Widths that are neither 0 nor any core's.
     ("delay bits of a format", |p, d| format_field(p, d, BREAKS_FORMAT, |f, d| f.delay_bits = d.from(7, 20) as u8)),
     ("index bits of a format", |p, d| {

@@ -84,7 +84,8 @@ impl<'a> Layout<'a> {
     fn counted(&self, format: &CoreFormat, synapses: u32, in_table: bool) -> usize {
         let how = compression(format);
         let (delayed, dense) = (format.delay_bits > 0, how == Compression::Dense);
-        let group = Group { weight_bits: format.synapse.bits, synapses, delayed, dense, skip: format.skip_bits };
+        let group =
+            Group { weight_bits: format.synapse.bits, tag_bits: 0, synapses, delayed, dense, skip: format.skip_bits };
         packing::words_as(group, how, in_table, self.widths, self.limits) as usize * WORD
     }
 

@@ -20,6 +20,11 @@ fn neurons_of_loihi() -> Vec<Family> {
     vec![NeuronKind::Loihi.family(), NeuronKind::If.family()]
 }
 
+/// Every Loihi learns.
+fn learns_unless_stated() -> bool {
+    true
+}
+
 /// Sizes and limits of a chip and its cores.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Chip")]
@@ -49,6 +54,9 @@ pub struct Chip {
     /// The widest integer that a message carries, in bits; 0 where messages carry none.
     #[serde(default)]
     pub message_bits: u32,
+    /// Whether its synapses can learn.
+    #[serde(default = "learns_unless_stated")]
+    pub learning: bool,
     /// The limits of a core.
     pub limits: Limits,
     /// Sources of the limits.
@@ -215,6 +223,8 @@ pub struct TargetChanges {
     pub neuron_kinds: Option<Vec<Family>>,
     /// The widest integer that a message carries, in bits; 0 where messages carry none.
     pub message_bits: Option<u32>,
+    /// Whether its synapses can learn.
+    pub learning: Option<bool>,
     /// Limits of a core.
     #[serde(default)]
     pub limits: LimitChanges,
@@ -238,7 +248,7 @@ impl TargetChanges {
                 false => chip.stated_in.insert(limit, chip.stated_in.get(limit).unwrap_or(&chip.name).clone()),
             };
         }
-        let other = programmed || self.limits != LimitChanges::default();
+        let other = programmed || self.learning.is_some() || self.limits != LimitChanges::default();
         if other || sizes.iter().chain(&x86).any(Option::is_some) {
             let of_limits = !programmed && sizes.iter().chain(&x86).all(Option::is_none);
             let measured = chip.measured_as.unwrap_or_else(|| chip.hardware.unwrap_or(chip.name));
@@ -257,6 +267,7 @@ impl TargetChanges {
         chip.cores = self.cores_per_chip.unwrap_or(cores);
         chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
         chip.message_bits = self.message_bits.unwrap_or(chip.message_bits);
+        chip.learning = self.learning.unwrap_or(chip.learning);
         chip.limits = self.limits.applied(chip.limits);
         let is_stated = |entry: &LimitSource| self.limit_sources.iter().any(|own| own.limit.value == entry.limit.value);
         chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit) && !is_stated(entry));

@@ -207,8 +207,14 @@ macro_rules! define_limits {
 resources!(define_limits);
 
 /// Resources that need no limit, because few chips have them.
-const OPTIONAL: [Resource; 4] =
-    [Resource::StoredSynapses, Resource::NeuronWords, Resource::AxonMapWords, Resource::Groups];
+const OPTIONAL: [Resource; 6] = [
+    Resource::StoredSynapses,
+    Resource::NeuronWords,
+    Resource::AxonMapWords,
+    Resource::Groups,
+    Resource::RuleWords,
+    Resource::TraceConfigurations,
+];
 
 /// A capacity that several resources of a core share freely, such as a memory.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Deserialize, Serialize)]
@@ -527,7 +533,8 @@ mod tests {
     const OWN: &str = "(compartments: 16, axons_in: 64, axons_out: 64, axon_out_slots: 1, axon_out_slots_off_chip: 2, \
         axons_out_per_compartment: 8, synapse_words: 256, synapse_words_per_axon: 8, synapses_per_entry: 64, \
         synapse_formats: 3, compartment_profiles: 4, threshold_profiles: 4, accumulators: 128, stored_synapses: 99, \
-        neuron_words: 16, axon_map_words: 16, groups: 4, neuron_sizes: (one_word: [Loihi], program: 1, state_word: 1), \
+        neuron_words: 16, axon_map_words: 16, groups: 4, rule_words: 16, trace_configurations: 3, \
+        neuron_sizes: (one_word: [Loihi], program: 1, state_word: 1), \
         packing: Nengo)";
 
     fn limits(text: &str) -> Result<Limits, String> {

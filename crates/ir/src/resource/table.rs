@@ -86,6 +86,14 @@ macro_rules! resources {
             /// Number of groups: the populations that have compartments on the core.
             Groups, groups: "map.groups", Some("groups"), "neuron groups of its core",
                 "join small populations into one";
+            /// Number of words of microcode of distinct rules: half a word for a product of at most
+            /// one factor, one for any other.
+            RuleWords, rule_words: "map.rule-words", Some("rule words"), "words of learning rules of its core",
+                "give projections into this population equal rules, or rules of fewer products";
+            /// Number of distinct (impulse, tau) of presynaptic traces that rules read.
+            TraceConfigurations, trace_configurations: "map.trace-configurations", Some("traces"),
+                "presynaptic trace configurations of its core",
+                "give x1 and x2 of projections into this population equal impulse and tau";
         }
     };
 }

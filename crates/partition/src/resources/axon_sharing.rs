@@ -169,6 +169,10 @@ impl Places {
             let is_grouped = !crowded.is_empty()
                 && outgoing.clone().all(is_dense)
                 && outgoing.any(|projection| crowded.contains(&projection.target));
+            if network.outgoing(id).iter().any(|&p| network.projections()[p].format.is_plastic()) {
+                // Each source's synapses change on their own.
+                continue;
+            }
             let positions = match population.shape.volume() {
                 Some((channels, height, width)) if sends && channels <= MOST_ATOMS.into() => height * width,
                 _ if is_grouped => {

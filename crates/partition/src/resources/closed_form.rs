@@ -14,7 +14,7 @@ use std::sync::Arc;
 
 use crate::resources::axon_sharing::{self, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, ListCounter, Words, skip_bits_for};
-use crate::resources::formats::{CoreWords, Formats, Lists, are_counted, by_channel, weight_bits};
+use crate::resources::formats::{CoreWords, Formats, Lists, are_counted, by_channel, stored_delay, weight_bits};
 use crate::resources::packing::{Group, Widths};
 use crate::resources::receptive_field::{ReceptiveField, WindowAxis, relative};
 use nsim_ir::base::fixed::Delay;
@@ -97,9 +97,9 @@ impl Layer {
                 from: network.populations()[source].first_compartment().map(|_| shape_of(source).len()),
                 uniform: matches!(projection.connectivity, Connectivity::SumPool2d { .. }),
                 stored: by_channel(projection).into_iter().max().unwrap_or(window.source.0.into()),
-                weight_bits: weight_bits(projection),
+                weight_bits: weight_bits(network, projection),
                 format: formats.by_projection()[id.index()],
-                delay: projection.delay,
+                delay: stored_delay(network, projection),
             });
         }
         let by_channel = !incoming.is_empty()
@@ -281,6 +281,7 @@ impl BoxCounter<'_> {
             let slots = &self.slots;
             let group = Group {
                 weight_bits: self.formats.get(format).bits,
+                tag_bits: self.formats.tag_bits(format),
                 synapses: slots.len() as u32,
                 delayed: delay > Delay::MIN,
                 dense: slots.windows(2).all(|pair| pair[1] == pair[0] + 1),
@@ -289,6 +290,9 @@ impl BoxCounter<'_> {
             let lists = rows.1 * columns.1 * of_channels;
             let words = self.counter.group(format, group);
             self.counter.lists(lists, words);
+            if self.formats.get(format).is_plastic() {
+                self.counter.learning(lists);
+            }
             place.lists(of_channels, words);
             *if group.dense { &mut arriving.dense } else { &mut arriving.sparse } += lists * slots.len() as u64;
         }

@@ -12,7 +12,7 @@
 //! The rules:
 //!
 //! - input axons: distinct sources with a synapse on the core, the members of a population axon as
-//!   one ([`axon_sharing`]);
+//!   one ([`axon_sharing`]), a source with a plastic synapse as two;
 //! - output axons: one for each compartment and destination core, in slots
 //!   ([`Limits::axon_out_slots`]);
 //! - words: as [`packing`] counts them. A core stores its lists with runs where that takes fewer
@@ -20,6 +20,7 @@
 //!   population axons is stored once;
 //! - formats: distinct (synapse format, delayed or not, compression), because widths are the same
 //!   for all groups of a core;
+//! - words of rules and trace configurations: [`Formats::of_rules`];
 //! - compartment profiles: distinct (du, dv, refractory period); threshold profiles: distinct
 //!   mantissas;
 //! - accumulators: compartments times [`packing::delay_slots`] of the longest delay of a synapse
@@ -92,9 +93,10 @@ impl FormatCounts {
         }
     }
 
-    /// Number of formats in use.
-    pub fn distinct(&self) -> u32 {
-        self.distinct
+    /// Writes the number of formats in use, and the size of their rules.
+    pub fn write(&self, known: &Formats, lists: &mut ListTotals) {
+        lists.formats = self.distinct;
+        lists.rules = known.of_rules(|format| self.groups[usize::from(format)].iter().any(|&count| count > 0));
     }
 
     /// Clears the counts for another core.
@@ -115,6 +117,8 @@ pub struct ListTotals {
     pub longest: u32,
     /// Formats in use.
     pub formats: u32,
+    /// Words of microcode and presynaptic trace configurations of their rules.
+    pub rules: (u32, u32),
 }
 
 impl ListTotals {
@@ -150,14 +154,15 @@ pub struct ListCounter<'a> {
     widths: Widths,
     limits: &'a Limits,
     totals: [ListTotals; LISTS],
+    known: &'a Formats,
     formats: [FormatCounts; LISTS],
 }
 
 impl<'a> ListCounter<'a> {
     /// Returns the counter of a core without lists.
-    pub fn new(formats: &Formats, widths: Widths, limits: &'a Limits) -> Self {
-        let formats = std::array::from_fn(|_| FormatCounts::new(formats.len()));
-        ListCounter { widths, limits, totals: Default::default(), formats }
+    pub fn new(known: &'a Formats, widths: Widths, limits: &'a Limits) -> Self {
+        let formats = std::array::from_fn(|_| FormatCounts::new(known.len()));
+        ListCounter { widths, limits, totals: Default::default(), known, formats }
     }
 
     /// Counts the format of a group; returns the words of the group.
@@ -181,9 +186,16 @@ impl<'a> ListCounter<'a> {
         }
     }
 
+    /// Counts that this number of counted lists learn: traces of their sources take a second entry.
+    pub fn learning(&mut self, lists: u64) {
+        self.totals.iter_mut().for_each(|totals| totals.axons += lists);
+    }
+
     /// Totals without runs and with runs.
     pub fn totals(&self) -> [ListTotals; LISTS] {
-        std::array::from_fn(|form| ListTotals { formats: self.formats[form].distinct(), ..self.totals[form] })
+        let mut totals = self.totals;
+        self.formats.iter().zip(&mut totals).for_each(|(counts, lists)| counts.write(self.known, lists));
+        totals
     }
 }
 
@@ -252,6 +264,8 @@ impl CoreTotals {
             Resource::NeuronWords => self.words.neurons,
             Resource::AxonMapWords => self.words.axon_map,
             Resource::Groups => self.words.groups,
+            Resource::RuleWords => u64::from(lists.rules.0),
+            Resource::TraceConfigurations => u64::from(lists.rules.1),
         };
         CoreUsage { synapses: self.synapses, of: PerResource::from_fn(used) }
     }
@@ -285,11 +299,11 @@ mod tests {
     #[test]
     fn sharing_leaves_one_table_for_its_places() {
         let class = PlaceClass { places: 60, lists: 512, atoms: 512, words: 1024, list_words: (2, 2) };
-        let mut lists = ListTotals { axons: 40_000, words: 100_000, longest: 1, formats: 1 };
+        let mut lists = ListTotals { axons: 40_000, words: 100_000, longest: 1, ..ListTotals::default() };
         assert_eq!(lists.share(&[class], &limits()), [60]);
         assert_eq!((lists.axons, lists.words, lists.longest), (40_000 - 60 * 511, 100_000 - 59 * 1024, 2));
         // A table that takes more words than it saves is not shared.
-        let before = ListTotals { axons: 10, words: 100, longest: 2, formats: 1 };
+        let before = ListTotals { axons: 10, words: 100, longest: 2, ..ListTotals::default() };
         let mut lists = before;
         lists.share(&[PlaceClass { places: 1, words: 1023, ..class }], &limits());
         assert_eq!(lists, before);
@@ -305,9 +319,9 @@ mod tests {
         counts.add(0, false, Compression::Dense);
         counts.add(1, true, Compression::RunLength(5));
         counts.add(1, true, Compression::Sparse);
-        assert_eq!(counts.distinct(), 3);
+        assert_eq!(counts.distinct, 3);
         counts.remove(0, false, Compression::Dense);
         counts.remove(1, true, Compression::Sparse);
-        assert_eq!(counts.distinct(), 2);
+        assert_eq!(counts.distinct, 2);
     }
 }

@@ -8,7 +8,7 @@ use crate::resources::axon_sharing::{self, EqualPlace, EqualPlaces, PlaceClass, 
 use crate::resources::counter::{CoreTotals, ListCounter, ListTotals, Profiles, Words, skip_bits_for};
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::{self, ChipOf, FanOut, Members, MembersOfCores, SharedPlaces};
-use crate::resources::formats::{CoreWords, Formats, HeldWords, NetworkWords, StoredSynapses};
+use crate::resources::formats::{CoreWords, Formats, HeldWords, NetworkWords, StoredSynapses, stored_delay};
 use crate::resources::packing::{Group, LISTS, Widths};
 use crate::resources::sorted_synapses::{self, Key, Seats};
 use nsim_dynamics::synapses::Enumerate;
@@ -29,12 +29,16 @@ pub fn longest_delays(
     counts: impl Fn(PopulationId) -> bool,
 ) -> IdVec<CoreId, Delay> {
     let mut longest: IdVec<CoreId, Delay> = vec![Delay::MIN; cores].into();
-    for projection in network.projections().iter().filter(|p| p.delay > Delay::MIN && counts(p.source)) {
+    for projection in network.projections().iter().filter(|p| counts(p.source)) {
+        let delay = stored_delay(network, projection);
+        if delay == Delay::MIN {
+            continue;
+        }
         let Some(first) = network.populations()[projection.target].first_compartment() else { continue };
         for source in 0..network.populations()[projection.source].shape.len() {
             projection.connectivity.for_each_target(source, |target| {
                 let core = seats[CompartmentId(first.0 + target)].core;
-                longest[core] = longest[core].max(projection.delay);
+                longest[core] = longest[core].max(delay);
             });
         }
     }
@@ -175,6 +179,9 @@ impl StoredLists {
                 }
             }
             counter.lists(1, of_list);
+            if list.iter().any(|key| formats.get(key.format()).is_plastic()) {
+                counter.learning(1);
+            }
             if !places.is_empty() {
                 of_lists.push(of_list);
             }
@@ -231,8 +238,9 @@ pub fn group_of(group: &[Key], formats: &Formats) -> (u16, Group) {
     let format = group[0].format();
     let made = Group {
         weight_bits: formats.get(format).bits,
+        tag_bits: formats.tag_bits(format),
         synapses: group.len() as u32,
-        delayed: group.iter().any(|key| key.delay() > 0),
+        delayed: formats.moves_delays(format) || group.iter().any(|key| key.delay() > 0),
         dense: group.windows(2).all(|pair| pair[1].slot() == pair[0].slot() + 1),
         skip: skip_bits_for(group.windows(2).map(|pair| pair[1].slot() - pair[0].slot())),
     };

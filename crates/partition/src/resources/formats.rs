@@ -29,13 +29,14 @@
 //! [`NeuronSizes`]: nsim_ir::resource::NeuronSizes
 //! [`Resource::StoredSynapses`]: nsim_ir::resource::Resource::StoredSynapses
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashMap, HashSet};
 
 use crate::resources::receptive_field::WindowAxis;
 use nsim_dynamics::synapses::Enumerate;
-use nsim_ir::base::fixed::{SignMode, WeightBits};
+use nsim_ir::base::fixed::{Delay, SignMode, WeightBits};
 use nsim_ir::base::id::{CompartmentId, IdVec, PopulationId, ProjectionId};
 use nsim_ir::graph::Window;
+use nsim_ir::learning::{Learning, Product, Quantity, Rule, Trace, TraceSettings, Variable};
 use nsim_ir::quantised::connectivity::{Connectivity, SynapseFormat};
 use nsim_ir::quantised::{Population, Projection, Quantised};
 use nsim_ir::resource::{Limits, Packing, Resource};
@@ -44,7 +45,22 @@ use nsim_ir::resource::{Limits, Packing, Resource};
 #[derive(Debug, Clone)]
 pub struct Formats {
     distinct: Vec<SynapseFormat>,
+    tag_bits: Vec<u8>,
+    moves: Vec<bool>,
+    rules: Vec<RuleSize>,
     of_projection: Vec<u16>,
+}
+
+/// What the rule of a format takes on a core.
+#[derive(Debug, Clone)]
+struct RuleSize {
+    format: u16,
+    /// Words of its microcode.
+    words: u32,
+    /// Number of the first rule with equal products.
+    program: usize,
+    /// Settings of the presynaptic traces that it reads.
+    traces: Vec<TraceSettings>,
 }
 
 impl Formats {
@@ -55,7 +71,36 @@ impl Formats {
         distinct.dedup();
         let find = |format: &SynapseFormat| distinct.partition_point(|f| f < format) as u16;
         let of_projection = network.projections().iter().map(|p| find(&p.format)).collect();
-        Formats { distinct, of_projection }
+        let tag_bits = distinct.iter().map(|format| tag_bits(network, *format)).collect();
+        let moves = distinct.iter().map(|format| moves_delays(network, *format)).collect();
+        let rules = (0..).zip(&distinct).filter_map(|(index, format)| rule_size(network, index, *format)).collect();
+        Formats { distinct, tag_bits, moves, rules, of_projection }
+    }
+
+    /// Words of microcode, and presynaptic trace configurations, of a core with these formats.
+    pub fn of_rules(&self, is_used: impl Fn(u16) -> bool) -> (u32, u32) {
+        let (mut programs, mut traces) = (BTreeMap::new(), Vec::new());
+        for rule in self.rules.iter().filter(|rule| is_used(rule.format)) {
+            programs.insert(rule.program, rule.words);
+            for settings in &rule.traces {
+                if !traces.contains(settings) {
+                    traces.push(*settings);
+                }
+            }
+        }
+        (programs.values().sum(), traces.len() as u32)
+    }
+
+    /// Whether a rule changes the delays of a format.
+    #[inline]
+    pub fn moves_delays(&self, index: u16) -> bool {
+        self.moves[usize::from(index)]
+    }
+
+    /// Bits of the tags of a format.
+    #[inline]
+    pub fn tag_bits(&self, index: u16) -> u8 {
+        self.tag_bits[usize::from(index)]
     }
 
     /// A format by its index.
@@ -159,12 +204,56 @@ impl StoredSynapses {
 /// Bits of a word.
 const WORD: u64 = 64;
 
-/// Fewest bits that hold every weight of a projection as its format stores it.
-pub fn weight_bits(projection: &Projection) -> u32 {
+/// Bits of a tag.
+const TAG: u8 = 9;
+/// Bits of a delay that does not act.
+const DELAY: u8 = 6;
+
+/// Whether a rule changes or reads a variable.
+fn uses(rule: &Rule, variable: Variable) -> bool {
+    let reads = |product: &Product| product.factors.iter().any(|factor| factor.of == Quantity::Variable(variable));
+    rule.changes(variable) || rule.all_products().any(reads)
+}
+
+/// Bits of a synapse's tag, and of a delay that does not act: none unless the format's rule uses it.
+pub fn tag_bits(network: &Quantised, format: SynapseFormat) -> u8 {
+    let Some(rule) = format.rule.map(|rule| &network.parts().rules[rule].rule) else { return 0 };
+    let number = !rule.semantics().delays_act() && uses(rule, Variable::Delay);
+    TAG * u8::from(uses(rule, Variable::Tag)) + DELAY * u8::from(number)
+}
+
+/// Size of a format's rule. A pair rule takes one word (Davies et al. 2018), and so does a product
+/// of two traces (nengo-loihi `hardware/builder.py`).
+fn rule_size(network: &Quantised, format: u16, of: SynapseFormat) -> Option<RuleSize> {
+    let rules = &network.parts().rules;
+    let rule = &rules[of.rule?].rule;
+    let halves: u32 = rule.all_products().map(|product| if product.factors.len() > 1 { 2 } else { 1 }).sum();
+    let equal = |other: &Learning| Variable::ALL.iter().all(|&z| other.rule.products(z) == rule.products(z));
+    let reads = |trace: &Trace| {
+        let mut factors = rule.all_products().flat_map(|product| &product.factors);
+        factors.any(|factor| factor.of == Quantity::Trace(*trace))
+    };
+    let traces = [Trace::X1, Trace::X2].into_iter().filter(reads).map(|trace| rule.trace(trace)).collect();
+    Some(RuleSize { format, words: halves.div_ceil(2), program: rules.iter().position(equal)?, traces })
+}
+
+/// Whether the rule of a format changes delays that act.
+fn moves_delays(network: &Quantised, format: SynapseFormat) -> bool {
+    let rule = format.rule.map(|rule| &network.parts().rules[rule].rule);
+    rule.is_some_and(|rule| rule.changes(Variable::Delay) && rule.semantics().delays_act())
+}
+
+/// The delay for which a core has room: the longest one where a rule changes it.
+pub fn stored_delay(network: &Quantised, projection: &Projection) -> Delay {
+    if moves_delays(network, projection.format) { Delay::MAX } else { projection.delay }
+}
+
+/// Fewest bits that hold every weight of a projection as its format stores it, with its tag.
+pub fn weight_bits(network: &Quantised, projection: &Projection) -> u32 {
     let format = projection.format;
     let widest = u32::from(format.bits.get());
     let (low, high) = match &projection.connectivity {
-        _ if format.is_plastic() => return widest,
+        _ if format.is_plastic() => return widest + u32::from(tag_bits(network, format)),
         Connectivity::Dense { weights, .. } | Connectivity::Sparse { weights, .. } => range(weights),
         Connectivity::Conv2d { kernel, .. } => range(kernel),
         Connectivity::SumPool2d { weight, .. } => range(&[*weight]),
@@ -278,7 +367,7 @@ impl NetworkWords {
                 (Connectivity::Dense { .. }, None) => Stored::Dense,
                 _ => Stored::Listed,
             };
-            Incoming { source: projection.source, sources, weight_bits: weight_bits(projection), stored }
+            Incoming { source: projection.source, sources, weight_bits: weight_bits(network, projection), stored }
         };
         let mut populations = IdVec::new();
         for (id, population) in network.populations().enumerate() {

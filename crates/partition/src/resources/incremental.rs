@@ -18,9 +18,9 @@ use crate::resources::axon_sharing::{self, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, FormatCounts, Profiles};
 use crate::resources::fan_in::FanIn;
 use crate::resources::fan_out::ALONE;
-use crate::resources::formats::{Formats, HeldWords, Kernels, NetworkWords, StoredSynapses};
+use crate::resources::formats::{Formats, HeldWords, Kernels, NetworkWords, StoredSynapses, stored_delay};
 use crate::resources::packing::{self, Compression, Group, LISTS, MOST_SLOTS, Widths, stored};
-use nsim_ir::base::fixed::{Delay, WeightBits};
+use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::base::rng;
 use nsim_ir::partition::CoreUsage;
@@ -69,6 +69,8 @@ struct Axon {
     words: [u32; 2],
     /// Place of the first of its sources, if it has one.
     placed: Option<PlacedAxon>,
+    /// Whether any of its synapses is plastic.
+    learns: bool,
 }
 
 /// The list of a source that has a place, in a form to compare with others.
@@ -110,9 +112,10 @@ struct Entry {
 }
 
 impl Entry {
-    fn group(&self, weight_bits: WeightBits) -> Group {
+    fn group(&self, formats: &Formats) -> Group {
+        let (weight_bits, tag_bits) = (formats.get(self.format).bits, formats.tag_bits(self.format));
         let skip = self.gap.and_then(packing::skip_bits);
-        Group { weight_bits, synapses: self.synapses, delayed: self.delayed, dense: self.dense, skip }
+        Group { weight_bits, tag_bits, synapses: self.synapses, delayed: self.delayed, dense: self.dense, skip }
     }
 
     /// Compression without and with runs.
@@ -188,7 +191,6 @@ pub struct Filling<'a> {
     fan_in: &'a FanIn,
     limits: &'a Limits,
     formats: Formats,
-    weight_bits: Vec<WeightBits>,
     delays: Vec<Delay>,
     /// The input axon of each source that has one.
     axon_of: AxonTable,
@@ -232,8 +234,7 @@ impl<'a> Filling<'a> {
         Filling {
             fan_in,
             limits,
-            weight_bits: network.projections().iter().map(|p| p.format.bits).collect(),
-            delays: network.projections().iter().map(|p| p.delay).collect(),
+            delays: network.projections().iter().map(|p| stored_delay(network, p)).collect(),
             axon_of: AxonTable::new(),
             members: Vec::new(),
             axons: Vec::new(),
@@ -380,7 +381,6 @@ impl<'a> Filling<'a> {
     /// Adds a synapse of each source of a bundle.
     fn synapse(&mut self, source: u32, bundle: u32, projection: usize, part: u64, slot: u16) {
         let format = self.formats.by_projection()[projection];
-        let weight_bits = self.weight_bits[projection];
         let next = self.axons.len() as u32;
         let axon_index = self.axon_of.get_or_insert(source, next);
         if axon_index == next {
@@ -388,10 +388,13 @@ impl<'a> Filling<'a> {
                 let first_slot = *self.begins.entry(place).or_insert(slot);
                 PlacedAxon { place, atom, base: axon_sharing::base_of(first_slot, self.limits), digest: 0 }
             });
-            self.axons.push(Axon { bundle, last: None, words: [0; 2], placed });
+            self.axons.push(Axon { bundle, last: None, words: [0; 2], placed, learns: false });
             self.totals.lists.iter_mut().for_each(|lists| lists.axons += u64::from(bundle));
         }
         let axon = &mut self.axons[axon_index as usize];
+        if self.formats.get(format).is_plastic() && !std::mem::replace(&mut axon.learns, true) {
+            self.totals.lists.iter_mut().for_each(|lists| lists.axons += u64::from(bundle));
+        }
         if let Some(placed) = &mut axon.placed {
             placed.hash_synapse(slot, format, projection, part);
         }
@@ -426,7 +429,7 @@ impl<'a> Filling<'a> {
         entry.delayed |= self.delays[projection] > Delay::MIN;
         entry.synapses += 1;
         entry.last_slot = slot;
-        let group = entry.group(weight_bits);
+        let group = entry.group(&self.formats);
         let made = (self.widths, group);
         let last = &mut self.last[usize::from(format)];
         let forms = match *last {
@@ -456,7 +459,7 @@ impl<'a> Filling<'a> {
         self.totals.lists.iter_mut().for_each(|lists| (lists.words, lists.longest) = (0, 0));
         self.axons.iter_mut().for_each(|axon| axon.words = [0; LISTS]);
         for entry in &mut self.entries {
-            let forms = stored(entry.group(self.formats.get(entry.format).bits), self.widths, self.limits);
+            let forms = stored(entry.group(&self.formats), self.widths, self.limits);
             let with_runs = &mut self.format_counts[1];
             with_runs.remove(entry.format, entry.delayed, entry.compression);
             entry.compression = forms[1].0;
@@ -478,7 +481,7 @@ impl<'a> Filling<'a> {
     fn classes(&self) -> [Vec<PlaceClass>; LISTS] {
         let mut in_table = vec![[0u32; 2]; self.axons.len()];
         for entry in &self.entries {
-            let group = entry.group(self.formats.get(entry.format).bits);
+            let group = entry.group(&self.formats);
             for (form, compression) in entry.compressions().into_iter().enumerate() {
                 in_table[entry.axon as usize][form] +=
                     packing::words_as(group, compression, true, self.widths, self.limits);
@@ -514,7 +517,7 @@ impl<'a> Filling<'a> {
         let mut totals = CoreTotals { compartments: self.members.len() as u32, ..self.totals };
         (totals.compartment_profiles, totals.threshold_profiles) = self.profiles.counts();
         for (lists, counts) in totals.lists.iter_mut().zip(&self.format_counts) {
-            lists.formats = counts.distinct();
+            counts.write(&self.formats, lists);
         }
         totals
     }
@@ -541,7 +544,7 @@ mod tests {
     use nsim_ir::base::id::IdVec;
     use nsim_ir::partition::seats;
     use nsim_ir::resource::Packing;
-    use nsim_testing::{limits, random_network};
+    use nsim_testing::{limits, random_network, with_rules};
 
     /// Use of a core that holds the first `held` of these compartments, counted from its synapses.
     fn exact(network: &Quantised, order: &[CompartmentId], held: usize, limits: &Limits) -> CoreUsage {
@@ -572,7 +575,8 @@ mod tests {
     fn running_counts_equal_exact_ones_after_any_additions() {
         let (mut compared, mut one_by_one) = (0, 0);
         for seed in 0..80 {
-            let network = random_network(seed);
+            let static_network = random_network(seed);
+            let network = if seed % 4 < 2 { static_network } else { with_rules(static_network, seed) };
             let packing = if seed % 2 == 0 { Packing::Nengo } else { Packing::Nxtf };
             let limits = Limits { packing, ..limits() };
             let mut order: Vec<CompartmentId> = (0..network.compartments()).map(CompartmentId).collect();

@@ -33,7 +33,7 @@
 //!   last word are 0 or at least 59. NxTF also pads the axons that share one output axon to the
 //!   longest of them; axons here are discrete, so there is nothing to pad.
 //!
-//! Omitted on purpose: learning tags.
+//! A synapse with a rule also has its tag ([`Group::tag_bits`]).
 
 use nsim_ir::base::fixed::{Delay, WeightBits};
 use nsim_ir::resource::{Limits, Packing};
@@ -105,6 +105,8 @@ impl Widths {
 pub struct Group {
     /// Bits of a weight as they are stored.
     pub weight_bits: WeightBits,
+    /// Bits of a tag; 0 without a rule that uses tags.
+    pub tag_bits: u8,
     /// Number of synapses.
     pub synapses: u32,
     /// Whether any of them has a delay.
@@ -161,7 +163,7 @@ pub fn words_as(group: Group, compression: Compression, in_table: bool, widths: 
         Compression::RunLength(bits) => (bits, true),
         Compression::Sparse => (widths.index, false),
     };
-    let bits = u64::from(group.weight_bits.get()) + u64::from(delay) + u64::from(target);
+    let bits = u64::from(group.weight_bits.get() + group.tag_bits) + u64::from(delay) + u64::from(target);
     let header = HEADER_BITS + if first { u64::from(widths.index) } else { 0 };
     let most = per_entry(limits);
     let entry = |synapses: u32| {
@@ -182,7 +184,14 @@ mod tests {
     use nsim_testing::limits;
 
     fn dense(synapses: u32) -> Group {
-        Group { weight_bits: WeightBits::new(8).unwrap(), synapses, delayed: false, dense: true, skip: Some(2) }
+        Group {
+            weight_bits: WeightBits::new(8).unwrap(),
+            tag_bits: 0,
+            synapses,
+            delayed: false,
+            dense: true,
+            skip: Some(2),
+        }
     }
 
     const WIDTHS: Widths = Widths { index: 10, delay: 3 };
@@ -201,6 +210,8 @@ mod tests {
         // One synapse more than an entry begins another: 9 words and ceil((8 + 10) / 64).
         assert_eq!(words(dense(65), WIDTHS, &limits), 10);
         assert_eq!(words(dense(0), WIDTHS, &limits), 0);
+        // 8 bits of weight and 9 of tag: ceil(1098 / 64).
+        assert_eq!(words(Group { tag_bits: 9, ..dense(64) }, WIDTHS, &limits), 18);
         // 8 bits of weight and 3 of delay: ceil(714 / 64).
         assert_eq!(words(Group { delayed: true, ..dense(64) }, WIDTHS, &limits), 12);
     }

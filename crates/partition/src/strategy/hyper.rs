@@ -18,6 +18,7 @@
 use std::collections::HashMap;
 
 use crate::resources::fan_out::Members;
+use crate::resources::formats::{stored_delay, tag_bits};
 use crate::resources::packing::{self, Group, Widths};
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::base::csr::Csr;
@@ -42,6 +43,9 @@ pub fn transposed<T: Copy, U: Copy + Default>(rows: &Csr<T>, keys: usize, turn: 
     })
 }
 
+/// Widest weight of some synapses, whether any of them is delayed, and their widest tag.
+type Bits = (WeightBits, bool, u8);
+
 /// One or several sources with equal targets.
 #[derive(Debug, Clone, Copy)]
 pub struct Net {
@@ -49,10 +53,12 @@ pub struct Net {
     pub weight: u64,
     /// Number of sources.
     pub sources: u32,
+    /// Input axons of a core that they reach: two for each source that learns.
+    pub axons: u32,
     /// Whether all pins belong to dense layers, whose lists need no indices.
     pub dense: bool,
-    /// Widest weight of its synapses, and whether any of them is delayed.
-    pub bits: (WeightBits, bool),
+    /// What a synapse of it takes at most.
+    pub bits: Bits,
 }
 
 /// A network as nets and pins.
@@ -81,9 +87,14 @@ impl Hypergraph {
                 continue;
             }
             let dense = outgoing.iter().all(|(p, _)| matches!(p.connectivity, Connectivity::Dense { .. }));
-            let bits = outgoing.iter().map(|(p, _)| (p.format.bits, p.delay > Delay::MIN));
-            let bits = bits.fold((WeightBits::MIN, false), |(bits, delayed), (b, d)| (bits.max(b), delayed | d));
+            let bits = outgoing
+                .iter()
+                .map(|(p, _)| (p.format.bits, stored_delay(network, p) > Delay::MIN, tag_bits(network, p.format)));
+            let bits = bits.fold((WeightBits::MIN, false, 0), |(bits, delayed, tag), (b, d, t)| {
+                (bits.max(b), delayed | d, tag.max(t))
+            });
             let (from, size) = (network.first_source(population), population.shape.len());
+            let learns = outgoing.iter().any(|(p, _)| p.format.is_plastic());
             let at_once = if dense { size } else { 1 };
             for index in (0..size).step_by(at_once.max(1) as usize) {
                 reached.clear();
@@ -94,7 +105,7 @@ impl Hypergraph {
                 reached.sort_unstable();
                 let net = nets.len() as u32;
                 let weight = (index..index + at_once).map(|i| rates.rate_of(from + i)).sum();
-                nets.push(Net { weight, sources: at_once, dense, bits });
+                nets.push(Net { weight, sources: at_once, axons: at_once << u32::from(learns), dense, bits });
                 pins.push(reached.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as u32)));
                 if let Some(first) = population.first_compartment() {
                     for i in index..index + at_once {
@@ -187,8 +198,8 @@ pub struct State<'a> {
     loads: Vec<Load>,
     limit: Load,
     out_slots: i64,
-    /// Words of a list of n synapses by (dense, bits, delayed).
-    words: HashMap<(bool, WeightBits, bool), Vec<u32>>,
+    /// Words of a list of n synapses by (dense, bits).
+    words: HashMap<(bool, Bits), Vec<u32>>,
     /// Most output axons of a compartment.
     most_out: usize,
 }
@@ -221,9 +232,9 @@ impl<'a> State<'a> {
         let widths = Widths::for_core(largest, Delay::MAX, limits.packing);
         let mut words = HashMap::new();
         for net in &graph.nets {
-            words.entry((net.dense, net.bits.0, net.bits.1)).or_insert_with(|| {
-                let (weight_bits, delayed) = net.bits;
-                let group = |synapses| Group { weight_bits, synapses, delayed, dense: net.dense, skip: None };
+            words.entry((net.dense, net.bits)).or_insert_with(|| {
+                let (weight_bits, delayed, tag_bits) = net.bits;
+                let group = |synapses| Group { weight_bits, tag_bits, synapses, delayed, dense: net.dense, skip: None };
                 (0..TABLE as u32).map(|synapses| packing::words(group(synapses), widths, limits)).collect()
             });
         }
@@ -243,12 +254,12 @@ impl<'a> State<'a> {
             most_out: limits[Resource::AxonsOutPerCompartment] as usize,
         };
         for net in 0..graph.nets.len() {
-            let sources = i64::from(graph.nets[net].sources);
+            let Net { sources, axons, .. } = graph.nets[net];
             for at in 0..state.held[net].len() {
                 let (core, synapses) = state.held[net][at];
                 let words = state.list_words(net, synapses);
-                state.loads[core as usize][Resource::AxonsIn] += sources;
-                state.loads[core as usize][Resource::SynapseWords] += sources * words;
+                state.loads[core as usize][Resource::AxonsIn] += i64::from(axons);
+                state.loads[core as usize][Resource::SynapseWords] += i64::from(sources) * words;
             }
             let reached = state.held[net].len() as i64;
             for &(core, sources, _) in &state.owners[net] {
@@ -272,7 +283,7 @@ impl<'a> State<'a> {
 
     fn list_words(&self, net: usize, synapses: u32) -> i64 {
         let Net { dense, bits, .. } = self.graph.nets[net];
-        let table = &self.words[&(dense, bits.0, bits.1)];
+        let table = &self.words[&(dense, bits)];
         let whole = synapses as usize / (TABLE - 1);
         i64::from(table[synapses as usize % (TABLE - 1)]) + whole as i64 * i64::from(table[TABLE - 1])
     }
@@ -341,10 +352,10 @@ impl<'a> State<'a> {
         b[Resource::Compartments] += size;
         for &(net, synapses) in groups.into.get(group as usize) {
             let net = net as usize;
-            let sources = i64::from(self.graph.nets[net].sources);
+            let [sources, axons] = [self.graph.nets[net].sources, self.graph.nets[net].axons].map(i64::from);
             let (at_from, at_to) = (count(&self.held[net], from), count(&self.held[net], to));
-            a[Resource::AxonsIn] -= if at_from == synapses { sources } else { 0 };
-            b[Resource::AxonsIn] += if at_to == 0 { sources } else { 0 };
+            a[Resource::AxonsIn] -= if at_from == synapses { axons } else { 0 };
+            b[Resource::AxonsIn] += if at_to == 0 { axons } else { 0 };
             a[Resource::SynapseWords] -=
                 sources * (self.list_words(net, at_from) - self.list_words(net, at_from - synapses));
             b[Resource::SynapseWords] +=
