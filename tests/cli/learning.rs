@@ -179,10 +179,17 @@ fn pes_learns_alike_on_both_engines_and_from_recorded_numbers() {
 #[test]
 fn what_learning_semantics_lack_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
+    let reward = "Rule(dw: \"u0*r1\", r1: (from: \"in\", impulse: 2, tau: 1))";
     let plain = "Pes(error: \"err\", x1: (impulse: 9, tau: 5))";
+    std::fs::write(folder.path().join("m.ron"), pes(reward).replace("Nengo", "Silicon")).unwrap();
+    object(folder.path(), &format!("run m.ron {INPUT} --probe p.r1 --learned after.ron -o traces"), 0);
+    assert_eq!(array(&folder.path().join("traces/p.r1.npy")).0, [3, 1, 20]);
+    object(folder.path(), &format!("run after.ron {INPUT}"), 0);
     for (text, says) in [
         (pes("Rule(dw: \"x0\")"), "have Pes alone | 4"),
         (pes(plain).replace("Nengo", "Lava"), "the network's learning semantics are Lava | 4"),
+        (pes(reward).replace("Nengo", "Lava"), "semantics Lava lack the reward channel r1"),
+        (pes("Rule(dw: \"u0*r1\")").replace("Nengo", "Lava"), "semantics Lava lack the reward channel r1"),
         (pes(&plain.replace("err\"", "three\"")), "'three' has 3 values for 4 targets, which are not two"),
         (pes(&plain.replace("err\"", "in\"")), "'in' is not a Signal population"),
         (pes(&plain.replace("tau: 5)", "tau: 5), dw: \"x0\"")), "`dw`"),

@@ -61,11 +61,13 @@ enum Read {
     Post,
     /// A presynaptic trace, 0 or 1.
     X(usize),
-    /// A postsynaptic trace, 0 to 2.
+    /// A postsynaptic trace, 0 to 2, or 3 for the reward.
     Y(usize),
     Variable(Variable),
 }
 
+/// The number of the reward channel after those of postsynaptic traces.
+pub const REWARD: usize = 3;
 /// The most synapses that are evaluated together, so that a rule is interpreted once for all.
 pub const BATCH: usize = 256;
 
@@ -76,7 +78,7 @@ pub trait Synapses {
     fn number(&self) -> usize;
     /// A presynaptic trace, 0 or 1, at the time of a dependency.
     fn x(&self, trace: usize, at: Dependency, values: &mut [i32]);
-    /// A postsynaptic trace, 0 to 2, at the time of a dependency.
+    /// A postsynaptic trace, 0 to 2, or [`REWARD`], at the time of a dependency.
     fn y(&self, trace: usize, at: Dependency, values: &mut [i32]);
     /// A variable.
     fn variable(&self, variable: Variable, values: &mut [i32]);
@@ -165,7 +167,10 @@ impl Compiled {
         let decays = Trace::ALL.map(|trace| {
             let settings = rule.trace(trace);
             let overwritten = trace == Trace::X1 && rule.graded() != Graded::Regular;
-            (settings.impulse != Impulse::default() || overwritten).then(|| Decay::new(settings.tau.get()))
+            // (L14): a reward decays by epochs.
+            let steps = if trace == Trace::R1 { rule.epoch() } else { 1 };
+            let tau = settings.tau.get() * f64::from(steps);
+            (settings.impulse != Impulse::default() || overwritten).then(|| Decay::new(tau))
         });
         let changes = When::all().map(|when| CompiledChange::all(rule, when));
         Compiled { rule: rule.clone(), decays, changes, accumulator: rule.semantics().accumulator() }

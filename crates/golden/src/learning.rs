@@ -7,7 +7,7 @@ mod pes;
 use std::collections::BTreeMap;
 
 use nsim_ir::base::fixed::SignMode;
-use nsim_ir::base::id::{ChannelId, CompartmentId, Id, RuleId};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, PopulationId, RuleId};
 use nsim_ir::learning::draws::{Draws, Place, Use};
 use nsim_ir::learning::{
     Dependency, Factor, GREATEST_TRACE, Graded, Impulse, LearningSemantics, Product, Quantity, Rule, TRACES, Trace,
@@ -74,8 +74,20 @@ pub(crate) struct Learner {
     rule: Rule,
     sources: BTreeMap<u32, (SpikeSource, End)>,
     targets: Vec<(CompartmentId, End)>,
+    /// (L14): the sources of rewards, with one trace.
+    reward: (Vec<SpikeSource>, End),
     /// The input channel of each target whose values replace a trace.
     signals: [Option<Vec<ChannelId>>; TRACES],
+}
+
+/// The units of a population.
+fn spikes_of(network: &Quantised, id: PopulationId) -> Vec<SpikeSource> {
+    let population = &network.populations()[id];
+    let unit = |index| match population.units {
+        Units::Input(first) => SpikeSource::Channel(ChannelId(first.0 + index)),
+        Units::Compartments { first, .. } => SpikeSource::Compartment(CompartmentId(first.0 + index)),
+    };
+    (0..population.shape.len()).map(unit).collect()
 }
 
 /// add(z, I, r).
@@ -102,6 +114,7 @@ impl Learner {
             rule: network.parts().rules[id].rule.clone(),
             sources: BTreeMap::new(),
             targets: targets.map(|target| (CompartmentId(target), End::default())).collect(),
+            reward: Default::default(),
             signals: Default::default(),
         }
     }
@@ -109,14 +122,10 @@ impl Learner {
     /// Adds the sources and signals of a projection.
     pub(crate) fn join(&mut self, network: &Quantised, projection: &Projection) {
         let plastic = projection.plastic.as_ref().expect("the projection is plastic");
-        let source = &network.populations()[projection.source];
-        for index in 0..source.shape.len() {
-            let spikes = match source.units {
-                Units::Input(first) => SpikeSource::Channel(ChannelId(first.0 + index)),
-                Units::Compartments { first, .. } => SpikeSource::Compartment(CompartmentId(first.0 + index)),
-            };
-            self.sources.insert(plastic.first_source + index, (spikes, End::default()));
+        for (index, spikes) in (plastic.first_source..).zip(spikes_of(network, projection.source)) {
+            self.sources.insert(index, (spikes, End::default()));
         }
+        self.reward.0 = plastic.reward.map_or(Vec::new(), |reward| spikes_of(network, reward));
         for (trace, signal) in [Trace::Y1, Trace::Y2, Trace::Y3].into_iter().zip(plastic.signals) {
             let Some(signal) = signal.map(|id| &network.populations()[id]) else { continue };
             let first = signal.first_channel().expect("a signal is an input").0;
@@ -130,6 +139,7 @@ impl Learner {
     pub(crate) fn begin(&mut self) {
         self.sources.values_mut().for_each(|(_, end)| *end = End::default());
         self.targets.iter_mut().for_each(|(_, end)| *end = End::default());
+        self.reward.1 = End::default();
     }
 
     /// A trace of each source or target.
@@ -137,6 +147,7 @@ impl Learner {
         let value = |end: &End| i32::try_from(end.traces[trace.index()]).expect("messages have 32 bits");
         match trace.is_presynaptic() {
             true => self.sources.values().map(|(_, end)| value(end)).collect(),
+            false if trace == Trace::R1 => self.reward.0.first().map(|_| value(&self.reward.1)).into_iter().collect(),
             false => self.targets.iter().map(|(_, end)| value(end)).collect(),
         }
     }
@@ -159,9 +170,14 @@ impl Learner {
         if self.is_signal(trace) || takes_payloads { Impulse::default() } else { self.rule.trace(trace).impulse }
     }
 
-    /// The time constant of a trace, with (L10).
+    /// The time constant of a trace in steps, with (L10) and (L14).
     fn tau(&self, trace: Trace) -> f64 {
-        if self.is_signal(trace) { 65_535.0 } else { self.rule.trace(trace).tau.get() }
+        let tau = self.rule.trace(trace).tau.get();
+        match trace {
+            Trace::R1 => tau * f64::from(self.rule.epoch()),
+            _ if self.is_signal(trace) => 65_535.0,
+            _ => tau,
+        }
     }
 
     fn place(&self, of: Use, trace: Trace, step: u64) -> Place {
@@ -243,6 +259,11 @@ impl Learner {
             }
             self.targets[index].1 = end;
         }
+        let (sources, mut end) = self.reward.clone();
+        if sources.iter().any(|&source| delivery.carries(source).is_some()) {
+            self.note_spike(numbers, step, (0, &mut end), &[Trace::R1]);
+        }
+        self.reward = (sources, end);
     }
 
     /// A step of a source, which spiked with a payload or did not. (L11) where x1 takes payloads.
@@ -291,6 +312,7 @@ impl Learner {
             let traces = [Trace::Y1, Trace::Y2, Trace::Y3];
             self.targets[index].1 = self.remembered(numbers, last, (index as u32, end), &traces);
         }
+        self.reward.1 = self.remembered(numbers, last, (0, self.reward.1.clone()), &[Trace::R1]);
     }
 
     fn remembered(&self, numbers: Numbers<'_>, last: u32, (index, mut end): (u32, End), traces: &[Trace]) -> End {
@@ -331,6 +353,7 @@ impl Learner {
                 last: last.into(),
                 source: &self.sources[&source].1,
                 target: &self.targets[target as usize].1,
+                reward: &self.reward.1,
                 variables: before.each_ref().map(|column| column[number].into()),
             };
             let is_counted = self.rule.all_products().any(|product| synapse.is_true(product.when));
@@ -352,6 +375,7 @@ impl Learner {
     pub(crate) fn clear_notes(&mut self) {
         self.sources.values_mut().for_each(|(_, end)| end.note = 0);
         self.targets.iter_mut().for_each(|(_, end)| end.note = 0);
+        self.reward.1.note = 0;
     }
 }
 
@@ -363,6 +387,7 @@ struct Synapse<'a> {
     last: i64,
     source: &'a End,
     target: &'a End,
+    reward: &'a End,
     /// w, d and t before they change.
     variables: [i64; 3],
 }
@@ -410,6 +435,7 @@ impl Synapse<'_> {
             Quantity::Trace(trace) if trace.is_presynaptic() => {
                 self.source.at(trace, self.read_at(when) - self.delay())
             }
+            Quantity::Trace(Trace::R1) => self.reward.at(Trace::R1, self.read_at(when)),
             Quantity::Trace(trace) => self.target.at(trace, self.read_at(when)),
             Quantity::Variable(variable) => self.variables[variable as usize],
         }
@@ -517,8 +543,15 @@ mod tests {
             apart: None,
             rule: None,
         };
-        let synapse =
-            Synapse { rule: &rule, format, last: 7, source: &source, target: &target, variables: [10, d, -3] };
+        let synapse = Synapse {
+            rule: &rule,
+            format,
+            last: 7,
+            source: &source,
+            target: &target,
+            reward: &target,
+            variables: [10, d, -3],
+        };
         synapse.changed(Variable::Weight, r)
     }
 

@@ -409,6 +409,8 @@ pub struct DeclaredRule {
     pub delays: PerCompartment<i16>,
     /// The populations whose values replace y1, y2 and y3.
     pub signals: [Option<NodeIndex>; 3],
+    /// The population whose spikes are rewards.
+    pub reward: Option<NodeIndex>,
 }
 
 impl Projection {

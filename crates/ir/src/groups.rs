@@ -229,17 +229,18 @@ impl<'p> Selection<'p> {
         for projection in &whole.learning.projections {
             let Some(&number) = self.new_copy.get(&(projection.targets.start / one.compartments)) else { continue };
             let shifted = |range: &Range<u32>, first: u32| first..first + (range.end - range.start);
-            let source = match projection.sources.start.checked_sub(channels) {
-                None => of_channel(projection.sources.start, number),
+            let of_source = |source: u32| match source.checked_sub(channels) {
+                None => of_channel(source, number),
                 Some(compartment) => kept + of_compartment(compartment, number),
             };
             projections.push(PlasticProjection {
-                sources: shifted(&projection.sources, source),
+                sources: shifted(&projection.sources, of_source(projection.sources.start)),
                 targets: shifted(&projection.targets, of_compartment(projection.targets.start, number)),
                 signals: projection
                     .signals
                     .clone()
                     .map(|signal| signal.map(|signal| shifted(&signal, of_channel(signal.start, number)))),
+                reward: projection.reward.as_ref().map(|reward| shifted(reward, of_source(reward.start))),
                 ..projection.clone()
             });
         }

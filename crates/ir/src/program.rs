@@ -370,6 +370,9 @@ pub struct PlasticProjection {
     pub delay: Delay,
     /// The channels whose values replace y1, y2 and y3.
     pub signals: [Option<Range<u32>>; 3],
+    /// The sources whose spikes are rewards, channels first, then compartments.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reward: Option<Range<u32>>,
 }
 
 /// The learning rules of a program and the projections that they change.
@@ -400,6 +403,7 @@ impl ProgramLearning {
                 format: projection.format,
                 delay: projection.delay,
                 signals: plastic.signals.map(|signal| signal.map(units)),
+                reward: plastic.reward.map(units),
                 plastic,
             })
         };

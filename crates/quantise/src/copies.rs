@@ -59,7 +59,8 @@ pub fn copies(network: &Quantised, n: u32) -> Result<Quantised, Inconsistent> {
             let [source, target] = [projection.source, projection.target].map(of_copy);
             let signals = |plastic: &Arc<Plastic>| {
                 let signals = plastic.signals.map(|signal| signal.map(of_copy));
-                Arc::new(Plastic { signals, ..Plastic::clone(plastic) })
+                let reward = plastic.reward.map(of_copy);
+                Arc::new(Plastic { signals, reward, ..Plastic::clone(plastic) })
             };
             let plastic = projection.plastic.as_ref().map(signals);
             parts.projections.push(Projection { source, target, plastic, ..projection.clone() });

@@ -494,7 +494,7 @@ impl Stage<'_> {
         };
         let (tags, delays) = (values(&declared.tags), values(&declared.delays));
         let signals = declared.signals.map(|signal| signal.map(population_id));
-        Plastic { rule, first_source: first, rows, tags, delays, signals }
+        Plastic { rule, first_source: first, rows, tags, delays, signals, reward: declared.reward.map(population_id) }
     }
 }
 

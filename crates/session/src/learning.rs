@@ -73,6 +73,7 @@ pub fn probe(network: &Quantised, rule: RuleId, column: Column, last: bool) -> P
         count = match column {
             Column::Variable(_) => count + network.synapses_of(id) as u32,
             Column::Trace(trace) if trace.is_presynaptic() => count.max(first + units(projection.source)),
+            Column::Trace(Trace::R1) => projection.plastic.iter().filter_map(|plastic| plastic.reward).count() as u32,
             Column::Trace(_) => units(projection.target),
         };
     }

@@ -88,7 +88,8 @@ pub fn make_plastic(parts: &mut Parts, projection: ProjectionId, rule: Rule) -> 
     let rows = (0..own.connectivity.count(sources.into()) as u32).collect();
     own.format.rule = Some(rule);
     let (tags, delays) = (Default::default(), Default::default());
-    own.plastic = Some(Arc::new(Plastic { rule, first_source: 0, rows, tags, delays, signals: [None; 3] }));
+    own.plastic =
+        Some(Arc::new(Plastic { rule, first_source: 0, rows, tags, delays, signals: [None; 3], reward: None }));
     rule
 }
 

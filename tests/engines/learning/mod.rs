@@ -19,7 +19,7 @@ use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim_testing::{format, make_plastic};
 
 /// The columns of a rule, named as in the equations and in recordings.
-const COLUMNS: [(&str, Column); 8] = [
+const COLUMNS: [(&str, Column); 9] = [
     ("w", Column::Variable(Variable::Weight)),
     ("d", Column::Variable(Variable::Delay)),
     ("t", Column::Variable(Variable::Tag)),
@@ -28,6 +28,7 @@ const COLUMNS: [(&str, Column); 8] = [
     ("y1", Column::Trace(Trace::Y1)),
     ("y2", Column::Trace(Trace::Y2)),
     ("y3", Column::Trace(Trace::Y3)),
+    ("r1", Column::Trace(Trace::R1)),
 ];
 
 /// One input and one compartment, whose synapse learns; entries of the input, and of `teach`, which

@@ -16,7 +16,8 @@ use nsim::ir::base::id::{ChannelId, IdVec, PopulationId, ProjectionId};
 use nsim::ir::graph::Shape;
 use nsim::ir::learning::draws::{Draws, Recorded, Use};
 use nsim::ir::learning::{
-    Change, Column, Graded, Impulse, LearningSemantics, Plastic, Rule, RuleText, Tau, TraceSettings, Variable, parse,
+    Change, Column, Factor, Graded, Impulse, LearningSemantics, Plastic, Quantity, Rule, RuleText, Tau, Trace,
+    TraceSettings, Variable, parse,
 };
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
@@ -26,8 +27,8 @@ use nsim::quantise::copies::copies;
 use nsim_testing::{cases, sparse};
 use rayon::prelude::*;
 
-/// A random change: one to three products that fit the widths.
-fn change(draw: &mut Draw, slow: i64) -> String {
+/// A random change: one to three products that fit the widths, of r1 where it `rewards`.
+fn change(draw: &mut Draw, slow: i64, rewards: bool) -> String {
     let mut text = String::new();
     for count in 0..draw.from(1, 3) {
         let sign = if draw.chance(50) { "-" } else { ["", "+"][usize::from(count > 0)] };
@@ -40,7 +41,8 @@ fn change(draw: &mut Draw, slow: i64) -> String {
         text += &format!("{sign}{mantissa}*2^{exponent}*{when}");
         let mut bits = 4;
         for _ in 0..draw.from(0, 3) {
-            let name = draw.one_of(&["x1", "x2", "x1", "y1", "y2", "y3", "y1", "w", "d", "t", "x0", "y0"]);
+            let names = ["x1", "x2", "x1", "y1", "y2", "y3", "y1", "w", "d", "t", "x0", "y0", "r1"];
+            let name = draw.one_of(&names[..12 + usize::from(rewards)]);
             // x0 and y0 beside u would be the dependency.
             if when.starts_with('u') && name.ends_with('0') {
                 continue;
@@ -80,14 +82,17 @@ fn rule(draw: &mut Draw, moves: bool, targets: u32) -> Rule {
     let semantics = draw.one_of(&[LearningSemantics::Silicon, LearningSemantics::Lava]);
     let slow = draw.one_of(&[0, 0, 1, 2]);
     let changed = [draw.chance(90), draw.chance(40) && (moves || !semantics.delays_act()), draw.chance(40)];
-    let mut texts = changed.map(|changes| if changes { change(draw, slow) } else { String::new() });
+    let mut texts =
+        changed.map(
+            |changes| if changes { change(draw, slow, semantics == LearningSemantics::Silicon) } else { String::new() },
+        );
     if draw.chance(30) {
         texts[0] = format!("2^-2*x1*y0 - 2^-2*y1*x0 + 2*u{slow}");
     }
     Rule::new(RuleText {
         changes: texts.map(|text| if text.is_empty() { Change::default() } else { parse(&text).unwrap() }),
         epoch: draw.one_of(&[1, 1, 2, 3, 4, 7, 8, 16, 63]),
-        traces: [(); 5].map(|()| trace(draw)),
+        traces: Trace::ALL.map(|_| trace(draw)),
         semantics,
         graded: if draw.chance(70) { Graded::Regular } else { draw.one_of(&Graded::ALL) },
         until,
@@ -141,6 +146,10 @@ fn set_synapses(
     rule: &Rule,
     signals: [Option<PopulationId>; 3],
 ) {
+    let population = draw.from(0, parts.populations.len() as i64 - 1) as u32;
+    let reward =
+        (rule.semantics() == LearningSemantics::Silicon && draw.chance(60)).then_some(PopulationId(population));
+
     let count = |id: &ProjectionId| {
         let projection = &parts.projections[*id];
         projection.connectivity.count(parts.populations[projection.source].shape.len().into()) as u32
@@ -159,7 +168,7 @@ fn set_synapses(
         let tags = values(draw, rule.semantics().tags(), has_tags).into();
         let delays = values(draw, rule.semantics().delays(), has_delays).into();
         let own = Arc::make_mut(parts.projections[id].plastic.as_mut().unwrap());
-        *own = Plastic { rows, tags, delays, signals, ..own.clone() };
+        *own = Plastic { rows, tags, delays, signals, reward, ..own.clone() };
     }
 }
 
@@ -319,7 +328,8 @@ fn random_rules_change_weights_delays_and_tags() {
             let what = format!("network {seed}, again");
             all.iter().zip(&again).for_each(|(first, again)| first.assert_same(again, &what));
             let (first, settled) = (&all[0].steps.first().unwrap().1, &all[1].settled);
-            let changed = [0, 1, 2].map(|column| (0..settled.len()).any(|i| i % 8 == column && first[i] != settled[i]));
+            let changed = [0, 1, 2]
+                .map(|column| (0..settled.len()).any(|i| i % COLUMNS.len() == column && first[i] != settled[i]));
             let rules = network.parts().rules.iter().map(|learning| &learning.rule);
             let moves = rules.clone().any(|r| r.semantics().delays_act() && r.changes(Variable::Delay)) && changed[1];
             let has_signals = |projection: &Projection| projection.plastic.as_ref().unwrap().signals != [None; 3];
@@ -330,14 +340,22 @@ fn random_rules_change_weights_delays_and_tags() {
             let differs = all[0].settled != all[2].settled;
             let updates: u64 = all.iter().map(|learned| learned.updates).sum();
             let pes = rules.clone().any(Rule::is_pes);
-            let flags = [changed[0], changed[1], changed[2], moves, signals, siblings, graded, differs, pes];
+            let is_r1 = |factor: &Factor| factor.of == Quantity::Trace(Trace::R1);
+            let has_r1 = |rule: &Rule| rule.all_products().any(|product| product.factors.iter().any(is_r1));
+            let is_rewarded = |(_, projection): (_, &Projection)| {
+                projection.plastic.as_ref().is_some_and(|plastic| {
+                    plastic.reward.is_some() && has_r1(&network.parts().rules[plastic.rule].rule)
+                })
+            };
+            let rewards = network.plastic().any(is_rewarded);
+            let flags = [changed[0], changed[1], changed[2], moves, signals, siblings, graded, differs, pes, rewards];
             (flags, updates, all.iter().map(|learned| learned.totals.spikes).sum::<u64>())
         })
         .collect();
-    let networks = [0, 1, 2, 3, 4, 5, 6, 7, 8].map(|flag| tried.iter().filter(|tried| tried.0[flag]).count());
+    let networks = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9].map(|flag| tried.iter().filter(|tried| tried.0[flag]).count());
     let updates: u64 = tried.iter().map(|tried| tried.1).sum();
     let spikes: u64 = tried.iter().map(|tried| tried.2).sum();
-    let least = [160, 80, 100, 45, 110, 100, 80, 160, 60].map(|least| least * tried.len() / 200);
+    let least = [160, 80, 100, 45, 110, 100, 80, 160, 60, 40].map(|least| least * tried.len() / 200);
     let enough = networks.iter().zip(least).all(|(found, least)| *found >= least);
     assert!(
         enough && updates > 1_000_000 && spikes > 100_000,

@@ -86,6 +86,7 @@ impl Connection {
             tags: by_source(&t, |t| t).into(),
             delays: by_source(&d, |d| d).into(),
             signals: [None; 3],
+            reward: None,
         }));
         rule
     }
@@ -192,9 +193,9 @@ fn compare<E: Engine>(engine: &mut E, recording: &Recording, compared: &mut Comp
 
 /// The recorded columns of a rule.
 fn columns<'a>(rule: RuleId, archive: &'a Archive, prefix: &'a str) -> impl Iterator<Item = (Read, Array)> + 'a {
-    COLUMNS
-        .into_iter()
-        .map(move |(name, column)| (Read::Column(rule, column), archive.array(&format!("{prefix}{name}"))))
+    let named = COLUMNS.into_iter().map(move |(name, column)| (format!("{prefix}{name}"), column));
+    let recorded = named.filter(|(name, _)| archive.has(name));
+    recorded.map(move |(name, column)| (Read::Column(rule, column), archive.array(&name)))
 }
 
 /// A single connection. What it receives in step t is entry t + 1 of `in`; entry t of `teach` makes
@@ -436,4 +437,86 @@ fn pes_learns_as_recorded() {
     let cases: Vec<Pes> = serde_json::from_str(&text).unwrap();
     let recordings: Vec<Recording> = cases.iter().map(|case| pes(&folder, case)).collect();
     assert_eq!((recordings.len(), on_golden(&recordings), on_machine(&recordings)), (6, 148_080, 148_080));
+}
+
+#[derive(Deserialize)]
+struct Rewards {
+    steps: u32,
+    weight_first: i16,
+    /// Whether cycle i of 128 steps ends with a reward.
+    rewards_printed: Vec<u8>,
+}
+
+/// Weights and rewards after each step of the chip's reward run, for a seed.
+fn rewarded<E: Engine>(case: &Rewards, seed: u64, engine: impl Fn(&Quantised) -> E) -> [Vec<i32>; 2] {
+    let mut net = Builder::new();
+    let (input, reward) = (net.input("in", 1), net.input("reward", 1));
+    let out = net.each("out", Shape::Line(1), &[neuron(4096, 4096, 8_000, 1)], 0);
+    let one = Connectivity::Dense { targets: 1, weights: [case.weight_first].into() };
+    net.connect((input, out), format(0, SignMode::Mixed, 8), 0, one);
+    let mut text = RuleText {
+        changes: [parse("u0*r1").unwrap(), Change::default(), Change::default()],
+        epoch: 2,
+        ..RuleText::default()
+    };
+    text.traces[Trace::R1.index()] = TraceSettings { impulse: 2.0.try_into().unwrap(), tau: 1.0.try_into().unwrap() };
+    let id = net.parts.projections.ids().last().unwrap();
+    let rule = make_plastic(&mut net.parts, id, Rule::new(text).unwrap());
+    Arc::make_mut(net.parts.projections[id].plastic.as_mut().unwrap()).reward = Some(reward);
+    let ends = (1..).zip(&case.rewards_printed).filter(|(_, reward)| **reward == 1).map(|(cycle, _)| 128 * cycle);
+    let steps = std::iter::once(1).chain(ends).filter(|&step| step < case.steps);
+    let events: Vec<_> = steps.map(|step| (step, ChannelId(1))).collect();
+    let sample = Sample::new(case.steps, &events, None).unwrap();
+    let mut engine = engine(&net.build());
+    engine.set_draws(&Draws::seeded(seed));
+    engine.forget(0);
+    engine.begin(case.steps);
+    let mut values = [Vec::new(), Vec::new()];
+    for step in 0..case.steps {
+        engine.step(sample.input(step));
+        // The call of step s shows the learning after step s - 1.
+        if step > 0 {
+            values[0].extend(engine.learned(rule, Column::Variable(Variable::Weight)));
+            values[1].extend(engine.learned(rule, Column::Trace(Trace::R1)));
+        }
+    }
+    values
+}
+
+/// Weights of a chip, read from a plot, by step.
+const REWARDED: [(usize, i32); 9] =
+    [(3, 102), (126, 102), (129, 104), (382, 104), (385, 106), (510, 106), (520, 114), (1022, 114), (1032, 120)];
+
+/// A seed with these weights; what is random on the chip has many outcomes.
+const EQUAL: u64 = 3;
+
+#[test]
+fn rewards_raise_a_weight_as_on_a_chip() {
+    let Some(folder) = data("learning") else { return };
+    let text = std::fs::read_to_string(folder.join("reward_chip.json")).unwrap();
+    let case: Rewards = serde_json::from_str(&text).unwrap();
+    let machine = |network: &Quantised| {
+        let compiled = compile(network.clone(), &roomy("oheo-gulch"), &unsearched()).unwrap();
+        Machine::new(&Image::new(&compiled.program, 1).unwrap(), Settings::default())
+    };
+    let [weights, traces] = rewarded(&case, EQUAL, Golden::new);
+    assert_eq!(REWARDED.map(|(step, _)| (step, weights[step])), REWARDED);
+    assert_eq!([weights, traces], rewarded(&case, EQUAL, machine));
+    let runs: Vec<[Vec<i32>; 2]> = (0..100).map(|seed| rewarded(&case, seed, Golden::new)).collect();
+    for [weights, traces] in &runs {
+        assert!(weights.windows(2).all(|pair| [0, 2].contains(&(pair[1] - pair[0]))));
+        // The rewards of steps 128, 384, 512 and 1,024, which are noted at the end of an epoch.
+        let rises = |step: &usize| weights[*step] == weights[step - 1] + 2 && traces[*step] >= 2;
+        assert!([127, 383, 511, 1023].iter().all(rises));
+    }
+    // The last weight, 120, and the printed sum of the trace, 34, are within two standard deviations.
+    for (name, recorded, of) in [("weight", 120.0, 0), ("sum", 34.0, 1)] {
+        let value = |run: &[Vec<i32>; 2]| f64::from(if of == 0 { run[0][1200] } else { run[1].iter().sum() });
+        let mean = runs.iter().map(value).sum::<f64>() / runs.len() as f64;
+        let variance = runs.iter().map(|run| (value(run) - mean).powi(2)).sum::<f64>() / runs.len() as f64;
+        assert!(
+            (recorded - mean).abs() < 2.0 * variance.sqrt(),
+            "{name}: {recorded}, mean {mean}, variance {variance}"
+        );
+    }
 }

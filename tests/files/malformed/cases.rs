@@ -121,7 +121,7 @@ pub fn cases() -> Vec<Case> {
 
     // Model files: replaced text, its replacement, code, line (0: the file as a whole), message.
     let syntax = "model.syntax";
-    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 76] = [
+    let replaced: [(&str, &str, &str, &'static str, usize, &'static str); 77] = [
         ("unknown field", "dv: 128", "dw: 128", syntax, 6, "`Loihi` has no field `dw`"),
         ("unknown kind of population", "Loihi(", "Loki(", syntax, 6, "Loki"),
         ("unknown kind of projection", "Dense(", "Dence(", syntax, 9, "Dence"),
@@ -206,7 +206,15 @@ pub fn cases() -> Vec<Case> {
             "learning_semantics: Nengo",
         ),
         ("PES without a trace", RULE, "learning: Pes(error: \"in\")", syntax, 9, "`x1`"),
-        ("reward channel", RULE, "learning: Rule(dw: \"u0\", r1: (tau: 1))", syntax, 9, "r1 is not supported yet"),
+        (
+            "reward",
+            RULE,
+            "learning: Rule(dw: \"u0\", r1: (from: \"z\", impulse: 1, tau: 1))",
+            "model.unknown-population",
+            9,
+            "'z'",
+        ),
+        ("reward channel r0", RULE, "learning: Rule(dw: \"u0*r0\")", LEARNING, 9, "'r0' is unknown"),
         ("great impulse", RULE, "learning: Rule(dw: \"x0\", x1: (impulse: 128, tau: 1))", syntax, 9, "impulse of 128"),
         ("signal that is none", RULE, "learning: Rule(dw: \"x0\", y2: Signal(\"in\"))", LEARNING, 9, "declare it so"),
         ("unknown signal", RULE, "learning: Rule(dw: \"x0\", y2: Signal(\"r\"))", "model.unknown-population", 9, "'r'"),

@@ -5,12 +5,14 @@ use std::collections::HashSet;
 use petgraph::graph::{DiGraph, NodeIndex};
 
 use super::{Lowering, MOST_UNIFORM, Nodes, ProjectionLowering, is_no_name};
-use crate::network::learning::{PerSynapse, PostTrace, RuleDesc};
+use crate::network::learning::{PerSynapse, PostTrace, RewardDesc, RuleDesc};
 use crate::network::{ProjectionKind as Kind, Weights};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::{Diagnostic, Span};
 use nsim_ir::graph::{DeclaredRule, PerCompartment, Population, PopulationKind, Projection};
-use nsim_ir::learning::{Graded, LONGEST_EPOCH, Learning, LearningSemantics, Rule, RuleText, Variable, parse};
+use nsim_ir::learning::{
+    Graded, LONGEST_EPOCH, Learning, LearningSemantics, Rule, RuleText, TraceSettings, Variable, parse,
+};
 use nsim_ir::spikes::Message;
 
 type Result<T> = std::result::Result<T, Diagnostic>;
@@ -95,6 +97,8 @@ impl ProjectionLowering<'_> {
             }
             *signal = Some(node);
         }
+        let reward =
+            desc.r1.as_ref().map(|r1| self.lowering.find(nodes, &r1.from, "r1", || self.at("learning.r1.from")));
         Ok(Some(DeclaredRule {
             tags: self.first_values("tags", desc.tags.as_ref(), semantics.tags())?,
             delays: self.first_values("delays", desc.delays.as_ref(), semantics.delays())?,
@@ -102,6 +106,7 @@ impl ProjectionLowering<'_> {
             span: self.at("learning"),
             sources: self.source_units as u32,
             signals,
+            reward: reward.transpose()?,
         }))
     }
 
@@ -179,8 +184,14 @@ impl ProjectionLowering<'_> {
             _ => Default::default(),
         });
         let [y1, y2, y3] = post;
-        text.traces = [desc.x1.unwrap_or_default(), desc.x2.unwrap_or_default(), y1, y2, y3];
-        let rule = Rule::new(text).map_err(|what| self.refused("", what).help("use one of them"))?;
+        let r1 = desc.r1.as_ref().map(|&RewardDesc { impulse, tau, .. }| TraceSettings { impulse, tau });
+        text.traces = [desc.x1.unwrap_or_default(), desc.x2.unwrap_or_default(), y1, y2, y3, r1.unwrap_or_default()];
+        if desc.r1.is_some() && text.semantics != LearningSemantics::Silicon {
+            let what = format!("learning semantics {:?} lack the reward channel r1", text.semantics);
+            return Err(self.refused("r1", what).help("write y2: Signal(\"..\"), or learning_semantics: Silicon"));
+        }
+        let rule = Rule::new(text)
+            .map_err(|what| self.refused("", what).help("give one u to all changes, and r1 in Silicon alone"))?;
         match rule.learns() {
             true => Ok(rule),
             false => {

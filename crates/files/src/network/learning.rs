@@ -1,8 +1,6 @@
 //! Learning rules as a model file states them: `learning: Rule(..)`.
 
-use nsim_ir::base::diagnostic::Span;
-use nsim_ir::learning::{Graded, LearningSemantics, TraceSettings, Variable};
-use nsim_ir::locate::locate;
+use nsim_ir::learning::{Graded, Impulse, LearningSemantics, Tau, TraceSettings, Variable};
 use nsim_ir::spanned::{parse_at, raw, refuse};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
@@ -24,6 +22,18 @@ pub enum PostTrace {
     Spikes(TraceSettings),
     /// The value of a population in each step.
     Signal(String),
+}
+
+/// The reward channel: a trace of the spikes of a population.
+#[derive(Debug, Clone, PartialEq, Deserialize, Serialize)]
+#[serde(deny_unknown_fields)]
+pub struct RewardDesc {
+    /// The population.
+    pub from: String,
+    /// Added by a spike.
+    pub impulse: Impulse,
+    /// Time constant of the decay, in epochs.
+    pub tau: Tau,
 }
 
 /// The learning rule of a projection.
@@ -60,6 +70,9 @@ pub struct RuleDesc {
     /// The third postsynaptic trace.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub y3: Option<PostTrace>,
+    /// The reward channel.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub r1: Option<RewardDesc>,
     /// First tags.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub tags: Option<PerSynapse>,
@@ -148,15 +161,6 @@ pub(super) fn rule<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<
         let Pes { error, x1, until } = parse_at(text, span)?;
         let y1 = Some(PostTrace::Signal(error));
         return Ok(Some(RuleDesc { is_pes: true, x1: Some(x1), y1, until, ..RuleDesc::default() }));
-    }
-    for channel in ["r0", "r1"] {
-        if let Some(Span { start, end }) = locate(text, Span { start: 0, end: text.len() }, channel) {
-            let place = Span { start: span.start + start, end: span.start + end };
-            return refuse(
-                place,
-                format!("the reward channel {channel} is not supported yet: write y2: Signal(\"..\")"),
-            );
-        }
     }
     parse_at(text, span)
 }

@@ -30,7 +30,7 @@ pub const WIDEST: u32 = 31;
 /// Greatest value of a trace: 7 bits.
 pub const GREATEST_TRACE: i32 = 127;
 /// The most traces of a rule.
-pub const TRACES: usize = 5;
+pub const TRACES: usize = 6;
 
 named_variants! {
     /// A variable of a plastic synapse.
@@ -46,7 +46,7 @@ named_variants! {
 }
 
 named_variants! {
-    /// A trace of the spikes of a synapse's source (x) or target (y).
+    /// A trace of the spikes of a synapse's source (x) or target (y), or of a reward (r).
     #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Deserialize, Serialize)]
     pub enum Trace {
         /// The first presynaptic trace.
@@ -59,6 +59,8 @@ named_variants! {
         Y2 = "y2",
         /// The third postsynaptic trace.
         Y3 = "y3",
+        /// The reward channel, a trace of the spikes of a population that all synapses share.
+        R1 = "r1",
     }
 }
 
@@ -352,7 +354,7 @@ impl Rule {
     ///
     /// # Errors
     /// A sentence: the epoch is not 1 to [`LONGEST_EPOCH`], two changes have different k of u, PES
-    /// has a change or another epoch.
+    /// has a change or another epoch, semantics lack the reward channel.
     pub fn new(text: RuleText) -> Result<Self, String> {
         let RuleText { changes, epoch, traces, semantics, graded, until } = text;
         if !(1..=LONGEST_EPOCH).contains(&epoch) {
@@ -361,6 +363,11 @@ impl Rule {
         let is_pes = semantics == LearningSemantics::Nengo;
         if is_pes && (epoch != PES_EPOCH || changes.iter().any(|change| !change.products.is_empty())) {
             return Err(format!("the rule PES of Nengo has an epoch of {PES_EPOCH} and no products"));
+        }
+        let mut factors = changes.iter().flat_map(|change| &change.products).flat_map(|product| &product.factors);
+        let has_reward = factors.any(|factor| factor.of == Quantity::Trace(Trace::R1));
+        if has_reward && semantics != LearningSemantics::Silicon {
+            return Err(format!("learning semantics {semantics:?} lack the reward channel r1"));
         }
         let mut slow = changes.iter().filter_map(|change| change.slow);
         let first = slow.next();
@@ -495,6 +502,9 @@ pub struct Plastic {
     /// The input populations whose values replace y1, y2 and y3: one for each target, or one for
     /// all of them. The first of PES is its error, with a value for each pair of targets.
     pub signals: [Option<PopulationId>; 3],
+    /// The population whose spikes r1 is a trace of.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub reward: Option<PopulationId>,
 }
 
 impl Plastic {

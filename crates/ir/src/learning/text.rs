@@ -5,7 +5,7 @@
 //! product := one dependency, literals and factors in any order, joined by '*'
 //! dependency := x0 | y0 | u0 .. u9      the first x0 or y0, else u; a further x0 or y0 is a factor
 //! literal := n | 2^e | n*2^e | '(' [sign] literal ')'
-//! factor  := x1 x2 y1 y2 y3 w d t | '(' factor sign n ')' | '(' n sign factor ')' | sgn(..)
+//! factor  := x1 x2 y1 y2 y3 r1 w d t | '(' factor sign n ')' | '(' n sign factor ')' | sgn(..)
 //! ```
 //!
 //! The grammar is lava's (`product_series.py` of lava-nc 0.10), without what it reads wrongly.
@@ -335,7 +335,7 @@ impl<'t> Parser<'t> {
                 }
                 (None, None) => {
                     let message = format!(
-                        "'{token}' is unknown: factors are x0 x1 x2 y0 y1 y2 y3 u0 to u9 w d t, numbers and sgn(..)"
+                        "'{token}' is unknown: factors are x0 x1 x2 y0 y1 y2 y3 r1 u0 to u9 w d t, numbers and sgn(..)"
                     );
                     return self.wrong(message);
                 }

@@ -842,6 +842,9 @@ fn check_plastic(parts: &Parts, projection: &Projection) -> Result<(), &'static 
     if !within(&plastic.tags, semantics.tags()) || !within(&plastic.delays, semantics.delays()) {
         return Err("a first tag or delay is out of range");
     }
+    if plastic.reward.is_some_and(|reward| parts.populations.get(reward).is_none()) {
+        return Err("the population of its reward does not exist");
+    }
     if learning.rule.is_pes() {
         let error = plastic.signals[0].and_then(|signal| parts.populations.get(signal));
         let pairs = |error: &Population| 2 * u64::from(error.shape.len()) == u64::from(target.shape.len());

@@ -9,7 +9,7 @@ use crate::plastic::signals::Signals;
 use crate::plastic::traces::{Source, Traces};
 use crate::prefetch::{prefetch, prefetch_range};
 use crate::update::state::ShardState;
-use nsim_dynamics::learning::{BATCH, Compiled, Synapses, When};
+use nsim_dynamics::learning::{BATCH, Compiled, REWARD, Synapses, When};
 use nsim_ir::base::id::{CoreId, Id};
 use nsim_ir::learning::{Dependency, Variable};
 
@@ -19,6 +19,8 @@ pub(crate) struct Epoch<'a> {
     pub compiled: &'a Compiled,
     pub pre: &'a Traces,
     pub post: &'a Traces,
+    /// Of one unit, or of none.
+    pub reward: &'a Traces,
     pub source: Source<'a>,
     /// The random number by which all synapses round, where they share it.
     pub round: Option<f64>,
@@ -461,13 +463,15 @@ impl<V: Visit> Synapses for Seen<'_, V> {
     }
 
     fn y(&self, trace: usize, at: Dependency, values: &mut [i32]) {
-        let Epoch { post, signals, .. } = self.epoch;
-        let is_signal = signals.gives(trace);
+        let Epoch { post, reward, signals, .. } = self.epoch;
+        let is_reward = trace == REWARD;
+        let is_signal = !is_reward && signals.gives(trace);
         for (index, value) in values.iter_mut().enumerate() {
             let (target, k) = (self.of.target(index), self.time(at, index));
-            *value = match is_signal {
-                true => signals.at(trace, target, k).unwrap_or_default(),
-                false => post.at(target, trace, k),
+            *value = match (is_reward, is_signal) {
+                (true, _) => reward.first_at(k),
+                (_, true) => signals.at(trace, target, k).unwrap_or_default(),
+                _ => post.at(target, trace, k),
             };
         }
     }

@@ -47,6 +47,8 @@ pub(crate) struct Learning {
 struct State {
     pre: Traces,
     post: Traces,
+    /// Of one unit where the rule has a reward, else of none.
+    reward: Traces,
     signals: Signals,
 }
 
@@ -94,6 +96,14 @@ pub(crate) struct Delivered<'a> {
     pub values: &'a [i32],
 }
 
+impl Delivered<'_> {
+    /// Whether one of these sources spiked, channels first.
+    fn has_any(&self, units: &Range<u32>, channels: u32) -> bool {
+        self.channels.ids.iter().any(|channel| units.contains(&channel.0))
+            || self.compartments.iter().any(|compartment| units.contains(&(channels + compartment.0)))
+    }
+}
+
 impl Learning {
     /// Learning before the first step of an image.
     pub fn new(image: &Image) -> Self {
@@ -104,6 +114,7 @@ impl Learning {
             State {
                 pre: Traces::new(Side::Pre, first, of.sources.len(), late, rule),
                 post: Traces::new(Side::Post, 0, of.targets.len(), false, rule),
+                reward: Traces::new(Side::Reward, 0, of.reward.iter().len(), false, rule),
                 signals: Signals::new(projection, rule.rule().epoch()),
             }
         };
@@ -139,6 +150,7 @@ impl Learning {
         for state in &mut self.projections {
             state.pre.clear();
             state.post.clear();
+            state.reward.clear();
             state.signals.clear();
         }
     }
@@ -174,13 +186,14 @@ impl Learning {
             if !rule.learns() || !rule.learns_after(step) {
                 continue;
             }
-            let State { pre, post, signals } = &mut self.projections[index];
+            let State { pre, post, reward, signals } = &mut self.projections[index];
             let source = source(&self.draws, self.base, step, projection, compiled);
             pre.make_histories(&source);
             post.make_histories(&source);
+            reward.make_histories(&source);
             signals.make_histories(post, &source);
             let round = source.shared_round();
-            let epoch = Epoch { projection, compiled, pre, post, source, round, signals };
+            let epoch = Epoch { projection, compiled, pre, post, reward, source, round, signals };
             let before = changes.is_some().then(|| updates_by_core(shards));
             self.updates += match (&mut *shards, image.shards.as_slice()) {
                 ([state], [shard]) => epoch.learn(index, state, shard),
@@ -192,6 +205,7 @@ impl Learning {
             StepChange::add_updates(&mut changes, before, shards);
             pre.end_epoch(step);
             post.end_epoch(step);
+            reward.end_epoch(step);
         }
     }
 
@@ -256,6 +270,10 @@ impl Learning {
             if rule.learns() && rule.notes(step) {
                 let k = step % rule.epoch() + 1;
                 state.signals.store(k, projection, self.of_signals.start, &self.signals);
+                if projection.of.reward.as_ref().is_some_and(|units| delivered.has_any(units, image.channels)) {
+                    let compiled = &plan.rules[projection.of.plastic.rule];
+                    state.reward.note(0, 1, &source(&self.draws, self.base, step, projection, compiled));
+                }
             }
         }
     }
@@ -317,6 +335,7 @@ impl Learning {
                     Some(pes) => pes.traces.iter().map(|&value| value.into()).collect(),
                     None => state.pre.column(trace.index()).collect(),
                 },
+                Some(3) => state.reward.column(0).collect(),
                 Some(place) => {
                     let signal = state.signals.column(place, of.targets.len());
                     signal.unwrap_or_else(|| state.post.column(place).collect())

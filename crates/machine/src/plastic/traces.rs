@@ -55,11 +55,12 @@ impl Source<'_> {
     }
 }
 
-/// Whether units are sources or targets.
+/// Whether units are sources, targets or the reward.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Side {
     Pre,
     Post,
+    Reward,
 }
 
 impl Side {
@@ -67,13 +68,14 @@ impl Side {
         match self {
             Side::Pre => &[Trace::X1, Trace::X2],
             Side::Post => &[Trace::Y1, Trace::Y2, Trace::Y3],
+            Side::Reward => &[Trace::R1],
         }
     }
 
     const fn uses(self) -> (Use, Use, Use) {
         match self {
             Side::Pre => (Use::Pre, Use::PreDecay, Use::PreImpulse),
-            Side::Post => (Use::Post, Use::PostDecay, Use::PostImpulse),
+            Side::Post | Side::Reward => (Use::Post, Use::PostDecay, Use::PostImpulse),
         }
     }
 }
@@ -171,6 +173,12 @@ impl Traces {
     #[inline]
     pub fn at(&self, unit: usize, trace: usize, k: u8) -> i32 {
         self.places[trace].map_or(0, |place| self.records[unit * self.stride + place + usize::from(k)].into())
+    }
+
+    /// The first trace of the first unit at step k; 0 where there is none.
+    #[inline]
+    pub fn first_at(&self, k: u8) -> i32 {
+        if self.is_live.is_empty() { 0 } else { self.at(0, 0, k) }
     }
 
     /// The value of x1 or y1 at the epoch's start.
@@ -271,7 +279,7 @@ impl Traces {
         let of = self.side.uses().0;
         match (source.is_shared(), self.side) {
             (true, Side::Pre) => 0,
-            (true, Side::Post) => source.draws.shared(source.rule, of, source.step, source.since) as u16,
+            (true, _) => source.draws.shared(source.rule, of, source.step, source.since) as u16,
             (false, _) => (source.of_trace(of, trace, source.since).bits(self.first + unit) >> 56) as u16,
         }
     }

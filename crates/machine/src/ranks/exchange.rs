@@ -77,12 +77,18 @@ impl Exchange {
         let sum = checksum(program);
         let mut requested: Vec<Vec<u32>> = vec![vec![sum as u32, (sum >> 32) as u32]; count];
         let mut own = 0;
+        // Rewards act without axons.
+        let projections = program.parts().learning.projections.iter();
+        let rewards: Vec<_> = projections.filter_map(|projection| projection.reward.clone()).collect();
         for (id, seat) in program.seats().enumerate() {
             let owner = assignment.owners[seat.core];
             let is_observed = observed.is_some_and(|(first, size)| id.0.wrapping_sub(first.0) < size);
             if owner == ranks.rank() {
                 own += 1;
-            } else if is_observed || program.messages(program.channels() + id.0).len() > 0 {
+            } else if is_observed
+                || program.messages(program.channels() + id.0).len() > 0
+                || rewards.iter().any(|reward| reward.contains(&(program.channels() + id.0)))
+            {
                 requested[owner as usize].push(id.0);
             }
         }
