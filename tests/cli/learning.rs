@@ -181,6 +181,9 @@ fn what_learning_semantics_lack_is_refused_by_name() {
     let folder = tempfile::tempdir().unwrap();
     let reward = "Rule(dw: \"u0*r1\", r1: (from: \"in\", impulse: 2, tau: 1))";
     let plain = "Pes(error: \"err\", x1: (impulse: 9, tau: 5))";
+    let brian = |rule: &str| pes(&format!("Rule({rule})")).replace("Nengo", "Brian");
+    std::fs::write(folder.path().join("m.ron"), brian("dw: \"2^-3*x1*y0\", x1: (impulse: 64, tau: 8)")).unwrap();
+    object(folder.path(), &format!("run m.ron {INPUT}"), 0);
     std::fs::write(folder.path().join("m.ron"), pes(reward).replace("Nengo", "Silicon")).unwrap();
     object(folder.path(), &format!("run m.ron {INPUT} --probe p.r1 --learned after.ron -o traces"), 0);
     assert_eq!(array(&folder.path().join("traces/p.r1.npy")).0, [3, 1, 20]);
@@ -188,6 +191,13 @@ fn what_learning_semantics_lack_is_refused_by_name() {
     for (text, says) in [
         (pes("Rule(dw: \"x0\")"), "have Pes alone | 4"),
         (pes(plain).replace("Nengo", "Lava"), "the network's learning semantics are Lava | 4"),
+        (brian("dw: \"x0\", dt: \"y0\""), "Brian lack the variable tag"),
+        (brian("dw: \"x0*d\""), "Brian lack the variable delay"),
+        (brian("dw: \"x0*r1\""), "Brian lack the reward channel r1"),
+        (brian("dw: \"x0\", epoch: 2"), "each step learns"),
+        (brian("dw: \"x0\", y1: (impulse: 2.5, tau: 3)"), "Brian have whole impulses, and whole taus from 1; tau is 3"),
+        (brian("dw: \"x0*w*w*x1\""), "add up to 33554432, the limit is 4194304"),
+        (brian("dw: \"x0*y2\", y2: Signal(\"err\")"), "Brian lack signals"),
         (pes(reward).replace("Nengo", "Lava"), "semantics Lava lack the reward channel r1"),
         (pes("Rule(dw: \"u0*r1\")").replace("Nengo", "Lava"), "semantics Lava lack the reward channel r1"),
         (pes(&plain.replace("err\"", "three\"")), "'three' has 3 values for 4 targets, which are not two"),

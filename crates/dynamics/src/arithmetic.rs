@@ -3,7 +3,7 @@
 //! Each is named after its effect at the edge: [`wrap`] (two's complement), [`clip`] (saturate),
 //! [`decay`] (multiply and round toward zero). Equation numbers refer to `docs/semantics.md`.
 
-use crate::learning::greatest_weight;
+use crate::learning::GREATEST_WEIGHT;
 use nsim_ir::base::fixed::{DECAY_ONE, Decay, WEIGHT_SHIFT, WeightExponent};
 use nsim_ir::program::{CoreFormat, Synapse};
 use nsim_ir::quantised::Reset;
@@ -83,8 +83,7 @@ pub fn greatest_units(synapse: &Synapse, formats: &[CoreFormat]) -> u32 {
         return units(synapse, formats).unsigned_abs();
     }
     // A rule may leave the format's width: (L6).
-    let greatest = greatest_weight(format);
-    (scaled(format, -greatest) >> WEIGHT_SHIFT).unsigned_abs()
+    (scaled(format, -GREATEST_WEIGHT) >> WEIGHT_SHIFT).unsigned_abs()
 }
 
 /// Whether a population with this start step returns to zero before the update of `step`.

@@ -4,7 +4,7 @@
 //! change of a synapse from numbers that the machine looks up. The golden interpreter walks the
 //! rule itself.
 
-use nsim_ir::base::fixed::{SignMode, WeightBits};
+use nsim_ir::base::fixed::SignMode;
 use nsim_ir::learning::{
     Dependency, Factor, GREATEST_TRACE, Graded, Impulse, LearningSemantics, Product, Quantity, Rule, TRACES, Trace,
     Variable,
@@ -21,8 +21,8 @@ const SIGNAL_TAU: f64 = 65_535.0;
 pub struct Decay(Box<[(i16, f64); TABULATED]>);
 
 impl Decay {
-    fn new(tau: f64) -> Self {
-        let factor = libm::exp(-1.0 / tau);
+    /// The decay with this factor in a step.
+    fn new(factor: f64) -> Self {
         let mut table = Box::new([(0, 0.0); TABULATED]);
         for (value, entry) in table.iter_mut().enumerate() {
             let z = factor * value as f64;
@@ -34,7 +34,13 @@ impl Decay {
     /// The value after a step, with a random number from 0 to below 1.
     #[inline]
     pub fn after(&self, value: i16, draw: impl FnOnce() -> f64) -> i16 {
-        let (whole, fraction) = self.0[value as usize % TABULATED];
+        self.after_spike(value, value, draw)
+    }
+
+    /// (L15): the value after a step, if the value before the last spike decides about the fraction.
+    #[inline]
+    pub fn after_spike(&self, value: i16, before: i16, draw: impl FnOnce() -> f64) -> i16 {
+        let (whole, fraction) = (self.0[value as usize % TABULATED].0, self.0[before as usize % TABULATED].1);
         if fraction > 0.0 { whole + i16::from(draw() < fraction) } else { whole }
     }
 }
@@ -170,7 +176,9 @@ impl Compiled {
             // (L14): a reward decays by epochs.
             let steps = if trace == Trace::R1 { rule.epoch() } else { 1 };
             let tau = settings.tau.get() * f64::from(steps);
-            (settings.impulse != Impulse::default() || overwritten).then(|| Decay::new(tau))
+            let is_brian = rule.semantics() == LearningSemantics::Brian;
+            let factor = if is_brian { 1.0 - 1.0 / tau } else { libm::exp(-1.0 / tau) };
+            (settings.impulse != Impulse::default() || overwritten).then(|| Decay::new(factor))
         });
         let changes = When::all().map(|when| CompiledChange::all(rule, when));
         Compiled { rule: rule.clone(), decays, changes, accumulator: rule.semantics().accumulator() }
@@ -242,6 +250,17 @@ impl Compiled {
         (old << 7).clamp(self.accumulator.0, self.accumulator.1)
     }
 
+    /// (L16): a weight after learning, from its accumulator: away from zero to an integer, then
+    /// toward zero to a step. `None` in other semantics than Brian's.
+    pub fn without_draw(&self, format: SynapseFormat) -> Option<impl Fn(i32, i32) -> i16> {
+        let (step, (low, high)) = (i32::from(format.sign.step(format.bits)), self.range(Variable::Weight, format));
+        (self.rule.semantics() == LearningSemantics::Brian).then_some(move |old: i32, sum: i32| {
+            let change = sum - (old << 7);
+            let away = change.signum() * ((change.abs() + 127) >> 7);
+            (old + away / step * step).clamp(low, high) as i16
+        })
+    }
+
     /// How a variable is rounded.
     pub fn rounding(&self, variable: Variable, format: SynapseFormat) -> Rounding {
         let step = match (variable, self.rule.semantics()) {
@@ -262,6 +281,9 @@ impl Compiled {
                 let (low, high) = sign.range(format.bits);
                 (low.into(), high.into())
             }
+            (Variable::Weight, LearningSemantics::Brian, SignMode::Mixed) => (-256, 254),
+            (Variable::Weight, LearningSemantics::Brian, SignMode::Excitatory) => (0, 255),
+            (Variable::Weight, LearningSemantics::Brian, SignMode::Inhibitory) => (-256, 0),
             (Variable::Weight, LearningSemantics::Lava, SignMode::Mixed) => (-256, 255),
             (Variable::Weight, LearningSemantics::Lava, SignMode::Excitatory) => (0, 255),
             (Variable::Weight, LearningSemantics::Lava, SignMode::Inhibitory) => (-255, 0),
@@ -341,8 +363,10 @@ impl CompiledChange {
 
 impl CompiledProduct {
     fn new(product: &Product, semantics: LearningSemantics) -> Self {
+        let is_brian = semantics == LearningSemantics::Brian;
         let factor = |&Factor { of, plus, sign }: &Factor| {
             let bits = of.bits();
+            let range = if is_brian { (i32::MIN, i32::MAX) } else { (-(1 << bits), (1 << bits) - 1) };
             let read = match of {
                 Quantity::Pre => Read::Pre,
                 Quantity::Post => Read::Post,
@@ -350,20 +374,17 @@ impl CompiledProduct {
                 Quantity::Trace(trace) => Read::Y(trace.index() - 2),
                 Quantity::Variable(variable) => Read::Variable(variable),
             };
-            CompiledFactor { read, plus, sign, range: (-(1 << bits), (1 << bits) - 1) }
+            CompiledFactor { read, plus, sign, range }
         };
         CompiledProduct {
             when: product.when,
             factors: product.factors.iter().map(factor).collect(),
             mantissa: product.mantissa.into(),
-            down: (product.bits() + semantics.mantissa_bits()).saturating_sub(15),
+            down: if is_brian { 0 } else { (product.bits() + semantics.mantissa_bits()).saturating_sub(15) },
             up: (i32::from(product.exponent) + 7) as u32,
         }
     }
 }
 
-/// The greatest magnitude of a weight that a rule may reach in a format.
-pub fn greatest_weight(format: SynapseFormat) -> i16 {
-    let (low, high) = format.sign.range(WeightBits::MAX);
-    low.abs().max(high.abs())
-}
+/// The greatest magnitude of a weight that a rule may reach.
+pub const GREATEST_WEIGHT: i16 = 256;

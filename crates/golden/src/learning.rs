@@ -54,6 +54,8 @@ struct End {
     note: u32,
     /// Every step at which a spike was noted, ascending.
     noted: Vec<u32>,
+    /// (L15): its traces before the spikes of the last step.
+    before: [i64; TRACES],
     /// (L8): X(s), by trace and step of the sample.
     history: [Vec<i64>; TRACES],
     /// (L10): the values of a signal in place of a trace, by step of the sample.
@@ -177,6 +179,15 @@ impl Learner {
             Trace::R1 => tau * f64::from(self.rule.epoch()),
             _ if self.is_signal(trace) => 65_535.0,
             _ => tau,
+        }
+    }
+
+    /// The factor of a trace's decay in a step: (L4), (L15).
+    fn factor(&self, trace: Trace) -> f64 {
+        match self.rule.semantics() {
+            LearningSemantics::Brian if self.impulse(trace) == Impulse::default() => 0.0,
+            LearningSemantics::Brian => 1.0 - 1.0 / self.tau(trace),
+            _ => libm::exp(-1.0 / self.tau(trace)),
         }
     }
 
@@ -325,9 +336,14 @@ impl Learner {
             }
             let mut value = end.traces[trace.index()];
             for step in first..=last {
-                let z = libm::exp(-1.0 / self.tau(trace)) * value as f64;
+                let z = self.factor(trace) * value as f64;
                 let r = self.decay(numbers, trace, index, step, last);
-                value = z.floor() as i64 + i64::from(r < z - z.floor());
+                let fraction = match self.rule.semantics() {
+                    LearningSemantics::Brian => (self.factor(trace) * end.before[trace.index()] as f64).fract(),
+                    _ => z - z.floor(),
+                };
+                value = z.floor() as i64 + i64::from(r < fraction);
+                end.before[trace.index()] = value;
                 if step - first + 1 == end.note {
                     value = add(value, self.impulse(trace), self.fraction(numbers, trace, index, last));
                 }
@@ -463,8 +479,28 @@ impl Synapse<'_> {
         m * (1 << (product.exponent + 7))
     }
 
+    /// (L16): a weight after learning.
+    fn changed_in_brian(&self) -> i64 {
+        let mut change = 0.0;
+        for product in self.rule.products(Variable::Weight).iter().filter(|product| self.is_true(product.when)) {
+            let mut m = 1;
+            for &Factor { of, plus, sign } in &product.factors {
+                let sum = self.quantity(of, product.when) + i64::from(plus);
+                m *= if sign { sum.signum() } else { sum };
+            }
+            change += (m * i64::from(product.mantissa)) as f64 * 2f64.powi(product.exponent.into());
+        }
+        let step = i64::from(self.format.sign.step(self.format.bits));
+        let away = if change < 0.0 { change.floor() } else { change.ceil() } as i64;
+        let (least, greatest) = self.range(Variable::Weight);
+        (self.variables[Variable::Weight as usize] + away / step * step).clamp(least, greatest)
+    }
+
     /// (L6) and (L7): a variable after learning.
     fn changed(&self, variable: Variable, r: f64) -> i64 {
+        if self.rule.semantics() == LearningSemantics::Brian {
+            return self.changed_in_brian();
+        }
         let (low, high) = self.rule.semantics().accumulator();
         let clip = |value: i64| value.clamp(low.into(), high.into());
         let mut acc = self.variables[variable as usize] * 128;
@@ -494,6 +530,11 @@ impl Synapse<'_> {
                 SignMode::Mixed => (-256, 255),
                 SignMode::Excitatory => (0, 255),
                 SignMode::Inhibitory => (-255, 0),
+            },
+            (Variable::Weight, LearningSemantics::Brian) => match sign {
+                SignMode::Mixed => (-256, 254),
+                SignMode::Excitatory => (0, 255),
+                SignMode::Inhibitory => (-256, 0),
             },
             (Variable::Weight, _) => {
                 let (least, greatest) = sign.range(bits);

@@ -107,6 +107,8 @@ fn weight_range(semantics: LearningSemantics, format: SynapseFormat) -> (i32, i3
         (LearningSemantics::Lava, SignMode::Mixed) => (-256, 255),
         (LearningSemantics::Lava, SignMode::Excitatory) => (0, 255),
         (LearningSemantics::Lava, SignMode::Inhibitory) => (-255, 0),
+        (LearningSemantics::Brian, SignMode::Inhibitory) => (-256, 0),
+        (LearningSemantics::Brian, SignMode::Excitatory) => (0, 255),
         (_, sign) => {
             let (low, high) = sign.range(format.bits);
             // (L13) has as many negative weights as positive ones.
@@ -213,7 +215,7 @@ fn numbers_taken(learning: &Learning, (sources, targets): (u32, u32), steps: u32
             let weights = taken(Use::Weight, rule.epoch(), sources * targets);
             Ok(vec![taken(Use::Trace, PES_TRACE_EPOCH, sources), weights])
         }
-        LearningSemantics::Silicon => {
+        LearningSemantics::Silicon | LearningSemantics::Brian => {
             let message = format!("the rule of '{name}' draws for each synapse, so there are no numbers to record");
             Err(Diagnostic::new("run.draws", message).help("give learning_semantics: Lava or Nengo, or only --seed"))
         }

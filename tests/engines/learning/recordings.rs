@@ -520,3 +520,103 @@ fn rewards_raise_a_weight_as_on_a_chip() {
         );
     }
 }
+
+#[derive(Deserialize)]
+struct Windows {
+    windows: Vec<PairWindow>,
+}
+
+/// Mean changes of a weight by a pair of spikes, by lag.
+#[derive(Deserialize)]
+struct PairWindow {
+    rule: String,
+    sign: SignMode,
+    w0: i16,
+    impulse: f64,
+    tau: f64,
+    rows: Vec<Lag>,
+}
+
+#[derive(Deserialize)]
+struct Lag {
+    /// Steps from the update in which the presynaptic spike arrives to that of the postsynaptic one.
+    lag: i64,
+    mean: f64,
+    sd: f64,
+    n: f64,
+}
+
+/// Pairs of each lag in a network.
+const PAIRS: usize = 250;
+
+impl PairWindow {
+    /// `PAIRS` synapses for each lag, from sources of their own, which learn from one pair of spikes
+    /// each. The presynaptic spikes are entries of step 21.
+    fn network(&self) -> (Quantised, Sample) {
+        let mut net = Builder::new();
+        let count = (self.rows.len() * PAIRS) as u32;
+        let (input, teach) = (net.input("in", count), net.input("teach", self.rows.len() as u32));
+        let out = net.each("out", Shape::Line(count), &vec![neuron(4096, 4096, 8_000, 1); count as usize], 0);
+        let row = |row: u32| (row * PAIRS as u32..(row + 1) * PAIRS as u32).map(|target| (target, 254)).collect();
+        let all = sparse((0..self.rows.len() as u32).map(row));
+        net.connect((teach, out), format(6, SignMode::Mixed, 8), 0, all);
+        net.connect((input, out), format(0, self.sign, 8), 0, sparse((0..count).map(|unit| vec![(unit, self.w0)])));
+        let mut text = RuleText {
+            changes: [parse(&self.rule).unwrap(), Change::default(), Change::default()],
+            epoch: 1,
+            semantics: LearningSemantics::Brian,
+            ..RuleText::default()
+        };
+        let settings = TraceSettings { impulse: self.impulse.try_into().unwrap(), tau: self.tau.try_into().unwrap() };
+        [Trace::X1, Trace::Y1].into_iter().for_each(|trace| text.traces[trace.index()] = settings);
+        let id = net.parts.projections.ids().last().unwrap();
+        make_plastic(&mut net.parts, id, Rule::new(text).unwrap());
+        let pre = (0..count).map(|unit| (21, ChannelId(unit)));
+        let post = (count..).zip(&self.rows).map(|(channel, row)| ((21 + row.lag) as u32, ChannelId(channel)));
+        (net.build(), Sample::new(44, &pre.chain(post).collect::<Vec<_>>(), None).unwrap())
+    }
+
+    /// Compares the mean changes of `runs` runs with a seed, each of `PAIRS` pairs a lag.
+    fn compare<E: Engine>(&self, engine: &mut E, sample: &Sample, seed: u64, runs: u32) {
+        let mut sums = vec![[0.0; 2]; self.rows.len()];
+        engine.set_draws(&Draws::seeded(seed));
+        for run in 0..runs {
+            engine.forget(run);
+            engine.begin(sample.steps());
+            (0..sample.steps()).for_each(|step| engine.step(sample.input(step)));
+            engine.settle();
+            let weights = engine.learned(RuleId(0), Column::Variable(Variable::Weight));
+            for (place, weight) in weights.into_iter().enumerate() {
+                let change = f64::from(weight) - f64::from(self.w0);
+                let [sum, squares] = &mut sums[place / PAIRS];
+                (*sum, *squares) = (*sum + change, *squares + change * change);
+            }
+        }
+        let n = f64::from(runs) * PAIRS as f64;
+        for (row, [sum, squares]) in self.rows.iter().zip(sums) {
+            let mean = sum / n;
+            let variance = (squares / n - mean * mean).max(0.0);
+            let error = (row.sd * row.sd / row.n + variance / n).sqrt();
+            let (lag, meant) = (row.lag, row.mean);
+            assert!((mean - meant).abs() <= 4.5 * error, "{}, lag {lag}: {mean}, not {meant} +- {error}", self.rule);
+        }
+    }
+}
+
+/// Three seeds of 10,000 pairs a lag where `NSIM_LONG` is 1, else one of 1,000.
+#[test]
+fn pairs_of_spikes_change_weights_as_in_brian2loihi() {
+    let Some(folder) = data("learning") else { return };
+    let text = std::fs::read_to_string(folder.join("brian2loihi_window.json")).unwrap();
+    let Windows { windows } = serde_json::from_str(&text).unwrap();
+    let (seeds, runs) = if nsim_testing::cases(3) == 3 { (3, 40) } else { (1, 4) };
+    for window in windows {
+        let (network, sample) = window.network();
+        window.compare(&mut Golden::new(&network), &sample, 5, 1);
+        let compiled = compile(network, &roomy("oheo-gulch"), &unsearched()).unwrap();
+        let image = Image::new(&compiled.program, 1).unwrap();
+        for seed in 0..seeds {
+            window.compare(&mut Machine::new(&image, Settings::default()), &sample, seed, runs);
+        }
+    }
+}

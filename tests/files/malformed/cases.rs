@@ -243,14 +243,7 @@ pub fn cases() -> Vec<Case> {
             9,
             "'in' sends plain spikes",
         ),
-        (
-            "learning semantics",
-            "output: \"o\"",
-            "output: \"o\", learning_semantics: Brian",
-            syntax,
-            11,
-            "not supported yet",
-        ),
+        ("learning semantics", "output: \"o\"", "output: \"o\", learning_semantics: Brain", syntax, 11, "`Brain`"),
         (
             "rule of a pool",
             DENSE,

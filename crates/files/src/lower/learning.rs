@@ -10,9 +10,7 @@ use crate::network::{ProjectionKind as Kind, Weights};
 use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::{Diagnostic, Span};
 use nsim_ir::graph::{DeclaredRule, PerCompartment, Population, PopulationKind, Projection};
-use nsim_ir::learning::{
-    Graded, LONGEST_EPOCH, Learning, LearningSemantics, Rule, RuleText, TraceSettings, Variable, parse,
-};
+use nsim_ir::learning::{Graded, Learning, LearningSemantics, Rule, RuleText, TraceSettings, Variable, parse};
 use nsim_ir::spikes::Message;
 
 type Result<T> = std::result::Result<T, Diagnostic>;
@@ -79,6 +77,10 @@ impl ProjectionLowering<'_> {
         let mut signals = [None; 3];
         for (signal, (field, trace)) in signals.iter_mut().zip(desc.post_traces()) {
             let Some(PostTrace::Signal(name)) = trace else { continue };
+            if semantics == LearningSemantics::Brian {
+                let help = "give the impulse and tau of a trace, or learning_semantics: Silicon";
+                return Err(self.refused(field, "learning semantics Brian lack signals").help(help));
+            }
             let (path, file) = (format!("learning.{field}"), self.lowering.network.file());
             let node = self.lowering.find(nodes, name, field, || self.at(&path))?;
             if !file.population(name).is_some_and(|population| population.signal) {
@@ -175,10 +177,7 @@ impl ProjectionLowering<'_> {
             }
         }
         let epoch = desc.epoch.unwrap_or(1);
-        text.epoch = u8::try_from(epoch).ok().filter(|epoch| (1..=LONGEST_EPOCH).contains(epoch)).ok_or_else(|| {
-            self.refused("epoch", format!("an epoch of {epoch} steps is not 1 to {LONGEST_EPOCH}"))
-                .help("give the number of steps after which synapses learn")
-        })?;
+        text.epoch = u8::try_from(epoch).unwrap_or(0);
         let post = desc.post_traces().map(|(_, trace)| match trace {
             Some(PostTrace::Spikes(settings)) => *settings,
             _ => Default::default(),
@@ -186,12 +185,8 @@ impl ProjectionLowering<'_> {
         let [y1, y2, y3] = post;
         let r1 = desc.r1.as_ref().map(|&RewardDesc { impulse, tau, .. }| TraceSettings { impulse, tau });
         text.traces = [desc.x1.unwrap_or_default(), desc.x2.unwrap_or_default(), y1, y2, y3, r1.unwrap_or_default()];
-        if desc.r1.is_some() && text.semantics != LearningSemantics::Silicon {
-            let what = format!("learning semantics {:?} lack the reward channel r1", text.semantics);
-            return Err(self.refused("r1", what).help("write y2: Signal(\"..\"), or learning_semantics: Silicon"));
-        }
-        let rule = Rule::new(text)
-            .map_err(|what| self.refused("", what).help("give one u to all changes, and r1 in Silicon alone"))?;
+        let rule =
+            Rule::new(text).map_err(|problem| self.refused(problem.field, problem.message).help(problem.help))?;
         match rule.learns() {
             true => Ok(rule),
             false => {

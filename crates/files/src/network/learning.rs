@@ -1,7 +1,7 @@
 //! Learning rules as a model file states them: `learning: Rule(..)`.
 
-use nsim_ir::learning::{Graded, Impulse, LearningSemantics, Tau, TraceSettings, Variable};
-use nsim_ir::spanned::{parse_at, raw, refuse};
+use nsim_ir::learning::{Graded, Impulse, Tau, TraceSettings, Variable};
+use nsim_ir::spanned::{parse_at, raw};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::values::{Number, Source, Weights, is_default};
@@ -163,14 +163,6 @@ pub(super) fn rule<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<
         return Ok(Some(RuleDesc { is_pes: true, x1: Some(x1), y1, until, ..RuleDesc::default() }));
     }
     parse_at(text, span)
-}
-
-/// Reads semantics of learning, and refuses those that are known but not supported.
-pub(super) fn semantics<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Option<LearningSemantics>, D::Error> {
-    match raw(deserializer)? {
-        ("Brian", span) => refuse(span, "learning semantics Brian are not supported yet: write Silicon, Lava or Nengo"),
-        (text, span) => parse_at(text, span),
-    }
 }
 
 impl<'de> Deserialize<'de> for PerSynapse {

@@ -317,7 +317,7 @@ pub struct NetworkFile {
     #[serde(default, skip_serializing_if = "is_default")]
     pub weight_rounding: WeightRounding,
     /// The arithmetic of learning; lava's with lava's arithmetic, else the chip's.
-    #[serde(default, deserialize_with = "learning::semantics", skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub learning_semantics: Option<LearningSemantics>,
     /// The stimulus to use when none is given.
     #[serde(skip_serializing_if = "Option::is_none")]

@@ -15,7 +15,7 @@ mod tests;
 
 pub use rule::{
     Change, Column, Dependency, EXPONENTS, Factor, GREATEST_ERROR, GREATEST_TRACE, Graded, Impulse, LONGEST_EPOCH,
-    Learning, LearningSemantics, MANTISSAS, PES_EPOCH, PES_TRACE_EPOCH, Plastic, Product, Quantity, Rule, RuleText,
-    SLOWEST, TRACES, Tau, Trace, TraceSettings, Variable, WIDEST,
+    Learning, LearningSemantics, MANTISSAS, PES_EPOCH, PES_TRACE_EPOCH, Plastic, Product, Quantity, Rule, RuleProblem,
+    RuleText, SLOWEST, TRACES, Tau, Trace, TraceSettings, Variable, WIDEST,
 };
 pub use text::{Problem, parse};

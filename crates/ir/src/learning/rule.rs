@@ -19,6 +19,8 @@ pub const PES_EPOCH: u8 = 4;
 pub const PES_TRACE_EPOCH: u32 = 2;
 /// The greatest magnitude of an error of PES.
 pub const GREATEST_ERROR: i32 = 127;
+/// The most that the products of a change may add up to in Brian, which clips none of them.
+pub const MOST_CHANGE: f64 = 4_194_304.0;
 /// The greatest k of a dependency u_k.
 pub const SLOWEST: u8 = 9;
 /// Mantissas of products: 4 bits.
@@ -140,6 +142,16 @@ impl Product {
     pub fn bits(&self) -> u32 {
         self.factors.iter().map(|factor| factor.of.bits()).sum()
     }
+
+    /// A bound on its magnitude, where factors are not clipped.
+    fn most(&self) -> f64 {
+        let greatest = |factor: &Factor| match factor.sign {
+            true => 1.0,
+            false => f64::from(1 << factor.of.bits()) + f64::from(factor.plus).abs(),
+        };
+        let factors: f64 = self.factors.iter().map(greatest).product();
+        f64::from(self.mantissa).abs() * 2f64.powi(self.exponent.into()) * factors
+    }
 }
 
 /// The change of one variable: products in the order in which they are added, with one k of u.
@@ -167,6 +179,8 @@ named_variants! {
         Lava = "Lava",
         /// nengo-loihi's rule PES, exactly. Weights learn from an error, which is a signal.
         Nengo = "Nengo",
+        /// brian2-loihi's, in distribution. Weights learn in each step.
+        Brian = "Brian",
     }
 }
 
@@ -175,7 +189,7 @@ impl LearningSemantics {
     pub const fn mantissa_bits(self) -> u32 {
         match self {
             LearningSemantics::Lava => 4,
-            LearningSemantics::Silicon | LearningSemantics::Nengo => 3,
+            _ => 3,
         }
     }
 
@@ -184,7 +198,7 @@ impl LearningSemantics {
         match self {
             LearningSemantics::Lava => (-257, 255),
             LearningSemantics::Silicon => (-256, 255),
-            LearningSemantics::Nengo => (0, 0),
+            LearningSemantics::Nengo | LearningSemantics::Brian => (0, 0),
         }
     }
 
@@ -193,14 +207,15 @@ impl LearningSemantics {
         match self {
             LearningSemantics::Lava => (0, 255),
             LearningSemantics::Silicon => (0, 62),
-            LearningSemantics::Nengo => (0, 0),
+            LearningSemantics::Nengo | LearningSemantics::Brian => (0, 0),
         }
     }
 
-    /// The values of an accumulator.
+    /// The values of an accumulator. Those of Brian exceed what its rules reach.
     pub const fn accumulator(self) -> (i32, i32) {
         match self {
             LearningSemantics::Lava => (-32_769, 32_767),
+            LearningSemantics::Brian => (-(MOST_CHANGE as i32) << 8, (MOST_CHANGE as i32) << 8),
             LearningSemantics::Silicon | LearningSemantics::Nengo => (-32_768, 32_767),
         }
     }
@@ -345,7 +360,71 @@ impl TryFrom<RuleText> for Rule {
     type Error = String;
 
     fn try_from(text: RuleText) -> Result<Self, String> {
-        Rule::new(text)
+        Rule::new(text).map_err(|problem| problem.to_string())
+    }
+}
+
+/// Reason why fields make no rule.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{field}: {message}: {help}")]
+pub struct RuleProblem {
+    /// The field, or none for the rule as a whole.
+    pub field: &'static str,
+    /// A sentence.
+    pub message: String,
+    /// The remedy.
+    pub help: &'static str,
+}
+
+fn refused<T>(field: &'static str, message: impl Into<String>, help: &'static str) -> Result<T, RuleProblem> {
+    Err(RuleProblem { field, message: message.into(), help })
+}
+
+impl RuleText {
+    /// Refuses what the semantics lack.
+    fn check_semantics(&self) -> Result<(), RuleProblem> {
+        let semantics = self.semantics;
+        let products = || self.changes.iter().flat_map(|change| &change.products);
+        let reads = |quantity| products().flat_map(|product| &product.factors).any(|factor| factor.of == quantity);
+        if semantics == LearningSemantics::Nengo && (self.epoch != PES_EPOCH || products().next().is_some()) {
+            return refused("", format!("PES has an epoch of {PES_EPOCH} and no products"), "remove them");
+        }
+        let rewards = self.traces[Trace::R1.index()] != TraceSettings::default();
+        if semantics != LearningSemantics::Silicon && (rewards || reads(Quantity::Trace(Trace::R1))) {
+            let field = if rewards { "r1" } else { "" };
+            let message = format!("learning semantics {semantics:?} lack the reward channel r1");
+            return refused(field, message, "write y2: Signal(\"..\"), or learning_semantics: Silicon");
+        }
+        if semantics != LearningSemantics::Brian {
+            return Ok(());
+        }
+        let remedy = "remove it, or write learning_semantics: Silicon";
+        for (variable, field) in [(Variable::Delay, "dd"), (Variable::Tag, "dt")] {
+            let changes = !self.changes[variable as usize].products.is_empty();
+            if changes || reads(Quantity::Variable(variable)) {
+                let what = variable.name();
+                let message = format!("learning semantics Brian lack the variable {what}");
+                return refused(if changes { field } else { "dw" }, message, remedy);
+            }
+        }
+        if self.epoch != 1 || self.graded != Graded::Regular {
+            let field = if self.epoch != 1 { "epoch" } else { "graded" };
+            return refused(field, "in learning semantics Brian spikes have no payload, and each step learns", remedy);
+        }
+        for (trace, settings) in Trace::ALL.into_iter().zip(self.traces) {
+            let (tau, Impulse { whole, fraction }) = (settings.tau.get(), settings.impulse);
+            if fraction != 0 || whole > 0 && (tau < 1.0 || tau.fract() != 0.0) {
+                let message =
+                    format!("learning semantics Brian have whole impulses, and whole taus from 1; tau is {tau}");
+                return refused(trace.name(), message, "round them");
+            }
+        }
+        let most: f64 = products().map(Product::most).sum();
+        if most > MOST_CHANGE {
+            let message = format!("the products may add up to {most}, the limit is {MOST_CHANGE}");
+            return refused("dw", message, "use fewer factors, or smaller numbers");
+        }
+        Ok(())
     }
 }
 
@@ -353,29 +432,21 @@ impl Rule {
     /// A rule from its fields. One without changes is allowed: its weights change by writing.
     ///
     /// # Errors
-    /// A sentence: the epoch is not 1 to [`LONGEST_EPOCH`], two changes have different k of u, PES
-    /// has a change or another epoch, semantics lack the reward channel.
-    pub fn new(text: RuleText) -> Result<Self, String> {
+    /// A [`RuleProblem`]: the epoch is not 1 to [`LONGEST_EPOCH`], two changes have different k of u,
+    /// or the semantics lack what a field states.
+    pub fn new(text: RuleText) -> Result<Self, RuleProblem> {
+        if !(1..=LONGEST_EPOCH).contains(&text.epoch) {
+            let message = format!("an epoch of {} steps is not 1 to {LONGEST_EPOCH}", text.epoch);
+            return refused("epoch", message, "give the number of steps after which synapses learn");
+        }
+        text.check_semantics()?;
         let RuleText { changes, epoch, traces, semantics, graded, until } = text;
-        if !(1..=LONGEST_EPOCH).contains(&epoch) {
-            return Err(format!("an epoch of {epoch} steps is not 1 to {LONGEST_EPOCH}"));
-        }
-        let is_pes = semantics == LearningSemantics::Nengo;
-        if is_pes && (epoch != PES_EPOCH || changes.iter().any(|change| !change.products.is_empty())) {
-            return Err(format!("the rule PES of Nengo has an epoch of {PES_EPOCH} and no products"));
-        }
-        let mut factors = changes.iter().flat_map(|change| &change.products).flat_map(|product| &product.factors);
-        let has_reward = factors.any(|factor| factor.of == Quantity::Trace(Trace::R1));
-        if has_reward && semantics != LearningSemantics::Silicon {
-            return Err(format!("learning semantics {semantics:?} lack the reward channel r1"));
-        }
         let mut slow = changes.iter().filter_map(|change| change.slow);
         let first = slow.next();
         if let Some(other) = slow.find(|k| Some(*k) != first) {
-            return Err(format!(
-                "a rule has one u for all its changes, but u{} and u{other} are used",
-                first.unwrap_or(0)
-            ));
+            let message =
+                format!("a rule has one u for all its changes, but u{} and u{other} are used", first.unwrap_or(0));
+            return refused("", message, "use one of them");
         }
         Ok(Rule { changes, slow: first.unwrap_or(0), epoch, traces, semantics, graded, until })
     }

@@ -21,7 +21,7 @@ use crate::base::fixed::{
 use crate::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, ProjectionId, RuleId};
 use crate::base::warning::Warning;
 use crate::graph::{PerCompartment, Shape};
-use crate::learning::{Learning, Plastic, Variable};
+use crate::learning::{Learning, LearningSemantics, Plastic, Variable};
 use crate::neurons::{Emits, NeuronKind, ParameterRow, Role, Stack, Storage};
 use crate::pruned;
 use crate::spikes::Message;
@@ -852,6 +852,9 @@ fn check_plastic(parts: &Parts, projection: &Projection) -> Result<(), &'static 
             Some(_) if plastic.signals[1..] == [None, None] => Ok(()),
             _ => Err("its error is no input population of one value for each pair of targets"),
         };
+    }
+    if semantics == LearningSemantics::Brian && plastic.signals != [None; 3] {
+        return Err("its semantics lack signals");
     }
     for signal in plastic.signals.into_iter().flatten() {
         let one_or_each = |population: &Population| [1, target.shape.len()].contains(&population.shape.len());

@@ -224,7 +224,14 @@ impl Epoch<'_> {
         let seen = Seen { epoch: self, of, state: shard.state };
         self.compiled.accumulate(when, &seen, |variable, sums| {
             let values = new[variable as usize].insert([0; BATCH]);
-            self.round(variable, sums, of, values);
+            match self.compiled.without_draw(self.projection.of.format) {
+                None => self.round(variable, sums, of, values),
+                Some(rounded) => {
+                    for (index, (value, &mut sum)) in values.iter_mut().zip(sums).enumerate() {
+                        *value = rounded(shard.state.weights[of.place(index)].into(), sum);
+                    }
+                }
+            }
         });
         for (variable, values) in Variable::ALL.into_iter().zip(new) {
             let Some(values) = values else { continue };

@@ -114,6 +114,8 @@ pub(crate) struct Traces {
     /// Units whose x1 exceeds 7 bits: lava adds without saturation in each step.
     over: Vec<u32>,
     late: Option<Late>,
+    /// Traces before the spikes of the last step; empty but in Brian's semantics.
+    before: Vec<[u8; MOST]>,
 }
 
 impl Traces {
@@ -121,6 +123,7 @@ impl Traces {
     pub fn new(side: Side, first: u32, units: usize, is_late: bool, compiled: &Compiled) -> Self {
         let late = is_late.then(|| Late { spikes: vec![0; units], past: vec![[0; MOST]; units * KEPT] });
         let epoch = compiled.rule().epoch() as usize;
+        let is_brian = compiled.rule().semantics() == LearningSemantics::Brian;
         let (mut stride, mut places) = (0, [None; MOST]);
         for (place, &trace) in places.iter_mut().zip(side.traces()) {
             if compiled.decay(trace).is_some() {
@@ -141,6 +144,7 @@ impl Traces {
             is_live: vec![false; units],
             over: Vec::new(),
             late,
+            before: if is_brian { vec![[0; MOST]; units] } else { Vec::new() },
         }
     }
 
@@ -152,6 +156,7 @@ impl Traces {
         self.noted.clear();
         self.live.clear();
         self.over.clear();
+        self.before.fill([0; MOST]);
         if let Some(late) = &mut self.late {
             late.spikes.fill(0);
             late.past.fill([0; MOST]);
@@ -292,7 +297,7 @@ impl Traces {
 
     /// (L4): the histories of the epoch that ends with the step of the source.
     pub fn make_histories(&mut self, source: &Source<'_>) {
-        for (&trace, place) in self.side.traces().iter().zip(self.places) {
+        for (number, (&trace, place)) in self.side.traces().iter().zip(self.places).enumerate() {
             let (Some(place), Some(decay)) = (place, source.compiled.decay(trace)) else { continue };
             let numbers = OfHistory::new(source, self.side, trace);
             let impulse = source.compiled.impulse(trace);
@@ -300,6 +305,18 @@ impl Traces {
                 let record = &mut self.records[unit as usize * self.stride..][..self.stride];
                 let (note, entity) = (u32::from(self.notes[unit as usize]), self.first + unit);
                 let mut value = i16::from(record[place]);
+                if let Some(before) = self.before.get(unit as usize) {
+                    if value > 0 {
+                        value = decay.after_spike(value, before[number].into(), || numbers.decay(1, entity));
+                    }
+                    // In these epochs of one step, the first value is the one before the spike.
+                    record[place] = value as u8;
+                    if note > 0 {
+                        value = add(value, impulse, || numbers.impulse(entity));
+                    }
+                    record[place + 1] = value as u8;
+                    continue;
+                }
                 for (k, after) in (1..).zip(&mut record[place + 1..=place + self.epoch]) {
                     value = decay.after(value, || numbers.decay(k, entity));
                     if k == note {
@@ -341,12 +358,15 @@ impl Traces {
         self.noted.clear();
         // Bits of the steps to come are left from the steps before the kept ones.
         let next = ((1u128 << self.epoch) - 1).rotate_left((step + 1) % KEPT as u32);
-        let Traces { epoch, notes, records, stride, places, live, is_live, late, .. } = self;
+        let Traces { epoch, notes, records, stride, places, live, is_live, late, before, .. } = self;
         live.retain(|&unit| {
             let index = unit as usize;
             let record = &mut records[index * *stride..][..*stride];
             notes[index] = 0;
             let mut stays = false;
+            if let Some(before) = before.get_mut(index) {
+                *before = places.map(|place| place.map_or(0, |place| record[place]));
+            }
             for place in places.iter().flatten() {
                 record[*place] = record[place + *epoch];
                 stays |= record[*place] > 0;
