@@ -48,6 +48,31 @@ fn a_run_is_drawn_in_every_format() {
 }
 
 #[test]
+fn the_weights_of_a_rule_are_drawn() {
+    let folder = folder();
+    let here = folder.path();
+    let rule = |name: &str| format!("name: \"{name}\", learning: Rule(dw: \"x0\"), weights: Uniform(low: 10, high: 60");
+    let text = MODEL.replacen("weights: Uniform(low: 10, high: 60", &rule("a"), 1);
+    let two = "from: [\"hidden\"], to: \"out\", weights: Uniform(low: 10, high: 60";
+    let text = text.replace(two, &two.replace("weights: Uniform(low: 10, high: 60", &rule("b")));
+    std::fs::write(here.join("learns.ron"), text).unwrap();
+    let drawn = |probe: &str| said(here, &format!("plot weights learns.ron --input {INPUT} {probe} -o -"));
+    let (status, svg, _) = drawn("--samples 0..1");
+    assert!(status == 0 && svg.contains("m, sample 0: weights of a") && svg.contains("step 40: "), "{svg}");
+    // One matrix before and one after, of 4 sources and 5 targets; each weight grows.
+    let cells = |svg: &str, rows: usize| {
+        svg.matches(&format!(r##"height="{:.2}" fill="#0072b2""##, 264.0 / rows as f64)).count()
+    };
+    assert_eq!(cells(&svg, 5), 2 * 20);
+    let (status, svg, _) = drawn("--probe b");
+    assert!(status == 0 && svg.contains("weights of b") && cells(&svg, 2) == 2 * 10, "{svg}");
+    let (status, _, error) = drawn("--probe c");
+    assert!(status == 2 && error.contains("there are: a, b"), "{error}");
+    let (status, _, error) = said(here, &format!("plot weights m.ron --input {INPUT} -o -"));
+    assert!(status == 2 && error.contains("there are: none"), "{error}");
+}
+
+#[test]
 fn probes_choose_what_is_drawn() {
     let folder = folder();
     let here = folder.path();
@@ -68,7 +93,7 @@ fn probes_choose_what_is_drawn() {
         ("voltage m.ron --probe hidden[5] -o a.svg", "compartments 0 to 4"),
         ("voltage m.ron --probe in -o a.svg", "there are hidden, out"),
         ("raster m.ron --probe hidden[0] -o a.svg", "whole populations"),
-        ("energy m.ron --probe hidden -o a.svg", "raster, voltage and messages"),
+        ("energy m.ron --probe hidden -o a.svg", "raster, voltage, messages and weights"),
         ("raster m.ron -o a.gif", "name the picture .svg"),
         ("pareto m.ron -o a.svg", "nsim bench pareto m.ron --format json"),
         ("raster m.ron -o a.svg --format json", "does not support --format"),

@@ -80,24 +80,44 @@ pub fn probe(network: &Quantised, rule: RuleId, column: Column, last: bool) -> P
     Probe { first: CompartmentId(0), count, quantity: Quantity::Learned { rule, column, last, lag } }
 }
 
-/// First weights of a rule by row, and the format of its synapses.
-fn first_weights(network: &Quantised, rule: RuleId) -> (Vec<i32>, Option<SynapseFormat>) {
-    let (mut by_row, mut format) = (Vec::new(), None);
+/// Calls `see` with the row, source, target and first weight of each synapse of a rule. Sources are
+/// numbered as those of the rule.
+fn each_synapse(network: &Quantised, rule: RuleId, mut see: impl FnMut(u32, (u32, u32), i16)) {
     for (_, projection) in projections(network, rule) {
-        let rows = projection.plastic.as_ref().map_or(&[][..], |plastic| &plastic.rows);
-        by_row.resize(by_row.len() + rows.len(), 0);
-        format = Some(projection.format);
-    }
-    for (_, projection) in projections(network, rule) {
-        let mut rows = projection.plastic.iter().flat_map(|plastic| plastic.rows.iter());
+        let Some(plastic) = &projection.plastic else { continue };
+        let mut rows = plastic.rows.iter();
         for source in 0..network.populations()[projection.source].shape.len() {
-            projection.connectivity.for_each_from(source, |_, weight| {
-                if let Some(place) = rows.next().and_then(|&row| by_row.get_mut(row as usize)) {
-                    *place = weight.into();
+            projection.connectivity.for_each_from(source, |target, weight| {
+                if let Some(&row) = rows.next() {
+                    see(row, (plastic.first_source + source, target), weight);
                 }
             });
         }
     }
+}
+
+/// The source and the target of each synapse of a rule, by row.
+pub fn ends(network: &Quantised, rule: RuleId) -> Vec<(u32, u32)> {
+    let mut by_row = Vec::new();
+    each_synapse(network, rule, |row, ends, _| {
+        by_row.resize(by_row.len().max(row as usize + 1), (0, 0));
+        by_row[row as usize] = ends;
+    });
+    by_row
+}
+
+/// First weights of a rule by row, and the format of its synapses.
+fn first_weights(network: &Quantised, rule: RuleId) -> (Vec<i32>, Option<SynapseFormat>) {
+    let (mut by_row, mut format) = (Vec::new(), None);
+    for (id, projection) in projections(network, rule) {
+        by_row.resize(by_row.len() + network.synapses_of(id) as usize, 0);
+        format = Some(projection.format);
+    }
+    each_synapse(network, rule, |row, _, weight| {
+        if let Some(place) = by_row.get_mut(row as usize) {
+            *place = weight.into();
+        }
+    });
     (by_row, format)
 }
 

@@ -25,6 +25,7 @@ pub mod shapes;
 pub mod steps;
 pub mod timeline;
 pub mod warnings;
+pub mod weights;
 
 use sha2::{Digest, Sha256};
 

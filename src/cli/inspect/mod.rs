@@ -353,6 +353,14 @@ Network(name: "m", timestep_ms: 1.0,
     }
 
     #[test]
+    fn rules_are_listed() {
+        let rule = r#"delay: 2, learning: Rule(dw: "x0", dt: "x1*y0", epoch: 4)"#;
+        let object = object(&findings("m.ron", MODEL.replace("delay: 2", rule).as_bytes()).unwrap());
+        let [name, changes] = ["conv+pool->out", "dw x0; dt x1*y0"];
+        assert_eq!(object["rules"], json!([{"name": name, "changes": changes, "epoch": 4}]));
+    }
+
+    #[test]
     fn shapes_beyond_all_measure_have_no_count() {
         let text = MODEL.replace("[2, 2, 2]", "[2, 9999999999, 9999999999]").replace("[2]", "[18446744073709551615]");
         let object = object(&findings("m.ron", text.as_bytes()).unwrap());

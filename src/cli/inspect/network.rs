@@ -8,6 +8,7 @@ use std::collections::HashMap;
 use serde_json::{Value, json};
 
 use nsim_files::network::{Network, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
+use nsim_ir::learning::{PES_EPOCH, Variable};
 use nsim_report::inspect::{Findings, FindingsTable};
 
 fn units_of(shape: &[u64]) -> Option<u64> {
@@ -66,6 +67,21 @@ pub(in crate::cli) fn kind_and_parameters(population: &PopulationDesc) -> (Strin
     (population.kind_name().to_lowercase(), parameters.chain(real).collect::<Vec<_>>().join(", "))
 }
 
+/// The rules of a network: the name, the changes as text, and the steps of an epoch.
+fn rules(network: &Network) -> Vec<Value> {
+    let learning = |projection: &ProjectionDesc| {
+        let rule = projection.learning.as_ref()?;
+        let changes = Variable::ALL.map(|variable| rule.change(variable)).into_iter();
+        let changes = changes.filter(|(_, text)| !text.is_empty()).map(|(name, text)| format!("{name} {text}"));
+        let (text, epoch) = match rule.is_pes {
+            true => ("Pes".to_string(), PES_EPOCH.into()),
+            false => (changes.collect::<Vec<_>>().join("; "), rule.epoch.unwrap_or(1)),
+        };
+        Some(json!([projection.name_or_ends(), text, epoch]))
+    };
+    network.file().projections.iter().filter_map(learning).collect()
+}
+
 pub(super) fn network_findings(network: &Network) -> Findings {
     let file = network.file();
     let populations = file.populations.iter().map(|population| {
@@ -83,6 +99,14 @@ pub(super) fn network_findings(network: &Network) -> Findings {
         })
         .collect();
     let together = projections.iter().map(|row| row[3].as_u64()).try_fold(0u64, |sum, n| sum.checked_add(n?));
+    let mut tables = vec![
+        FindingsTable::new("populations", &["name", "kind", "shape", "units", "parameters"], populations),
+        FindingsTable::new("projections", &["from", "to", "kind", "synapses", "delay"], projections),
+    ];
+    let rules = rules(network);
+    if !rules.is_empty() {
+        tables.push(FindingsTable::new("rules", &["name", "changes", "epoch"], rules));
+    }
     let classes = (!file.classes.is_empty()).then_some(&file.classes);
     Findings {
         kind: "model",
@@ -97,9 +121,6 @@ pub(super) fn network_findings(network: &Network) -> Findings {
             ("scene", json!(file.scene)),
             ("provenance", json!(file.provenance)),
         ],
-        tables: vec![
-            FindingsTable::new("populations", &["name", "kind", "shape", "units", "parameters"], populations),
-            FindingsTable::new("projections", &["from", "to", "kind", "synapses", "delay"], projections),
-        ],
+        tables,
     }
 }

@@ -18,19 +18,25 @@ use crate::cli::energy::evaluate::evaluate;
 use crate::cli::energy::workload::workload;
 use crate::cli::output;
 use nsim_compile::DEFAULT_RATE;
+use nsim_energy::workload::Workload;
 use nsim_files as io;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::base::names::fits_pattern;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
+use nsim_ir::spikes::{Engine, Sample};
+use nsim_machine::{Image, Machine, Settings};
 use nsim_report::charts::picture::FILE;
 use nsim_report::charts::sample::{raster, traced, traces};
+use nsim_report::charts::weights::weights;
 use nsim_report::charts::{board, results};
 use nsim_session::Quantity;
 use nsim_session::error::Error;
+use nsim_session::learning::ends;
 use nsim_session::obtain::EngineKind;
 use nsim_session::priced::MeteredMapping;
+use nsim_session::weights::WeightHistory;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -38,6 +44,7 @@ EXAMPLES:
   nsim plot raster model.ron --input s.npy --samples 3..4 --probe 'hid*' -o raster.svg
   nsim plot voltage model.ron --probe 'out[2]' --probe hidden -o voltage.svg
   nsim plot messages pilotnet.ron --input frames.npy --probe layer9 -o out.svg  its messages, step by step
+  nsim plot weights model.ron --probe stdp -o w.svg     weights of a rule over time, before and after
   nsim plot energy --copies 32 -o energy.svg            energy of a timestep by part
   nsim plot time result.json -o time.svg                time of a timestep by part, from a saved result
   nsim plot map model.ron --copies 8 -o map.svg         cores on their chips, and the load of links
@@ -53,6 +60,8 @@ pub enum PlotKind {
     Voltage,
     /// Integers that compartments send over time
     Messages,
+    /// Weights of a learning rule over time, and each before and after
+    Weights,
     /// Power, time and energy of a timestep on all hardware
     Hardware,
     /// Energy of a timestep by part
@@ -79,7 +88,9 @@ impl PlotKind {
     /// Drawing from a result; none for a picture that needs a run.
     fn result_plot(self) -> Option<ResultPlot> {
         Some(match self {
-            PlotKind::Raster | PlotKind::Voltage | PlotKind::Messages | PlotKind::Map => return None,
+            PlotKind::Raster | PlotKind::Voltage | PlotKind::Messages | PlotKind::Weights | PlotKind::Map => {
+                return None;
+            }
             PlotKind::Hardware => (&["nsim.energy/1"], "nsim energy", results::hardware),
             PlotKind::Energy => (&["nsim.energy/1"], "nsim energy", results::energy),
             PlotKind::Time => (&["nsim.energy/1"], "nsim energy", results::time),
@@ -99,7 +110,8 @@ pub struct Args {
     #[command(flatten)]
     cost: CostArgs,
     /// Populations to draw, by name or pattern; for voltage and messages also single compartments,
-    /// such as 'out[2]' [default: all; of compartments those that spike most]
+    /// such as 'out[2]' [default: all; of compartments those that spike most]; for weights the
+    /// name of a rule [default: the first]
     #[arg(long, value_name = "POP")]
     probe: Vec<String>,
     /// The picture; its name gives the format: SVG in every build of nsim, PNG and PDF with the
@@ -117,9 +129,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     refuse_if(context.format != Format::Text, "nsim plot writes a picture and does not support --format")?;
     let taken = output::check_files(None, [&args.output], context)?;
     let (what, name) = (args.what, args.what.name());
-    let is_probed =
-        !args.probe.is_empty() && !matches!(what, PlotKind::Raster | PlotKind::Voltage | PlotKind::Messages);
-    refuse_if(is_probed, format!("nsim plot {name} does not support --probe; raster, voltage and messages do"))?;
+    let has_probes = matches!(what, PlotKind::Raster | PlotKind::Voltage | PlotKind::Messages | PlotKind::Weights);
+    let refusal = format!("nsim plot {name} does not support --probe; raster, voltage, messages and weights do");
+    refuse_if(!args.probe.is_empty() && !has_probes, refusal)?;
     let (model, result_plot) = (&args.cost.job.model, what.result_plot());
     if saved::is_result(model) {
         let Some((schemas, command, draw)) = result_plot else {
@@ -150,7 +162,8 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
 fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let cost = &args.cost;
     let copies = if args.what == PlotKind::Map { cost.copies } else { cost.copies.or(Some(1)) };
-    let names: Vec<&str> = args.probe.iter().map(|text| pattern(text).0).collect();
+    let populations = if args.what == PlotKind::Weights { &[][..] } else { &args.probe };
+    let names: Vec<&str> = populations.iter().map(|text| pattern(text).0).collect();
     let job = match jobs::prepare(&cost.job, EngineKind::Mapped, copies, &names)? {
         Ok(job) => job,
         Err(refusal) => return refusal.print(Value::Null, context),
@@ -180,6 +193,9 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
         format!(", class {name}")
     });
     let title = format!("{}, sample {number}{label}", network.parts().name);
+    if args.what == PlotKind::Weights {
+        return write(args, &weights_of(args, &workload, sample, &title)?, taken, context);
+    }
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&[]))?;
     let populations = chosen(network, &args.probe, args.what)?;
     if args.what == PlotKind::Raster {
@@ -198,6 +214,24 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     refuse_if(traced.is_empty(), "no neuron of these populations has a potential: plot messages or raster instead")?;
     let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
     write(args, &traces(&title, network, &timeline, &traced, quantity), taken, context)
+}
+
+/// The weights of the rule that is probed, or of the first, over a sample.
+fn weights_of(args: &Args, workload: &Workload<'_>, sample: &Sample, title: &str) -> Result<String, Error> {
+    let (network, compiled) = (&workload.compiled.one, workload.compiled);
+    let rules = &network.parts().rules;
+    let named = |name: &str| args.probe.iter().all(|probe| fits_pattern(probe, name));
+    let names: Vec<&str> = rules.iter().map(|learning| learning.name.as_str()).collect();
+    let Some((rule, learning)) = rules.enumerate().find(|(_, learning)| named(&learning.name)) else {
+        let known = if names.is_empty() { "none".to_string() } else { names.join(", ") };
+        return Err(Error::Usage(format!("nsim plot weights draws a learning rule; there are: {known}")));
+    };
+    let image = Image::new(&compiled.program, 1);
+    let image = image.map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
+    let mut machine = Machine::new(&image, Settings::default());
+    machine.set_draws(&workload.learning.draws);
+    let history = WeightHistory::new(&mut machine, rule, sample);
+    Ok(weights(&format!("{title}: weights of {}", learning.name), &history, &ends(network, rule)))
 }
 
 /// Pattern of a probe, and the index of its compartment, if any.

@@ -40,7 +40,7 @@ pub struct RewardDesc {
 #[derive(Debug, Clone, Default, PartialEq, Deserialize, Serialize)]
 #[serde(default, deny_unknown_fields, rename = "Rule")]
 pub struct RuleDesc {
-    /// Whether it is PES, whose fields are those of [`Pes`].
+    /// Whether it is PES, whose error is `y1`.
     #[serde(skip)]
     pub is_pes: bool,
     /// The change of weights.

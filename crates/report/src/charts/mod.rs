@@ -6,3 +6,4 @@ pub mod picture;
 pub mod plot;
 pub mod results;
 pub mod sample;
+pub mod weights;
