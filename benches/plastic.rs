@@ -1,8 +1,8 @@
 //! Time of an update of a plastic synapse: 32,768 compartments with 64 plastic synapses each, 2 %
 //! spikes a step, pair STDP of epoch 4, one thread.
 //!
-//! Prints the nanoseconds of an update beyond a step without a rule, for each semantics. The fastest
-//! of several rounds is shown.
+//! Prints the nanoseconds of an update beyond a step without a rule, for each semantics. The
+//! fastest of several rounds is shown.
 
 // A bench that cannot continue has failed.
 #![allow(clippy::unwrap_used)]

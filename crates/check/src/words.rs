@@ -9,9 +9,9 @@
 //! `builder/validate.py`, `bits_per_axon`). Then come optionally the index of its first slot, then
 //! its synapses, up to a maximum. A synapse has its weight, its tag where its rule uses tags, its
 //! delay where its group has one, and its slot. The slot has no bits if slots are consecutive, the
-//! number of skipped slots for runs, an index otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at most 60 synapses an entry, a first
-//! slot wherever there is no index, and one more word where the last word has 0 or at least 59
-//! bits.
+//! number of skipped slots for runs, an index otherwise. NxTF (`nxsdk_modules_ncl/dnn`) stores at
+//! most 60 synapses an entry, a first slot wherever there is no index, and one more word where the
+//! last word has 0 or at least 59 bits.
 
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{IdVec, RuleId};
@@ -59,8 +59,8 @@ impl Layout {
         Layout { index, delay, per_entry, nxtf }
     }
 
-    /// Words of a group of `synapses` synapses of a format with tags of `tag` bits, in the list of a
-    /// discrete axon or in a table of a population axon.
+    /// Words of a group of `synapses` synapses of a format with tags of `tag` bits, in the list of
+    /// a discrete axon or in a table of a population axon.
     pub fn words(&self, format: CoreFormat, tag: u32, synapses: u32, in_table: bool) -> u32 {
         let slot = match (format.index_bits, format.skip_bits) {
             (None, _) => 0,
@@ -86,8 +86,8 @@ impl Layout {
     }
 }
 
-/// Bits of a synapse's tag, and of a delay that does not act, where its rule has them in a change or
-/// a factor.
+/// Bits of a synapse's tag, and of a delay that does not act, where its rule has them in a change
+/// or a factor.
 pub(crate) fn bits_of_tag(rules: &IdVec<RuleId, Learning>, format: SynapseFormat) -> u32 {
     let Some(Learning { rule, .. }) = format.rule.and_then(|rule| rules.get(rule)) else { return 0 };
     let mut bits = [0, 0];

@@ -492,8 +492,8 @@ fn what_learns_takes_bits_of_tags_and_delays_a_second_input_axon_microcode_and_t
         Resource::TraceConfigurations,
     ];
     let (silicon, lava) = (LearningSemantics::Silicon, LearningSemantics::Lava);
-    // A list of 8 synapses takes 10 bits and 8 times 8 of weights, 9 of tags, 6 of delays. x1 and x2
-    // have one configuration.
+    // A list of 8 synapses takes 10 bits and 8 times 8 of weights, 9 of tags, 6 of delays. x1 and
+    // x2 have one configuration.
     for (rule, semantics, expected) in [
         (None, silicon, [64, 64 * 2, 8, 0, 0]),
         (Some(["2^-2*x1*y0", "", ""]), silicon, [128, 64 * 2, 8, 1, 1]),

@@ -37,7 +37,8 @@ impl Decay {
         self.after_spike(value, value, draw)
     }
 
-    /// (L15): the value after a step, if the value before the last spike decides about the fraction.
+    /// (L15): the value after a step, if the value before the last spike decides about the
+    /// fraction.
     #[inline]
     pub fn after_spike(&self, value: i16, before: i16, draw: impl FnOnce() -> f64) -> i16 {
         let (whole, fraction) = (self.0[value as usize % TABULATED].0, self.0[before as usize % TABULATED].1);

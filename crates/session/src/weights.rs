@@ -1,8 +1,8 @@
 //! The weights of a rule over the steps of a sample, for pictures.
 //!
-//! Input: an engine that learns, a rule, a sample. Output: [`WeightHistory`]: the number of synapses
-//! with each weight at up to a hundred times, and each weight at both ends. So its size does not grow
-//! with the steps of the sample.
+//! Input: an engine that learns, a rule, a sample. Output: [`WeightHistory`]: the number of
+//! synapses with each weight at up to a hundred times, and each weight at both ends. So its size
+//! does not grow with the steps of the sample.
 
 use std::collections::BTreeMap;
 
@@ -16,8 +16,8 @@ const MOST_TIMES: u32 = 100;
 /// The weights of a rule over a sample.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WeightHistory {
-    /// The number of synapses with each weight after a number of steps, ascending: before the first,
-    /// at regular times, and after the last.
+    /// The number of synapses with each weight after a number of steps, ascending: before the
+    /// first, at regular times, and after the last.
     pub counts: Vec<(u32, BTreeMap<i32, u32>)>,
     /// Weights before the first step, by row.
     pub first: Vec<i32>,

@@ -1,5 +1,5 @@
-//! Recordings of lava-nc 0.10.0, single connections of its own class and networks of its runtime, and
-//! of nengo-loihi 1.1.0's emulator, with the random numbers that they used.
+//! Recordings of lava-nc 0.10.0, single connections of its own class and networks of its runtime,
+//! and of nengo-loihi 1.1.0's emulator, with the random numbers that they used.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -144,7 +144,8 @@ impl Compared {
     /// Compares the values of a step.
     fn row(&mut self, recording: &Recording, step: u32, engine: &dyn Engine, is_settled: bool) {
         for (number, (read, array)) in recording.values.iter().enumerate() {
-            // The call of step s mostly shows the learning after step s - 1, and `settle` that after the last.
+            // The call of step s mostly shows the learning after step s - 1, and `settle` that
+            // after the last.
             let lag = match read {
                 Read::Column(rule, _) => recording.network.parts().rules[*rule].rule.lag(),
                 _ => 0,
@@ -509,7 +510,8 @@ fn rewards_raise_a_weight_as_on_a_chip() {
         let rises = |step: &usize| weights[*step] == weights[step - 1] + 2 && traces[*step] >= 2;
         assert!([127, 383, 511, 1023].iter().all(rises));
     }
-    // The last weight, 120, and the printed sum of the trace, 34, are within two standard deviations.
+    // The last weight, 120, and the printed sum of the trace, 34, are within two standard
+    // deviations.
     for (name, recorded, of) in [("weight", 120.0, 0), ("sum", 34.0, 1)] {
         let value = |run: &[Vec<i32>; 2]| f64::from(if of == 0 { run[0][1200] } else { run[1].iter().sum() });
         let mean = runs.iter().map(value).sum::<f64>() / runs.len() as f64;
@@ -539,7 +541,8 @@ struct PairWindow {
 
 #[derive(Deserialize)]
 struct Lag {
-    /// Steps from the update in which the presynaptic spike arrives to that of the postsynaptic one.
+    /// Steps from the update in which the presynaptic spike arrives to that of the postsynaptic
+    /// one.
     lag: i64,
     mean: f64,
     sd: f64,

@@ -103,8 +103,8 @@ impl Draws {
         Numbers(rng::bits(self.seed, part, step))
     }
 
-    /// The number of one of a count of entities, real in [0, 1). `number` counts those of each entity
-    /// in the run from 0; recorded ones have all entities in a row.
+    /// The number of one of a count of entities, real in [0, 1). `number` counts those of each
+    /// entity in the run from 0; recorded ones have all entities in a row.
     pub fn each(&self, place: Place, number: u32, (entity, count): (u32, usize)) -> f64 {
         match self.recorded.get(place.rule).and_then(Option::as_ref).and_then(|recorded| recorded.get(&place.of)) {
             Some(numbers) => numbers.get(number as usize * count + entity as usize).copied().unwrap_or(0.0),

@@ -432,8 +432,8 @@ impl Rule {
     /// A rule from its fields. One without changes is allowed: its weights change by writing.
     ///
     /// # Errors
-    /// A [`RuleProblem`]: the epoch is not 1 to [`LONGEST_EPOCH`], two changes have different k of u,
-    /// or the semantics lack what a field states.
+    /// A [`RuleProblem`]: the epoch is not 1 to [`LONGEST_EPOCH`], two changes have different k of
+    /// u, or the semantics lack what a field states.
     pub fn new(text: RuleText) -> Result<Self, RuleProblem> {
         if !(1..=LONGEST_EPOCH).contains(&text.epoch) {
             let message = format!("an epoch of {} steps is not 1 to {LONGEST_EPOCH}", text.epoch);

@@ -1,7 +1,8 @@
 //! The end of an epoch: the synapses of a projection whose products count are changed (L6).
 //!
-//! Input: notes and histories of both sides. Output: new variables in the state of a shard. Synapses
-//! are collected by their true dependencies, so that a rule is interpreted once for many of them.
+//! Input: notes and histories of both sides. Output: new variables in the state of a shard.
+//! Synapses are collected by their true dependencies, so that a rule is interpreted once for many
+//! of them.
 
 use crate::layout::plastic::{Columns, Incoming, PlasticSynapses, ProjectionPlan, Rows};
 use crate::layout::shard::Shard;
@@ -53,8 +54,8 @@ impl Epoch<'_> {
         shard.updates
     }
 
-    /// lava clips the accumulator of a tag of -257 although no product counts, which mostly makes it
-    /// -256 (L6). These synapses are not counted as evaluated.
+    /// lava clips the accumulator of a tag of -257 although no product counts, which mostly makes
+    /// it -256 (L6). These synapses are not counted as evaluated.
     fn raise_least_tags(&self, shard: &mut OfShard<'_>) {
         let rule = self.compiled.rule();
         let least = rule.semantics().tags().0;

@@ -1,7 +1,7 @@
 //! Values of input populations that replace postsynaptic traces: (L10).
 //!
-//! Input: the values that a step has for the channels of signals. Output: the trace of a target at a
-//! step of the epoch.
+//! Input: the values that a step has for the channels of signals. Output: the trace of a target at
+//! a step of the epoch.
 
 use crate::layout::plastic::ProjectionPlan;
 use crate::plastic::traces::{Source, Traces};

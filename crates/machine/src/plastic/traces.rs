@@ -99,8 +99,8 @@ pub(crate) struct Traces {
     epoch: usize,
     /// The step of each unit's last spike in this epoch, from 1; 0 for none.
     notes: Vec<u8>,
-    /// By unit: for each trace that is not always 0 the values at steps 0 to E of the epoch. That of
-    /// step 0 has the additions of the epoch; the others are made at its end.
+    /// By unit: for each trace that is not always 0 the values at steps 0 to E of the epoch. That
+    /// of step 0 has the additions of the epoch; the others are made at its end.
     records: Vec<u8>,
     /// Bytes of a record.
     stride: usize,

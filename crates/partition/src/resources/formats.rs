@@ -215,7 +215,8 @@ fn uses(rule: &Rule, variable: Variable) -> bool {
     rule.changes(variable) || rule.all_products().any(reads)
 }
 
-/// Bits of a synapse's tag, and of a delay that does not act: none unless the format's rule uses it.
+/// Bits of a synapse's tag, and of a delay that does not act: none unless the format's rule uses
+/// it.
 pub fn tag_bits(network: &Quantised, format: SynapseFormat) -> u8 {
     let Some(rule) = format.rule.map(|rule| &network.parts().rules[rule].rule) else { return 0 };
     let number = !rule.semantics().delays_act() && uses(rule, Variable::Delay);

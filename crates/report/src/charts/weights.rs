@@ -1,8 +1,8 @@
 //! The weights of a rule while it learns: their distribution over time, and each before and after.
 //!
 //! Input: a [`WeightHistory`], and the ends of each synapse. Output: one SVG text, the same for the
-//! same weights. Dark cells of the upper chart have many synapses. A cell of a matrix is the mean of
-//! the synapses between some sources and some targets: blue above 0, orange below.
+//! same weights. Dark cells of the upper chart have many synapses. A cell of a matrix is the mean
+//! of the synapses between some sources and some targets: blue above 0, orange below.
 
 use super::draw::{Axis, BOTTOM, COLOURS, GREY, HEIGHT, LEFT, MIDDLE, RIGHT, Scale, Sheet, TOP, WIDTH};
 use nsim_session::weights::WeightHistory;
