@@ -16,33 +16,39 @@ const TABULATED: usize = 256;
 /// Time constant of traces that a signal replaces, in steps (lava's `tau` of third factors).
 const SIGNAL_TAU: f64 = 65_535.0;
 
-/// Decay of a trace in a step, by its value: the whole part, and the fraction that may be added.
+/// Decay of a trace in a step, by its value.
 #[derive(Debug, Clone)]
-pub struct Decay(Box<[(i16, f64); TABULATED]>);
+pub struct Decay {
+    /// The value without its fraction.
+    wholes: [u8; TABULATED],
+    /// The fraction, with which 1 is added.
+    fractions: [f64; TABULATED],
+    /// The numbers of 32 random bits that are below the fraction.
+    shares: [u64; TABULATED],
+}
 
 impl Decay {
-    /// The decay with this factor in a step.
+    /// The decay with this factor in a step, from 0 to 1.
     fn new(factor: f64) -> Self {
-        let mut table = Box::new([(0, 0.0); TABULATED]);
-        for (value, entry) in table.iter_mut().enumerate() {
-            let z = factor * value as f64;
-            *entry = (z.floor() as i16, z - z.floor());
+        let z = |value: usize| factor * value as f64;
+        let fractions = std::array::from_fn(|value| z(value) - z(value).floor());
+        Decay {
+            wholes: std::array::from_fn(|value| z(value).floor() as u8),
+            fractions,
+            shares: fractions.map(|fraction| (fraction * 2f64.powi(32)).ceil() as u64),
         }
-        Decay(table)
     }
 
-    /// The value after a step, with a random number from 0 to below 1.
-    #[inline]
-    pub fn after(&self, value: i16, draw: impl FnOnce() -> f64) -> i16 {
-        self.after_spike(value, value, draw)
+    /// The value of each value after a step, with a random number from 0 to below 1 for all.
+    pub fn after_all(&self, draw: f64) -> [u8; TABULATED] {
+        std::array::from_fn(|value| self.wholes[value] + u8::from(draw < self.fractions[value]))
     }
 
-    /// (L15): the value after a step, if the value before the last spike decides about the
-    /// fraction.
-    #[inline]
-    pub fn after_spike(&self, value: i16, before: i16, draw: impl FnOnce() -> f64) -> i16 {
-        let (whole, fraction) = (self.0[value as usize % TABULATED].0, self.0[before as usize % TABULATED].1);
-        if fraction > 0.0 { whole + i16::from(draw() < fraction) } else { whole }
+    /// The value after a step, with 32 random bits. `before` decides about the fraction: the value
+    /// itself, or in (L15) that before the last spike.
+    #[inline(always)]
+    pub fn after(&self, value: u8, before: u8, bits: u32) -> u8 {
+        self.wholes[usize::from(value)] + u8::from(u64::from(bits) < self.shares[usize::from(before)])
     }
 }
 
@@ -77,6 +83,16 @@ enum Read {
 pub const REWARD: usize = 3;
 /// The most synapses that are evaluated together, so that a rule is interpreted once for all.
 pub const BATCH: usize = 256;
+
+/// Intermediate values of as many synapses.
+#[derive(Debug)]
+pub struct Scratch([[i32; BATCH]; 3]);
+
+impl Default for Scratch {
+    fn default() -> Self {
+        Scratch([[0; BATCH]; 3])
+    }
+}
 
 /// Synapses for which the same dependencies are true. Each function writes one value a synapse;
 /// variables are those before this epoch's learning.
@@ -149,8 +165,9 @@ impl When {
 
 /// The change of a variable where some dependencies are true.
 #[derive(Debug, Clone)]
-struct CompiledChange {
-    variable: Variable,
+pub struct CompiledChange {
+    /// The variable.
+    pub variable: Variable,
     /// Whether the first product waits: it adds 0, and the sum is clipped.
     clips_first: bool,
     /// The products that count.
@@ -218,32 +235,42 @@ impl Compiled {
                 .any(|product| product.factors.iter().any(|factor| factor.of == Quantity::Variable(variable)))
     }
 
-    /// The accumulators of the changed variables: (L6) up to rounding. `change` gets one of each
-    /// synapse.
-    pub fn accumulate(&self, when: When, synapses: &impl Synapses, mut change: impl FnMut(Variable, &mut [i32])) {
+    /// The changes of variables where these dependencies are true.
+    #[inline(always)]
+    pub fn changes(&self, when: When) -> &[CompiledChange] {
+        &self.changes[when.index()]
+    }
+
+    /// The accumulator of a changed variable of each synapse: (L6) up to rounding. Its caller may
+    /// run it with the processor's vectors.
+    #[inline(always)]
+    pub fn accumulate<'s>(
+        &self,
+        change: &CompiledChange,
+        when: When,
+        synapses: &impl Synapses,
+        scratch: &'s mut Scratch,
+    ) -> &'s [i32] {
         let (low, high) = self.accumulator;
-        let (mut sums, mut m, mut read) = ([0; BATCH], [0; BATCH], [0; BATCH]);
-        let [sums, m, read] = [&mut sums, &mut m, &mut read].map(|all| &mut all[..synapses.number()]);
-        for CompiledChange { variable, clips_first, products } in &self.changes[when.index()] {
-            synapses.variable(*variable, sums);
-            sums.iter_mut().for_each(|sum| *sum <<= 7);
-            if *clips_first {
-                sums.iter_mut().for_each(|sum| *sum = (*sum).clamp(low, high));
-            }
-            for product in products {
-                m.fill(product.mantissa);
-                for factor in &product.factors {
-                    factor.read(when, product.when, synapses, read);
-                    factor.multiply(m, read);
-                }
-                for (sum, m) in sums.iter_mut().zip(&*m) {
-                    // At most 2^15 before the shift, and 15 bits of it.
-                    let added = ((m >> product.down) << product.up).clamp(low, high);
-                    *sum = (*sum + added).clamp(low, high);
-                }
-            }
-            change(*variable, sums);
+        let [sums, m, read] = scratch.0.each_mut().map(|all| &mut all[..synapses.number()]);
+        synapses.variable(change.variable, sums);
+        sums.iter_mut().for_each(|sum| *sum <<= 7);
+        if change.clips_first {
+            sums.iter_mut().for_each(|sum| *sum = (*sum).clamp(low, high));
         }
+        for product in &change.products {
+            m.fill(product.mantissa);
+            for factor in &product.factors {
+                factor.read(when, product.when, synapses, read);
+                factor.multiply(m, read);
+            }
+            for (sum, m) in sums.iter_mut().zip(&*m) {
+                // At most 2^15 before the shift, and 15 bits of it.
+                let added = ((m >> product.down) << product.up).clamp(low, high);
+                *sum = (*sum + added).clamp(low, high);
+            }
+        }
+        sums
     }
 
     /// The accumulator of a variable without products that count: lava's clip of a tag of -257.
@@ -253,6 +280,7 @@ impl Compiled {
 
     /// (L16): a weight after learning, from its accumulator: away from zero to an integer, then
     /// toward zero to a step. `None` in other semantics than Brian's.
+    #[inline(always)]
     pub fn without_draw(&self, format: SynapseFormat) -> Option<impl Fn(i32, i32) -> i16> {
         let (step, (low, high)) = (i32::from(format.sign.step(format.bits)), self.range(Variable::Weight, format));
         (self.rule.semantics() == LearningSemantics::Brian).then_some(move |old: i32, sum: i32| {
@@ -304,18 +332,19 @@ pub struct Rounding {
 
 impl Rounding {
     /// A random number from 0 to below 1, as whole units of the accumulator within a step.
+    #[inline(always)]
     pub fn share(&self, draw: f64) -> i32 {
         (draw * f64::from(1 << self.bits)) as i32
     }
 
     /// The random number of which these are the bits after the point.
-    #[inline]
-    pub fn share_of_bits(&self, bits: u64) -> i32 {
-        (bits >> (64 - self.bits)) as i32
+    #[inline(always)]
+    pub fn share_of_bits(&self, bits: u32) -> i32 {
+        (bits >> (32 - self.bits)) as i32
     }
 
     /// The new value: rounded up where the share is below the accumulator's fraction of a step.
-    #[inline]
+    #[inline(always)]
     pub fn rounded(&self, sum: i32, share: i32) -> i16 {
         let (whole, rest) = (sum >> self.bits, sum & ((1 << self.bits) - 1));
         (self.step * (whole + i32::from(share < rest))).clamp(self.low, self.high) as i16
@@ -323,6 +352,7 @@ impl Rounding {
 }
 
 impl CompiledFactor {
+    #[inline(always)]
     fn read(&self, when: When, at: Dependency, synapses: &impl Synapses, values: &mut [i32]) {
         match self.read {
             Read::Pre => values.fill(when.pre.into()),
@@ -333,11 +363,13 @@ impl CompiledFactor {
         }
     }
 
+    #[inline(always)]
     fn multiply(&self, m: &mut [i32], read: &[i32]) {
         let (low, high) = self.range;
-        for (m, read) in m.iter_mut().zip(read) {
-            let value = read + self.plus;
-            *m *= if self.sign { value.signum() } else { value.clamp(low, high) };
+        let all = m.iter_mut().zip(read);
+        match self.sign {
+            true => all.for_each(|(m, read)| *m *= (read + self.plus).signum()),
+            false => all.for_each(|(m, read)| *m *= (read + self.plus).clamp(low, high)),
         }
     }
 }

@@ -229,13 +229,16 @@ impl Learner {
         }
     }
 
-    /// (L9) for (L6): r of a variable of the synapse in a row.
-    fn rounding(&self, numbers: Numbers<'_>, variable: Variable, row: u32, last: u32) -> f64 {
+    /// (L9) for (L6): r of a variable of a synapse.
+    fn rounding(&self, numbers: Numbers<'_>, variable: Variable, (source, target): (u32, u32), last: u32) -> f64 {
         let step = numbers.base + u64::from(last);
         let part = variable as u8;
         match self.is_lava() {
             true => self.shared(numbers, Use::Round, last),
-            false => numbers.draws.at(Place { rule: self.id, of: Use::Round, part, step }).unit(row),
+            false => {
+                let numbers = numbers.draws.at(Place { rule: self.id, of: Use::Round, part, step });
+                f64::from(numbers.of_synapse(numbers.of_source(source), target)) / 2f64.powi(32)
+            }
         }
     }
 
@@ -378,7 +381,7 @@ impl Learner {
             }
             evaluated += u64::from(is_counted);
             for variable in Variable::ALL.into_iter().filter(|&variable| self.rule.changes(variable)) {
-                let r = self.rounding(numbers, variable, plastic.rows[number], last);
+                let r = self.rounding(numbers, variable, (source, target), last);
                 after[variable as usize][number] = synapse.changed(variable, r) as i16;
             }
         }

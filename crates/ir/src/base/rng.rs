@@ -14,6 +14,15 @@ const fn mix(mut z: u64) -> u64 {
     z ^ (z >> 31)
 }
 
+/// A bijection of 32 bits with little bias (Wellons: "Prospecting for hash functions", 2018, the
+/// constants of `lowbias32`).
+#[inline(always)]
+pub const fn mix32(mut z: u32) -> u32 {
+    z = (z ^ (z >> 16)).wrapping_mul(0x7feb_352d);
+    z = (z ^ (z >> 15)).wrapping_mul(0x846c_a68b);
+    z ^ (z >> 16)
+}
+
 /// The digest `so_far`, extended by one word.
 #[inline]
 pub const fn digest(so_far: u64, word: u64) -> u64 {

@@ -1,6 +1,6 @@
 //! Random numbers of learning: functions of (seed, rule, use, entity, step), or recorded ones.
 //!
-//! An entity is the row of a synapse, or the index of a source or target among those of the rule.
+//! An entity is the index of a source or target among those of the rule, or a synapse by its ends.
 //! So results depend on neither threads, cores nor the division into ranks. Copies of a network
 //! have equal numbers.
 
@@ -78,16 +78,29 @@ pub struct Place {
 pub struct Numbers(u64);
 
 impl Numbers {
-    /// 64 random bits for an entity: a synapse, a source or a target.
+    /// 64 random bits for an entity.
     #[inline]
     pub fn bits(self, entity: u32) -> u64 {
         rng::digest(self.0, entity.into())
     }
 
-    /// A real number in [0, 1) with 53 bits.
+    /// A real number in [0, 1), a multiple of 2^-32.
     #[inline]
     pub fn unit(self, entity: u32) -> f64 {
-        (self.bits(entity) >> 11) as i64 as f64 / (1u64 << 53) as f64
+        f64::from((self.bits(entity) >> 32) as u32) / (1u64 << 32) as f64
+    }
+
+    /// The part of a source in the numbers of its synapses.
+    #[inline(always)]
+    pub fn of_source(self, source: u32) -> u32 {
+        rng::mix32(source ^ self.0 as u32)
+    }
+
+    /// 32 random bits for a synapse, from the part of its source. Synapses with the same ends have
+    /// the same. They have half the width of other numbers, which vectors multiply in one step.
+    #[inline(always)]
+    pub fn of_synapse(self, of_source: u32, target: u32) -> u32 {
+        rng::mix32(of_source ^ target.wrapping_add((self.0 >> 32) as u32))
     }
 }
 

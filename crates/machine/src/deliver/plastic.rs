@@ -40,18 +40,20 @@ impl<S: Sum> DelayRing<S> {
             }
             for (projection, places) in rows(plan, synapses, first as usize + spike.source()) {
                 let format = projection.of.format;
-                let units = |place: usize| (scaled(format, state.weights[place]) >> WEIGHT_SHIFT) as i16;
+                let units = |weight: i16| (scaled(format, weight) >> WEIGHT_SHIFT) as i16;
+                let synapses = synapses.lanes[places.clone()].iter().zip(&state.weights[places.clone()]);
                 if projection.moves {
-                    for place in places.filter(|&place| (state.delays[place] as u32) < now.left) {
-                        let at = self.slot(now, state.delays[place] as u8) + synapses.lanes[place] as usize;
-                        self.add(at, units(place), spike.payload());
-                        events += 1;
+                    for ((&lane, &weight), &delay) in synapses.zip(&state.delays[places]) {
+                        if (delay as u32) < now.left {
+                            self.add(self.slot(now, delay as u8), lane, units(weight), spike.payload());
+                            events += 1;
+                        }
                     }
                 } else if u32::from(projection.of.delay.get()) < now.left {
                     events += places.len() as u64;
                     let slot = self.slot(now, projection.of.delay.get());
-                    for place in places {
-                        self.add(slot + synapses.lanes[place] as usize, units(place), spike.payload());
+                    for (&lane, &weight) in synapses {
+                        self.add(slot, lane, units(weight), spike.payload());
                     }
                 }
             }
@@ -60,10 +62,11 @@ impl<S: Sum> DelayRing<S> {
     }
 
     #[inline(always)]
-    fn add<P>(&mut self, at: usize, units: i16, payload: P)
+    fn add<P>(&mut self, slot: usize, lane: u32, units: i16, payload: P)
     where
         S: Accumulate<P>,
     {
+        let at = slot + lane as usize;
         self.sums[at] = self.sums[at].accumulate(units, payload);
         self.marks[at / SKIP_BLOCK] = 1;
     }

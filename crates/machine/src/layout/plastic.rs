@@ -142,21 +142,12 @@ impl Columns {
 pub(crate) struct Rows {
     /// First place of each source, and the end of the last.
     pub firsts: Vec<u32>,
-    /// Synapses by target.
-    pub by_target: Csr<Incoming>,
+    /// Places of synapses by target.
+    pub by_target: Csr<u32>,
+    /// The source of each of these, within its population.
+    pub sources: Vec<u32>,
     /// Core of each target.
     pub core_of: Vec<CoreId>,
-}
-
-/// A synapse as its target finds it: what is needed lies together, since its columns are far
-/// apart.
-#[derive(Debug, Clone, Copy)]
-pub(crate) struct Incoming {
-    pub place: u32,
-    /// Its source, within the population.
-    pub source: u32,
-    /// Its row among those of its rule.
-    pub row: u32,
 }
 
 impl Rows {
@@ -164,6 +155,14 @@ impl Rows {
     #[inline]
     pub fn of_source(&self, source: usize) -> std::ops::Range<usize> {
         self.firsts[source] as usize..self.firsts[source + 1] as usize
+    }
+
+    /// Places of the synapses of a target, and their sources.
+    #[inline]
+    pub fn of_target(&self, target: u32) -> (&[u32], &[u32]) {
+        let firsts = self.by_target.firsts();
+        let range = firsts[target as usize] as usize..firsts[target as usize + 1] as usize;
+        (&self.by_target.items()[range.clone()], &self.sources[range])
     }
 }
 
@@ -232,14 +231,13 @@ impl PlasticSynapses {
     /// Indexes the places of the last projection by target.
     fn index_targets(&mut self, targets: usize) {
         let Some(rows) = self.projections.last_mut() else { return };
+        let (first, end) = (rows.firsts[0], self.targets.len() as u32);
         rows.by_target = Csr::by_row(targets, |put| {
-            for source in 0..rows.firsts.len() as u32 - 1 {
-                for place in rows.firsts[source as usize]..rows.firsts[source as usize + 1] {
-                    let row = self.row_of[place as usize];
-                    put(self.targets[place as usize] as usize, Incoming { place, source, row });
-                }
-            }
+            (first..end).for_each(|place| put(self.targets[place as usize] as usize, place));
         });
+        let lengths = (0..).zip(rows.firsts.windows(2).map(|ends| ends[1] - ends[0]));
+        let source_of: Vec<u32> = lengths.flat_map(|(source, len)| std::iter::repeat_n(source, len as usize)).collect();
+        rows.sources = rows.by_target.items().iter().map(|place| source_of[(place - first) as usize]).collect();
     }
 
     /// Bytes of memory that they hold.
@@ -247,7 +245,7 @@ impl PlasticSynapses {
         let rows = self
             .projections
             .iter()
-            .map(|rows| 4 * (rows.firsts.len() + 3 * rows.by_target.items().len() + rows.by_target.len()));
+            .map(|rows| 4 * (rows.firsts.len() + 2 * rows.by_target.items().len() + rows.by_target.len()));
         13 * self.lanes.len() + self.first.bytes() + rows.sum::<usize>()
     }
 }

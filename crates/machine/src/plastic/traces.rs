@@ -3,7 +3,7 @@
 //! Input: the spikes of each step. Output: at the end of an epoch the history of each trace in it.
 //! Only units whose traces or notes are not 0 are visited.
 
-use nsim_dynamics::learning::{Compiled, add};
+use nsim_dynamics::learning::{Compiled, Decay, add};
 use nsim_ir::base::id::RuleId;
 use nsim_ir::learning::draws::{Draws, Numbers, Place, Use};
 use nsim_ir::learning::{Graded, LearningSemantics, Trace, Variable};
@@ -99,13 +99,9 @@ pub(crate) struct Traces {
     epoch: usize,
     /// The step of each unit's last spike in this epoch, from 1; 0 for none.
     notes: Vec<u8>,
-    /// By unit: for each trace that is not always 0 the values at steps 0 to E of the epoch. That
-    /// of step 0 has the additions of the epoch; the others are made at its end.
-    records: Vec<u8>,
-    /// Bytes of a record.
-    stride: usize,
-    /// Where the values of each trace begin in a record; `None` where it is always 0.
-    places: [Option<usize>; MOST],
+    /// By trace and step 0 to E of the epoch: the value of each unit. None where the trace is
+    /// always 0. Those of step 0 have the additions of the epoch; the others are made at its end.
+    histories: [Vec<Vec<u8>>; MOST],
     /// Units with a note in this epoch.
     noted: Vec<u32>,
     /// Units with a note or a trace above 0, or kept spikes; each once.
@@ -124,11 +120,10 @@ impl Traces {
         let late = is_late.then(|| Late { spikes: vec![0; units], past: vec![[0; MOST]; units * KEPT] });
         let epoch = compiled.rule().epoch() as usize;
         let is_brian = compiled.rule().semantics() == LearningSemantics::Brian;
-        let (mut stride, mut places) = (0, [None; MOST]);
-        for (place, &trace) in places.iter_mut().zip(side.traces()) {
+        let mut histories = [const { Vec::new() }; MOST];
+        for (history, &trace) in histories.iter_mut().zip(side.traces()) {
             if compiled.decay(trace).is_some() {
-                *place = Some(stride);
-                stride += epoch + 1;
+                *history = vec![vec![0; units]; epoch + 1];
             }
         }
         Traces {
@@ -136,9 +131,7 @@ impl Traces {
             first,
             epoch,
             notes: vec![0; units],
-            records: vec![0; units * stride],
-            stride,
-            places,
+            histories,
             noted: Vec::new(),
             live: Vec::new(),
             is_live: vec![false; units],
@@ -151,7 +144,7 @@ impl Traces {
     /// Empties all traces.
     pub fn clear(&mut self) {
         self.notes.fill(0);
-        self.records.fill(0);
+        self.histories.iter_mut().flatten().for_each(|values| values.fill(0));
         self.is_live.fill(false);
         self.noted.clear();
         self.live.clear();
@@ -177,7 +170,19 @@ impl Traces {
     /// A trace of a unit at step k of the epoch, once histories are made.
     #[inline]
     pub fn at(&self, unit: usize, trace: usize, k: u8) -> i32 {
-        self.places[trace].map_or(0, |place| self.records[unit * self.stride + place + usize::from(k)].into())
+        self.histories[trace].get(usize::from(k)).map_or(0, |values| values[unit].into())
+    }
+
+    /// A trace of all units at step k; none where it is always 0.
+    #[inline]
+    pub fn all_at(&self, trace: usize, k: u8) -> &[u8] {
+        self.histories[trace].get(usize::from(k)).map_or(&[], Vec::as_slice)
+    }
+
+    /// The notes of all units.
+    #[inline]
+    pub fn notes(&self) -> &[u8] {
+        &self.notes
     }
 
     /// The first trace of the first unit at step k; 0 where there is none.
@@ -188,7 +193,7 @@ impl Traces {
 
     /// The value of x1 or y1 at the epoch's start.
     fn first_trace(&mut self, unit: u32) -> Option<&mut u8> {
-        self.places[0].map(|place| &mut self.records[unit as usize * self.stride + place])
+        self.histories[0].first_mut().map(|values| &mut values[unit as usize])
     }
 
     /// Units with a note in this epoch.
@@ -258,15 +263,14 @@ impl Traces {
 
     fn note_spike(&mut self, unit: u32, source: &Source<'_>) {
         let rule = source.compiled.rule();
-        let begin = unit as usize * self.stride;
         if self.notes[unit as usize] > 0 {
-            for (&trace, place) in self.side.traces().iter().zip(self.places) {
-                let Some(place) = place else { continue };
+            for (number, &trace) in self.side.traces().iter().enumerate() {
                 let graded = trace == Trace::X1 && rule.graded() != Graded::Regular;
-                if !graded {
+                if !graded && !self.histories[number].is_empty() {
                     let draw = || self.further_draw(trace, unit, source);
-                    let value = add(self.records[begin + place].into(), source.compiled.impulse(trace), draw);
-                    self.records[begin + place] = value as u8;
+                    let before = self.at(unit as usize, number, 0) as i16;
+                    let value = add(before, source.compiled.impulse(trace), draw);
+                    self.histories[number][0][unit as usize] = value as u8;
                 }
             }
         } else {
@@ -297,41 +301,33 @@ impl Traces {
 
     /// (L4): the histories of the epoch that ends with the step of the source.
     pub fn make_histories(&mut self, source: &Source<'_>) {
-        for (number, (&trace, place)) in self.side.traces().iter().zip(self.places).enumerate() {
-            let (Some(place), Some(decay)) = (place, source.compiled.decay(trace)) else { continue };
-            let numbers = OfHistory::new(source, self.side, trace);
+        let Traces { side, first, epoch, notes, histories, noted, live, before, .. } = self;
+        for (number, &trace) in side.traces().iter().enumerate() {
+            let Some(decay) = source.compiled.decay(trace) else { continue };
+            let numbers = OfHistory::new(source, *side, trace);
             let impulse = source.compiled.impulse(trace);
-            for &unit in &self.live {
-                let record = &mut self.records[unit as usize * self.stride..][..self.stride];
-                let (note, entity) = (u32::from(self.notes[unit as usize]), self.first + unit);
-                let mut value = i16::from(record[place]);
-                if let Some(before) = self.before.get(unit as usize) {
-                    if value > 0 {
-                        value = decay.after_spike(value, before[number].into(), || numbers.decay(1, entity));
-                    }
+            for k in 1..=*epoch {
+                let (past, next) = histories[number].split_at_mut(k);
+                let (past, next) = (past[k - 1].as_mut_slice(), next[0].as_mut_slice());
+                numbers.decay(k, decay, *first, (live, past, next), |unit, value| {
+                    before.get(unit).map_or(value, |before| before[number])
+                });
+                if !before.is_empty() {
                     // In these epochs of one step, the first value is the one before the spike.
-                    record[place] = value as u8;
-                    if note > 0 {
-                        value = add(value, impulse, || numbers.impulse(entity));
-                    }
-                    record[place + 1] = value as u8;
-                    continue;
+                    live.iter().for_each(|&unit| past[unit as usize] = next[unit as usize]);
                 }
-                for (k, after) in (1..).zip(&mut record[place + 1..=place + self.epoch]) {
-                    value = decay.after(value, || numbers.decay(k, entity));
-                    if k == note {
-                        value = add(value, impulse, || numbers.impulse(entity));
-                    }
-                    *after = value as u8;
+                for &unit in noted.iter().filter(|unit| usize::from(notes[**unit as usize]) == k) {
+                    let value = &mut next[unit as usize];
+                    *value = add((*value).into(), impulse, || numbers.impulse(*first + unit)) as u8;
                 }
             }
         }
         let Some(late) = &mut self.late else { return };
         for &unit in &self.live {
-            let record = &self.records[unit as usize * self.stride..][..self.stride];
             for k in 1..=self.epoch {
                 let step = (source.step as usize + k - self.epoch) % KEPT;
-                let values = self.places.map(|place| place.map_or(0, |place| record[place + k]));
+                let values =
+                    self.histories.each_ref().map(|history| history.get(k).map_or(0, |all| all[unit as usize]));
                 late.past[unit as usize * KEPT + step] = values;
             }
         }
@@ -358,21 +354,18 @@ impl Traces {
         self.noted.clear();
         // Bits of the steps to come are left from the steps before the kept ones.
         let next = ((1u128 << self.epoch) - 1).rotate_left((step + 1) % KEPT as u32);
-        let Traces { epoch, notes, records, stride, places, live, is_live, late, before, .. } = self;
+        let Traces { epoch, notes, histories, live, is_live, late, before, .. } = self;
+        // The last value is the first of the next epoch.
+        histories.iter_mut().filter(|history| !history.is_empty()).for_each(|history| history.swap(0, *epoch));
         live.retain(|&unit| {
             let index = unit as usize;
-            let record = &mut records[index * *stride..][..*stride];
             notes[index] = 0;
-            let mut stays = false;
             if let Some(before) = before.get_mut(index) {
-                *before = places.map(|place| place.map_or(0, |place| record[place]));
+                *before = histories.each_ref().map(|history| history.get(*epoch).map_or(0, |values| values[index]));
             }
-            for place in places.iter().flatten() {
-                record[*place] = record[place + *epoch];
-                stays |= record[*place] > 0;
-            }
+            let mut stays = histories.iter().any(|history| history.first().is_some_and(|values| values[index] > 0));
             if !stays {
-                record.fill(0);
+                histories.iter_mut().flatten().for_each(|values| values[index] = 0);
             }
             if let Some(late) = late {
                 late.spikes[index] &= !next;
@@ -417,11 +410,29 @@ impl OfHistory {
         }
     }
 
-    #[inline]
-    fn decay(&self, k: u32, entity: u32) -> f64 {
+    /// (L4), (L15): the value of each live unit at step k from that of the step before. `before`
+    /// is the value that decides about the fraction; units are entities from `first` on.
+    fn decay(
+        &self,
+        k: usize,
+        decay: &Decay,
+        first: u32,
+        (live, past, next): (&[u32], &[u8], &mut [u8]),
+        before: impl Fn(usize, u8) -> u8,
+    ) {
         match self {
-            OfHistory::Shared { decay, .. } => *decay,
-            OfHistory::Each { decay, .. } => decay[k as usize - 1].unit(entity),
+            OfHistory::Shared { decay: draw, .. } => {
+                let after = decay.after_all(*draw);
+                live.iter().for_each(|&unit| next[unit as usize] = after[usize::from(past[unit as usize])]);
+            }
+            OfHistory::Each { decay: numbers, .. } => {
+                let numbers = numbers[k - 1];
+                for &unit in live {
+                    let value = past[unit as usize];
+                    let bits = (numbers.bits(first + unit) >> 32) as u32;
+                    next[unit as usize] = decay.after(value, before(unit as usize, value), bits);
+                }
+            }
         }
     }
 
