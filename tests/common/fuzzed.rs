@@ -10,7 +10,9 @@ use nsim::files::network::{Network, NetworkFile};
 use nsim::files::target::load_target;
 use nsim::golden::Golden;
 use nsim::ir::base::diagnostic::SourceText;
+use nsim::ir::base::id::{CompartmentId, RuleId};
 use nsim::ir::hardware::Target;
+use nsim::ir::learning::{Column, Trace, Variable, parse};
 use nsim::ir::mapping::MappingFile;
 use nsim::ir::program::Program;
 use nsim::ir::quantised::Quantised;
@@ -129,6 +131,54 @@ pub fn kind(bytes: &[u8]) {
     let program = compile(network.clone(), &roomy("oheo-gulch"), &unsearched()).unwrap().program;
     let golden = trace(&mut Golden::new(&network), &network, &sample);
     assert_on_machine(&network, &program, &sample, &golden, text);
+}
+
+/// A learning rule, as a person may type it: the fields of a `Rule` in RON. What is read is written
+/// and read as the same; the machine gives what the interpreter gives, spikes and all columns.
+pub fn rule(bytes: &[u8]) {
+    let Ok(text) = std::str::from_utf8(bytes) else { return };
+    let (semantics, fields) = text.split_once('\n').unwrap_or(("Silicon", text));
+    let source = SourceText::new(
+        "rule.ron",
+        format!(
+            "Network(name: \"rule\", timestep_ms: 1.0, learning_semantics: {semantics}, populations: [Input(name: \"in\", \
+             shape: [3]), Input(name: \"teach\", shape: [2]), Signal(name: \"value\", shape: [1]), Loihi(name: \"out\", \
+             shape: [2], vth_mant: 30)], projections: [Dense(name: \"p\", from: [\"in\"], to: \"out\", sign: Mixed, delay: \
+             2, weights: [[2, -40, 254], [8, 0, 6]], learning: {fields}), Dense(from: [\"teach\"], to: \"out\", weights: \
+             [[254, 0], [0, 254]])], output: \"out\")"
+        ),
+    );
+    let Ok(file) = NetworkFile::parse(&source) else { return };
+    let Ok(model) = Network::new(file, source, Default::default()) else { return };
+    let Ok(network) = lower(&model).and_then(|graph| integers(&graph)) else { return };
+    for learning in network.parts().rules.iter() {
+        for variable in Variable::ALL {
+            let change = learning.rule.change(variable);
+            let again = (!change.products().is_empty()).then(|| parse(&change.to_string()).unwrap());
+            assert_eq!(again.unwrap_or_default(), *change, "{text}");
+        }
+    }
+    let sample = random::drawn_sample(&network, &mut Draw::of_bytes(&[14, 3, 5, 0, 0, 9, 60, 2]));
+    let program = compile(network.clone(), &roomy("oheo-gulch"), &unsearched()).unwrap().program;
+    let image = Image::new(&program, 1).unwrap();
+    let (golden, fast) = (&mut Golden::new(&network), &mut Machine::new(&image, Settings::default()));
+    assert_eq!(columns(golden, &sample), columns(fast, &sample), "{text}");
+}
+
+/// Membranes and the columns of the first rule after each step.
+fn columns(engine: &mut impl Engine, sample: &Sample) -> Vec<Vec<i32>> {
+    let columns = Variable::ALL.map(Column::Variable).into_iter().chain(Trace::ALL.map(Column::Trace));
+    let columns: Vec<Column> = columns.collect();
+    engine.begin(sample.steps());
+    let mut all = Vec::new();
+    for step in 0..sample.steps() {
+        engine.step(sample.input(step));
+        all.push(vec![engine.v(CompartmentId(0)), engine.v(CompartmentId(1))]);
+        all.extend(columns.iter().map(|&column| engine.learned(RuleId(0), column)));
+    }
+    engine.settle();
+    all.extend(columns.iter().map(|&column| engine.learned(RuleId(0), column)));
+    all
 }
 
 /// A mapping file of a small network: one that is read is refused, or is checked and runs as the

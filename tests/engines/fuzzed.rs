@@ -1,4 +1,4 @@
-//! The seeds of the fuzz targets of networks, kinds and mapping files, and random bytes.
+//! The seeds of the fuzz targets of networks, kinds, rules and mapping files, and random bytes.
 
 use std::path::Path;
 
@@ -27,8 +27,9 @@ fn networks_of_seeds_and_of_random_bytes_hold_what_the_fuzzer_holds() {
 }
 
 #[test]
-fn kinds_and_mapping_files_of_seeds_hold_what_the_fuzzer_holds() {
+fn kinds_rules_and_mapping_files_of_seeds_hold_what_the_fuzzer_holds() {
     seeds("kind", fuzzed::kind);
+    seeds("rule", fuzzed::rule);
     seeds("mapping", fuzzed::mapping);
     let mesh = Mesh::for_target(&load_target("loihi1-chip").unwrap());
     for seed in 0..20 {

@@ -40,7 +40,12 @@ pub fn graph(text: impl AsRef<str>) -> Graph {
 /// Number of a test's cases to run: all where `NSIM_LONG` is 1, as in `.ci/nightly`, else two
 /// thirds.
 pub fn cases(all: u64) -> u64 {
-    if std::env::var_os("NSIM_LONG").is_some_and(|long| long == "1") { all } else { (2 * all).div_ceil(3) }
+    few_or_all((2 * all).div_ceil(3), all)
+}
+
+/// The second number where `NSIM_LONG` is 1, else the first.
+pub fn few_or_all(few: u64, all: u64) -> u64 {
+    if std::env::var_os("NSIM_LONG").is_some_and(|long| long == "1") { all } else { few }
 }
 
 /// Limits of a core of the shipped Loihi chip, with 16 synapse formats.

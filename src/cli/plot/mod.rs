@@ -25,15 +25,13 @@ use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::base::names::fits_pattern;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::quantised::Quantised;
-use nsim_ir::spikes::{Engine, Sample};
-use nsim_machine::{Image, Machine, Settings};
+use nsim_ir::spikes::Sample;
 use nsim_report::charts::picture::FILE;
 use nsim_report::charts::sample::{raster, traced, traces};
 use nsim_report::charts::weights::weights;
 use nsim_report::charts::{board, results};
 use nsim_session::Quantity;
 use nsim_session::error::Error;
-use nsim_session::learning::ends;
 use nsim_session::obtain::EngineKind;
 use nsim_session::priced::MeteredMapping;
 use nsim_session::weights::WeightHistory;
@@ -226,12 +224,9 @@ fn weights_of(args: &Args, workload: &Workload<'_>, sample: &Sample, title: &str
         let known = if names.is_empty() { "none".to_string() } else { names.join(", ") };
         return Err(Error::Usage(format!("nsim plot weights draws a learning rule; there are: {known}")));
     };
-    let image = Image::new(&compiled.program, 1);
-    let image = image.map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
-    let mut machine = Machine::new(&image, Settings::default());
-    machine.set_draws(&workload.learning.draws);
-    let history = WeightHistory::new(&mut machine, rule, sample);
-    Ok(weights(&format!("{title}: weights of {}", learning.name), &history, &ends(network, rule)))
+    let draws = &workload.learning.draws;
+    let history = WeightHistory::new(&compiled.program, network, draws, rule, sample)?;
+    Ok(weights(&format!("{title}: weights of {}", learning.name), &history))
 }
 
 /// Pattern of a probe, and the index of its compartment, if any.

@@ -24,7 +24,7 @@ use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
 use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::copies::copies;
-use nsim_testing::{cases, sparse};
+use nsim_testing::{cases, few_or_all, sparse};
 use rayon::prelude::*;
 
 /// A random change: one to three products of what the semantics have, that fit the widths.
@@ -388,7 +388,7 @@ fn random_rules_change_weights_delays_and_tags() {
 /// and those of each step where they are asked for.
 #[test]
 fn random_rules_act_alike_in_both_engines() {
-    let updates: u64 = (0..cases(200))
+    let updates: u64 = (0..few_or_all(134, 500))
         .into_par_iter()
         .map(|seed| {
             let (network, draws) = random_plastic(seed);
@@ -446,7 +446,7 @@ fn copies_learn_alike() {
 /// Spikes of every rank, and the sum of their counts and columns, equal golden's on 2 and 4 ranks.
 #[test]
 fn random_rules_act_alike_on_any_number_of_ranks() {
-    let updates: u64 = (0..cases(40))
+    let updates: u64 = (0..few_or_all(27, 500))
         .map(|seed| {
             let (network, draws) = random_plastic(seed);
             let sample = &samples(&network, seed)[0];

@@ -481,7 +481,12 @@ impl Rule {
 
     /// The products that change a variable, in order; none where the rule leaves it.
     pub fn products(&self, variable: Variable) -> &[Product] {
-        &self.changes[variable as usize].products
+        &self.change(variable).products
+    }
+
+    /// The change of a variable, which is written as text.
+    pub fn change(&self, variable: Variable) -> &Change {
+        &self.changes[variable as usize]
     }
 
     /// Whether the rule changes a variable.

@@ -99,3 +99,40 @@ fn draws_are_fixed_for_ever_and_replayed_where_recorded() {
         (5.0, true)
     );
 }
+
+/// Means of products of the numbers of neighbours: by source, by target, by both, and by step.
+#[test]
+fn numbers_of_synapses_are_even_and_independent() {
+    use super::draws::{Draws, Place, Use};
+    const UNITS: u32 = 64;
+    let draws = Draws::seeded(3);
+    let real = |source: u32, target: u32, step: u64| {
+        let numbers = draws.at(Place { rule: RuleId(0), of: Use::Round, part: 0, step });
+        f64::from(numbers.of_synapse(numbers.of_source(source), target)) / 2f64.powi(32) - 0.5
+    };
+    let (mut count, mut sums) = (0.0, [0.0; 6]);
+    for (source, target) in (0..UNITS).flat_map(|source| (0..UNITS).map(move |target| (source, target))) {
+        for step in 0..20 {
+            let r = real(source, target, step);
+            let others = [
+                real(source + 1, target, step),
+                real(source, target + 1, step),
+                real(target, source, step),
+                real(source, target, step + 1),
+            ];
+            count += 1.0;
+            sums[0] += r;
+            sums[1] += r * r - 1.0 / 12.0;
+            sums[2..].iter_mut().zip(others).for_each(|(sum, other)| *sum += r * other);
+        }
+    }
+    // Standard deviations of the terms: 1/sqrt(12), sqrt(1/180), 1/12 each. Bounds of 4.5 of them;
+    // a synapse of a unit to itself is its own mirror.
+    let mirrored = f64::from(UNITS) * 20.0 / 12.0;
+    sums[4] -= mirrored;
+    let deviations =
+        [12f64.sqrt().recip(), 180f64.sqrt().recip(), 1.0 / 12.0, 1.0 / 12.0, 2f64.sqrt() / 12.0, 1.0 / 12.0];
+    for (index, (sum, deviation)) in sums.into_iter().zip(deviations).enumerate() {
+        assert!(sum.abs() < 4.5 * deviation * f64::sqrt(count), "{index}: {sum} of {count}");
+    }
+}

@@ -1,20 +1,25 @@
-//! The weights of a rule while it learns: their distribution over time, and each before and after.
+//! The weights of a rule while it learns: their distribution over time, each before and after, and
+//! the traces of one synapse.
 //!
-//! Input: a [`WeightHistory`], and the ends of each synapse. Output: one SVG text, the same for the
-//! same weights. Dark cells of the upper chart have many synapses. A cell of a matrix is the mean
-//! of the synapses between some sources and some targets: blue above 0, orange below.
+//! Input: a [`WeightHistory`]. Output: one SVG text, the same for the same weights. Dark cells of
+//! the upper chart have many synapses. A cell of a matrix is the mean of the synapses between some
+//! sources and some targets: blue above 0, orange below. The panels below show the synapse that
+//! changed most: spikes as lines, with the traces of that side, and its weight.
 
-use super::draw::{Axis, BOTTOM, COLOURS, GREY, HEIGHT, LEFT, MIDDLE, RIGHT, Scale, Sheet, TOP, WIDTH};
-use nsim_session::weights::WeightHistory;
+use super::draw::{Axis, BOTTOM, COLOURS, END, GREY, HEIGHT, LEFT, MIDDLE, RIGHT, Scale, Sheet, TOP, WIDTH, stroked};
+use nsim_session::weights::{OneSynapse, WeightHistory};
 
 /// The most ranges of weights, and of sources or targets.
 const MOST: usize = 48;
 /// Width and height of a matrix.
 const MATRIX: f64 = 264.0;
+/// Height of a panel of one synapse, with the space below it.
+const PANEL: f64 = 70.0;
 
-/// The picture; `ends` has the source and the target of each row.
-pub fn weights(title: &str, history: &WeightHistory, ends: &[(u32, u32)]) -> String {
-    let mut sheet = Sheet::new((WIDTH, HEIGHT + MATRIX + 70.0), LEFT, title);
+/// The picture.
+pub fn weights(title: &str, history: &WeightHistory) -> String {
+    let below = if history.most_changed.is_some() { 3.0 * PANEL + 50.0 } else { 0.0 };
+    let mut sheet = Sheet::new((WIDTH, HEIGHT + MATRIX + 70.0 + below), LEFT, title);
     sheet.text(((LEFT + RIGHT) / 2.0, HEIGHT - 14.0), MIDDLE, "timestep");
     sheet.upright((TOP + BOTTOM) / 2.0, "weight");
     distribution(&mut sheet, history);
@@ -23,10 +28,52 @@ pub fn weights(title: &str, history: &WeightHistory, ends: &[(u32, u32)]) -> Str
     for (name, weights, left) in [("before", &history.first, LEFT), ("after", &history.last, LEFT + MATRIX + 40.0)] {
         let name = format!("{name}: sources across, targets down");
         sheet.text((left + MATRIX / 2.0, top - 8.0), MIDDLE, &name);
-        matrix(&mut sheet, (left, top), (weights, ends), f64::from(greatest.max(1)));
+        matrix(&mut sheet, (left, top), (weights, &history.ends), f64::from(greatest.max(1)));
     }
     sheet.text((LEFT, top + MATRIX + 20.0), GREY, &format!("the strongest colour is a weight of {greatest}"));
+    if let Some(one) = &history.most_changed {
+        one_synapse(&mut sheet, top + MATRIX + 70.0, one, history.ends[one.row]);
+    }
     sheet.svg()
+}
+
+/// Spikes and traces of both ends of a synapse, and its weight, over time.
+fn one_synapse(sheet: &mut Sheet, top: f64, one: &OneSynapse, (source, target): (u32, u32)) {
+    let name = format!("the synapse that changed most: from source {source} to target {target}");
+    sheet.text((LEFT, top - 10.0), "", &name);
+    let end = one.times.last().copied().unwrap_or(1);
+    let x = Scale::new(&Axis::linear(""), [0.0, f64::from(end)].into_iter(), LEFT, RIGHT);
+    let at = |step: u32| x.place(f64::from(step)).unwrap_or(LEFT);
+    let traces = one
+        .traces
+        .each_ref()
+        .map(|side| side.iter().map(|(trace, values)| (trace.name(), values.as_slice())).collect::<Vec<_>>());
+    let [pre, post] = traces;
+    let panels = [
+        ("source", pre, &one.spikes[0]),
+        ("target", post, &one.spikes[1]),
+        ("weight", vec![("w", one.weights.as_slice())], &Vec::new()),
+    ];
+    for (number, (name, curves, spikes)) in panels.into_iter().enumerate() {
+        let (top, height) = (top + PANEL * number as f64, PANEL - 16.0);
+        sheet.rect([LEFT, top, at(end) - LEFT, height], &stroked("#999", 1.0, ""));
+        sheet.upright(top + height / 2.0, name);
+        for &step in spikes {
+            sheet.line([at(step), top, at(step), top + height], &stroked("#bbb", 0.8, ""));
+        }
+        let values = curves.iter().flat_map(|(_, values)| values.iter().copied());
+        let (low, high) = values.fold((0, 1), |(low, high), value| (low.min(value), high.max(value)));
+        let up = |value: i32| top + height - f64::from(value - low) / f64::from(high - low) * height;
+        for level in [low, high] {
+            sheet.text((LEFT - 6.0, up(level) + 4.0), END, &level.to_string());
+        }
+        for (index, (name, values)) in curves.iter().enumerate() {
+            let points: Vec<_> = one.times.iter().zip(*values).map(|(&time, &value)| (at(time), up(value))).collect();
+            sheet.through(&points, &stroked(COLOURS[index % COLOURS.len()], 1.3, ""));
+            let place = (RIGHT + 10.0, top + 12.0 + 14.0 * index as f64);
+            sheet.text(place, &format!(r#"fill="{}""#, COLOURS[index % COLOURS.len()]), name);
+        }
+    }
 }
 
 /// A column for each time, a cell for each range of weights that any synapse has.

@@ -3,10 +3,11 @@
 //! Input: a priced run, and the network of its file. Output: [`Sections`] for `report::page`. The
 //! first sample is shown step by step. A network in real numbers is compared with its trained form.
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::agree::AgreeReport;
 use crate::charts::sample::{Traced, traced};
+use crate::charts::weights::weights;
 use crate::page::{Sections, fit, network, sample};
 use nsim_agree::compare::compare_models;
 use nsim_cost::Transport;
@@ -17,13 +18,16 @@ use nsim_files::write::checksum;
 use nsim_ir::base::id::CompartmentId;
 use nsim_ir::firing_rates::Rates;
 use nsim_ir::graph::Graph;
+use nsim_ir::learning::{Learning, Variable};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::source_counts::SourceCounts;
+use nsim_ir::spikes::Sample;
 use nsim_session::Quantity;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
 use nsim_session::obtain::map_with_defaults;
 use nsim_session::samples::Progress;
+use nsim_session::weights::WeightHistory;
 use nsim_train::convert::staged::is_real;
 
 /// Greatest number of samples on which the trained and the deployed network are compared.
@@ -59,8 +63,27 @@ pub fn sections(workload: &Workload<'_>, evaluated: &Evaluation, transport: Tran
         let settings = workload.metered(tables, deployment, transport);
         let timeline = workload.timeline(settings, first, (&ids, quantity))?;
         sections.sample = sample::json(network, &timeline, (quantity, &watched), first, outcome);
+        sections.learning = learning(workload, first)?;
     }
     Ok(sections)
+}
+
+/// What each rule learns in a sample, with its picture; null without rules.
+fn learning(workload: &Workload<'_>, sample: &Sample) -> Result<Value, Error> {
+    let (compiled, draws) = (workload.compiled, &workload.learning.draws);
+    let mut rules = Vec::new();
+    for (id, Learning { name, rule }) in compiled.one.parts().rules.enumerate() {
+        let history = WeightHistory::new(&compiled.program, &compiled.one, draws, id, sample)?;
+        let changes = Variable::ALL.into_iter().filter(|&variable| rule.changes(variable));
+        let text = |variable: Variable| format!("{}: {}", variable.name(), rule.change(variable));
+        let changed = history.first.iter().zip(&history.last).filter(|(first, last)| first != last).count();
+        rules.push(json!({
+            "name": name, "changes": changes.map(text).collect::<Vec<_>>(), "epoch": rule.epoch(),
+            "semantics": rule.semantics().name(), "synapses": history.first.len(), "changed": changed,
+            "picture": weights(&format!("weights of {name}"), &history),
+        }));
+    }
+    Ok(if rules.is_empty() { Value::Null } else { json!(rules) })
 }
 
 /// The trained network and its integers, from its file, if it has real numbers, neurons that run in

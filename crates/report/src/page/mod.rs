@@ -55,17 +55,19 @@ pub struct Sections {
     pub sample: Value,
     /// [`sample::confusion`].
     pub confusion: Value,
+    /// [`job::learning`].
+    pub learning: Value,
     /// `nsim.agree/1` against the trained network.
     pub agreement: Value,
 }
 
 /// The page.
 pub fn html(title: &str, sections: &Sections, provenance: &Provenance) -> String {
-    let Sections { results, network, fit, sample, confusion, agreement } = sections;
+    let Sections { results, network, fit, sample, confusion, learning, agreement } = sections;
     let data = json!({
         "schema": "nsim.report/1", "nsim": env!("CARGO_PKG_VERSION"), "title": title, "colours": COLOURS,
         "command": provenance.command, "origins": provenance.origins, "results": results, "network": network,
-        "fit": fit, "sample": sample, "confusion": confusion, "agreement": agreement,
+        "fit": fit, "sample": sample, "confusion": confusion, "learning": learning, "agreement": agreement,
     });
     // `</script` would end the script, and `<!--<script` would hide its end. `<` occurs in strings
     // only, where it can be escaped.

@@ -486,6 +486,17 @@
     });
     part.append(table(["layer", "spikes trained", "spikes on cores", "coincidence", "first difference"], layers.map((layer) => { const first = layer.first_divergence; return [layer.layer ?? layer.name, number(layer.spikes_a), number(layer.spikes_b), layer.spikes_a + layer.spikes_b > 0 ? number(layer.coincidence) : "nothing to compare", first ? `sample ${first.sample}, timestep ${first.timestep}, neuron ${first.neuron}` : "none"]; }), [0, 4]));
   }
+  function learningSection() {
+    if (!data.learning) return;
+    const part = section("learning", "Learning", "What each rule changes in the first sample, from the weights of the model.");
+    for (const rule of data.learning) {
+      const words = [rule.changes.join("; ") || "PES", `epochs of ${plural(rule.epoch, "timestep")}`, rule.semantics, `${number(rule.changed)} of ${plural(rule.synapses, "weight")} changed`];
+      part.append(element("h3", {}, rule.name), element("p", {}, words.join(" · ")));
+      const box = element("div", { class: "scroll" });
+      box.append(document.importNode(new DOMParser().parseFromString(rule.picture, "image/svg+xml").documentElement, true));
+      part.append(box);
+    }
+  }
   function classesSection() {
     const confusion = data.confusion;
     if (!confusion) return;
@@ -570,6 +581,7 @@
     potentialsSection();
     stepsSection();
     goesSection();
+    learningSection();
     agreementSection();
     classesSection();
   }
