@@ -173,12 +173,14 @@ fn every_shipped_model_maps_and_runs() {
     // Names that scripts rely on.
     let names = "vtsnn-slip vtsnn-slip-srm slip-tactile slip-vision vtsnn-container container-tactile \
                  container-tactile-clock container-tactile-srm slip-tactile-rf slip-tactile-sdnn";
+    // Models that learn, and the steps of their first sample.
+    let plastic = [("stdp-pattern", 20_000)];
     // A network of the first fold of each cell of the paper's tables.
     let cells =
         ["slip", "container"].into_iter().flat_map(|task| ["tactile", "vision", "both"].map(|senses| (task, senses)));
     let of_paper =
         cells.flat_map(|(task, senses)| ["count", "weighted"].map(|loss| format!("paper-{task}-{senses}-{loss}")));
-    let names: Vec<String> = names.split(' ').map(String::from).chain(of_paper).collect();
+    let names: Vec<String> = names.split(' ').chain(plastic.map(|(name, _)| name)).map(String::from).chain(of_paper).collect();
     let mut shipped: Vec<&str> = nsim::files::shipped::MODELS.iter().map(|model| model.name).collect();
     shipped.sort_unstable();
     assert_eq!(shipped, {
@@ -193,8 +195,10 @@ fn every_shipped_model_maps_and_runs() {
         let cores = map["cores_per_copy"].as_f64().unwrap();
         let several = name.ends_with("-srm") || name.starts_with("paper-");
         assert!(cores == 1.0 || several && cores > 1.0, "{name}: {cores}");
-        let run = object(&["run", name, "--samples", "0..2"], 0);
-        let steps = if name.contains("slip") { 300 } else { 650 };
+        let learns = plastic.iter().find(|(plastic, _)| plastic == name);
+        let run = object(&["run", name, "--samples", if learns.is_some() { "0..1" } else { "0..2" }], 0);
+        let steps = learns.map_or(if name.contains("slip") { 300 } else { 650 }, |&(_, steps)| steps);
+        assert_eq!(run["learning"].is_array(), learns.is_some(), "{name}");
         assert_eq!((&run["model"], &run["timesteps"]), (&name.as_str().into(), &steps.into()));
         let spikes: u64 = run["output_counts"]
             .as_array()

@@ -68,6 +68,7 @@ models!(
     "slip-tactile-rf",
     "slip-tactile-sdnn",
     "slip-vision",
+    "stdp-pattern",
     "vtsnn-container",
     "vtsnn-slip",
     "vtsnn-slip-srm",
