@@ -1,5 +1,7 @@
 """Steps give the result of a run; snapshots are restored; the page's loop runs."""
 
+import contextlib
+import io
 import re
 import tempfile
 import threading
@@ -206,6 +208,18 @@ class Sessions(unittest.TestCase):
         lead = np.sort(scope["counts"])[-1] - np.sort(scope["counts"])[-2]
         self.assertEqual(lead, 3)
         self.assertGreater(scope["counts"].sum(), 0)
+
+    def test_tutorials_that_learn_print_what_they_show(self):
+        for name in ["pes"]:
+            page = (PAGE.parent / f"tutorials/{name}.md").read_text()
+            scope = {}
+            for kind, body in re.findall(r"```(python|text) session\n(.*?)```", page, re.S):
+                if kind == "text":
+                    self.assertEqual(printed.getvalue(), body, name)
+                    continue
+                printed = io.StringIO()
+                with contextlib.redirect_stdout(printed):
+                    exec(compile(body, f"{name}.md", "exec"), scope)
 
     def test_threads_use_a_session_one_after_another(self):
         mapping = nsim.load("container-tactile").map()

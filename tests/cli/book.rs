@@ -5,7 +5,8 @@
 //! the one of `exit=`. A later `text` block is the output of the last `sh` block, where `...`
 //! represents any lines. Blocks `ron NAME` and `csv NAME` are files. A `python run` block is run if
 //! a Python with the package `nir` is found, else reported as skipped; `python/tests/test_torch.py`
-//! runs the blocks `python torch`. `NSIM_BLESS=1` writes the pages of commands anew.
+//! runs the blocks `python torch`, `test_sessions.py` those named `python session`, whose output is
+//! the next `text session`. `NSIM_BLESS=1` writes the pages of commands anew.
 
 use crate::common;
 use std::path::{Path, PathBuf};
@@ -142,7 +143,7 @@ fn tutorial(page: &Path, path: &std::ffi::OsStr, python: Option<&str>) {
                     return;
                 }
             },
-            ["python", "torch"] => commands += 1,
+            ["python", "torch" | "session"] => commands += 1,
             _ => {}
         }
     }

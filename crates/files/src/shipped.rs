@@ -64,6 +64,7 @@ models!(
     "paper-slip-tactile-weighted",
     "paper-slip-vision-count",
     "paper-slip-vision-weighted",
+    "pes-channel",
     "slip-tactile",
     "slip-tactile-rf",
     "slip-tactile-sdnn",
