@@ -210,7 +210,7 @@ class Sessions(unittest.TestCase):
         self.assertGreater(scope["counts"].sum(), 0)
 
     def test_tutorials_that_learn_print_what_they_show(self):
-        for name in ["pes"]:
+        for name in ["cartpole", "pes"]:
             page = (PAGE.parent / f"tutorials/{name}.md").read_text()
             scope = {}
             for kind, body in re.findall(r"```(python|text) session\n(.*?)```", page, re.S):

@@ -35,11 +35,11 @@ macro_rules! shipped {
     };
 }
 
-/// Models and their weights, as `nsim train` wrote them: one file of weights for each model.
+/// Models, first those with a file of arrays each.
 macro_rules! models {
-    ($($name:literal),* $(,)?) => {
+    ($($name:literal),*; $($alone:literal),*) => {
         /// Shipped models.
-        pub const MODELS: &[Shipped] = shipped!("models": $($name),*);
+        pub const MODELS: &[Shipped] = shipped!("models": $($name,)* $($alone),*);
         /// The arrays that shipped models refer to: path within `models/`, content.
         pub const ARRAYS: &[(&str, &[u8])] = &[$((
             concat!($name, ".safetensors"),
@@ -72,7 +72,8 @@ models!(
     "stdp-pattern",
     "vtsnn-container",
     "vtsnn-slip",
-    "vtsnn-slip-srm",
+    "vtsnn-slip-srm";
+    "cartpole"
 );
 /// Training files of shipped models, and of the cells of the paper's tables.
 pub const TRAININGS: &[Shipped] = shipped!(
