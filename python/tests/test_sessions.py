@@ -2,17 +2,20 @@
 
 import contextlib
 import io
+import os
 import re
 import tempfile
 import threading
 import unittest
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
 import nsim
 
-PAGE = Path(__file__).parents[2] / "docs/session.md"
+PAGE = (Path(__file__).parents[2] / "docs/session.md").resolve()
+NSIM = os.environ.get("NSIM", "nsim")
 
 
 def recorded(mapping, steps=60, rate=0.1, seed=7):
@@ -210,16 +213,24 @@ class Sessions(unittest.TestCase):
         self.assertGreater(scope["counts"].sum(), 0)
 
     def test_tutorials_that_learn_print_what_they_show(self):
-        for name in ["cartpole", "pes"]:
-            page = (PAGE.parent / f"tutorials/{name}.md").read_text()
-            scope = {}
-            for kind, body in re.findall(r"```(python|text) session\n(.*?)```", page, re.S):
-                if kind == "text":
-                    self.assertEqual(printed.getvalue(), body, name)
-                    continue
-                printed = io.StringIO()
-                with contextlib.redirect_stdout(printed):
-                    exec(compile(body, f"{name}.md", "exec"), scope)
+        here = os.getcwd()
+        self.addCleanup(os.chdir, here)
+        # Where the pages find the program.
+        program = str(Path(NSIM).resolve().parent) if os.sep in NSIM else ""
+        with mock.patch.dict(os.environ, PATH=program + os.pathsep + os.environ["PATH"]):
+            for name in ["cartpole", "few-shot", "pes"]:
+                page = (PAGE.parent / f"tutorials/{name}.md").read_text()
+                scope, printed = {}, io.StringIO()
+                with tempfile.TemporaryDirectory() as folder:
+                    os.chdir(folder)
+                    for kind, body in re.findall(r"```(python|text) session\n(.*?)```", page, re.S):
+                        if kind == "text":
+                            self.assertEqual(printed.getvalue(), body, name)
+                            continue
+                        printed = io.StringIO()
+                        with contextlib.redirect_stdout(printed):
+                            exec(compile(body, f"{name}.md", "exec"), scope)
+                    os.chdir(here)
 
     def test_threads_use_a_session_one_after_another(self):
         mapping = nsim.load("container-tactile").map()

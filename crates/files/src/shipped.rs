@@ -49,6 +49,7 @@ macro_rules! models {
 }
 
 models!(
+    "container-few-shot",
     "container-tactile",
     "container-tactile-clock",
     "container-tactile-srm",
