@@ -174,14 +174,14 @@ fn every_shipped_model_maps_and_runs() {
     let names = "vtsnn-slip vtsnn-slip-srm slip-tactile slip-vision vtsnn-container container-tactile \
                  container-tactile-clock container-tactile-srm slip-tactile-rf slip-tactile-sdnn";
     // Models that learn, and the steps of their first sample.
-    let plastic =
-        [("cartpole", 2_000), ("container-few-shot", 326), ("pes-channel", 2_000), ("stdp-pattern", 20_000)];
+    let plastic = [("cartpole", 2_000), ("container-few-shot", 326), ("pes-channel", 2_000), ("stdp-pattern", 20_000)];
     // A network of the first fold of each cell of the paper's tables.
     let cells =
         ["slip", "container"].into_iter().flat_map(|task| ["tactile", "vision", "both"].map(|senses| (task, senses)));
     let of_paper =
         cells.flat_map(|(task, senses)| ["count", "weighted"].map(|loss| format!("paper-{task}-{senses}-{loss}")));
-    let names: Vec<String> = names.split(' ').chain(plastic.map(|(name, _)| name)).map(String::from).chain(of_paper).collect();
+    let names: Vec<String> =
+        names.split(' ').chain(plastic.map(|(name, _)| name)).map(String::from).chain(of_paper).collect();
     let mut shipped: Vec<&str> = nsim::files::shipped::MODELS.iter().map(|model| model.name).collect();
     shipped.sort_unstable();
     assert_eq!(shipped, {
