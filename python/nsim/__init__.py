@@ -18,11 +18,13 @@ from ._nsim import (
     Session,
     Snapshot,
     Training,
+    Values,
     Warning,
     __version__,
     load,
     train,
 )
+from ._learning import Pes, Rule, Signal
 from ._sweep import Table, sweep
 from ._tools import from_nir, from_torch
 
@@ -34,12 +36,16 @@ __all__ = [
     "Events",
     "Mapping",
     "Network",
+    "Pes",
     "Population",
+    "Rule",
     "Run",
     "Session",
+    "Signal",
     "Snapshot",
     "Table",
     "Training",
+    "Values",
     "Warning",
     "__version__",
     "from_nir",

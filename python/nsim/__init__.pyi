@@ -74,6 +74,38 @@ class Table:
         """A data frame of pandas, or of polars."""
     def __len__(self) -> int: ...
 
+class Signal:
+    """The value of a population of kind Signal, in place of a trace of the target's spikes."""
+
+    def __init__(self, population: str) -> None: ...
+
+class Rule:
+    """A learning rule: changes as text, traces as (impulse, tau), y1 to y3 also a `Signal`, r1 as (population, impulse, tau)."""
+
+    def __init__(
+        self,
+        dw: Optional[str] = None,
+        *,
+        dd: Optional[str] = None,
+        dt: Optional[str] = None,
+        epoch: Optional[int] = None,
+        x1: Any = None,
+        x2: Any = None,
+        y1: Any = None,
+        y2: Any = None,
+        y3: Any = None,
+        r1: Any = None,
+        tags: Any = None,
+        delays: Any = None,
+        graded: Optional[str] = None,
+        until: Optional[int] = None,
+    ) -> None: ...
+
+class Pes:
+    """The rule PES: `error` is a population of kind Signal, x1 is (impulse, tau)."""
+
+    def __init__(self, error: str, *, x1: Any, until: Optional[int] = None) -> None: ...
+
 class Network:
     def __init__(
         self,
@@ -84,8 +116,10 @@ class Network:
         output: str,
         timestep_ms: float = 1.0,
         classes: Sequence[str] = (),
+        learning_semantics: Optional[str] = None,
     ) -> None:
-        """Populations and projections as in a model file; weights are `[target, source]`, a kernel, or a SciPy sparse array."""
+        """Populations and projections as in a model file; weights are `[target, source]`, a kernel, or a SciPy sparse array;
+        learning is a `Rule`, a `Pes` or its text."""
     @property
     def notes(self) -> list[str]:
         """Conventions by which another tool's network was read."""
@@ -356,6 +390,24 @@ class Session:
     def steps(self) -> int:
         """Timesteps since the session was opened or reset."""
     def __getitem__(self, population: str) -> Population: ...
+    @property
+    def weights(self) -> Values:
+        """Weights with which the next timestep delivers, by projection that learns, one a synapse; they can be set."""
+    @property
+    def delays(self) -> Values:
+        """Delays, as `weights`; read-only."""
+    @property
+    def tags(self) -> Values:
+        """Tags, as `weights`; read-only."""
+    @property
+    def traces(self) -> Values:
+        """Traces by NAME.x1 and so on; read-only."""
+    @property
+    def signal(self) -> Values:
+        """Values of signals in the next timestep, by population; 0 unless set."""
+    @property
+    def draws(self) -> Values:
+        """Random numbers of the next timestep, by projection; as read, how many it takes."""
     def snapshot(self) -> Snapshot: ...
     def restore(self, snapshot: Snapshot) -> None: ...
     def reset(self, learned: bool = True) -> None:
@@ -364,6 +416,13 @@ class Session:
         """Cost of the timesteps so far; options are as in `Mapping.energy`."""
     def __enter__(self) -> Session: ...
     def __exit__(self, *exception: object) -> None: ...
+
+class Values:
+    """Values of a session by name."""
+
+    def __getitem__(self, name: str) -> Any: ...
+    def __setitem__(self, name: str, values: Any) -> None: ...
+    def keys(self) -> list[str]: ...
 
 class Snapshot:
     """The state of a session after some timestep."""

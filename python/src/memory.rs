@@ -7,6 +7,7 @@
 
 use std::path::Path;
 
+use nsim::files::network::learning::RuleDesc;
 use nsim::files::network::{
     Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor,
 };
@@ -16,6 +17,7 @@ use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;
 use nsim::ir::graph::MOST_UNITS;
+use nsim::ir::learning::LearningSemantics;
 use nsim::ir::neurons::{Emits, NeuronKind};
 use pyo3::conversion::FromPyObjectOwned;
 use pyo3::exceptions::PyException;
@@ -23,6 +25,7 @@ use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
 use crate::arrays::{Array, CountBound};
+use crate::error::exception;
 use crate::keywords::{Keywords, usage, whole};
 use crate::work::try_detached;
 
@@ -62,6 +65,10 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
     let mut built = PopulationDesc::input(&name, shape);
     let kind: String = keywords.take("kind")?.unwrap_or_else(|| "Loihi".to_string());
     let known_kind = NeuronKind::ALL.into_iter().find(|known| known.name() == kind);
+    if kind == "Signal" {
+        keywords.refuse_unread()?;
+        return Ok(PopulationDesc { signal: true, ..built });
+    }
     let sends_values = known_kind.map(|kind| kind.table().emits == Emits::Values);
     if kind == "Input" || sends_values == Some(false) {
         built.payload = keywords.take("payload")?;
@@ -80,7 +87,8 @@ fn population(given: &Bound<'_, PyDict>) -> PyResult<PopulationDesc> {
         return Ok(PopulationDesc { srm: Some(srm), ..built });
     }
     let Some(kind) = known_kind else {
-        let known: Vec<&str> = ["Input", "Srm"].into_iter().chain(NeuronKind::ALL.map(NeuronKind::name)).collect();
+        let known: Vec<&str> =
+            ["Input", "Signal", "Srm"].into_iter().chain(NeuronKind::ALL.map(NeuronKind::name)).collect();
         let message = format!("{whose}: kind is '{kind}', which is not supported");
         return Err(usage(message, &format!("kind is one of {}", known.join(", "))));
     };
@@ -218,10 +226,28 @@ fn projection(given: &Bound<'_, PyDict>, populations: &[PopulationDesc]) -> PyRe
         weight_bits: keywords.take("weight_bits")?.unwrap_or(usual.weight_bits),
         weight_scale: keywords.take("weight_scale")?,
         sign: keywords.one_of("sign", &signs, sign_name)?,
+        name: keywords.take("name")?,
+        learning: rule(&keywords)?,
         ..usual
     };
     keywords.refuse_unread()?;
     Ok(built)
+}
+
+/// The rule of a projection, whose text is that of a model file.
+fn rule(keywords: &Keywords<'_>) -> PyResult<Option<RuleDesc>> {
+    let Some(given) = keywords.take::<Bound<'_, PyAny>>("learning")? else { return Ok(None) };
+    RuleDesc::from_text(&given.str()?.to_string()).map(Some).map_err(|problem| exception(given.py(), problem))
+}
+
+/// The arithmetic of learning of this name.
+pub fn learning_semantics(given: &str) -> PyResult<LearningSemantics> {
+    let known = LearningSemantics::ALL.map(LearningSemantics::name);
+    let found = LearningSemantics::ALL.into_iter().find(|semantics| semantics.name() == given);
+    found.ok_or_else(|| {
+        let message = format!("learning_semantics is '{given}', which is not supported");
+        usage(message, &format!("it is one of {}", known.join(", ")))
+    })
 }
 
 /// A network of populations and projections.

@@ -201,9 +201,13 @@ impl Network {
     /// ('Input', 'Loihi' and the other kinds of neurons); parameters such as `du`, `dv`, `vth_mant`
     /// are a number or an array with one for each neuron. A projection has `from`, `to` and
     /// `weights`: `[target, source]`, a kernel `[C', C / groups, kh, kw]` or a SciPy sparse array
-    /// `[target, source]`. `timestep_ms` is in ms.
+    /// `[target, source]`. `learning` is a `Rule`, a `Pes` or the text of either in a model file;
+    /// `learning_semantics` is 'Silicon', 'Lava', 'Nengo' or 'Brian'. `timestep_ms` is in ms.
     #[new]
-    #[pyo3(signature = (name, populations, projections, *, output, timestep_ms=1.0, classes=Vec::new()))]
+    #[pyo3(signature = (
+        name, populations, projections, *, output, timestep_ms=1.0, classes=Vec::new(), learning_semantics=None
+    ))]
+    #[expect(clippy::too_many_arguments, reason = "keywords of Python")]
     fn new(
         py: Python<'_>,
         name: &str,
@@ -212,8 +216,10 @@ impl Network {
         output: &str,
         timestep_ms: f64,
         classes: Vec<String>,
+        learning_semantics: Option<String>,
     ) -> PyResult<Self> {
-        let model = memory::network_file(name, &populations, &projections, output, timestep_ms, classes)?;
+        let mut model = memory::network_file(name, &populations, &projections, output, timestep_ms, classes)?;
+        model.learning_semantics = learning_semantics.map(|given| memory::learning_semantics(&given)).transpose()?;
         Network::from_model(py, &model)
     }
 

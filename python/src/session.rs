@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
 use nsim::ir::graph::Shape;
-use nsim::ir::learning::draws::Draws;
+use nsim::ir::learning::Variable;
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
@@ -22,6 +22,7 @@ use crate::energy::{self, Energy};
 use crate::error::exception;
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
+use crate::steering::{Kind, Values, add_values, signals};
 use crate::work::try_detached;
 
 /// Channels that spike in a step, with the integers of their messages.
@@ -79,16 +80,35 @@ impl Session {
                 None => lay_out(&compiled.program, division)?,
             };
             let mut stepped = Stepped::open(&image, &compiled.one, compiled.options.copies);
-            stepped.engine_mut().set_draws(&Draws::seeded(seed));
-            stepped.reset_all();
+            stepped.set_seed(seed);
             Ok::<_, Diagnostic>(stepped)
         })?;
         let state = State { stepped: Some(stepped), shown: Vec::new() };
         Ok(Session { mapping: mapping.clone(), seed, state: Mutex::new(state) })
     }
 
-    fn network(&self) -> &Quantised {
+    pub fn network(&self) -> &Quantised {
         &self.mapping.compiled().one
+    }
+
+    /// Refuses a closed session.
+    pub fn check_open(&self, py: Python<'_>) -> PyResult<()> {
+        self.state(py).stepped().map(|_| ())
+    }
+
+    /// The result of an action on the session.
+    pub fn stepped<T>(&self, py: Python<'_>, action: impl FnOnce(&mut Stepped) -> T) -> PyResult<T> {
+        self.state(py).stepped.as_mut().map(action).ok_or_else(closed)
+    }
+
+    /// Whether a message of this population is set for the next step.
+    fn is_set_next(
+        &self,
+        py: Python<'_>,
+        (first, population): (u32, &nsim::ir::quantised::Population),
+    ) -> PyResult<bool> {
+        let channels = first..first + population.shape.len();
+        self.stepped(py, |stepped| stepped.next().iter().any(|(channel, _)| channels.contains(&channel.0)))
     }
 
     /// The state, once no other thread uses it. A panic leaves it whole.
@@ -109,20 +129,6 @@ fn check_each(array: &Array<'_>, name: &str, shape: Shape, what: &str) -> PyResu
     }
     let message = format!("'{name}' has {} channels, and {what} of shape {:?}", shape.len(), array.shape());
     Err(usage(message, &format!("give one for each channel, along one axis or as {shape}")))
-}
-
-/// Adds the messages of a population's channels in a step, from a number for each.
-fn add_values(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &str, shape: Shape) -> PyResult<()> {
-    let help = "give an integer of 32 bits for each channel, 0 for none";
-    let array = Array::new(given, name)?;
-    check_each(&array, name, shape, "numbers")?;
-    for (number, value) in array.numbers(shape.len() as usize, help)?.into_iter().enumerate() {
-        if f64::from(value as i32) != value {
-            return Err(usage(format!("channel {number} of '{name}' cannot send {value}"), help));
-        }
-        shown.push((ChannelId(first + number as u32), value as i32));
-    }
-    Ok(())
 }
 
 /// Adds the channels of a population that spike in a step, from their numbers or from a truth value
@@ -208,15 +214,22 @@ impl Session {
             let network = self.network();
             let mut add = |name: &str, given: &Bound<'_, PyAny>| {
                 let population = network.inputs().find(|(_, population)| population.name == name);
-                let known = population.and_then(|(_, p)| Some((p.first_channel()?.0, p.shape, p.message)));
-                let Some((first, shape, message)) = known else {
+                let known = population.and_then(|(_, p)| Some((p.first_channel()?.0, p)));
+                let Some((first, population)) = known else {
                     let known: Vec<&str> = network.inputs().map(|(_, population)| population.name.as_str()).collect();
                     let message = format!("'{name}' is not an input population");
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
-                match message {
-                    Message::Value(_) => add_values(&mut shown, given, first, name, shape),
-                    _ => add_channels(&mut shown, given, first, name, shape),
+                if self.is_set_next(py, (first, population))? {
+                    let message = format!("'{name}' is set for this step by session.signal too");
+                    return Err(usage(message, "give it in one of them"));
+                }
+                match population.message {
+                    Message::Value(_) => {
+                        let is_signal = signals(network).any(|(signal, _)| signal == first);
+                        add_values(&mut shown, given, (first, population), is_signal)
+                    }
+                    _ => add_channels(&mut shown, given, first, name, population.shape),
                 }
             };
             match inputs.cast::<PyDict>() {
@@ -269,8 +282,51 @@ impl Session {
     fn reset(&self, py: Python<'_>, learned: bool) -> PyResult<()> {
         let mut state = self.state(py);
         let stepped = state.stepped.as_mut().ok_or_else(closed)?;
-        if learned { stepped.reset() } else { stepped.reset_all() }
+        if learned {
+            return stepped.reset().map_err(|problem| exception(py, problem));
+        }
+        stepped.reset_all();
         Ok(())
+    }
+
+    /// Weights by the name of a projection that learns, one a synapse in the rows of a probe, int32:
+    /// those with which the next timestep delivers. They can be set.
+    #[getter]
+    fn weights(slf: &Bound<'_, Self>) -> PyResult<Values> {
+        Values::new(slf, Kind::Synapses(Variable::Weight))
+    }
+
+    /// Delays of synapses, as `weights`; read-only.
+    #[getter]
+    fn delays(slf: &Bound<'_, Self>) -> PyResult<Values> {
+        Values::new(slf, Kind::Synapses(Variable::Delay))
+    }
+
+    /// Tags of synapses, as `weights`; read-only.
+    #[getter]
+    fn tags(slf: &Bound<'_, Self>) -> PyResult<Values> {
+        Values::new(slf, Kind::Synapses(Variable::Tag))
+    }
+
+    /// Traces of a projection that learns, by NAME.x1 and so on; read-only.
+    #[getter]
+    fn traces(slf: &Bound<'_, Self>) -> PyResult<Values> {
+        Values::new(slf, Kind::Traces)
+    }
+
+    /// Values of signals in the next timestep, by the name of their population: a number for each
+    /// channel. They hold for this timestep only.
+    #[getter]
+    fn signal(slf: &Bound<'_, Self>) -> PyResult<Values> {
+        Values::new(slf, Kind::Signal)
+    }
+
+    /// Random numbers that a projection takes in the next timestep, a dictionary by use, as in the
+    /// files of `draws` of `Mapping.run`. Once set, they are set before each timestep that takes
+    /// some.
+    #[getter]
+    fn draws(slf: &Bound<'_, Self>) -> PyResult<Values> {
+        Values::new(slf, Kind::Draws)
     }
 
     /// Cost of the timesteps so far, as in `Mapping.energy` for a sample with this input, which

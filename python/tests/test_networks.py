@@ -68,6 +68,37 @@ def figures(network, channels=3):
 
 
 class InMemory(unittest.TestCase):
+    def test_rules_are_those_of_a_file(self):
+        signal, trace = nsim.Signal("reward"), (16, 10.5)
+        rule = nsim.Rule("2^-2*x1*y0 + u0*y2*r1", dt="x0", epoch=4, x1=trace, y1=(3, 2), y2=signal, r1=("in", 2, 1), tags=[[1, 2, 3], [4, 5, 6]], until=90)
+        stated = """Rule(dw: "2^-2*x1*y0 + u0*y2*r1", dt: "x0", epoch: 4, x1: (impulse: 16, tau: 10.5), y1: (impulse: 3, tau: 2),
+            y2: Signal("reward"), r1: (from: "in", impulse: 2, tau: 1), tags: [[1, 2, 3], [4, 5, 6]], until: 90)"""
+        lines = TEXT.replace("delay: 1", f'delay: 1, name: "p", learning: {stated}')
+        file = of_file(lines.replace("Loihi(", 'Signal(name: "reward", shape: [2]),\n        Loihi('))
+
+        def network(learning):
+            populations = [
+                {"name": "in", "shape": 3, "kind": "Input"},
+                {"name": "reward", "shape": 2, "kind": "Signal"},
+                {"name": "out", "shape": [2], "du": 4096, "dv": 128, "vth_mant": np.array([3, 2])},
+            ]
+            projections = [{"name": "p", "from": "in", "to": "out", "weights": WEIGHTS, "delay": 1, "learning": learning}]
+            return nsim.Network("small", populations, projections, output="out", classes=["a", "b"], learning_semantics="Silicon")
+
+        written = []
+        for given in (file, network(rule), network(stated)):
+            with tempfile.TemporaryDirectory() as folder:
+                given.save(os.path.join(folder, "saved.ron"))
+                with open(os.path.join(folder, "saved.ron")) as text:
+                    written.append(text.read().replace("    learning_semantics: Silicon,\n", ""))
+        self.assertEqual(written, written[:1] * 3)
+        for wrong, says in [("Rule(dw: \"2*\")", "model.learning"), (nsim.Rule("x1"), "a product needs"), ("Rule(dx: 1)", "dx")]:
+            with self.assertRaises(nsim.Error) as caught:
+                network(wrong)
+            self.assertIn(says, f"{caught.exception.code} {caught.exception}")
+        with self.assertRaisesRegex(nsim.Error, "learning_semantics is 'Chip'"):
+            nsim.Network("small", [], [], output="out", learning_semantics="Chip")
+
     def test_arrays_are_a_file(self):
         network, file = small(), of_file(TEXT)
         self.assertEqual((network.name, network.populations, network.classes), (file.name, file.populations, file.classes))

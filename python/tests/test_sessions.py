@@ -177,6 +177,104 @@ class Sessions(unittest.TestCase):
                 session.reset(learned=False)
                 self.assertEqual(session.steps, 0)
 
+    def test_rules_are_steered(self):
+        text = """Network(name: "m", timestep_ms: 1.0, populations: [Input(name: "in", shape: [2]), Signal(name: "reward", shape: [1]),
+            Signal(name: "each", shape: [3]), Loihi(name: "out", shape: [3], du: 4096, dv: 2048, vth_mant: 1)], projections: [
+            Dense(name: "p", from: ["in"], to: "out", weights: [[8, 2], [4, 6], [2, 8]], learning: Rule(dw: "u0*y2", dt: "x0",
+            x1: (impulse: 16, tau: 10), y2: Signal("reward"), y3: Signal("each")))], output: "out")"""
+        first = [8, 2, 4, 6, 2, 8]
+        with tempfile.TemporaryDirectory() as folder:
+            model = Path(folder, "m.ron")
+            model.write_text(text)
+            mapping = nsim.load(str(model)).map()
+        with mapping.session() as session, mapping.session() as other:
+            self.assertEqual(session.weights["p"].tolist(), first)
+            self.assertEqual((session.weights.keys(), session.signal.keys()), (["p"], ["reward", "each"]))
+            # A value holds for one timestep, whose learning acts on the delivery after the next one.
+            session.signal["reward"] = 4
+            session.signal["each"] = [0, -7, 0]
+            self.assertEqual((session.signal["reward"].tolist(), session.signal["each"].tolist()), ([4], [0, -7, 0]))
+            before = session.snapshot()
+            for _ in range(2):
+                session.step({"in": [1]})
+                self.assertEqual((session.signal["reward"].tolist(), session.weights["p"].tolist()), ([0], first))
+                session.step({"in": [1]})
+                self.assertEqual(session.weights["p"].tolist(), [w + 4 for w in first])
+                self.assertEqual((session.traces["p.x1"].tolist(), session.tags["p"].tolist()), ([0, 16], [0, 1] * 3))
+                self.assertEqual(session.delays["p"].tolist(), [0] * 6)
+                session.restore(before)
+            for inputs in ({"in": [1], "reward": 4, "each": [0, -7, 0]}, {"in": [1]}):
+                other.step(inputs)
+            self.assertEqual(other.weights["p"].tolist(), [w + 4 for w in first])
+            other.weights["p"] = np.array([[0, 2], [-256, 254], [4, 6]])
+            other.step()
+            self.assertEqual(other.weights["p"].tolist(), [0, 2, -256, 254, 4, 6])
+            other.reset(learned=False)
+            self.assertEqual(other.weights["p"].tolist(), first)
+            for refused, says in [
+                (lambda: session.weights.__setitem__("p", [1]), "1 weights for 'p', which has 6 synapses"),
+                (lambda: session.weights.__setitem__("p", [3] + [0] * 5), "weight 3 of synapse 0 of 'p'.* from -256 to 254"),
+                (lambda: session.weights.__setitem__("p", [0.5] * 6), "weights\\['p'\\]\\[0\\] is 0.5"),
+                (lambda: session.signal.__setitem__("reward", 40_000), "cannot send 40000.* from -32768 to 32767"),
+                (lambda: session.signal.__setitem__("each", 1), "'each' has 3 channels"),
+                (lambda: session.step({"reward": 1}), "set for this step by session.signal"),
+                (lambda: session.draws["p"], "draws for each synapse"),
+            ]:
+                with self.assertRaises(nsim.Error) as caught:
+                    refused()
+                self.assertRegex(f"{caught.exception} {caught.exception.help}", f"(?s){says}")
+            for unknown, says in [
+                (lambda: session.weights["q"], "no projection that learns 'q'; there are: p"),
+                (lambda: session.signal["in"], "no signal 'in'; there are: reward, each"),
+                (lambda: session.traces["p"], "NAME.x1"),
+            ]:
+                self.assertRaisesRegex(KeyError, says, unknown)
+            self.assertRaisesRegex(TypeError, "only be read", session.tags.__setitem__, "p", [0] * 6)
+        self.assertRaisesRegex(nsim.Error, "closed", lambda: session.weights)
+
+    def test_random_numbers_are_given_step_by_step(self):
+        draw = np.random.default_rng(5)
+        network = nsim.Network(
+            "pes",
+            [
+                {"name": "in", "shape": 3, "kind": "Input"},
+                {"name": "err", "shape": 1, "kind": "Signal"},
+                {"name": "out", "shape": 2, "du": 4096, "dv": 4096, "vth_mant": 131071},
+            ],
+            [{"name": "pes", "from": "in", "to": "out", "weights": np.zeros((2, 3)), "learning": nsim.Pes("err", x1=(28.8, 5))}],
+            output="out",
+            learning_semantics="Nengo",
+        )
+        mapping, steps = network.map("oheo-gulch"), 24
+        spikes, errors = draw.random((3, steps)) < 0.5, draw.integers(-90, 90, (1, steps))
+        numbers = {"draw_trace": draw.random((steps // 2, 3)), "draw_weight": draw.random((steps // 4, 3, 2))}
+        with tempfile.TemporaryDirectory() as folder:
+            np.savez(Path(folder, "draws.npz"), **numbers)
+            run = mapping.run({"in": spikes, "err": errors}, draws={"pes": Path(folder, "draws.npz")}, probe=["pes.weight"])
+        expected = run.probe("pes.weight")[0]
+        self.assertGreater(np.count_nonzero(expected[:, -1]), 2)
+        with mapping.session() as session:
+            for t in range(steps):
+                trace, weight = (t + 1) % 2 == 0, (t + 1) % 4 == 0
+                self.assertEqual(session.draws["pes"], {"draw_trace": 3 * trace, "draw_weight": 6 * weight})
+                given = {"draw_trace": numbers["draw_trace"][t // 2]} if trace else {}
+                given |= {"draw_weight": numbers["draw_weight"][t // 4]} if weight else {}
+                session.draws["pes"] = given
+                session.step({"in": spikes[:, t], "err": errors[:, t]})
+                self.assertEqual(session.weights["pes"].tolist(), expected[:, t].tolist(), f"step {t}")
+            session.step()
+            for given, says in [
+                ({"draw_trace": [0.5] * 2}, "takes 3 numbers of draw_trace in step 25, but 2 are given"),
+                ({"draw_trace": [0.5, 1, 0.5]}, "number 1 is 1, not from 0 to below 1"),
+                ({"draw_x": [0.5]}, "unknown key 'draw_x'"),
+            ]:
+                with self.assertRaisesRegex(nsim.Error, says):
+                    session.draws["pes"] = given
+            with self.assertRaisesRegex(nsim.Error, "takes 3 numbers of draw_trace in step 25, but 0 are given") as caught:
+                session.step()
+            self.assertIn("give it before the step: 3 of draw_trace, 0 of draw_weight", caught.exception.help)
+            self.assertEqual(session.steps, 25)
+
     def test_what_is_refused_changes_nothing(self):
         mapping = nsim.load("vtsnn-slip").map()
         channels = dict((name, int(np.prod(shape))) for name, kind, shape in mapping.populations if kind == "input")
@@ -205,9 +303,9 @@ class Sessions(unittest.TestCase):
                 closed()
 
     def test_the_loop_of_the_page(self):
-        loop = re.search(r"```python\n(.*?)```", PAGE.read_text(), re.S)
         scope = {}
-        exec(compile(loop.group(1), str(PAGE), "exec"), scope)
+        for loop in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S):
+            exec(compile(loop, str(PAGE), "exec"), scope)
         lead = np.sort(scope["counts"])[-1] - np.sort(scope["counts"])[-2]
         self.assertEqual(lead, 3)
         self.assertGreater(scope["counts"].sum(), 0)

@@ -13,14 +13,13 @@ use nsim::dynamics::synapses::Enumerate;
 use nsim::golden::Golden;
 use nsim::ir::activity::{Activity, Totals};
 use nsim::ir::base::fixed::{SignMode, WeightExponent};
-use nsim::ir::base::id::{ChannelId, CompartmentId, ProjectionId};
+use nsim::ir::base::id::{ChannelId, CompartmentId, ProjectionId, RuleId};
 use nsim::ir::graph::{PerCompartment, Shape, Window};
-use nsim::ir::learning::Rule;
+use nsim::ir::learning::{Column, Rule, Variable};
 use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::connectivity::Connectivity;
 use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
 use nsim::ir::spikes::{Engine, Sample, Spikes};
-use nsim::machine::plastic::places::PlasticProjection;
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::prune::Plan;
 use nsim::quantise::relays::relayed;
@@ -117,13 +116,17 @@ fn on_golden(network: &Quantised, sample: &Sample, writes: &[Writes]) -> Trace {
     trace(&mut Golden::new(network), (network, sample), writes, Golden::write_weights)
 }
 
-/// Writes weights of the only copy, and reads them back.
-pub fn write(projections: &[PlasticProjection], machine: &mut Machine, id: ProjectionId, weights: &[i16]) {
-    let places = &projections.iter().find(|projection| projection.id == id).unwrap().places[0];
-    assert_eq!(places.len(), weights.len());
-    places.iter().zip(weights).for_each(|(&place, &weight)| machine.set_weight(place, weight));
-    let read = places.iter().zip(weights).filter(|(place, _)| place.is_some());
-    read.for_each(|(&place, &weight)| assert_eq!(machine.weight(place), weight));
+/// The rule of a plastic projection, whose rows are its synapses.
+fn rule_of(network: &Quantised, id: ProjectionId) -> RuleId {
+    network.projections()[id].format.rule.unwrap()
+}
+
+fn wide(weights: &[i16]) -> Vec<i32> {
+    weights.iter().map(|&weight| weight.into()).collect()
+}
+
+fn weights_of<E: Engine>(engine: &E, rule: RuleId) -> Vec<i32> {
+    engine.learned(rule, Column::Variable(Variable::Weight))
 }
 
 /// Compares the machine with a trace in 1, 2 and 8 shards, with skipping and without. Returns its
@@ -140,18 +143,20 @@ fn assert_on_machine(
     let mut counts: Option<Activity> = None;
     for shards in [1, 2, 8] {
         let image = Image::new(&compiled.program, shards).unwrap();
-        let projections = PlasticProjection::all(&image, network, 1);
         for (skip, per_step) in [(true, false), (false, true)] {
             let what = format!("{what}, {shards} shards, skip {skip}");
             let mut machine = Machine::new(&image, Settings { skip, per_step });
-            for projection in &projections {
-                let first = synapses(network.parts(), &network.projections()[projection.id]);
-                let weights = projection.places[0].iter().map(|&place| machine.weight(place));
-                assert!(first.iter().flatten().map(|synapse| synapse.1).eq(weights), "{what}: {}", projection.name);
+            for (id, projection) in network.plastic() {
+                let first = synapses(network.parts(), projection);
+                let first: Vec<i16> = first.iter().flatten().map(|synapse| synapse.1).collect();
+                assert!(wide(&first) == weights_of(&machine, rule_of(network, id)), "{what}: {}", projection.name);
             }
             // The second sample begins with the network's own weights.
             for _ in 0..2 {
-                let write = |machine: &mut Machine, id, weights: &[i16]| write(&projections, machine, id, weights);
+                let write = |machine: &mut Machine, id, weights: &[i16]| {
+                    machine.write_weights(rule_of(network, id), &wide(weights));
+                    assert_eq!(weights_of(machine, rule_of(network, id)), wide(weights));
+                };
                 expected.assert_same(&trace(&mut machine, (network, sample), writes, write), &what);
                 let activity = machine.take_activity();
                 assert_eq!(activity.totals(), expected.totals, "{what}: counts by core add up");
@@ -232,14 +237,14 @@ fn written_weights_act_alike_on_any_number_of_ranks() {
                     let options = Options { share: share(rank, count, false), ..unsearched() };
                     let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &options).unwrap();
                     let image = Image::new(&compiled.program, 1).unwrap();
-                    let projections = PlasticProjection::all(&image, &network, 1);
                     let all = Some((CompartmentId(0), network.compartments()));
                     let settings = Settings { skip: seed % 2 == 0, per_step: false };
                     let mut machine = Machine::of_part(&image, settings, ranks.unwrap(), all);
-                    let write = |machine: &mut Machine, id, weights: &[i16]| write(&projections, machine, id, weights);
                     machine.begin(sample.steps());
                     for (step, writes) in (0..).zip(&writes) {
-                        writes.iter().for_each(|(id, weights)| write(&mut machine, *id, weights));
+                        for (id, weights) in writes {
+                            machine.write_weights(rule_of(&network, *id), &wide(weights));
+                        }
                         machine.step(sample.input(step));
                         let mut spikes: Vec<CompartmentId> = machine.spikes().to_vec();
                         spikes.sort_unstable();
@@ -299,9 +304,10 @@ fn a_weight_holds_from_the_next_delivery_on() {
     ];
     for (step, (write, spikes, u)) in steps.into_iter().enumerate() {
         if let Some((id, weight)) = write {
-            session.write_weights(id, &[weight]).unwrap();
+            session.write_weights(rule_of(&network, id), &[weight.into()]).unwrap();
             golden.write_weights(id, &[weight]);
-            assert_eq!((session.weights(id).unwrap(), golden.weights(id)), (vec![weight], &[weight][..]));
+            assert_eq!(weights_of(session.engine(), rule_of(&network, id)), [i32::from(weight)]);
+            assert_eq!(golden.weights(id), [weight]);
         }
         let channels: &[ChannelId] = if spikes { &[ChannelId(0)] } else { &[] };
         session.step(channels.iter().map(|&channel| (channel, 1))).unwrap();
@@ -323,7 +329,15 @@ fn snapshots_carry_weights() {
         let expected = on_golden(&network, &sample, &writes);
         let copies = 1 + seed as u32 % 3;
         let mut session = session(&network, copies);
-        let first: Vec<Vec<i16>> = network.plastic().map(|(id, _)| session.weights(id).unwrap()).collect();
+        let all_weights =
+            |session: &Session| network.parts().rules.ids().map(|rule| weights_of(session.engine(), rule)).collect();
+        let write = |session: &mut Session, writes: &Writes| {
+            let write = |(id, weights): &(ProjectionId, Vec<i16>)| {
+                session.write_weights(rule_of(&network, *id), &wide(weights)).unwrap();
+            };
+            writes.iter().for_each(write);
+        };
+        let first: Vec<Vec<i32>> = all_weights(&session);
         let n = network.compartments();
         let step = |session: &mut Session, t: u32| {
             let input = sample.input(t);
@@ -338,7 +352,7 @@ fn snapshots_carry_weights() {
                 if t == middle {
                     middle_state = Some(session.clone());
                 }
-                writes.iter().for_each(|(id, weights)| session.write_weights(*id, weights).unwrap());
+                write(&mut session, writes);
                 let now = step(&mut session, t);
                 assert!(now.iter().all(|of_copy| *of_copy == now[0]), "network {seed}, step {t}: copies");
                 let meant: Vec<u32> = expected.steps[t as usize].0.iter().map(|sent| sent.0.0).collect();
@@ -346,19 +360,18 @@ fn snapshots_carry_weights() {
                 assert!(found == meant, "network {seed}, step {t}, run {again}");
                 spikes += found.len();
             }
-            let after: Vec<Vec<i16>> = network.plastic().map(|(id, _)| session.weights(id).unwrap()).collect();
+            let after: Vec<Vec<i32>> = all_weights(&session);
             if let Some(mut middle_state) = middle_state {
-                let before = network.plastic().map(|(id, _)| middle_state.weights(id).unwrap());
-                parted += usize::from(!before.eq(after));
+                parted += usize::from(all_weights(&middle_state) != after);
                 for (t, writes) in (middle..).zip(&writes[middle as usize..]) {
-                    writes.iter().for_each(|(id, weights)| middle_state.write_weights(*id, weights).unwrap());
+                    write(&mut middle_state, writes);
                     let found: Vec<u32> = step(&mut middle_state, t)[0].iter().map(|sent| sent.0).collect();
                     let meant: Vec<u32> = expected.steps[t as usize].0.iter().map(|sent| sent.0.0).collect();
                     assert!(found == meant, "network {seed}, step {t} after going back");
                 }
             }
             session.reset_all();
-            assert!(network.plastic().zip(&first).all(|((id, _), first)| session.weights(id).unwrap() == *first));
+            assert!(all_weights(&session) == first, "network {seed}: weights after a reset");
         }
     }
     assert!(spikes > 1_000 && parted > 20, "{spikes} spikes, {parted} sessions part");
@@ -367,20 +380,24 @@ fn snapshots_carry_weights() {
 #[test]
 fn what_cannot_be_written_is_refused_by_name() {
     let network = chain().build();
-    let mut session = session(&network, 2);
-    let code = |result: Result<(), nsim::ir::base::diagnostic::Diagnostic>| result.unwrap_err().code;
-    assert_eq!(code(session.write_weights(ProjectionId(7), &[0])), "session.weights.not-plastic");
-    assert_eq!(code(session.write_weights(IN, &[0, 2])), "session.weights.size");
+    let (mut session, rule) = (session(&network, 2), rule_of(&network, IN));
+    let refused = session.rule_named("proj7").unwrap_err();
+    assert_eq!(
+        (refused.code, refused.help.as_deref()),
+        ("session.rule", Some("projections that learn are: proj0, proj1"))
+    );
+    assert_eq!(session.rule_named("proj0").unwrap(), rule);
+    assert_eq!(session.write_weights(rule, &[0, 2]).unwrap_err().code, "session.weights.size");
     for weight in [3, 256, -258] {
-        let refused = session.write_weights(IN, &[weight]).unwrap_err();
+        let refused = session.write_weights(rule, &[weight]).unwrap_err();
         assert_eq!(refused.code, "session.weights.range");
-        assert!(refused.message.contains("in -> first") && refused.message.contains(&weight.to_string()));
+        assert!(refused.message.contains("'proj0'") && refused.message.contains(&weight.to_string()));
         assert!(refused.help.unwrap().contains("multiples of 2 from -256 to 254"));
     }
-    assert_eq!(session.weights(IN).unwrap(), [10]);
+    assert_eq!(weights_of(session.engine(), rule), [10]);
     // The recorded input is no sample that could be run again with these weights.
     assert!(session.sample().is_ok());
-    session.write_weights(IN, &[12]).unwrap();
+    session.write_weights(rule, &[12]).unwrap();
     assert_eq!(session.sample().unwrap_err().code, "session.weights.written");
     session.reset_all();
     assert!(session.sample().is_ok());

@@ -94,7 +94,7 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
                 assert!(seen(&session, &network) == all[t as usize], "network {seed}: step {t} after going back");
             }
         }
-        session.reset();
+        session.reset().unwrap();
         for t in 0..sample.steps() {
             step(&mut session, &sample, t);
             assert!(seen(&session, &network) == all[t as usize], "network {seed}: step {t} after a reset");

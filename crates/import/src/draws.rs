@@ -28,13 +28,7 @@ pub fn read_draws(path: &Path) -> Result<Recorded> {
             continue;
         }
         let numbers: Vec<f64> = archive.array(of.name())?.tensor()?.reals().collect();
-        let fits = |x: f64| match of.is_whole() {
-            true => x.fract() == 0.0 && (0.0..128.0).contains(&x),
-            false => (0.0..1.0).contains(&x),
-        };
-        if let Some(place) = numbers.iter().position(|&x| !fits(x)) {
-            let range = if of.is_whole() { "a whole number from 0 to 127" } else { "from 0 to below 1" };
-            let message = format!("{}: number {place} is {}, not {range}", of.name(), numbers[place]);
+        if let Some(message) = of.unfit(&numbers) {
             return Err(Diagnostic::new("run.draws", message).in_file(path).help("record the numbers again"));
         }
         recorded.insert(of, numbers);

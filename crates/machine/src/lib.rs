@@ -37,7 +37,6 @@ use crate::lanes::width;
 pub use crate::layout::image::{Image, ImageError};
 use crate::layout::plastic::ProjectionPlan;
 use crate::plastic::learning::{Delivered, Learning, StepChange};
-use crate::plastic::places::PlasticPlace;
 use crate::ranks::exchange::Exchange;
 use crate::ranks::transport::Ranks;
 use crate::spike_counts::SpikeCounts;
@@ -188,17 +187,20 @@ impl Machine {
         self.totals.compartment_updates - computed
     }
 
-    /// The weight of a plastic synapse, 0 where another rank has it.
-    pub fn weight(&self, place: PlasticPlace) -> i16 {
-        place.map_or(0, |(shard, place)| self.shards[shard as usize].plastic.weights[place as usize])
-    }
-
-    /// Sets the weight of a plastic synapse, which must fit its format, if this rank has it. It
-    /// takes effect in the next step, also for spikes of compartments in the last.
-    /// [`Engine::forget`] restores the first weight.
-    pub fn set_weight(&mut self, place: PlasticPlace, weight: i16) {
-        if let Some((shard, place)) = place {
-            self.shards[shard as usize].plastic.weights[place as usize] = weight;
+    /// Sets the weights of a rule in every copy of the network, by row, where this rank has the
+    /// synapses. They take effect in the next step, also for spikes of compartments in the last.
+    /// [`Engine::forget`] restores the first weights.
+    ///
+    /// # Panics
+    /// When there are fewer weights than rows.
+    pub fn write_weights(&mut self, rule: RuleId, weights: &[i32]) {
+        let plan = self.image.plastic.projections.iter().enumerate();
+        for (index, _) in plan.filter(|(_, projection)| projection.of.plastic.rule == rule) {
+            for (state, shard) in self.shards.iter_mut().zip(&self.image.shards) {
+                for place in shard.plastic.projections[index].places() {
+                    state.plastic.weights[place] = weights[shard.plastic.row_of[place] as usize] as i16;
+                }
+            }
         }
     }
 
@@ -212,8 +214,7 @@ impl Machine {
             let end = of.plastic.rows.iter().max().map_or(0, |&row| row as usize + 1);
             column.resize(column.len().max(end), 0);
             for (state, shard) in self.shards.iter().zip(&self.image.shards) {
-                let firsts = &shard.plastic.projections[index].firsts;
-                for place in firsts[0] as usize..firsts[firsts.len() - 1] as usize {
+                for place in shard.plastic.projections[index].places() {
                     let row = shard.plastic.row_of[place];
                     let value = state.plastic.column(variable).get(place).copied();
                     let is_delay =

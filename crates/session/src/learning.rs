@@ -295,6 +295,72 @@ pub fn check_recorded(
     Ok(())
 }
 
+/// A rule of a network that a session steps.
+#[derive(Debug, Clone)]
+pub(crate) struct SteppedRule {
+    pub learning: Learning,
+    /// Number of its synapses.
+    pub synapses: usize,
+    /// The least and the greatest weight, and the step between weights.
+    pub weights: (i32, i32, i32),
+    units: (u32, u32),
+}
+
+impl SteppedRule {
+    /// The rules of a network.
+    pub fn all(network: &Quantised) -> IdVec<RuleId, Self> {
+        let of = |(id, learning): (RuleId, &Learning)| {
+            let (first, format) = first_weights(network, id);
+            let semantics = learning.rule.semantics();
+            let weights = format.map_or((0, 0, 1), |format| {
+                let (low, high) = weight_range(semantics, format);
+                let is_whole = semantics == LearningSemantics::Lava;
+                (low, high, if is_whole { 1 } else { format.sign.step(format.bits).into() })
+            });
+            SteppedRule { learning: learning.clone(), synapses: first.len(), weights, units: units(network, id) }
+        };
+        network.parts().rules.enumerate().map(of).collect()
+    }
+
+    /// The random numbers that the rule takes in the call of step `step`: of that step by PES, of
+    /// the step before by other rules.
+    ///
+    /// # Errors
+    /// `run.draws` for a rule that draws for each synapse.
+    pub fn numbers_of_step(&self, step: u32) -> Result<Vec<(Use, u64)>, Diagnostic> {
+        let learned = |steps: u32| numbers_taken(&self.learning, self.units, steps);
+        let done = (step + 1).saturating_sub(self.learning.rule.lag());
+        let pairs = learned(done)?.into_iter().zip(learned(done.saturating_sub(1))?);
+        Ok(pairs.map(|(with, without)| (with.of, u64::from(with.count - without.count) * with.entities)).collect())
+    }
+
+    /// Checks that these are the random numbers that the rule takes in a step.
+    ///
+    /// # Errors
+    /// `run.draws`.
+    pub fn check_numbers(&self, recorded: &Recorded, step: u32) -> Result<(), Diagnostic> {
+        let taken = self.numbers_of_step(step)?;
+        let name = &self.learning.name;
+        let of_others = recorded.keys().filter(|of| taken.iter().all(|(known, _)| known != *of)).map(|of| (*of, 0));
+        if let Some(message) = recorded.iter().find_map(|(of, numbers)| of.unfit(numbers)) {
+            return Err(Diagnostic::new("run.draws", message).help("give numbers in this range"));
+        }
+        for (of, needed) in taken.iter().copied().chain(of_others) {
+            let given = recorded.get(&of).map_or(0, Vec::len) as u64;
+            if given != needed {
+                let what = of.name();
+                let message = format!(
+                    "the rule of '{name}' takes {needed} numbers of {what} in step {step}, but {given} are given"
+                );
+                let all: Vec<String> = taken.iter().map(|(of, count)| format!("{count} of {}", of.name())).collect();
+                let help = format!("give it before the step: {}", all.join(", "));
+                return Err(Diagnostic::new("run.draws", message).help(help));
+            }
+        }
+        Ok(())
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

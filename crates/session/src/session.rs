@@ -6,31 +6,29 @@
 //! the sample. A session is a value: a clone continues independently from the same step, and serves
 //! as a snapshot. The input of steps is stored, so that the steps so far can be priced as a sample.
 //!
-//! Weights of plastic projections are read and written between steps, or a rule changes them. A
-//! reset keeps them, [`Session::reset_all`] does not. Each clone of the session has its own weights.
+//! What rules change is read between steps, and weights are written. A reset keeps them,
+//! [`Session::reset_all`] does not. Each clone of the session has its own.
 //!
 //! Errors: `session.channel` for channels that the network lacks, `session.too-long` for more input
 //! than is stored, `session.weights.*` for weights that cannot be written or would be lost,
-//! `session.rule.*` for rules that cannot act.
+//! `run.draws` for random numbers that do not fit the next step.
 
 use std::sync::Arc;
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::id::{ChannelId, CompartmentId, ProjectionId};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, RuleId};
+use nsim_ir::learning::Column;
+use nsim_ir::learning::draws::{Draws, Recorded, Use};
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Engine, Sample, Spikes};
-use nsim_machine::plastic::places::PlasticProjection;
 use nsim_machine::{Image, Machine, Settings};
 
-use crate::learning;
+use crate::learning::SteppedRule;
 use crate::observers::{Observer, Outputs, Recording, StepRange, integer};
 use crate::outcome::{Outcome, Probe, SampleSettings};
 
 /// Maximum number of stored input spikes, 12 bytes each; later ones only reach the engine.
 const MOST_STORED: usize = 1 << 26;
-
-/// The remedy where a network has no plastic projection.
-const MAKE_PLASTIC: &str = "give a projection of the model a rule: learning: Rule(..)";
 
 /// Channels that spike in a step, and the value of each.
 type Input = (Vec<ChannelId>, Vec<i32>);
@@ -41,9 +39,11 @@ pub struct Session<E: ?Sized = Machine> {
     /// Number of copies of the network in the engine; each receives equal input on its own
     /// channels.
     copies: u32,
-    plastic: Arc<[PlasticProjection]>,
-    /// Whether the network has rules.
-    learns: bool,
+    rules: Arc<IdVec<RuleId, SteppedRule>>,
+    /// Random numbers of learning; those that are given are of the next step.
+    draws: Draws,
+    /// Messages that are set for the next step.
+    next: Vec<(ChannelId, i32)>,
     /// Whether weights were written, or learned before the last reset.
     is_written: bool,
     /// Input spikes of one copy: (step, channel, value).
@@ -67,8 +67,9 @@ impl<E: Engine> Session<E> {
     pub fn new(engine: E, copies: u32) -> Self {
         Session {
             copies,
-            plastic: Arc::new([]),
-            learns: false,
+            rules: Arc::default(),
+            draws: Draws::default(),
+            next: Vec::new(),
             is_written: false,
             stored_input: Vec::new(),
             steps: 0,
@@ -100,6 +101,9 @@ impl<E: Engine + ?Sized> Session<E> {
         let mut probes = Recording::new(&sample_settings.probes, steps, integer::<E>);
         let mut outputs = Outputs::new(sample_settings, steps);
         let each_step = sample_settings.probes.iter().any(Probe::follows_learning);
+        if self.is_begun && self.steps > 0 {
+            self.engine.settle();
+        }
         self.clear_input();
         self.engine.begin(steps);
         let mut step = 0;
@@ -130,16 +134,105 @@ impl<E: Engine + ?Sized> Session<E> {
     pub fn reset_all(&mut self) {
         self.engine.forget(0);
         self.is_written = false;
-        self.reset();
+        self.begin_anew();
     }
 
-    /// Resets the session to before the first step. Weights that were learned or written stay.
-    pub fn reset(&mut self) {
-        self.is_written |= self.learns && self.steps > 0;
+    /// Resets the session to before the first step, once the last one has been learned. Weights
+    /// that were learned or written stay.
+    ///
+    /// # Errors
+    /// `run.draws` without the random numbers of the last step.
+    pub fn reset(&mut self) -> Result<()> {
+        if self.is_begun && self.steps > 0 {
+            self.check_draws()?;
+            self.engine.settle();
+        }
+        self.is_written |= self.steps > 0 && self.rules.iter().any(|rule| rule.learning.rule.is_active());
+        self.begin_anew();
+        Ok(())
+    }
+
+    fn begin_anew(&mut self) {
         self.clear_input();
+        self.forget_draws();
+        self.next.clear();
         // The sample has no end, so every delivery is counted.
         self.engine.begin(u32::MAX);
         self.is_begun = true;
+    }
+
+    /// Sets the seed of random numbers, from now on.
+    pub fn set_seed(&mut self, seed: u64) {
+        self.draws.seed = seed;
+        self.engine.set_draws(&self.draws);
+    }
+
+    /// Sets messages of the next step, in addition to its own: the value of a signal, for example.
+    ///
+    /// # Errors
+    /// `session.channel`.
+    pub fn set_next(&mut self, input: impl IntoIterator<Item = (ChannelId, i32)>) -> Result<()> {
+        for (channel, value) in input {
+            self.check_channel(channel)?;
+            self.next.retain(|(known, _)| *known != channel);
+            self.next.push((channel, value));
+        }
+        Ok(())
+    }
+
+    /// Messages that are set for the next step.
+    pub fn next(&self) -> &[(ChannelId, i32)] {
+        &self.next
+    }
+
+    fn check_channel(&self, channel: ChannelId) -> Result<()> {
+        let channels = self.engine.channels() / self.copies.max(1);
+        if channel.0 < channels {
+            return Ok(());
+        }
+        let message = format!("channel {} is not one of the network's {channels}", channel.0);
+        Err(Diagnostic::new("session.channel", message).help("channels are counted from 0"))
+    }
+
+    /// The number of random numbers that a rule takes in the next step, by use.
+    ///
+    /// # Errors
+    /// `run.draws` for a rule that draws for each synapse.
+    pub fn draws_needed(&self, rule: RuleId) -> Result<Vec<(Use, u64)>> {
+        self.rules[rule].numbers_of_step(if self.is_begun { self.steps } else { 0 })
+    }
+
+    /// Sets the random numbers that a rule takes in the next step. From then on it takes only
+    /// numbers that are set.
+    ///
+    /// # Errors
+    /// `run.draws` for other numbers than it takes.
+    pub fn set_draws(&mut self, rule: RuleId, numbers: Recorded) -> Result<()> {
+        self.begin();
+        self.rules[rule].check_numbers(&numbers, self.steps)?;
+        let mut recorded = self.draws.recorded.as_slice().to_vec();
+        recorded.resize(self.rules.len(), None);
+        recorded[rule.index()] = Some(numbers);
+        self.draws = Draws { recorded: Arc::new(recorded.into()), of_step: true, ..self.draws };
+        self.engine.set_draws(&self.draws);
+        Ok(())
+    }
+
+    /// Checks that each rule whose numbers are set has those of the next step.
+    fn check_draws(&self) -> Result<()> {
+        let given = self.draws.recorded.iter().zip(self.rules.iter());
+        given
+            .filter_map(|(numbers, rule)| Some((numbers.as_ref()?, rule)))
+            .try_for_each(|(numbers, rule)| rule.check_numbers(numbers, self.steps))
+    }
+
+    /// Removes the random numbers of the last step.
+    fn forget_draws(&mut self) {
+        if self.draws.of_step {
+            let emptied = self.draws.recorded.iter().map(|numbers| numbers.as_ref().map(|_| Recorded::new()));
+            self.draws.recorded = Arc::new(emptied.collect());
+            self.engine.set_draws(&self.draws);
+        }
     }
 
     /// Forgets the input so far.
@@ -153,7 +246,7 @@ impl<E: Engine + ?Sized> Session<E> {
     /// Resets the session, unless the engine has begun the sample that is stepped.
     fn begin(&mut self) {
         if !self.is_begun {
-            self.reset();
+            self.begin_anew();
         }
     }
 
@@ -163,24 +256,25 @@ impl<E: Engine + ?Sized> Session<E> {
     }
 
     /// Runs one timestep in which these channels of each copy spike, in any order. Each has the
-    /// value of its message, 1 for a plain spike. Of a channel given twice the first value counts;
-    /// a value of 0 is no message.
+    /// value of its message, 1 for a plain spike. Of a channel given twice the first value counts,
+    /// before one of [`Self::set_next`]; a value of 0 is no message.
     ///
     /// # Errors
-    /// `session.channel`; the session stays as it was.
+    /// `session.channel`, `run.draws`; the session stays as it was.
     pub fn step(&mut self, input: impl IntoIterator<Item = (ChannelId, i32)>) -> Result<()> {
         let step_input = &mut self.step_input;
         step_input.clear();
-        step_input.extend(input.into_iter().filter(|(_, value)| *value != 0));
+        step_input.extend(input.into_iter().chain(self.next.iter().copied()));
         if !step_input.is_sorted_by(|a, b| a.0 < b.0) {
             step_input.sort_by_key(|(channel, _)| *channel);
             step_input.dedup_by_key(|(channel, _)| *channel);
         }
-        let channels = self.engine.channels() / self.copies.max(1);
-        if let Some((last, _)) = step_input.last().filter(|(last, _)| last.0 >= channels) {
-            let message = format!("channel {} is not one of the network's {channels}", last.0);
-            return Err(Diagnostic::new("session.channel", message).help("channels are counted from 0"));
+        step_input.retain(|(_, value)| *value != 0);
+        if let Some(&(last, _)) = step_input.last() {
+            self.check_channel(last)?;
         }
+        self.check_draws()?;
+        self.next.clear();
         self.begin();
         let step_input = &self.step_input;
         self.is_truncated |= self.stored_input.len() + step_input.len() > MOST_STORED || self.steps == u32::MAX - 1;
@@ -194,6 +288,7 @@ impl<E: Engine + ?Sized> Session<E> {
         values.extend(step_input.iter().map(|(_, value)| value));
         let (ids, values) = &self.last_input;
         advance(&mut self.engine, Spikes { ids, values }, self.copies, &mut self.all);
+        self.forget_draws();
         self.steps = self.steps.saturating_add(1);
         Ok(())
     }
@@ -202,7 +297,7 @@ impl<E: Engine + ?Sized> Session<E> {
     /// does nothing and returns false.
     pub fn skip(&mut self, steps: u32) -> bool {
         self.begin();
-        let skipped = self.engine.skip_idle(steps);
+        let skipped = self.next.is_empty() && !self.draws.of_step && self.engine.skip_idle(steps);
         if skipped && steps > 0 {
             self.last_input.0.clear();
             self.last_input.1.clear();
@@ -256,60 +351,58 @@ fn advance<E: Engine + ?Sized>(engine: &mut E, one: Spikes<'_>, copies: u32, (id
 
 impl Session {
     /// Returns a session before its first step, over `copies` copies of a network, with access to
-    /// its plastic weights.
+    /// what its rules change.
     pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
-        let plastic = PlasticProjection::all(image, one, copies).into();
-        let machine = Machine::new(image, Settings::default());
-        let learns = learning::learns(&one.parts().rules);
-        let mut session = Session { plastic, learns, ..Session::new(machine, copies) };
-        session.reset();
+        let rules = Arc::new(SteppedRule::all(one));
+        let mut session = Session { rules, ..Session::new(Machine::new(image, Settings::default()), copies) };
+        session.begin_anew();
         session
     }
 
-    /// Returns the weights of a plastic projection, source by source, in the order of its synapses.
-    /// After the last step of a learning epoch, they include the changes of that epoch.
+    /// The rule of this name.
     ///
     /// # Errors
-    /// `session.weights.not-plastic`.
-    pub fn weights(&self, projection: ProjectionId) -> Result<Vec<i16>> {
-        Ok(self.plastic(projection)?.places[0].iter().map(|&place| self.engine.weight(place)).collect())
+    /// `session.rule`.
+    pub fn rule_named(&self, name: &str) -> Result<RuleId> {
+        let known = || self.rules.iter().map(|rule| rule.learning.name.as_str());
+        known().position(|known| known == name).map(RuleId::new).ok_or_else(|| {
+            let (message, names) = (format!("no projection '{name}' learns"), known().collect::<Vec<_>>());
+            let help = match names.is_empty() {
+                true => "give a projection of the model a rule: learning: Rule(..)".to_string(),
+                false => format!("projections that learn are: {}", names.join(", ")),
+            };
+            Diagnostic::new("session.rule", message).help(help)
+        })
     }
 
-    /// Sets the weights of a plastic projection, in every copy of the network. They apply from the
-    /// next step on, also to compartment spikes of the last step. Arrivals in flight over a delay
-    /// keep the old weights.
+    /// Returns a column of a rule, by row: variables with which the next step delivers, and traces
+    /// after the learning of the step before the last, of PES after the last one's.
+    pub fn learned(&self, rule: RuleId, column: Column) -> Vec<i32> {
+        self.engine.learned(rule, column)
+    }
+
+    /// Sets the weights of a rule, by row, in every copy of the network. They apply from the next
+    /// step on, also to compartment spikes of the last step. Arrivals in flight over a delay keep
+    /// the old weights.
     ///
     /// # Errors
-    /// `session.weights.not-plastic`, `session.weights.size`, `session.weights.range`; all weights
-    /// stay as they were.
-    pub fn write_weights(&mut self, projection: ProjectionId, weights: &[i16]) -> Result<()> {
-        let PlasticProjection { name, format, places, .. } = self.plastic(projection)?;
-        if weights.len() != places[0].len() {
-            let message = format!("{} weights for {name}, which has {} synapses", weights.len(), places[0].len());
+    /// `session.weights.size`, `session.weights.range`; all weights stay as they were.
+    pub fn write_weights(&mut self, rule: RuleId, weights: &[i32]) -> Result<()> {
+        let SteppedRule { learning, synapses, weights: (low, high, step), .. } = &self.rules[rule];
+        let name = &learning.name;
+        if weights.len() != *synapses {
+            let message = format!("{} weights for '{name}', which has {synapses} synapses", weights.len());
             return Err(Diagnostic::new("session.weights.size", message).help("give one weight for each synapse"));
         }
-        let ((low, high), step) = (format.sign.range(format.bits), format.sign.step(format.bits));
-        if let Some(at) = weights.iter().position(|w| !(low..=high).contains(w) || w % step != 0) {
-            let message = format!("weight {} of synapse {at} of {name} is not in its format", weights[at]);
+        if let Some(at) = weights.iter().position(|w| !(low..=high).contains(&w) || w % step != 0) {
+            let message = format!("weight {} of synapse {at} of '{name}' is not in its format", weights[at]);
             let help = format!("give multiples of {step} from {low} to {high}");
             return Err(Diagnostic::new("session.weights.range", message).help(help));
         }
         self.begin();
-        let (plastic, machine) = (Arc::clone(&self.plastic), &mut self.engine);
-        for copy in plastic.iter().filter(|plastic| plastic.id == projection).flat_map(|plastic| &plastic.places) {
-            copy.iter().zip(weights).for_each(|(&place, &weight)| machine.set_weight(place, weight));
-        }
+        self.engine.write_weights(rule, weights);
         self.is_written = true;
         Ok(())
-    }
-
-    fn plastic(&self, projection: ProjectionId) -> Result<&PlasticProjection> {
-        self.plastic.iter().find(|plastic| plastic.id == projection).ok_or_else(|| {
-            let names: Vec<String> = self.plastic.iter().map(|own| format!("{} ({})", own.id, own.name)).collect();
-            let names = if names.is_empty() { "none".to_string() } else { names.join(", ") };
-            let message = format!("{projection} is not a plastic projection; plastic projections are: {names}");
-            Diagnostic::new("session.weights.not-plastic", message).help(MAKE_PLASTIC)
-        })
     }
 
     /// Returns the input so far, as a sample with as many steps.

@@ -1,5 +1,6 @@
 //! Random networks with random rules, and the comparison of two engines that learn.
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 
 use super::COLUMNS;
@@ -12,7 +13,7 @@ use nsim::compile::{Options, compile};
 use nsim::golden::Golden;
 use nsim::ir::activity::{Activity, Overflow, Totals};
 use nsim::ir::base::fixed::{Delay, MessageBits};
-use nsim::ir::base::id::{ChannelId, IdVec, PopulationId, ProjectionId};
+use nsim::ir::base::id::{ChannelId, Id, IdVec, PopulationId, ProjectionId, RuleId};
 use nsim::ir::graph::Shape;
 use nsim::ir::learning::draws::{Draws, Recorded, Use};
 use nsim::ir::learning::{
@@ -24,6 +25,7 @@ use nsim::ir::quantised::{Parts, Population, Projection, Quantised, Units};
 use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::quantise::copies::copies;
+use nsim::session::Session;
 use nsim_testing::{cases, few_or_all, sparse};
 use rayon::prelude::*;
 
@@ -241,7 +243,7 @@ pub fn random_plastic(seed: u64) -> (Quantised, Draws) {
         is_recorded.then(|| Use::ALL.into_iter().map(|of| (of, numbers(&learning.rule, of))).collect())
     });
     let recorded: Vec<Option<Recorded>> = recorded.collect();
-    (network, Draws { seed, recorded: IdVec::from(recorded).into() })
+    (network, Draws { seed, recorded: IdVec::from(recorded).into(), of_step: false })
 }
 
 /// All columns of all rules.
@@ -486,4 +488,100 @@ fn random_rules_act_alike_on_any_number_of_ranks() {
         })
         .sum();
     assert!(updates > 50_000, "{updates} updates");
+}
+
+/// Numbers of each rule and use that were given.
+type Given = BTreeMap<(usize, Use), usize>;
+
+/// Gives a session the recorded numbers that its next step takes; beyond the end of a recording
+/// they are 0.
+fn give_numbers(session: &mut Session, draws: &Draws, given: &mut Given) -> bool {
+    let mut any = false;
+    for (rule, recorded) in draws.recorded.iter().enumerate() {
+        let Some(recorded) = recorded else { continue };
+        let mut numbers = Recorded::new();
+        for (of, count) in session.draws_needed(RuleId::new(rule)).unwrap() {
+            let first = given.entry((rule, of)).or_default();
+            let number = |place| recorded[&of].get(place).copied().unwrap_or(0.0);
+            numbers.insert(of, (*first..*first + count as usize).map(number).collect());
+            *first += count as usize;
+            any |= count > 0;
+        }
+        session.set_draws(RuleId::new(rule), numbers).unwrap();
+    }
+    any
+}
+
+/// Steps a session through a sample from a step on, and compares it with a run.
+fn step_as(
+    session: &mut Session,
+    network: &Quantised,
+    (sample, draws): (&Sample, &Draws),
+    given: &mut Given,
+    (expected, what): (&Learned, &str),
+) -> u64 {
+    let neurons = network.populations().iter().flat_map(Population::each_neuron);
+    let kinds: Vec<NeuronKind> = neurons.map(|neuron| neuron.kind).collect();
+    let mut steps_with_numbers = 0;
+    for step in session.steps()..sample.steps() {
+        if give_numbers(session, draws, given) {
+            steps_with_numbers += 1;
+        }
+        let input = sample.input(step);
+        let values = input.values.iter().copied().chain(std::iter::repeat(1));
+        let mut all: Vec<(ChannelId, i32)> = input.ids.iter().copied().zip(values).collect();
+        if !all.is_empty() || !session.skip(1) {
+            // Messages that are set before the step are like those of the step.
+            session.set_next(all.pop()).unwrap();
+            session.step(all).unwrap();
+        }
+        let (messages, columns) = &expected.steps[step as usize];
+        let (found, meant) = (shown(session.engine_mut(), &kinds), learned(session.engine(), network));
+        assert!(found == *messages, "{what}: messages and words of step {step}");
+        same_columns(columns, &meant, &format!("{what}: step {step}"));
+    }
+    steps_with_numbers
+}
+
+/// A session equals runs of its samples, between which it is reset, and a snapshot has all that it
+/// learned. Recorded numbers are given step by step.
+#[test]
+fn sessions_learn_as_runs_do_and_continue_from_snapshots() {
+    let steps_with_numbers: u64 = (0..cases(90))
+        .into_par_iter()
+        .map(|seed| {
+            let (network, draws) = random_plastic(seed);
+            let samples = samples(&network, seed);
+            let expected = learn(&mut Golden::new(&network), (&network, &draws), &samples);
+            let compiled = compile(network.clone(), &small_cores("oheo-gulch", 7), &unsearched()).unwrap();
+            let image = Image::new(&compiled.program, 1 + seed as usize % 2).unwrap();
+            let mut session = Session::open(&image, &network, 1);
+            session.set_seed(draws.seed);
+            let mut steps_with_numbers = 0;
+            let mut run = |session: &mut Session, sample: usize, given: &mut Given, what: &str| {
+                let (what, input) = (format!("network {seed}, {what}"), (&samples[sample], &draws));
+                steps_with_numbers += step_as(session, &network, input, given, (&expected[sample], &what));
+            };
+            for what in ["first", "again, all reset"] {
+                let mut given = Given::new();
+                run(&mut session, 0, &mut given, what);
+                give_numbers(&mut session, &draws, &mut given);
+                session.reset().unwrap();
+                // Traces are 0 after a reset.
+                let found = learned(session.engine(), &network);
+                let variables = (0..found.len()).filter(|column| column % COLUMNS.len() < 3);
+                variables.for_each(|column| assert!(found[column] == expected[0].settled[column], "network {seed}"));
+                let mut given = Given::new();
+                let beginning = samples[1].beginning(samples[1].steps() / 2);
+                step_as(&mut session, &network, (&beginning, &draws), &mut given, (&expected[1], "beginning"));
+                let middle = (session.clone(), given.clone());
+                run(&mut session, 1, &mut given, "second sample");
+                (session, given) = middle;
+                run(&mut session, 1, &mut given, "second sample from its middle");
+                session.reset_all();
+            }
+            steps_with_numbers
+        })
+        .sum();
+    assert!(steps_with_numbers > 1_000, "{steps_with_numbers} steps");
 }

@@ -243,7 +243,7 @@ fn connection(folder: &Path, case: &Connection) -> Recording {
     Recording {
         name: case.name.clone(),
         network: net.build(),
-        draws: Draws { seed: 0, recorded: recorded.into() },
+        draws: Draws { recorded: recorded.into(), ..Draws::default() },
         sample: Sample::with_values(case.steps + 1, &events, None).unwrap(),
         values,
     }
@@ -331,7 +331,7 @@ fn net(folder: &Path, case: &Net) -> Recording {
     Recording {
         name: case.name.clone(),
         network: net.build(),
-        draws: Draws { seed: 0, recorded: IdVec::from(draws).into() },
+        draws: Draws { recorded: IdVec::from(draws).into(), ..Draws::default() },
         sample: Sample::new(case.steps, &events, None).unwrap(),
         values,
     }
@@ -389,7 +389,7 @@ fn pes(folder: &Path, case: &Pes) -> Recording {
     Recording {
         name: case.name.clone(),
         network: net.build(),
-        draws: Draws { seed: 0, recorded: IdVec::from(vec![recorded(&archive, "")]).into() },
+        draws: Draws { recorded: IdVec::from(vec![recorded(&archive, "")]).into(), ..Draws::default() },
         sample: Sample::with_values(case.steps, &events, None).unwrap(),
         values: columns.map(|(column, array)| (Read::Column(rule, column), array)).into(),
     }

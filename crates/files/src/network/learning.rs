@@ -1,7 +1,8 @@
 //! Learning rules as a model file states them: `learning: Rule(..)`.
 
+use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::learning::{Graded, Impulse, Tau, TraceSettings, Variable};
-use nsim_ir::spanned::{parse_at, raw};
+use nsim_ir::spanned::{parse, parse_at, raw};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::values::{Number, Source, Weights, is_default};
@@ -106,7 +107,21 @@ pub(super) enum Written<'a> {
     Pes(Pes),
 }
 
+/// A rule alone in a text.
+#[derive(Deserialize)]
+#[serde(transparent)]
+struct Stated(#[serde(deserialize_with = "rule")] Option<RuleDesc>);
+
 impl RuleDesc {
+    /// The rule of a text, as a model file states it.
+    ///
+    /// # Errors
+    /// `model.learning` at a line and column of the text.
+    pub fn from_text(text: &str) -> Result<RuleDesc> {
+        let Stated(stated) = parse(&SourceText::new("learning", text), "model.learning")?;
+        stated.ok_or_else(|| Diagnostic::new("model.learning", "there is no rule").help("give Rule(..) or Pes(..)"))
+    }
+
     /// The rule, to be written.
     pub(super) fn written(&self) -> Written<'_> {
         match (&self.y1, self.x1) {

@@ -46,6 +46,17 @@ impl Use {
     pub const fn is_whole(self) -> bool {
         matches!(self, Use::PreImpulse | Use::PostImpulse | Use::Post | Use::Pre)
     }
+
+    /// The first of these numbers that is none of this use, as a message.
+    pub fn unfit(self, numbers: &[f64]) -> Option<String> {
+        let fits = |x: f64| match self.is_whole() {
+            true => x.fract() == 0.0 && (0.0..128.0).contains(&x),
+            false => (0.0..1.0).contains(&x),
+        };
+        let place = numbers.iter().position(|&x| !fits(x))?;
+        let range = if self.is_whole() { "a whole number from 0 to 127" } else { "from 0 to below 1" };
+        Some(format!("{}: number {place} is {}, not {range}", self.name(), numbers[place]))
+    }
 }
 
 /// Recorded numbers of one rule, by use.
@@ -58,6 +69,8 @@ pub struct Draws {
     pub seed: u64,
     /// Recorded numbers, which replace the seeded ones of lava's semantics and of PES.
     pub recorded: Arc<IdVec<RuleId, Option<Recorded>>>,
+    /// Whether these are the numbers of a single step, not of a run.
+    pub of_step: bool,
 }
 
 /// What random numbers decide in a step, one for each entity.
@@ -116,11 +129,16 @@ impl Draws {
         Numbers(rng::bits(self.seed, part, step))
     }
 
+    /// The place of a number among the recorded ones of its entity.
+    fn place(&self, number: u32) -> usize {
+        if self.of_step { 0 } else { number as usize }
+    }
+
     /// The number of one of a count of entities, real in [0, 1). `number` counts those of each
     /// entity in the run from 0; recorded ones have all entities in a row.
     pub fn each(&self, place: Place, number: u32, (entity, count): (u32, usize)) -> f64 {
         match self.recorded.get(place.rule).and_then(Option::as_ref).and_then(|recorded| recorded.get(&place.of)) {
-            Some(numbers) => numbers.get(number as usize * count + entity as usize).copied().unwrap_or(0.0),
+            Some(numbers) => numbers.get(self.place(number) * count + entity as usize).copied().unwrap_or(0.0),
             None => self.at(place).unit(entity),
         }
     }
@@ -130,7 +148,7 @@ impl Draws {
     pub fn shared(&self, rule: RuleId, of: Use, number: u32, step: u64) -> f64 {
         let recorded = self.recorded.get(rule).and_then(Option::as_ref).and_then(|recorded| recorded.get(&of));
         if let Some(numbers) = recorded {
-            return numbers.get(number as usize).copied().unwrap_or(0.0);
+            return numbers.get(self.place(number)).copied().unwrap_or(0.0);
         }
         let numbers = self.at(Place { rule, of, part: 0, step });
         if of.is_whole() { (numbers.bits(0) >> 57) as f64 } else { numbers.unit(0) }

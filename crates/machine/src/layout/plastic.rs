@@ -151,6 +151,11 @@ pub(crate) struct Rows {
 }
 
 impl Rows {
+    /// Places of the projection.
+    pub fn places(&self) -> std::ops::Range<usize> {
+        self.firsts[0] as usize..self.firsts[self.firsts.len() - 1] as usize
+    }
+
     /// Places of a source of the projection.
     #[inline]
     pub fn of_source(&self, source: usize) -> std::ops::Range<usize> {

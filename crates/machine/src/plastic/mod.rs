@@ -1,6 +1,5 @@
 //! Plastic synapses, which a rule changes while a network runs.
 //!
-//! - `places`: the plastic synapses of each projection of a network.
 //! - `traces`: notes and traces of sources and targets.
 //! - `signals`: values of input populations that replace traces.
 //! - `epoch`: the end of an epoch, in which a rule changes weights, delays and tags.
@@ -10,6 +9,5 @@
 pub(crate) mod epoch;
 pub(crate) mod learning;
 mod pes;
-pub mod places;
 pub(crate) mod signals;
 pub(crate) mod traces;
