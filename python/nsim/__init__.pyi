@@ -340,8 +340,8 @@ class Mapping:
         fresh: bool = False,
     ) -> Run:
         """Runs `[channels.., T]`, `[samples, channels.., T]`, a dictionary of such arrays, sources, or the model's scene."""
-    def session(self, seed: Optional[int] = None) -> Session:
-        """Opens a session, which a loop steps."""
+    def session(self, seed: Optional[int] = None, *, energy: Union[bool, dict[str, Any], None] = None) -> Session:
+        """Opens a session, which a loop steps; with `energy`, True or the options of `energy`, its timesteps are metered."""
     def energy(
         self,
         spikes: Spikes = None,
@@ -412,8 +412,8 @@ class Session:
     def restore(self, snapshot: Snapshot) -> None: ...
     def reset(self, learned: bool = True) -> None:
         """Returns to before the first timestep; with learned=False also to the weights of the model."""
-    def energy(self, **options: Any) -> Energy:
-        """Cost of the timesteps so far; options are as in `Mapping.energy`."""
+    def energy(self) -> Energy:
+        """Cost of the timesteps so far, of a session that was opened with `energy`."""
     def __enter__(self) -> Session: ...
     def __exit__(self, *exception: object) -> None: ...
 

@@ -4,20 +4,18 @@ use std::path::PathBuf;
 
 use nsim::cost::estimate::Convention;
 use nsim::cost::job::{Accounting, Mode};
-use nsim::cost::{Host, Streams, Transport};
-use nsim::energy::evaluate::{DeploymentPlan, Evaluation, evaluate};
+use nsim::cost::{Host, MeterSettings, Streams, Transport};
+use nsim::energy::evaluate::{DeploymentPlan, Evaluation, evaluate, session_settings};
 use nsim::energy::options::CostOptions;
 use nsim::energy::report::result::EnergyReport;
 use nsim::energy::workload::Workload;
 use nsim::files::text::sha256;
 use nsim::files::write::{self, check_free};
-use nsim::ir::learning::draws::Draws;
-use nsim::ir::spikes::{Sample, Stimulus};
 use nsim::report::page::job as page;
 use nsim::report::page::{Origin, Provenance, html};
 use nsim::session::inputs::require_scene;
+use nsim::session::metering::MeteredSteps;
 use nsim::session::obtain::map_with_defaults;
-use nsim::session::outcome::LearningSettings;
 use nsim::session::samples::Progress;
 use pyo3::prelude::*;
 
@@ -51,6 +49,24 @@ fn options(py: Python<'_>, keywords: &Keywords<'_>) -> PyResult<CostOptions> {
         early_exit: rule(keywords)?,
         ..usual
     })
+}
+
+/// How the steps of a session are priced.
+pub struct Metering {
+    plan: DeploymentPlan,
+    options: CostOptions,
+}
+
+impl Metering {
+    /// The pricing that keywords state, as those of `Mapping.energy`, and the settings of its meter.
+    pub fn new(py: Python<'_>, shared: &Shared, keywords: &Keywords<'_>) -> PyResult<(Self, MeterSettings)> {
+        let plan = plan(py, &shared.model, keywords, None)?;
+        plan.check_mapping().map_err(|error| exception(py, error))?;
+        let options = options(py, keywords)?;
+        keywords.refuse_unread()?;
+        let settings = try_detached(py, || session_settings(&plan, &options, shared.compiled(), &shared.target))?;
+        Ok((Metering { plan, options }, settings))
+    }
 }
 
 /// Power, latency and energy of one copy.
@@ -154,18 +170,22 @@ impl Energy {
         run_and_price(py, shared, plan, shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
     }
 
-    /// Runs and prices a mapping for one sample, with a seed for learning.
-    pub fn from_sample(
-        py: Python<'_>,
-        shared: &Shared,
-        plan: &DeploymentPlan,
-        (sample, seed): (Sample, u64),
-        keywords: &Keywords<'_>,
-    ) -> PyResult<Self> {
-        let stimulus = Stimulus { samples: vec![sample], origin: vec!["session".to_string()], ..Stimulus::default() };
-        let learning = LearningSettings { draws: Draws::seeded(seed), ..LearningSettings::default() };
-        let shown = NetworkInput { stimulus, order: vec![0], learning };
-        run_and_price(py, shared, plan, shown, keywords, |_, evaluated, _| Ok(Energy { report: evaluated.energy }))
+    /// Prices the steps of a session.
+    pub fn of_session(py: Python<'_>, shared: &Shared, metering: &Metering, steps: MeteredSteps) -> PyResult<Self> {
+        let Metering { plan, options } = metering;
+        let compiled = shared.compiled();
+        let energy = try_detached(py, || {
+            let workload = Workload::of_session(compiled, &shared.target, steps.outcome.steps)?;
+            let alone = Some((&compiled.one, &compiled.program));
+            let run = |_, _| Ok(workload.meter().run_of_session(steps));
+            let mut energy = evaluate(plan, &workload, options, alone, run)?.energy;
+            energy.detail.warnings = in_python(std::mem::take(&mut energy.detail.warnings));
+            Ok::<_, nsim::Error>(energy)
+        })?;
+        if shared.warns() {
+            warn(py, &energy.detail.warnings, &shared.warnings())?;
+        }
+        Ok(Energy { report: energy })
     }
 
     fn total(&self, figure: &str) -> Option<f64> {

@@ -210,10 +210,11 @@ impl Mapping {
     }
 
     /// Opens a session: the network before its first timestep, which a loop steps. A `with` block
-    /// closes it. `seed` is of the random numbers of learning.
-    #[pyo3(signature = (seed=None))]
-    fn session(&self, py: Python<'_>, seed: Option<u64>) -> PyResult<Session> {
-        Session::new(py, &self.0, seed.unwrap_or(0))
+    /// closes it. `seed` is of the random numbers of learning. With `energy`, True or a dictionary
+    /// of the options of `energy`, the session counts what `Session.energy` needs.
+    #[pyo3(signature = (seed=None, *, energy=None))]
+    fn session(&self, py: Python<'_>, seed: Option<u64>, energy: Option<&Bound<'_, PyAny>>) -> PyResult<Session> {
+        Session::new(py, &self.0, seed.unwrap_or(0), energy)
     }
 
     /// Energy, time and power of the mapping for these samples, compared with the named

@@ -10,6 +10,7 @@ use nsim::ir::neurons::NeuronKind;
 use nsim::ir::quantised::{Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
 use nsim::session::Session as Stepped;
+use nsim::session::priced::MeteredMapping;
 use nsim::session::samples::{Division, lay_out};
 use numpy::{Element, PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
@@ -18,7 +19,7 @@ use pyo3::sync::MutexExt;
 use pyo3::types::{PyDict, PyList, PyTuple};
 
 use crate::arrays::{Array, matches_shape};
-use crate::energy::{self, Energy};
+use crate::energy::{Energy, Metering};
 use crate::error::exception;
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
@@ -35,8 +36,6 @@ type Input = Vec<(ChannelId, i32)>;
 #[pyclass(frozen, module = "nsim")]
 pub struct Session {
     mapping: Arc<Shared>,
-    /// The seed of learning.
-    seed: u64,
     /// A thread that steps holds the lock; the others wait.
     state: Mutex<State>,
 }
@@ -45,6 +44,8 @@ pub struct Session {
 struct State {
     /// `None` once the session is closed.
     stepped: Option<Stepped>,
+    /// How its timesteps are priced; `None` where they are not metered.
+    metering: Option<Arc<Metering>>,
     /// Scratch memory: the input of a step.
     shown: Input,
 }
@@ -60,6 +61,7 @@ impl State {
 pub struct Snapshot {
     mapping: Arc<Shared>,
     stepped: Stepped,
+    metering: Option<Arc<Metering>>,
 }
 
 /// Spikes and state of a population of a session after the last timestep.
@@ -70,21 +72,36 @@ pub struct Population {
 }
 
 impl Session {
-    /// A session before its first step.
-    pub fn new(py: Python<'_>, mapping: &Arc<Shared>, seed: u64) -> PyResult<Self> {
+    /// A session before its first step; `energy` is whether it is metered, or options of pricing.
+    pub fn new(
+        py: Python<'_>,
+        mapping: &Arc<Shared>,
+        seed: u64,
+        energy: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Self> {
         let compiled = mapping.compiled();
+        let options = match energy.map(|given| given.extract::<bool>().map_err(|_| given.cast::<PyDict>())) {
+            None | Some(Ok(false)) => None,
+            Some(Ok(true)) => Some(Keywords::new(None)?),
+            Some(Err(options)) => Some(Keywords::new(Some(options?))?),
+        };
+        let metering = options.map(|keywords| Metering::new(py, mapping, &keywords)).transpose()?;
+        let (metering, settings) = metering.unzip();
         let stepped = try_detached(py, || {
-            let division = Division::new(&compiled.program, 1);
-            let image = match mapping.image(division) {
+            let metered = settings.as_ref().map(|_| MeteredMapping::new(compiled));
+            let copies = metered.as_ref().map_or(compiled.options.copies, MeteredMapping::copies_run);
+            let program = metered.as_ref().map_or(&compiled.program, MeteredMapping::program);
+            let division = Division::new(program, 1);
+            let image = match mapping.image(division).filter(|image| Arc::ptr_eq(image.program(), program)) {
                 Some(image) => image.clone(),
-                None => lay_out(&compiled.program, division)?,
+                None => lay_out(program, division)?,
             };
-            let mut stepped = Stepped::open(&image, &compiled.one, compiled.options.copies);
+            let mut stepped = Stepped::open_metered(&image, &compiled.one, copies, settings);
             stepped.set_seed(seed);
             Ok::<_, Diagnostic>(stepped)
         })?;
-        let state = State { stepped: Some(stepped), shown: Vec::new() };
-        Ok(Session { mapping: mapping.clone(), seed, state: Mutex::new(state) })
+        let state = State { stepped: Some(stepped), metering: metering.map(Arc::new), shown: Vec::new() };
+        Ok(Session { mapping: mapping.clone(), state: Mutex::new(state) })
     }
 
     pub fn network(&self) -> &Quantised {
@@ -261,7 +278,9 @@ impl Session {
 
     /// The state, for `restore`.
     fn snapshot(&self, py: Python<'_>) -> PyResult<Snapshot> {
-        Ok(Snapshot { mapping: self.mapping.clone(), stepped: self.state(py).stepped()?.clone() })
+        let state = self.state(py);
+        let (stepped, metering) = (state.stepped()?.clone(), state.metering.clone());
+        Ok(Snapshot { mapping: self.mapping.clone(), stepped, metering })
     }
 
     /// Restores a snapshot of a session of this mapping.
@@ -273,6 +292,7 @@ impl Session {
             return Err(usage(message, "restore a snapshot() of a session of this mapping"));
         }
         state.stepped = Some(snapshot.stepped.clone());
+        state.metering.clone_from(&snapshot.metering);
         Ok(())
     }
 
@@ -329,18 +349,18 @@ impl Session {
         Values::new(slf, Kind::Draws)
     }
 
-    /// Cost of the timesteps so far, as in `Mapping.energy` for a sample with this input, which
-    /// runs once more. Keywords are as in `Mapping.energy`.
-    #[pyo3(signature = (**options))]
-    fn energy(&self, py: Python<'_>, options: Option<&Bound<'_, PyDict>>) -> PyResult<Energy> {
-        let sample = self.state(py).stepped()?.sample().map_err(|problem| exception(py, problem))?;
-        if sample.steps() == 0 {
-            return Err(usage("no timestep has run".into(), "call step() first"));
+    /// Cost of the timesteps so far, as in `Mapping.energy` for a sample with this input. The
+    /// session is opened with `energy`.
+    fn energy(&self, py: Python<'_>) -> PyResult<Energy> {
+        let Some(metering) = self.state(py).metering.clone() else {
+            let message = "the session does not count what the energy of its timesteps needs".to_string();
+            return Err(usage(message, "open it so: mapping.session(energy=True)"));
+        };
+        let steps = self.stepped(py, |stepped| stepped.metered())?;
+        match steps.filter(|steps| steps.outcome.steps > 0) {
+            Some(steps) => Energy::of_session(py, &self.mapping, &metering, steps),
+            None => Err(usage("no timestep has run".into(), "call step() first")),
         }
-        let keywords = Keywords::new(options)?;
-        let plan = energy::plan(py, &self.mapping.model, &keywords, None)?;
-        plan.check_mapping().map_err(|error| exception(py, error))?;
-        Energy::from_sample(py, &self.mapping, &plan, (sample, self.seed), &keywords)
     }
 
     fn __getitem__(slf: &Bound<'_, Self>, name: &str) -> PyResult<Population> {

@@ -111,8 +111,8 @@ impl Values {
 
 #[pymethods]
 impl Values {
-    /// The values of this name, int32; of `draws` a dictionary with the number of those that the next
-    /// timestep takes.
+    /// The values of this name, int32; of `draws` a dictionary with the number of those that the
+    /// next timestep takes.
     fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let session = self.session.get();
         let (rule, column) = match self.kind {

@@ -3,18 +3,21 @@
 use crate::common::compare::roomy;
 use crate::common::random;
 use crate::common::unsearched;
+use crate::learning::random::random_plastic;
 use nsim::compile::{Options, compile};
 use nsim::files::network::Network;
 use nsim::files::target::load_target;
 use nsim::import::model::load_model;
 use nsim::ir::base::fixed::Payload;
 use nsim::ir::base::id::{ChannelId, CompartmentId};
+use nsim::ir::learning::{Rule, Variable};
 use nsim::ir::quantised::{Output, Quantised};
 use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
 use nsim::session::front::front;
 use nsim::session::inputs::stimulus;
 use nsim::session::obtain::{Request, obtain};
+use nsim::session::priced::MeteredMapping;
 use nsim::session::samples::{RunSettings, fast};
 use nsim::session::{Outcome, Probe, Quantity, SampleSettings, Session, digest};
 
@@ -84,7 +87,6 @@ fn stepping_is_running_and_a_copy_goes_on_from_the_same_step() {
             graded += now.0.iter().filter(|(_, value)| *value != 1).count();
             all.push(now);
         }
-        assert_eq!(session.sample().unwrap(), sample.clone().with_label(None), "network {seed}: what was shown");
         // Resumes from the middle twice: neither run changes the stored session.
         let middle = middle.unwrap();
         for _ in 0..2 {
@@ -153,4 +155,48 @@ fn stepping_is_running_for_every_shipped_model_and_a_snapshot_goes_on_as_before(
         assert_eq!(digest(&[stepped]), digest(&ran), "{}", model.name);
     }
     assert!(fired > 10, "{fired} models have output spikes");
+}
+
+/// Counts, times and energies of the steps of a session are those of a run of as many steps: with
+/// rules, copies, delays that spikes do not survive, and skipped steps.
+#[test]
+fn the_steps_of_a_session_are_metered_as_a_run_of_them() {
+    let board = roomy("oheo-gulch");
+    let (mut compared, mut delayed, mut moving) = (0, 0, 0);
+    for seed in 0..60u64 {
+        let (network, seeded) = if seed % 3 == 0 { (random::network(seed), 0) } else { (random_plastic(seed).0, seed) };
+        let options = Options { copies: 1 + seed as u32 % 3, ..unsearched() };
+        let Ok(mapped) = compile(network.clone(), &board, &options) else { continue };
+        let metered = MeteredMapping::new(&mapped);
+        let settings = || metered.offline(&board).unwrap().0;
+        let image = Image::new(metered.program(), 1).unwrap();
+        let mut session = Session::open_metered(&image, &mapped.one, metered.copies_run(), Some(settings()));
+        session.set_seed(seeded);
+        let whole = random::sample(&network, seed);
+        for steps in [whole.steps() / 2, whole.steps()] {
+            // A reset drops what was counted.
+            step(&mut session, &whole, 0);
+            session.reset_all();
+            let sample = whole.beginning(steps);
+            (0..steps).for_each(|t| step(&mut session, &sample, t));
+            let mut keep = SampleSettings::new(mapped.program.output());
+            keep.learning.draws.seed = seeded;
+            let run = metered.run(settings(), &[&sample], RunSettings::new(&keep)).unwrap();
+            let found = metered.run_of_session(session.metered().unwrap());
+            let what = format!("network {seed}, {steps} steps");
+            assert_eq!(found.activity, run.activity, "{what}");
+            assert_eq!(found.meter.lanes(), run.meter.lanes(), "{what}");
+            assert_eq!(found.meter.slowest_steps(), run.meter.slowest_steps(), "{what}");
+            assert_eq!(found.counts, run.counts, "{what}");
+            assert_eq!(found.outcomes[0].class(), run.outcomes[0].class(), "{what}");
+            compared += 1;
+        }
+        delayed += u32::from(image.longest_delay() > 1);
+        let moves = |rule: &Rule| rule.semantics().delays_act() && rule.changes(Variable::Delay);
+        moving += u32::from(network.parts().rules.iter().any(|learning| moves(&learning.rule)));
+    }
+    assert!(
+        compared > 60 && delayed > 20 && moving > 5,
+        "{compared} samples, {delayed} with delays, {moving} learn them"
+    );
 }

@@ -19,6 +19,7 @@ use nsim_cost::estimate::{ByStatus, Convention, EnergyRow, EstimateInput, Figure
 use nsim_cost::job::{Accounting, DeployedCores};
 use nsim_cost::{CostTable, Deployment, Host, HostWork, MeterSettings, StepMeter, Timing};
 use nsim_files::table::three;
+use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::hardware::Target;
 use nsim_ir::hardware::constants::{Constant, Status};
 use nsim_ir::microcode::{COMPARTMENT_INSTRUCTIONS, UpdatePrice};
@@ -227,7 +228,7 @@ impl Conditions {
         let corners = if target.is_measured_by(preset) { CostTable::corners(preset)? } else { None };
         let without_host = plan.source.deployment(compiled, &target, copies, HostWork { host: Host::None, ..work })?;
         let timing = |deployment: &Deployment| deployment.timing(options.transport, workload.copies);
-        let is_metered_twice = may_be_mostly_injection(workload, timing(&deployment), &table);
+        let is_metered_twice = workload.is_stepped || may_be_mostly_injection(workload, timing(&deployment), &table);
         let tables = std::iter::once(table).chain(corners.iter().flatten().cloned()).collect();
         let settings = MeterSettings {
             distribution: Some((0, price)),
@@ -261,7 +262,8 @@ impl MeasuredJob {
         let measured = plan.shipped.as_ref().filter(|job| job.is_on(target) && accounting == Accounting::Profiler);
         let Some(job) = measured else { return Ok(MeasuredJob::default()) };
         let (mut totals, mut computed) = (Vec::new(), Vec::new());
-        if plan.job().is_none() {
+        // The input of a session is not stored, so it does not run as the job.
+        if plan.job().is_none() && !workload.is_stepped {
             let is_mapped = plan.mapped_job(target).is_some();
             // The job keeps its own host, whatever is asked for here.
             let of_job = HostWork { steps_per_sample: workload.mean_steps(), ..HostWork::for_target(target) };
@@ -296,6 +298,35 @@ fn printed_figures(measured: &MeasuredJob, options: &CostOptions, one: CopyWorkl
     let published = options.baselines.files.iter().filter_map(row).filter(|row| row.source == FigureSource::Published);
     let job = measured.printed.iter().filter(|row| row.unit == "total").cloned();
     job.chain(published).filter_map(|row| Some([row.energy_uj?, row.edp_pjs?])).collect()
+}
+
+/// Settings of the meter of a session on a mapping, which is priced by this plan and these options.
+///
+/// # Errors
+/// [`Error`] for options that need the input of the session or its length; otherwise as
+/// [`evaluate`].
+pub fn session_settings(
+    plan: &DeploymentPlan,
+    options: &CostOptions,
+    compiled: &Mapping,
+    target: &Target,
+) -> Result<MeterSettings, Error> {
+    let refused = if options.baselines.cpu {
+        Some("the baseline cpu runs samples again, but the input of a session is not stored")
+    } else if options.early_exit.is_some() {
+        Some("early_exit decides by the end of a sample, which a session does not know")
+    } else if options.reset_words > 0 {
+        Some("reset_words are divided by the length of a sample, which a session does not know")
+    } else if plan.mapped_job(target).is_some() {
+        Some("the deployment maps another network than the session steps")
+    } else {
+        None
+    };
+    if let Some(refused) = refused {
+        let problem = Diagnostic::new("session.energy", refused);
+        return Err(problem.help("price a sample: mapping.energy(spikes, ..)").into());
+    }
+    Ok(Conditions::new(plan, &Workload::of_session(compiled, target, 1)?, options)?.1)
 }
 
 /// Prices a workload; `simulate` runs it under settings. `alone` is one copy of the model and its
@@ -354,7 +385,7 @@ pub fn evaluate(
     let mut measured = MeasuredJob::new(plan, workload, options, target)?;
     others.rows.splice(0..0, std::mem::take(&mut measured.totals));
     let mut energy = report(&network.parts().name, target, &case, run.outcomes.len() as u64, others.rows);
-    energy.parts = measured.parts(&energy.estimate.rows);
+    energy.parts = if workload.is_stepped { Vec::new() } else { measured.parts(&energy.estimate.rows) };
     energy.printed = printed_figures(&measured, options, one);
     energy.constant_notes.extend(kind_notes(network, &preset.microcode_time));
     energy.constant_notes.extend(plan.relays_note(target));
@@ -366,7 +397,7 @@ pub fn evaluate(
     let right = share_correct(&run.outcomes, labels, Outcome::class_when_decided);
     let decision = per_decision(rule, &case, &run.outcomes, right);
     energy.early_exit = options.early_exit.map(|rule| early_exit_savings(rule, &case, &run.outcomes, &decision));
-    energy.comparison.per_decision = network.decides().then_some(decision);
+    energy.comparison.per_decision = (network.decides() && !workload.is_stepped).then_some(decision);
     describe_run(workload, &run, &mut energy)?;
     energy.detail.warnings.extend(others.warnings);
     Ok(Evaluation { energy, run, deployment: conditions.deployment })

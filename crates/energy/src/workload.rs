@@ -43,6 +43,8 @@ pub struct Workload<'j> {
     /// Learning over the samples.
     pub learning: LearningSettings,
     metered: MeteredMapping<'j>,
+    /// Whether the sample is the steps of a session, of which only the counts are known.
+    pub(crate) is_stepped: bool,
 }
 
 impl<'j> Workload<'j> {
@@ -62,7 +64,29 @@ impl<'j> Workload<'j> {
         }
         let (copies, metered) = (compiled.options.copies, MeteredMapping::new(compiled));
         let learning = LearningSettings::default();
-        Ok(Workload { compiled, target, copies, stimulus_samples, order, origin, seed, warnings, learning, metered })
+        Ok(Workload {
+            compiled,
+            target,
+            copies,
+            stimulus_samples,
+            order,
+            origin,
+            seed,
+            warnings,
+            learning,
+            metered,
+            is_stepped: false,
+        })
+    }
+
+    /// Returns the workload of a session after this number of steps.
+    ///
+    /// # Errors
+    /// As [`Workload::new`].
+    pub fn of_session(compiled: &'j Mapping, target: &'j Target, steps: u32) -> Result<Self, Error> {
+        let origin = vec!["session".to_string()];
+        let stimulus = Stimulus { samples: vec![Sample::silent(steps)], origin, ..Stimulus::default() };
+        Ok(Workload { is_stepped: true, ..Workload::new(compiled, target, stimulus, vec![0])? })
     }
 
     /// Samples of one copy, in run order.
@@ -92,7 +116,7 @@ impl<'j> Workload<'j> {
     pub fn detail(&self, run: &Run<StepMeter>) -> Detail {
         let (network, program) = (&self.compiled.one, &self.compiled.program);
         let sums = CountsByPopulation::for_copies(network, &run.counts, self.copies);
-        let samples = self.samples();
+        let samples = if self.is_stepped { Vec::new() } else { self.samples() };
         let finished = FinishedRun {
             network,
             engine: RunEngine::Program(program),

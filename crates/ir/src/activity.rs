@@ -196,6 +196,19 @@ impl HopCounts {
     }
 }
 
+/// An event of a spike at a synapse whose delay a rule changes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct MovingEvent {
+    /// The core of the synapse.
+    pub core: CoreId,
+    /// Whether it is in a list without indices.
+    pub dense: bool,
+    /// Its delay field when the spike is delivered.
+    pub delay: u32,
+    /// Steps from the spike to its delivery: 0 for inputs, else 1.
+    pub wait: u32,
+}
+
 /// Event counts of one timestep, on which its energy and time depend.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize, Serialize)]
 pub struct StepActivity {

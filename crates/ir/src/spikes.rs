@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
-use crate::activity::{Overflow, Totals};
+use crate::activity::{MovingEvent, Overflow, StepActivity, Totals};
 use crate::base::fixed::{MessageBits, Payload};
 use crate::base::id::{ChannelId, CompartmentId, Id, RuleId};
 use crate::base::warning::Warning;
@@ -366,6 +366,12 @@ pub trait Engine {
     fn v_register(&self, compartment: CompartmentId) -> i32;
     /// Waits for the messages of other processes for the last step, before counts are read.
     fn settle(&mut self) {}
+    /// Counts of the last step and its events of learned delays, where steps are counted by core.
+    fn last_activity(&self) -> Option<(&StepActivity, &[MovingEvent])> {
+        None
+    }
+    /// Drops the counts by core and source of the steps so far.
+    fn drop_counts(&mut self) {}
     /// Counts since `begin`.
     fn totals(&self) -> Totals;
     /// Counts of overflows since `begin`.

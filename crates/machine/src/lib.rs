@@ -43,7 +43,7 @@ use crate::spike_counts::SpikeCounts;
 use crate::update::state::{Phase, ShardState, StepInput};
 use crate::update::step::Step;
 use nsim_dynamics as neuron;
-use nsim_ir::activity::{Activity, Overflow, StepActivity, Totals};
+use nsim_ir::activity::{Activity, MovingEvent, Overflow, StepActivity, Totals};
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, RuleId};
 use nsim_ir::learning::draws::Draws;
@@ -110,6 +110,8 @@ pub struct Machine {
     lost: IdVec<CoreId, Events>,
     /// Changes of the counts of this step by learning; only where steps are counted by core.
     step_changes: Vec<StepChange>,
+    /// Events of learned delays in the last step of a sample without an end.
+    moving: Vec<MovingEvent>,
 }
 
 impl Machine {
@@ -142,6 +144,7 @@ impl Machine {
             settled: false,
             lost: vec![Events::default(); if image.plastic.moves() { image.program().cores().len() } else { 0 }].into(),
             step_changes: Vec::new(),
+            moving: Vec::new(),
         }
     }
 
@@ -230,9 +233,22 @@ impl Machine {
     /// Calls `see` with the core of each synapse of learned delay that loses a spike of these
     /// sources, whose deliveries reach `left` steps, and with whether its list has no indices.
     fn each_lost(&self, sources: &[u32], left: u32, mut see: impl FnMut(CoreId, bool)) {
-        let plan = &self.image.plastic;
         // The tables lose what reaches no step.
-        if left == 0 || left > Delay::MAX.get().into() || self.lost.is_empty() {
+        if left > 0 && left <= Delay::MAX.get().into() {
+            let is_lost = |core, dense, delay| {
+                if delay >= left {
+                    see(core, dense)
+                }
+            };
+            self.each_moving(sources, is_lost);
+        }
+    }
+
+    /// Calls `see` with the core of each synapse of learned delay of these sources, with whether its
+    /// list has no indices, and with its delay.
+    fn each_moving(&self, sources: &[u32], mut see: impl FnMut(CoreId, bool, u32)) {
+        let plan = &self.image.plastic;
+        if self.lost.is_empty() {
             return;
         }
         for (state, shard) in self.shards.iter().zip(&self.image.shards) {
@@ -241,9 +257,9 @@ impl Machine {
                     let ProjectionPlan { of, moves, .. } = &plan.projections[number as usize];
                     let rows = &shard.plastic.projections[number as usize];
                     for place in rows.of_source((source - of.sources.start) as usize) {
-                        if *moves && state.plastic.delays[place] as u32 >= left {
+                        if *moves {
                             let core = rows.core_of[shard.plastic.targets[place] as usize];
-                            see(core, shard.plastic.dense[place]);
+                            see(core, shard.plastic.dense[place], state.plastic.delays[place] as u32);
                         }
                     }
                 }
@@ -261,6 +277,35 @@ impl Machine {
             if self.settings.per_step {
                 self.step_changes.push(StepChange::Lost { core, dense });
             }
+        }
+    }
+
+    /// Stores the events of learned delays of these sources, in a sample without an end whose steps
+    /// are counted by core.
+    fn note_moving(&mut self, sources: impl Iterator<Item = u32>, wait: u32) {
+        if self.lost.is_empty() || !self.settings.per_step || self.steps < u32::MAX {
+            return;
+        }
+        let (sources, mut moving): (Vec<u32>, _) = (sources.collect(), std::mem::take(&mut self.moving));
+        self.each_moving(&sources, |core, dense, delay| moving.push(MovingEvent { core, dense, delay, wait }));
+        self.moving = moving;
+    }
+
+    /// Removes from the counts of a step of a sample without an end, with its events of learned
+    /// delays, those that would not arrive in the `left` steps from it on.
+    pub fn cut(&self, (step, moving): (&mut StepActivity, &[MovingEvent]), left: u32) {
+        let [mut all, mut within] = [(); 2].map(|()| StepActivity::new(step.cores.len()));
+        for (counts, left) in [(&mut all, u32::MAX), (&mut within, left)] {
+            self.image.tally().add_step((&step.channels, &step.fired), left, counts);
+        }
+        for (core, (all, within)) in step.cores.iter_mut().zip(all.cores.iter().zip(&within.cores)) {
+            core.events_dense -= all.events_dense - within.events_dense;
+            core.events_sparse -= all.events_sparse - within.events_sparse;
+        }
+        // The tables lose what reaches no step.
+        for event in moving.iter().filter(|event| left > event.wait && event.delay >= left - event.wait) {
+            let core = &mut step.cores[event.core];
+            *(if event.dense { &mut core.events_dense } else { &mut core.events_sparse }) -= 1;
         }
     }
 
@@ -385,6 +430,8 @@ impl Machine {
     /// a step without a rule has none of its code.
     #[cold]
     fn learn(&mut self, input: Spikes<'_>, left: u32) {
+        self.moving.clear();
+        self.note_moving(input.ids.iter().map(|channel| channel.0), 0);
         if !self.lost.is_empty() && left <= Delay::MAX.get().into() {
             let sources: Vec<u32> = input.ids.iter().map(|channel| channel.0).collect();
             self.lose(&sources, left);
@@ -461,6 +508,11 @@ impl Machine {
             }
             image.tally().add_step((channels, &self.spikes), left, &mut self.last);
             StepChange::apply_all(&mut self.step_changes, &mut self.last);
+            let sources: Vec<u32> = match self.lost.is_empty() {
+                true => Vec::new(),
+                false => self.spikes.iter().map(|spike| self.image.channels + spike.0).collect(),
+            };
+            self.note_moving(sources.into_iter(), 1);
         }
         self.counts.steps += 1;
     }
@@ -565,6 +617,14 @@ impl Engine for Machine {
         }
     }
 
+    fn last_activity(&self) -> Option<(&StepActivity, &[MovingEvent])> {
+        self.settings.per_step.then_some((&self.last, self.moving.as_slice()))
+    }
+
+    fn drop_counts(&mut self) {
+        self.take_counts();
+    }
+
     fn skip_idle(&mut self, steps: u32) -> bool {
         if !self.settings.skip {
             return false;
@@ -584,6 +644,7 @@ impl Engine for Machine {
         self.totals.compartment_updates += u64::from(steps) * self.image.held as u64;
         if self.settings.per_step {
             self.last.clear();
+            self.moving.clear();
             self.image.tally().add_visits(1, &mut self.last);
             if let Some(others) = &self.others {
                 others.merge(&mut self.last);

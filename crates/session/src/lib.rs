@@ -12,6 +12,7 @@ pub mod error;
 pub mod front;
 pub mod inputs;
 pub mod learning;
+pub mod metering;
 pub mod neurobench;
 pub mod observers;
 pub mod obtain;

@@ -41,6 +41,7 @@ impl<E: ?Sized> Observer<E> for () {
 }
 
 /// The outputs of a sample and, by the rule of an early exit, its decision.
+#[derive(Debug, Clone)]
 pub(crate) struct Outputs<'k> {
     output: Output,
     outcome: Outcome,
@@ -53,6 +54,19 @@ pub(crate) struct Outputs<'k> {
     /// The step of the skipped silence after which spikes are decided.
     decides_at: Option<u32>,
     steps: u32,
+}
+
+impl Outputs<'static> {
+    /// Returns the state before the first step of a session, which has no end and decides nothing.
+    pub(crate) fn undecided(output: Output) -> Self {
+        let Outputs { outcome, decides_at, .. } = Outputs::new(&SampleSettings::new(output), u32::MAX);
+        Outputs { output, outcome, decision: None, margin: None, ends: false, decides_at, steps: u32::MAX }
+    }
+
+    /// Drops the stored spikes, not their counts.
+    pub(crate) fn forget_spikes(&mut self) {
+        self.outcome.spikes.clear();
+    }
 }
 
 impl<'k> Outputs<'k> {

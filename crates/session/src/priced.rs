@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use super::metering::MeteredSteps;
 use super::observers::StepRange;
 use super::samples::{Meter, Run, RunSettings, fast};
 use super::{Outcome, SampleSettings};
@@ -131,7 +132,8 @@ impl<'c> MeteredMapping<'c> {
         self.compiled.options.copies
     }
 
-    pub(super) fn program(&self) -> &Arc<Program> {
+    /// The program that runs.
+    pub fn program(&self) -> &Arc<Program> {
         self.groups.as_ref().map_or(&self.compiled.program, |groups| &groups.program)
     }
 
@@ -166,6 +168,15 @@ impl<'c> MeteredMapping<'c> {
         })?;
         // Merging the meters of samples has metered all queued steps.
         Ok(self.extend_to_all_copies(run.map_meter(|shared| shared.meter)))
+    }
+
+    /// Returns the steps of a session over the program that runs here, as the run of a sample.
+    pub fn run_of_session(&self, steps: MeteredSteps) -> Run<StepMeter> {
+        let MeteredSteps { outcome, activity, counts, meter, skipped_updates } = steps;
+        let (ranks, learned) = (Vec::new(), Vec::new());
+        let outcomes = vec![outcome];
+        let run = Run { outcomes, activity, counts, meter, skipped_updates, wall_s: 0.0, ranks, learned };
+        self.extend_to_all_copies(run)
     }
 
     /// Extends the counts of the cores that ran to all cores.

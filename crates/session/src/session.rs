@@ -4,17 +4,17 @@
 //! step, from a robot, an environment, a notebook. Output: the outcome of a sample; the spikes of a
 //! step, and registers. Stepping needs no sample length, and gives exactly the results of running
 //! the sample. A session is a value: a clone continues independently from the same step, and serves
-//! as a snapshot. The input of steps is stored, so that the steps so far can be priced as a sample.
+//! as a snapshot. A metered session counts what the energy of its steps needs.
 //!
 //! What rules change is read between steps, and weights are written. A reset keeps them,
 //! [`Session::reset_all`] does not. Each clone of the session has its own.
 //!
-//! Errors: `session.channel` for channels that the network lacks, `session.too-long` for more input
-//! than is stored, `session.weights.*` for weights that cannot be written or would be lost,
-//! `run.draws` for random numbers that do not fit the next step.
+//! Errors: `session.channel` for channels that the network lacks, `session.weights.*` for weights
+//! that cannot be written, `run.draws` for random numbers that do not fit the next step.
 
 use std::sync::Arc;
 
+use nsim_cost::MeterSettings;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, RuleId};
 use nsim_ir::learning::Column;
@@ -24,16 +24,14 @@ use nsim_ir::spikes::{Engine, Sample, Spikes};
 use nsim_machine::{Image, Machine, Settings};
 
 use crate::learning::SteppedRule;
+use crate::metering::{MeteredSteps, SessionMeter};
 use crate::observers::{Observer, Outputs, Recording, StepRange, integer};
 use crate::outcome::{Outcome, Probe, SampleSettings};
-
-/// Maximum number of stored input spikes, 12 bytes each; later ones only reach the engine.
-const MOST_STORED: usize = 1 << 26;
 
 /// Channels that spike in a step, and the value of each.
 type Input = (Vec<ChannelId>, Vec<i32>);
 
-/// An engine between two steps, with its stored input.
+/// An engine between two steps.
 #[derive(Debug, Clone)]
 pub struct Session<E: ?Sized = Machine> {
     /// Number of copies of the network in the engine; each receives equal input on its own
@@ -44,15 +42,11 @@ pub struct Session<E: ?Sized = Machine> {
     draws: Draws,
     /// Messages that are set for the next step.
     next: Vec<(ChannelId, i32)>,
-    /// Whether weights were written, or learned before the last reset.
-    is_written: bool,
-    /// Input spikes of one copy: (step, channel, value).
-    stored_input: Vec<(u32, ChannelId, i32)>,
+    /// Counts of the steps; `None` where they are not metered.
+    meter: Option<Box<SessionMeter>>,
     steps: u32,
     /// Whether the engine has begun the sample that is stepped.
     is_begun: bool,
-    /// Whether an input spike was not stored.
-    is_truncated: bool,
     /// The last step's input, of one copy.
     last_input: Input,
     /// Scratch memory: the next step's input as it is given.
@@ -70,11 +64,9 @@ impl<E: Engine> Session<E> {
             rules: Arc::default(),
             draws: Draws::default(),
             next: Vec::new(),
-            is_written: false,
-            stored_input: Vec::new(),
+            meter: None,
             steps: 0,
             is_begun: false,
-            is_truncated: false,
             last_input: Input::default(),
             step_input: Vec::new(),
             all: Input::default(),
@@ -133,7 +125,6 @@ impl<E: Engine + ?Sized> Session<E> {
     /// those of the model.
     pub fn reset_all(&mut self) {
         self.engine.forget(0);
-        self.is_written = false;
         self.begin_anew();
     }
 
@@ -147,7 +138,6 @@ impl<E: Engine + ?Sized> Session<E> {
             self.check_draws()?;
             self.engine.settle();
         }
-        self.is_written |= self.steps > 0 && self.rules.iter().any(|rule| rule.learning.rule.is_active());
         self.begin_anew();
         Ok(())
     }
@@ -159,6 +149,10 @@ impl<E: Engine + ?Sized> Session<E> {
         // The sample has no end, so every delivery is counted.
         self.engine.begin(u32::MAX);
         self.is_begun = true;
+        if let Some(meter) = &mut self.meter {
+            meter.clear();
+            self.engine.drop_counts();
+        }
     }
 
     /// Sets the seed of random numbers, from now on.
@@ -172,6 +166,7 @@ impl<E: Engine + ?Sized> Session<E> {
     /// # Errors
     /// `session.channel`.
     pub fn set_next(&mut self, input: impl IntoIterator<Item = (ChannelId, i32)>) -> Result<()> {
+        self.begin();
         for (channel, value) in input {
             self.check_channel(channel)?;
             self.next.retain(|(known, _)| *known != channel);
@@ -237,10 +232,9 @@ impl<E: Engine + ?Sized> Session<E> {
 
     /// Forgets the input so far.
     fn clear_input(&mut self) {
-        self.stored_input.clear();
         self.last_input.0.clear();
         self.last_input.1.clear();
-        (self.steps, self.is_begun, self.is_truncated) = (0, false, false);
+        (self.steps, self.is_begun) = (0, false);
     }
 
     /// Resets the session, unless the engine has begun the sample that is stepped.
@@ -277,10 +271,6 @@ impl<E: Engine + ?Sized> Session<E> {
         self.next.clear();
         self.begin();
         let step_input = &self.step_input;
-        self.is_truncated |= self.stored_input.len() + step_input.len() > MOST_STORED || self.steps == u32::MAX - 1;
-        if !self.is_truncated {
-            self.stored_input.extend(step_input.iter().map(|&(channel, value)| (self.steps, channel, value)));
-        }
         let (ids, values) = &mut self.last_input;
         ids.clear();
         values.clear();
@@ -289,6 +279,7 @@ impl<E: Engine + ?Sized> Session<E> {
         let (ids, values) = &self.last_input;
         advance(&mut self.engine, Spikes { ids, values }, self.copies, &mut self.all);
         self.forget_draws();
+        self.meter_steps(1, false);
         self.steps = self.steps.saturating_add(1);
         Ok(())
     }
@@ -301,9 +292,16 @@ impl<E: Engine + ?Sized> Session<E> {
         if skipped && steps > 0 {
             self.last_input.0.clear();
             self.last_input.1.clear();
+            self.meter_steps(steps, true);
             self.steps = self.steps.saturating_add(steps);
         }
         skipped
+    }
+
+    fn meter_steps(&mut self, steps: u32, idle: bool) {
+        if let Some(meter) = &mut self.meter {
+            meter.observe(&self.engine, StepRange { first: self.steps, steps, idle, decided: false });
+        }
     }
 
     /// Returns the channels of one copy that spiked in the last step, ascending, with their values.
@@ -353,10 +351,25 @@ impl Session {
     /// Returns a session before its first step, over `copies` copies of a network, with access to
     /// what its rules change.
     pub fn open(image: &Arc<Image>, one: &Quantised, copies: u32) -> Session {
+        Session::open_metered(image, one, copies, None)
+    }
+
+    /// As [`Self::open`]; steps are metered under these settings, if any.
+    pub fn open_metered(image: &Arc<Image>, one: &Quantised, copies: u32, metered: Option<MeterSettings>) -> Session {
         let rules = Arc::new(SteppedRule::all(one));
-        let mut session = Session { rules, ..Session::new(Machine::new(image, Settings::default()), copies) };
+        let machine = Machine::new(image, Settings { per_step: metered.is_some(), ..Settings::default() });
+        let meter = metered.map(|settings| {
+            let reach = image.longest_delay() + 1;
+            Box::new(SessionMeter::new(settings, image.program().output(), reach))
+        });
+        let mut session = Session { rules, meter, ..Session::new(machine, copies) };
         session.begin_anew();
         session
+    }
+
+    /// The steps since the last reset as a metered sample; `None` where they are not metered.
+    pub fn metered(&self) -> Option<MeteredSteps> {
+        Some(self.meter.as_ref()?.sample(&self.engine, self.steps))
     }
 
     /// The rule of this name.
@@ -401,29 +414,6 @@ impl Session {
         }
         self.begin();
         self.engine.write_weights(rule, weights);
-        self.is_written = true;
         Ok(())
-    }
-
-    /// Returns the input so far, as a sample with as many steps.
-    ///
-    /// # Errors
-    /// `session.too-long`; `session.weights.written` when a run of the sample would not have the
-    /// weights that were written.
-    pub fn sample(&self) -> Result<Sample> {
-        if self.is_written {
-            let message =
-                "weights were written or learned, so a run of the same input would not reproduce them".to_string();
-            let help = "reset the learned weights too, and step without writing weights";
-            return Err(Diagnostic::new("session.weights.written", message).help(help));
-        }
-        let too_long = || {
-            let message = format!("a session stores at most {MOST_STORED} input spikes, but more were given");
-            Diagnostic::new("session.too-long", message).help("call reset() at the end of each trial")
-        };
-        if self.is_truncated {
-            return Err(too_long());
-        }
-        Sample::with_values(self.steps, &self.stored_input, None).map_err(|_| too_long())
     }
 }

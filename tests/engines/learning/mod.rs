@@ -1,7 +1,7 @@
 //! Rules that change synapses: recordings of lava's own class and runtime, small networks computed
 //! by hand, and random plastic networks, on which engines are compared.
 
-mod random;
+pub mod random;
 mod recordings;
 
 use std::sync::Arc;

@@ -115,6 +115,11 @@ pub struct Image {
 }
 
 impl Image {
+    /// The longest delay field.
+    pub fn longest_delay(&self) -> u32 {
+        self.longest_delay
+    }
+
     /// Flattens a program into about `shards` shards.
     ///
     /// # Errors
