@@ -341,7 +341,7 @@ class Mapping:
     ) -> Run:
         """Runs `[channels.., T]`, `[samples, channels.., T]`, a dictionary of such arrays, sources, or the model's scene."""
     def session(self, seed: Optional[int] = None, *, energy: Union[bool, dict[str, Any], None] = None) -> Session:
-        """Opens a session, which a loop steps; with `energy`, True or the options of `energy`, its timesteps are metered."""
+        """Opens a session, which a loop steps. Its timesteps are metered, unless `energy` is False; it may be the options of `energy`."""
     def energy(
         self,
         spikes: Spikes = None,
@@ -413,7 +413,7 @@ class Session:
     def reset(self, learned: bool = True) -> None:
         """Returns to before the first timestep; with learned=False also to the weights of the model."""
     def energy(self) -> Energy:
-        """Cost of the timesteps so far, of a session that was opened with `energy`."""
+        """Cost of the timesteps so far, unless the session was opened with `energy=False`."""
     def __enter__(self) -> Session: ...
     def __exit__(self, *exception: object) -> None: ...
 

@@ -41,7 +41,7 @@ fn _nsim(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<session::Session>()?;
     module.add_class::<session::Snapshot>()?;
     module.add_class::<session::Population>()?;
-    module.add_class::<steering::Values>()?;
+    module.add_class::<session::Values>()?;
     module.add_class::<energy::Energy>()?;
     module.add_class::<events::Events>()?;
     module.add_class::<agree::Agreement>()?;

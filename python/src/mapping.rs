@@ -210,8 +210,9 @@ impl Mapping {
     }
 
     /// Opens a session: the network before its first timestep, which a loop steps. A `with` block
-    /// closes it. `seed` is of the random numbers of learning. With `energy`, True or a dictionary
-    /// of the options of `energy`, the session counts what `Session.energy` needs.
+    /// closes it. `seed` is of the random numbers of learning. The session counts
+    /// what `Session.energy` needs, unless `energy` is False; it may be a dictionary of the options
+    /// of `energy`.
     #[pyo3(signature = (seed=None, *, energy=None))]
     fn session(&self, py: Python<'_>, seed: Option<u64>, energy: Option<&Bound<'_, PyAny>>) -> PyResult<Session> {
         Session::new(py, &self.0, seed.unwrap_or(0), energy)

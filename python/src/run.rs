@@ -303,7 +303,12 @@ impl Run {
         try_detached(py, || {
             let states = learning::states(network, &self.run.learned);
             let (model, arrays) = file.learned(&states, freeze, &NetworkFile::arrays_name(&path))?;
-            model.write_with(arrays, &format!("{} after a run, with what it learned", network.parts().name), &path, force)
+            model.write_with(
+                arrays,
+                &format!("{} after a run, with what it learned", network.parts().name),
+                &path,
+                force,
+            )
         })
     }
 

@@ -3,13 +3,15 @@
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use nsim::ir::base::diagnostic::Diagnostic;
-use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId};
+use nsim::ir::base::id::{ChannelId, CompartmentId, PopulationId, RuleId};
 use nsim::ir::graph::Shape;
-use nsim::ir::learning::Variable;
+use nsim::ir::learning::draws::{Recorded, Use};
+use nsim::ir::learning::{Column, Variable};
 use nsim::ir::neurons::NeuronKind;
-use nsim::ir::quantised::{Quantised, Units};
+use nsim::ir::quantised::{self, Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
 use nsim::session::Session as Stepped;
+use nsim::session::learning::parse_probe;
 use nsim::session::priced::MeteredMapping;
 use nsim::session::samples::{Division, lay_out};
 use numpy::{Element, PyArray1, PyArrayMethods, PyUntypedArray};
@@ -23,7 +25,7 @@ use crate::energy::{Energy, Metering};
 use crate::error::exception;
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
-use crate::steering::{Kind, Values, add_values, signals};
+use crate::steering::{add_values, signals};
 use crate::work::try_detached;
 
 /// Channels that spike in a step, with the integers of their messages.
@@ -73,19 +75,19 @@ pub struct Population {
 
 impl Session {
     /// A session before its first step; `energy` is whether it is metered, or options of pricing.
-    pub fn new(
-        py: Python<'_>,
-        mapping: &Arc<Shared>,
-        seed: u64,
-        energy: Option<&Bound<'_, PyAny>>,
-    ) -> PyResult<Self> {
+    /// Without it a session is metered where its mapping can be priced.
+    pub fn new(py: Python<'_>, mapping: &Arc<Shared>, seed: u64, energy: Option<&Bound<'_, PyAny>>) -> PyResult<Self> {
         let compiled = mapping.compiled();
         let options = match energy.map(|given| given.extract::<bool>().map_err(|_| given.cast::<PyDict>())) {
-            None | Some(Ok(false)) => None,
-            Some(Ok(true)) => Some(Keywords::new(None)?),
-            Some(Err(options)) => Some(Keywords::new(Some(options?))?),
+            None => Err(()),
+            Some(Ok(true)) => Ok(Some(Keywords::new(None)?)),
+            Some(Ok(false)) => Ok(None),
+            Some(Err(options)) => Ok(Some(Keywords::new(Some(options?))?)),
         };
-        let metering = options.map(|keywords| Metering::new(py, mapping, &keywords)).transpose()?;
+        let metering = match options {
+            Ok(options) => options.map(|keywords| Metering::new(py, mapping, &keywords)).transpose()?,
+            Err(()) => Metering::new(py, mapping, &Keywords::new(None)?).ok(),
+        };
         let (metering, settings) = metering.unzip();
         let stepped = try_detached(py, || {
             let metered = settings.as_ref().map(|_| MeteredMapping::new(compiled));
@@ -119,11 +121,7 @@ impl Session {
     }
 
     /// Whether a message of this population is set for the next step.
-    fn is_set_next(
-        &self,
-        py: Python<'_>,
-        (first, population): (u32, &nsim::ir::quantised::Population),
-    ) -> PyResult<bool> {
+    fn is_set_next(&self, py: Python<'_>, (first, population): (u32, &quantised::Population)) -> PyResult<bool> {
         let channels = first..first + population.shape.len();
         self.stepped(py, |stepped| stepped.next().iter().any(|(channel, _)| channels.contains(&channel.0)))
     }
@@ -349,12 +347,14 @@ impl Session {
         Values::new(slf, Kind::Draws)
     }
 
-    /// Cost of the timesteps so far, as in `Mapping.energy` for a sample with this input. The
-    /// session is opened with `energy`.
+    /// Cost of the timesteps so far, as in `Mapping.energy` for a sample with this input, unless
+    /// the session was opened with `energy=False`.
     fn energy(&self, py: Python<'_>) -> PyResult<Energy> {
         let Some(metering) = self.state(py).metering.clone() else {
+            // A mapping that cannot be priced says why.
+            Metering::new(py, &self.mapping, &Keywords::new(None)?)?;
             let message = "the session does not count what the energy of its timesteps needs".to_string();
-            return Err(usage(message, "open it so: mapping.session(energy=True)"));
+            return Err(usage(message, "open it without energy=False"));
         };
         let steps = self.stepped(py, |stepped| stepped.metered())?;
         match steps.filter(|steps| steps.outcome.steps > 0) {
@@ -475,5 +475,144 @@ impl Population {
 
     fn __len__(&self) -> usize {
         self.session.get().network().units_before_pruning(self.id) as usize
+    }
+}
+
+/// The most numbers of an array that a session takes.
+const MOST_NUMBERS: usize = 1 << 27;
+
+/// What the names of [`Values`] select.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// A variable of the synapses of a projection that learns.
+    Synapses(Variable),
+    /// A trace of a projection that learns: NAME.x1.
+    Traces,
+    /// The value of a signal in the next timestep.
+    Signal,
+    /// Random numbers of a projection that learns, in the next timestep.
+    Draws,
+}
+
+/// Values of a session by name, such as `session.weights["NAME"]`.
+#[pyclass(frozen, module = "nsim")]
+pub struct Values {
+    session: Py<Session>,
+    kind: Kind,
+}
+
+impl Values {
+    /// These values of a session.
+    pub fn new(session: &Bound<'_, Session>, kind: Kind) -> PyResult<Self> {
+        session.get().check_open(session.py())?;
+        Ok(Values { session: session.clone().unbind(), kind })
+    }
+
+    fn names(&self) -> Vec<&str> {
+        let network = self.session.get().network();
+        match self.kind {
+            Kind::Signal => signals(network).map(|(_, population)| population.name.as_str()).collect(),
+            _ => network.parts().rules.iter().map(|rule| rule.name.as_str()).collect(),
+        }
+    }
+
+    fn unknown(&self, name: &str) -> PyErr {
+        let what = if self.kind == Kind::Signal { "signal" } else { "projection that learns" };
+        PyKeyError::new_err(format!("no {what} '{name}'; there are: {}", self.names().join(", ")))
+    }
+
+    fn rule(&self, py: Python<'_>, name: &str) -> PyResult<RuleId> {
+        self.session.get().stepped(py, |stepped| stepped.rule_named(name))?.map_err(|_| self.unknown(name))
+    }
+
+    fn signal(&self, name: &str) -> PyResult<(u32, &quantised::Population)> {
+        let found = signals(self.session.get().network()).find(|(_, population)| population.name == name);
+        found.ok_or_else(|| self.unknown(name))
+    }
+}
+
+#[pymethods]
+impl Values {
+    /// The values of this name, int32; of `draws` a dictionary with the number of those that the
+    /// next timestep takes.
+    fn __getitem__<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
+        let session = self.session.get();
+        let (rule, column) = match self.kind {
+            Kind::Synapses(variable) => (self.rule(py, name)?, Column::Variable(variable)),
+            Kind::Traces => match parse_probe(name) {
+                Some((name, column @ Column::Trace(_), false)) => (self.rule(py, name)?, column),
+                _ => return Err(PyKeyError::new_err(format!("'{name}' is not NAME.x1, .x2, .y1, .y2, .y3 or .r1"))),
+            },
+            Kind::Signal => {
+                let (first, population) = self.signal(name)?;
+                let mut values = vec![0; population.shape.len() as usize];
+                session.stepped(py, |stepped| {
+                    for &(channel, value) in stepped.next() {
+                        if let Some(place) = channel.0.checked_sub(first).and_then(|n| values.get_mut(n as usize)) {
+                            *place = value;
+                        }
+                    }
+                })?;
+                return Ok(PyArray1::from_vec(py, values).into_any());
+            }
+            Kind::Draws => {
+                let rule = self.rule(py, name)?;
+                let needed = session.stepped(py, |stepped| stepped.draws_needed(rule))?;
+                let counts = PyDict::new(py);
+                for (of, count) in needed.map_err(|problem| exception(py, problem))? {
+                    counts.set_item(of.name(), count)?;
+                }
+                return Ok(counts.into_any());
+            }
+        };
+        Ok(PyArray1::from_vec(py, session.stepped(py, |stepped| stepped.learned(rule, column))?).into_any())
+    }
+
+    fn __setitem__(&self, py: Python<'_>, name: &str, given: &Bound<'_, PyAny>) -> PyResult<()> {
+        let session = self.session.get();
+        let done = match self.kind {
+            Kind::Synapses(Variable::Weight) => {
+                let rule = self.rule(py, name)?;
+                let array = Array::new(given, format!("weights['{name}']"))?;
+                let help = "give integers, one for each synapse";
+                let mut weights = Vec::new();
+                for (index, value) in array.numbers(MOST_NUMBERS, help)?.into_iter().enumerate() {
+                    if f64::from(value as i32) != value {
+                        let wrong = array.wrong(index, value, "and a weight is an integer").help(help);
+                        return Err(exception(py, wrong));
+                    }
+                    weights.push(value as i32);
+                }
+                session.stepped(py, |stepped| stepped.write_weights(rule, &weights))?
+            }
+            Kind::Signal => {
+                let mut shown = Vec::new();
+                add_values(&mut shown, given, self.signal(name)?, true)?;
+                session.stepped(py, |stepped| stepped.set_next(shown))?
+            }
+            Kind::Draws => {
+                let (rule, mut numbers) = (self.rule(py, name)?, Recorded::new());
+                for (key, array) in given.cast::<PyDict>()?.iter() {
+                    let key: String = key.extract()?;
+                    let Some(of) = Use::ALL.into_iter().find(|of| of.name() == key) else {
+                        let known = Use::ALL.map(Use::name).join(", ");
+                        return Err(usage(format!("draws['{name}']: unknown key '{key}'"), &format!("keys: {known}")));
+                    };
+                    let help = "give the numbers of one step";
+                    let array = Array::new(&array, format!("draws['{name}']['{key}']"))?;
+                    numbers.insert(of, array.numbers(MOST_NUMBERS, help)?);
+                }
+                session.stepped(py, |stepped| stepped.set_draws(rule, numbers))?
+            }
+            Kind::Synapses(_) | Kind::Traces => {
+                return Err(PyTypeError::new_err("these values can only be read; weights and signals can be set"));
+            }
+        };
+        done.map_err(|problem| exception(py, problem))
+    }
+
+    /// The names; of traces the names of their projections.
+    fn keys(&self) -> Vec<&str> {
+        self.names()
     }
 }

@@ -61,7 +61,7 @@ class Sessions(unittest.TestCase):
             listed = lambda array: np.flatnonzero(array).tolist()
             narrow = lambda array: np.flatnonzero(array)[::-1].astype(np.int16)
             for how in (np.flatnonzero, np.asarray, listed, narrow):
-                with self.subTest(model=model), mapping.session(energy=True) as session:
+                with self.subTest(model=model), mapping.session() as session:
                     seen = stepped(mapping, session, spikes, how=how)
                     for t, values in enumerate(seen):
                         for at, probe in enumerate(probed):
@@ -296,7 +296,7 @@ class Sessions(unittest.TestCase):
         for copies, options in [(1, {}), (3, {"transport": "analytic"}), (1, {"host": "none", "mode": "realtime"})]:
             mapping = network.map("oheo-gulch", copies=copies)
             spikes = recorded(mapping, steps=42, rate=0.4)
-            with mapping.session(seed=4, energy=options or True) as session, mapping.session() as other:
+            with mapping.session(seed=4, energy=options or None) as session, mapping.session() as other:
                 stepped(mapping, session, spikes)
                 session.reset(learned=False)
                 stepped(mapping, session, spikes)
@@ -330,10 +330,12 @@ class Sessions(unittest.TestCase):
             self.assertRaises(KeyError, lambda: session["no"])
             with self.assertRaisesRegex(nsim.Error, "has no v"):
                 session["tactile"].v
+        with mapping.session(energy=False) as session:
+            session.step()
             with self.assertRaisesRegex(nsim.Error, "does not count") as caught:
                 session.energy()
-            self.assertEqual(caught.exception.help, "open it so: mapping.session(energy=True)")
-        with mapping.session(energy=True) as session, self.assertRaisesRegex(nsim.Error, "no timestep"):
+            self.assertEqual(caught.exception.help, "open it without energy=False")
+        with mapping.session() as session, self.assertRaisesRegex(nsim.Error, "no timestep"):
             session.energy()
         for options, says in [
             ({"baselines": ["cpu"]}, "runs samples again"),

@@ -285,7 +285,8 @@ mod tests {
         assert!(script.contains("vtsnn-slip-srm") && script.contains("-o default"));
         let script = completions(clap_complete::Shell::Zsh);
         assert!(
-            script.contains(":{compadd -- davies2018") && script.contains(":{compadd -- container-tactile "),
+            script.contains(":{compadd -- davies2018")
+                && script.contains(":{compadd -- container-few-shot container-tactile "),
             "{script}"
         );
         let fish = completions(clap_complete::Shell::Fish);

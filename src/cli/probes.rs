@@ -288,6 +288,10 @@ fn named_probes(network: &Quantised, text: &str) -> Result<Vec<NamedProbe>> {
         }
         probes.push(NamedProbe { name: format!("{}.{what}", population.name), source });
     }
+    if probes.is_empty() && network.parts().rules.iter().any(|rule| rule.name == pattern) {
+        let known = "a rule has .weight, .delay, .tag, .x1, .x2, .y1, .y2, .y3 and .r1, each also with .last";
+        return Err(Error::Usage(format!("--probe {text}: there is no {what}; {known}")));
+    }
     if probes.is_empty() {
         let has_it = |p: &&Population| source(p, what).is_some();
         let names: Vec<&str> = network.populations().iter().filter(has_it).map(|p| p.name.as_str()).collect();

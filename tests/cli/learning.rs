@@ -31,7 +31,7 @@ fn folder(semantics: &str) -> tempfile::TempDir {
 }
 
 /// Shape and numbers of an array of 32-bit integers.
-fn array(path: &Path) -> (Vec<usize>, Vec<i32>) {
+pub fn array(path: &Path) -> (Vec<usize>, Vec<i32>) {
     let array = nsim::files::npy::read(path).unwrap();
     (array.shape().to_vec(), array.reals().map(|number| number as i32).collect())
 }
@@ -119,6 +119,7 @@ fn rules_and_options_of_rules_are_refused_by_name() {
         ("export listed.ron -o m.nir", 3, "projection 'p' has a learning rule"),
         ("map m.ron --prune static", 3, "plastic"),
         ("run m.ron INPUT --probe z.weight -o t", 2, "projections that learn: p, q"),
+        ("run m.ron INPUT --probe p.rate -o t", 2, "there is no rate; a rule has .weight, .delay"),
         ("run m.ron INPUT --draws z=a.npz --samples 0..1", 2, "projections that learn: p, q"),
         ("run m.ron INPUT --draws p=a.npz", 2, "choose one with --samples"),
         ("run m.ron INPUT --record-draws d --samples 0..1", 3, "draws for each synapse"),

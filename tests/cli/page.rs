@@ -6,6 +6,7 @@
 
 use crate::common;
 use crate::common::command::{nsim, object, said, succeeds};
+use crate::learning::array;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
@@ -151,6 +152,38 @@ fn a_page_of_values_has_the_messages_of_its_outputs() {
     }
     let values: Vec<&Value> = sample["rasters"].as_array().unwrap().iter().map(|one| &one["values"]).collect();
     assert_eq!(values, [&false, &true, &true]);
+}
+
+/// The panels of one synapse have the spikes, traces and weights that probes record.
+#[test]
+fn a_page_of_rules_has_what_they_learn() {
+    let folder = tempfile::tempdir().unwrap();
+    let here = folder.path();
+    let input = ["--input", "scene:noise?samples=1&steps=60&seed=2&rate=0.1"];
+    let text = "Network(name: \"m\", timestep_ms: 1.0, populations: [Input(name: \"in\", shape: [3]),
+        Loihi(name: \"out\", shape: [2], du: 4096, dv: 512, vth_mant: 4)], projections: [Dense(name: \"p\", from: [\"in\"],
+        to: \"out\", weights: [[8, 60, 20], [6, 4, 30]], learning: Rule(dw: \"2^-2*x1*y0\", epoch: 2, x1: (impulse:
+        9, tau: 5)))], output: \"out\")";
+    std::fs::write(here.join("m.ron"), text).unwrap();
+    let data = data(&page(here, "m.html", &["m.ron", input[0], input[1], "--baseline"]));
+    let rule = &data["learning"][0];
+    let told = ["name", "epoch", "semantics", "synapses"].map(|key| rule[key].clone());
+    assert_eq!(Value::from(told.to_vec()), serde_json::json!(["p", 2, "Silicon", 6]));
+    assert_eq!(rule["changes"], serde_json::json!(["weight: 1*2^-2*y0*x1"]));
+    let picture = rule["picture"].as_str().unwrap();
+    let probes = ["--probe", "p.weight", "--probe", "p.x1", "-o", "traces"];
+    succeeds(here, &[&["run", "m.ron", input[0], input[1]], probes.as_slice()].concat());
+    let column =
+        |name: &str, row: usize| array(&here.join(format!("traces/{name}.npy"))).1[60 * row..60 * (row + 1)].to_vec();
+    let change = |row: usize| column("p.weight", row)[59] - [8, 60, 20, 6, 4, 30][row];
+    let most = (0..6).rev().max_by_key(|&row| change(row).abs()).unwrap();
+    assert!(change(most) > 0 && rule["changed"].as_u64() > Some(0));
+    let named = format!("from source {} to target {}", most % 3, most / 3);
+    assert!(picture.contains(&named), "{named}: {picture}");
+    for values in [column("p.x1", most % 3), column("p.weight", most)] {
+        let greatest = values.iter().max().unwrap();
+        assert!(picture.contains(&format!(">{greatest}</text>")), "{values:?}: {picture}");
+    }
 }
 
 #[test]

@@ -151,7 +151,7 @@ pub fn rule(bytes: &[u8]) {
     let Ok(file) = NetworkFile::parse(&source) else { return };
     let Ok(model) = Network::new(file, source, Default::default()) else { return };
     let Ok(network) = lower(&model).and_then(|graph| integers(&graph)) else { return };
-    for learning in network.parts().rules.iter() {
+    for learning in &network.parts().rules {
         for variable in Variable::ALL {
             let change = learning.rule.change(variable);
             let again = (!change.products().is_empty()).then(|| parse(&change.to_string()).unwrap());

@@ -237,7 +237,7 @@ impl Machine {
         if left > 0 && left <= Delay::MAX.get().into() {
             let is_lost = |core, dense, delay| {
                 if delay >= left {
-                    see(core, dense)
+                    see(core, dense);
                 }
             };
             self.each_moving(sources, is_lost);

@@ -328,10 +328,13 @@ impl SteppedRule {
     /// # Errors
     /// `run.draws` for a rule that draws for each synapse.
     pub fn numbers_of_step(&self, step: u32) -> Result<Vec<(Use, u64)>, Diagnostic> {
-        let learned = |steps: u32| numbers_taken(&self.learning, self.units, steps);
-        let done = (step + 1).saturating_sub(self.learning.rule.lag());
-        let pairs = learned(done)?.into_iter().zip(learned(done.saturating_sub(1))?);
-        Ok(pairs.map(|(with, without)| (with.of, u64::from(with.count - without.count) * with.entities)).collect())
+        let rule = &self.learning.rule;
+        let learned = step.checked_sub(rule.lag()).filter(|&learned| rule.notes(learned));
+        let count = |taken: Taken| match learned {
+            Some(learned) if (learned + 1).is_multiple_of(taken.every) => (taken.of, taken.entities),
+            _ => (taken.of, 0),
+        };
+        Ok(numbers_taken(&self.learning, self.units, 0)?.into_iter().map(count).collect())
     }
 
     /// Checks that these are the random numbers that the rule takes in a step.

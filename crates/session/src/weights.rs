@@ -5,6 +5,7 @@
 //! the synapse that changed most. So its size does not grow with the synapses and the steps.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::id::{ChannelId, CompartmentId, RuleId};
@@ -58,14 +59,20 @@ impl WeightHistory {
     ///
     /// # Errors
     /// `run.too-large`.
-    pub fn new(program: &Program, network: &Quantised, draws: &Draws, rule: RuleId, sample: &Sample) -> Result<Self> {
+    pub fn new(
+        program: &Arc<Program>,
+        network: &Quantised,
+        draws: &Draws,
+        rule: RuleId,
+        sample: &Sample,
+    ) -> Result<Self> {
         let image = Image::new(program, 1).map_err(|error| Diagnostic::new("run.too-large", error.to_string()))?;
         let engine = || {
             let mut machine = Machine::new(&image, Settings::default());
             machine.set_draws(draws);
             machine
         };
-        let mut history = WeightHistory::of(&mut engine(), rule, sample);
+        let mut history = WeightHistory::over(&mut engine(), rule, sample);
         history.ends = ends(network, rule);
         let change = |row: &usize| history.first[*row].abs_diff(history.last[*row]);
         // The first of several that changed as much.
@@ -77,7 +84,7 @@ impl WeightHistory {
         Ok(history)
     }
 
-    fn of<E: Engine + ?Sized>(engine: &mut E, rule: RuleId, sample: &Sample) -> Self {
+    fn over<E: Engine + ?Sized>(engine: &mut E, rule: RuleId, sample: &Sample) -> Self {
         let steps = sample.steps();
         let every = steps.div_ceil(MOST_TIMES).max(1);
         let column = Column::Variable(Variable::Weight);

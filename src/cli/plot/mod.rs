@@ -58,7 +58,7 @@ pub enum PlotKind {
     Voltage,
     /// Integers that compartments send over time
     Messages,
-    /// Weights of a learning rule over time, and each before and after
+    /// Weights of a learning rule over time, each before and after, and the traces of one synapse
     Weights,
     /// Power, time and energy of a timestep on all hardware
     Hardware,

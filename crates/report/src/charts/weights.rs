@@ -30,7 +30,11 @@ pub fn weights(title: &str, history: &WeightHistory) -> String {
         sheet.text((left + MATRIX / 2.0, top - 8.0), MIDDLE, &name);
         matrix(&mut sheet, (left, top), (weights, &history.ends), f64::from(greatest.max(1)));
     }
-    sheet.text((LEFT, top + MATRIX + 20.0), GREY, &format!("the strongest colour is a weight of {greatest}"));
+    let [sources, targets] = units(&history.ends).map(|units| units.div_ceil(MOST));
+    let mean =
+        if sources * targets > 1 { format!(", a cell the mean of {sources} x {targets} units") } else { String::new() };
+    let words = format!("the strongest colour is a weight of {greatest}{mean}");
+    sheet.text((LEFT, top + MATRIX + 20.0), GREY, &words);
     if let Some(one) = &history.most_changed {
         one_synapse(&mut sheet, top + MATRIX + 70.0, one, history.ends[one.row]);
     }
@@ -39,7 +43,7 @@ pub fn weights(title: &str, history: &WeightHistory) -> String {
 
 /// Spikes and traces of both ends of a synapse, and its weight, over time.
 fn one_synapse(sheet: &mut Sheet, top: f64, one: &OneSynapse, (source, target): (u32, u32)) {
-    let name = format!("the synapse that changed most: from source {source} to target {target}");
+    let name = format!("the synapse that changed most, from source {source} to target {target}; grey lines are spikes");
     sheet.text((LEFT, top - 10.0), "", &name);
     let end = one.times.last().copied().unwrap_or(1);
     let x = Scale::new(&Axis::linear(""), [0.0, f64::from(end)].into_iter(), LEFT, RIGHT);
@@ -107,10 +111,16 @@ fn distribution(sheet: &mut Sheet, history: &WeightHistory) {
     }
 }
 
-/// The mean weight between ranges of sources and of targets.
-fn matrix(sheet: &mut Sheet, (left, top): (f64, f64), (weights, ends): (&[i32], &[(u32, u32)]), greatest: f64) {
+/// Numbers of sources and of targets.
+fn units(ends: &[(u32, u32)]) -> [usize; 2] {
     let sources = ends.iter().map(|(source, _)| *source as usize + 1).max().unwrap_or(1);
     let targets = ends.iter().map(|(_, target)| *target as usize + 1).max().unwrap_or(1);
+    [sources, targets]
+}
+
+/// The mean weight between ranges of sources and of targets.
+fn matrix(sheet: &mut Sheet, (left, top): (f64, f64), (weights, ends): (&[i32], &[(u32, u32)]), greatest: f64) {
+    let [sources, targets] = units(ends);
     let (columns, rows) = (sources.min(MOST), targets.min(MOST));
     let mut cells = vec![(0i64, 0i64); columns * rows];
     for (weight, (source, target)) in weights.iter().zip(ends) {

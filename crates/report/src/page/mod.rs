@@ -55,7 +55,7 @@ pub struct Sections {
     pub sample: Value,
     /// [`sample::confusion`].
     pub confusion: Value,
-    /// [`job::learning`].
+    /// What each rule learns in the first sample, with its picture.
     pub learning: Value,
     /// `nsim.agree/1` against the trained network.
     pub agreement: Value,
