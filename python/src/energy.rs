@@ -58,7 +58,7 @@ pub struct Metering {
 }
 
 impl Metering {
-    /// The pricing that keywords state, as those of `Mapping.energy`, and the settings of its meter.
+    /// The pricing that keywords state, as those of `Mapping.energy`, and settings of its meter.
     pub fn new(py: Python<'_>, shared: &Shared, keywords: &Keywords<'_>) -> PyResult<(Self, MeterSettings)> {
         let plan = plan(py, &shared.model, keywords, None)?;
         plan.check_mapping().map_err(|error| exception(py, error))?;

@@ -307,7 +307,7 @@ impl Session {
         Ok(())
     }
 
-    /// Weights by the name of a projection that learns, one a synapse in the rows of a probe, int32:
+    /// Weights by the name of a projection that learns, one a synapse in rows of a probe, int32:
     /// those with which the next timestep delivers. They can be set.
     #[getter]
     fn weights(slf: &Bound<'_, Self>) -> PyResult<Values> {

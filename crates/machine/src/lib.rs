@@ -244,8 +244,8 @@ impl Machine {
         }
     }
 
-    /// Calls `see` with the core of each synapse of learned delay of these sources, with whether its
-    /// list has no indices, and with its delay.
+    /// Calls `see` with the core of each synapse of learned delay of these sources, with whether
+    /// its list has no indices, and with its delay.
     fn each_moving(&self, sources: &[u32], mut see: impl FnMut(CoreId, bool, u32)) {
         let plan = &self.image.plastic;
         if self.lost.is_empty() {

@@ -2,7 +2,7 @@
 //!
 //! Input: a program, its network, a rule, a sample. Output: [`WeightHistory`]: the number of
 //! synapses with each weight at up to a hundred times, each weight at both ends, and the traces of
-//! the synapse that changed most. So its size does not grow with the synapses and the steps.
+//! the synapse that changed most at up to a thousand. So its size does not grow with the steps.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -50,7 +50,7 @@ pub struct OneSynapse {
     pub weights: Vec<i32>,
     /// The traces of its source and of its target that are not always 0, at these times.
     pub traces: [Vec<(Trace, Vec<i32>)>; 2],
-    /// The steps in which its source and its target spiked.
+    /// The times of these in which its source and its target spiked.
     pub spikes: [Vec<u32>; 2],
 }
 
@@ -134,7 +134,8 @@ impl OneSynapse {
                     Some(SpikeSource::Compartment(compartment)) => engine.spikes().contains(&compartment),
                     None => false,
                 };
-                spikes.extend(spiked.then_some(step));
+                let time = step - step % every;
+                spikes.extend(Some(time).filter(|time| spiked && spikes.last() != Some(time)));
             }
         }
         engine.settle();

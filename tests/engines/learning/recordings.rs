@@ -553,8 +553,8 @@ struct Lag {
 const PAIRS: usize = 250;
 
 impl PairWindow {
-    /// `PAIRS` synapses for each lag, from sources of their own, which learn from one pair of spikes
-    /// each. The presynaptic spikes are entries of step 21.
+    /// `PAIRS` synapses for each lag, from sources of their own, which learn from one pair of
+    /// spikes each. The presynaptic spikes are entries of step 21.
     fn network(&self) -> (Quantised, Sample) {
         let mut net = Builder::new();
         let count = (self.rows.len() * PAIRS) as u32;
