@@ -23,8 +23,8 @@ use nsim_session::outcome::LearningSettings;
 #[command(next_help_heading = "Learning")]
 pub struct LearningArgs {
     /// Random numbers of the rule of a projection, in place of seeded ones: an archive with the
-    /// arrays draw_x_decay, draw_x_impulse, draw_y_decay, draw_y_impulse, draw_round and draw_post (Lava), or
-    /// draw_trace and draw_weight (Nengo)
+    /// arrays draw_x_decay, draw_x_impulse, draw_y_decay, draw_y_impulse, draw_round and draw_post
+    /// (Lava), or draw_trace and draw_weight (Nengo)
     #[arg(long, value_name = "NAME=FILE.npz", value_parser = named_file)]
     pub draws: Vec<(String, PathBuf)>,
     /// Folder for the random numbers of a run of one sample, NAME.npz for each rule (Lava, Nengo)
