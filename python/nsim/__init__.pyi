@@ -386,6 +386,11 @@ class Session:
     def step(self, inputs: Union[dict[str, Channels], Channels, None] = None) -> None:
         """Runs one timestep with the channels of each input population that spike: their numbers, or a truth value each;
         an input population that sends integers takes an integer for each channel."""
+    def run(
+        self, inputs: Any = None, steps: Optional[int] = None, probes: Sequence[str] = ()
+    ) -> dict[str, NDArray[np.int32]]:
+        """Runs several timesteps; `inputs` are arrays `[channels.., steps]` or Events, by input population. Probes, such as
+        "out.v" or "out.spikes", give arrays `[steps, units]`."""
     @property
     def steps(self) -> int:
         """Timesteps since the session was opened or reset."""
@@ -408,6 +413,12 @@ class Session:
     @property
     def draws(self) -> Values:
         """Random numbers of the next timestep, by projection; as read, how many it takes."""
+    @property
+    def added(self) -> Values:
+        """Integers that the next timestep adds to each compartment: POPULATION.q to arrivals, POPULATION.bias to u + bias."""
+    @property
+    def overflow(self) -> dict[str, int]:
+        """Registers that left their width since the session was opened or reset: q, u (or u + bias), v."""
     def snapshot(self) -> Snapshot: ...
     def restore(self, snapshot: Snapshot) -> None: ...
     def reset(self, learned: bool = True) -> None:

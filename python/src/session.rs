@@ -12,19 +12,21 @@ use nsim::ir::quantised::{self, Quantised, Units};
 use nsim::ir::spikes::{Engine, Message};
 use nsim::session::Session as Stepped;
 use nsim::session::learning::parse_probe;
+use nsim::session::outcome::Probe;
 use nsim::session::priced::MeteredMapping;
 use nsim::session::samples::{Division, lay_out};
 use numpy::{Element, PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
-use pyo3::types::{PyDict, PyList, PyTuple};
+use pyo3::types::{IntoPyDict, PyDict, PyList, PyTuple};
 
 use crate::arrays::{Array, matches_shape};
 use crate::energy::{Energy, Metering};
 use crate::error::exception;
 use crate::keywords::{Keywords, usage};
 use crate::shared::Shared;
+use crate::spikes::steps_to_run;
 use crate::steering::{add_values, signals};
 use crate::work::try_detached;
 
@@ -268,6 +270,53 @@ impl Session {
         done
     }
 
+    /// Runs several timesteps and returns `probes` by name, int32 arrays `[steps, units]`.
+    ///
+    /// `inputs` is a dictionary from input populations to arrays `[channels.., steps]` or `Events`, or
+    /// the value of the only one; populations without an entry are silent. `steps` is needed where
+    /// no input tells it. Probes are POPULATION.u, .v, .spikes, .message, or a word of state.
+    #[pyo3(signature = (inputs=None, steps=None, probes=Vec::new()))]
+    fn run<'py>(
+        &self,
+        py: Python<'py>,
+        inputs: Option<&Bound<'py, PyAny>>,
+        steps: Option<u32>,
+        probes: Vec<String>,
+    ) -> PyResult<Bound<'py, PyDict>> {
+        let network = self.network();
+        let sample = steps_to_run(network, inputs, steps)?;
+        let readers = probes.iter().map(|name| probe_named(network, name)).collect::<PyResult<Vec<Probe>>>()?;
+        let mut rows: Vec<Vec<i32>> = vec![Vec::new(); readers.len()];
+        let mut state = self.state(py);
+        let stepped = state.stepped.as_mut().ok_or_else(closed)?;
+        let record = |stepped: &Stepped| {
+            readers.iter().zip(&mut rows).for_each(|(probe, rows)| stepped.append_probe(network, probe, rows));
+        };
+        try_detached(py, || stepped.run_on(&sample, record))?;
+        let values = PyDict::new(py);
+        for (name, rows) in probes.iter().zip(rows) {
+            let shape = [sample.steps() as usize, rows.len() / sample.steps().max(1) as usize];
+            values.set_item(name, PyArray1::from_vec(py, rows).reshape(shape)?)?;
+        }
+        Ok(values)
+    }
+
+    /// Integers that the next timestep adds to each compartment, by POPULATION.q (to its arrivals) and
+    /// POPULATION.bias (to u + bias). They hold for this timestep only.
+    #[getter]
+    fn added(slf: &Bound<'_, Self>) -> PyResult<Values> {
+        Values::new(slf, Kind::Added)
+    }
+
+    /// Numbers of registers that left their width since the session was opened or reset, over all
+    /// copies: `q`, `u` (or u + bias), and `v`, which was clipped.
+    #[getter]
+    fn overflow<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let overflow = self.stepped(py, |stepped| stepped.overflow())?;
+        let counts = [("q", overflow.q_wrapped), ("u", overflow.u_wrapped), ("v", overflow.v_clipped)];
+        counts.into_py_dict(py)
+    }
+
     /// Timesteps since the session was opened or reset.
     #[getter]
     fn steps(&self, py: Python<'_>) -> PyResult<u32> {
@@ -481,6 +530,29 @@ impl Population {
 /// The most numbers of an array that a session takes.
 const MOST_NUMBERS: usize = 1 << 27;
 
+/// The integers of an array.
+fn integers(given: &Bound<'_, PyAny>, name: String, help: &str) -> PyResult<Vec<i32>> {
+    let array = Array::new(given, name)?;
+    let whole = |(index, value): (usize, f64)| {
+        let wrong = || array.wrong(index, value, "and an integer of 32 bits is expected").help(help);
+        if f64::from(value as i32) == value { Ok(value as i32) } else { Err(exception(given.py(), wrong())) }
+    };
+    array.numbers(MOST_NUMBERS, help)?.into_iter().enumerate().map(whole).collect()
+}
+
+/// The probe of this name, POPULATION.WHAT.
+fn probe_named(network: &Quantised, name: &str) -> PyResult<Probe> {
+    let parts = name.rsplit_once('.');
+    let probe = parts.and_then(|(population, what)| {
+        Probe::named(&network.populations()[network.population_named(population)?], what)
+    });
+    probe.ok_or_else(|| {
+        let known: Vec<&str> = network.populations().iter().map(|population| population.name.as_str()).collect();
+        let help = format!("probes are POPULATION.u, .v, .spikes, .message; populations: {}", known.join(", "));
+        usage(format!("no probe '{name}'"), &help)
+    })
+}
+
 /// What the names of [`Values`] select.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Kind {
@@ -492,6 +564,8 @@ pub enum Kind {
     Signal,
     /// Random numbers of a projection that learns, in the next timestep.
     Draws,
+    /// Integers that the next timestep adds to compartments.
+    Added,
 }
 
 /// Values of a session by name, such as `session.weights["NAME"]`.
@@ -512,6 +586,7 @@ impl Values {
         let network = self.session.get().network();
         match self.kind {
             Kind::Signal => signals(network).map(|(_, population)| population.name.as_str()).collect(),
+            Kind::Added => network.populations().iter().map(|population| population.name.as_str()).collect(),
             _ => network.parts().rules.iter().map(|rule| rule.name.as_str()).collect(),
         }
     }
@@ -555,6 +630,10 @@ impl Values {
                 })?;
                 return Ok(PyArray1::from_vec(py, values).into_any());
             }
+            Kind::Added => {
+                let given = session.stepped(py, |stepped| stepped.added_to(session.network(), name))?;
+                return Ok(PyArray1::from_vec(py, given.map_err(|problem| exception(py, problem))?).into_any());
+            }
             Kind::Draws => {
                 let rule = self.rule(py, name)?;
                 let needed = session.stepped(py, |stepped| stepped.draws_needed(rule))?;
@@ -573,17 +652,12 @@ impl Values {
         let done = match self.kind {
             Kind::Synapses(Variable::Weight) => {
                 let rule = self.rule(py, name)?;
-                let array = Array::new(given, format!("weights['{name}']"))?;
-                let help = "give integers, one for each synapse";
-                let mut weights = Vec::new();
-                for (index, value) in array.numbers(MOST_NUMBERS, help)?.into_iter().enumerate() {
-                    if f64::from(value as i32) != value {
-                        let wrong = array.wrong(index, value, "and a weight is an integer").help(help);
-                        return Err(exception(py, wrong));
-                    }
-                    weights.push(value as i32);
-                }
+                let weights = integers(given, format!("weights['{name}']"), "give integers, one for each synapse")?;
                 session.stepped(py, |stepped| stepped.write_weights(rule, &weights))?
+            }
+            Kind::Added => {
+                let added = integers(given, format!("added['{name}']"), "give integers, one for each compartment")?;
+                session.stepped(py, |stepped| stepped.add_next(session.network(), name, &added))?
             }
             Kind::Signal => {
                 let mut shown = Vec::new();

@@ -192,6 +192,64 @@ fn arrays(network: &Quantised, spikes: &Bound<'_, PyAny>, time_first: bool) -> P
     Ok(Stimulus { samples, origin: vec!["array".to_string()], seed: None, warnings })
 }
 
+/// The input of timesteps that a session runs: of each population an array or events, of equal
+/// length; without any, silence of `steps` steps.
+pub fn steps_to_run(network: &Quantised, inputs: Option<&Bound<'_, PyAny>>, steps: Option<u32>) -> PyResult<Sample> {
+    let populations: Vec<&Population> = network.inputs().map(|(_, population)| population).collect();
+    let names = || populations.iter().map(|population| population.name.as_str()).collect::<Vec<_>>().join(", ");
+    let mut given: Vec<Option<PopulationSpikes>> = populations.iter().map(|_| None).collect();
+    let mut read = |place: usize, array: &Bound<'_, PyAny>, name: String| {
+        let mut samples = recordings(array, &name, populations[place], network.parts().timestep_ms, false)?;
+        if samples.len() != 1 {
+            let message = format!("{name} has {} samples", samples.len());
+            return Err(usage(message, "give the timesteps of one sample"));
+        }
+        given[place] = samples.pop();
+        Ok(())
+    };
+    match inputs.map(|inputs| (inputs, inputs.cast::<PyDict>())) {
+        None => {}
+        Some((_, Ok(by_name))) => {
+            for (name, array) in by_name.iter() {
+                let name: String = name.extract()?;
+                let Some(place) = populations.iter().position(|population| population.name == name) else {
+                    let message = format!("'{name}' is not an input population");
+                    return Err(usage(message, &format!("the input populations are: {}", names())));
+                };
+                read(place, &array, format!("inputs['{name}']"))?;
+            }
+        }
+        Some((array, Err(_))) if populations.len() == 1 => read(0, array, "inputs".to_string())?,
+        Some(_) => {
+            let message = "the network has several input populations".to_string();
+            return Err(usage(message, &format!("give a dictionary with arrays for: {}", names())));
+        }
+    }
+    let told = given.iter().flatten().map(|spikes| spikes.steps).next();
+    let steps = match (steps, told) {
+        (Some(steps), Some(told)) if steps != told => {
+            let message = format!("steps={steps}, but the inputs have {told} timesteps");
+            return Err(usage(message, "give inputs of as many timesteps, or no steps="));
+        }
+        (Some(steps), _) | (None, Some(steps)) => steps,
+        (None, None) => return Err(usage("no input tells the number of timesteps".into(), "give steps=")),
+    };
+    if steps > MOST_STEPS {
+        let message = format!("{steps} timesteps, more than {MOST_STEPS}");
+        return Err(usage(message, "run some of them at a time"));
+    }
+    let silent = |population: &&Population| PopulationSpikes {
+        steps,
+        units: Some(population.shape.len().into()),
+        ..PopulationSpikes::default()
+    };
+    let filled = populations.iter().zip(given).map(|(population, own)| vec![own.unwrap_or_else(|| silent(population))]);
+    let samples =
+        join_samples(&populations, filled.collect()).map_err(|error| Python::attach(|py| exception(py, error)))?;
+    let silence = || Sample::new(steps, &[], None).map_err(|error| usage(error.to_string(), "give fewer timesteps"));
+    samples.into_iter().next().map_or_else(silence, Ok)
+}
+
 /// The samples of an array, or of events, for a population; a timestep has `dt_ms` milliseconds.
 fn recordings(
     given: &Bound<'_, PyAny>,

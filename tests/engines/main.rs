@@ -4,6 +4,7 @@
 #![allow(clippy::unwrap_used)]
 
 mod agreement;
+mod biases;
 mod big_integers;
 mod cases;
 #[path = "../common/mod.rs"]

@@ -95,11 +95,17 @@ impl Fields {
         if self.refractory == 0 { hold } else { hold.saturating_sub(1) }
     }
 
-    /// Rule (13): whether the compartment is idle under these arrivals. Unless `fires_from` <= 0,
+    /// Rule (13): whether the compartment is idle, with or without arrivals. Unless `fires_from` <= 0,
     /// the update then changes nothing and sends no spike.
     #[inline]
-    pub fn at_rest(&self, r: &Registers, arrived: i32) -> bool {
-        r.u == 0 && r.v == 0 && !self.holds(r) && arrived == 0 && self.bias == 0
+    pub fn at_rest(&self, r: &Registers, reached: bool) -> bool {
+        r.u == 0 && r.v == 0 && !self.holds(r) && !reached && self.bias == 0
+    }
+
+    /// Whether integers may be added to a step ([`nsim_ir::spikes::Added`]).
+    #[inline]
+    pub fn takes_added(&self) -> bool {
+        self.semantics == Semantics::Hardware && self.neuron.kind != NeuronKind::SoftReset
     }
 
     /// Whether the compartment changes or spikes without input, so that it is never idle.

@@ -22,7 +22,7 @@ pub use kind::{Arrivals, Effect, Fields, Kind, RealForm, Registers};
 use std::num::NonZeroU32;
 
 use nsim_ir::arithmetic::{Semantics, ThresholdTest};
-use nsim_ir::base::fixed::{OutOfRange, Refractory};
+use nsim_ir::base::fixed::{OutOfRange, Refractory, WEIGHT_SHIFT};
 use nsim_ir::graph::{Graph, NeuronParameters, PopulationKind};
 use nsim_ir::neurons::{NeuronKind, ParameterRow, Role};
 use nsim_ir::quantised::{Neuron, Neurons, Population, Quantised};
@@ -87,12 +87,20 @@ pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     }
 }
 
-/// Computes one update of a compartment of a neuron with several. `stack` is the value that its
-/// child pushed, then its own; 0 where nothing is pushed.
+/// Computes one update of a compartment of a neuron with several, or of one to whose arrivals and to
+/// whose u + b integers are added; [`Fields::takes_added`]. `stack` is the value that its child
+/// pushed, then its own; 0 where nothing is pushed.
 #[inline]
-pub fn update_joined(r: Registers, arrived: i32, f: &Fields, stack: &mut i32) -> (Registers, Effect) {
+pub fn update_added(
+    r: Registers,
+    arrived: i32,
+    f: &Fields,
+    stack: &mut i32,
+    (to_q, to_bias): (i32, i32),
+) -> (Registers, Effect) {
     let (Some(Role::Add) | None) = f.neuron.stack.pops;
-    let (new, effect, pushed) = loihi::hardware(r, arrived, f, *stack);
+    let whole = (i64::from(arrived) << WEIGHT_SHIFT) + i64::from(to_q);
+    let (new, effect, pushed) = loihi::hardware(r, whole, f, stack.wrapping_add(to_bias));
     *stack = if f.neuron.stack.pushes { pushed } else { 0 };
     (new, effect)
 }

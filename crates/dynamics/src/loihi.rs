@@ -97,7 +97,7 @@ fn fields(neuron: &Neuron, start_step: u32, semantics: Semantics, test: Threshol
 pub(super) fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     match f.semantics {
         Semantics::Hardware => {
-            let (new, effect, _) = hardware(r, arrived, f, 0);
+            let (new, effect, _) = hardware(r, i64::from(arrived) << WEIGHT_SHIFT, f, 0);
             (new, effect)
         }
         Semantics::Lava => lava(r, arrived, f),
@@ -105,10 +105,10 @@ pub(super) fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effe
     }
 }
 
-/// The update of a compartment that pops `popped`, in the chip's arithmetic; and its own push.
+/// The update of a compartment with arrivals of `whole`, in units of 1, that pops `popped`, in the
+/// chip's arithmetic; and its own push.
 #[inline]
-pub(super) fn hardware(r: Registers, arrived: i32, f: &Fields, popped: i32) -> (Registers, Effect, i32) {
-    let whole = i64::from(arrived) << WEIGHT_SHIFT;
+pub(super) fn hardware(r: Registers, whole: i64, f: &Fields, popped: i32) -> (Registers, Effect, i32) {
     let q = wrap(whole, Q_BITS);
     let sum = decay(i64::from(r.u), f.neuron.du) + q;
     let u = wrap(sum, UV_BITS);

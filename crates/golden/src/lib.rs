@@ -39,7 +39,7 @@ use nsim_ir::microcode::MOST_WORDS;
 use nsim_ir::neurons::{NeuronKind, Port, Role};
 use nsim_ir::quantised::{Neuron, Quantised, Reset, SpikeSource, Units};
 use nsim_ir::source_counts::OverflowCounts;
-use nsim_ir::spikes::{Engine, Message, Spikes};
+use nsim_ir::spikes::{Added, Engine, Message, Spikes};
 
 /// Greatest delay field.
 const LONGEST_DELAY: u32 = 62;
@@ -114,6 +114,8 @@ pub struct Golden {
     threshold: ThresholdTest,
     reset: Option<Reset>,
     compartments: IdVec<CompartmentId, Compartment>,
+    /// Integers added to q and to u + b in the next step.
+    added: BTreeMap<CompartmentId, (i64, i64)>,
     /// Number of steps done, which is the number of the next step.
     done: u32,
     /// Number of steps of the sample.
@@ -187,6 +189,7 @@ impl Golden {
             threshold: parts.threshold,
             reset: parts.reset,
             compartments,
+            added: BTreeMap::new(),
             done: 0,
             steps: 0,
             channel_messages,
@@ -349,9 +352,10 @@ impl Golden {
     /// Computes and counts one step of one compartment; returns whether it spikes.
     fn update(&mut self, id: CompartmentId, step: u32) -> bool {
         let arrivals = self.arrivals(id);
-        let sum = arrivals.plain[0];
+        let (to_q, to_bias) = self.added.remove(&id).unwrap_or_default();
+        let sum = arrivals.plain[0] + to_q;
         // Compartments of lower numbers, children among them, have been updated in this step.
-        let popped = self.compartments[id].child.map_or(0, |child| self.compartments[child].state.pushed);
+        let popped = self.compartments[id].child.map_or(0, |child| self.compartments[child].state.pushed) + to_bias;
         // Rule (12): arrivals after the sample's end are never looked up.
         self.totals.synaptic_events += arrivals.events;
         self.totals.compartment_updates += 1;
@@ -388,7 +392,7 @@ impl Golden {
         }
         let mut outcome = match (neuron.kind, semantics) {
             (NeuronKind::SoftReset, _) => soft_reset(neuron, threshold, state, sum),
-            (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, sum, step),
+            (NeuronKind::If, _) => integrate_and_fire(neuron, threshold, state, (sum, popped), step),
             (NeuronKind::Loihi, Semantics::Hardware) => hardware(neuron, threshold, state, (sum, popped), step),
             (NeuronKind::Loihi, Semantics::Lava) => lava(neuron, threshold, state, sum, step),
             (NeuronKind::Loihi, Semantics::Slayer) => slayer(neuron, threshold, state, sum, step),
@@ -430,6 +434,7 @@ impl Engine for Golden {
             compartment.state = first(&compartment.neuron);
         }
         self.done = 0;
+        self.added.clear();
         self.channel_history.clear();
         self.compartment_history.clear();
         self.spikes.clear();
@@ -476,6 +481,13 @@ impl Engine for Golden {
             let none = vec![None; self.channel_messages.len()];
             let delivery = self.delivery(none);
             self.note(&delivery);
+        }
+    }
+
+    fn add(&mut self, added: &[Added]) {
+        for &Added { compartment, to_q, to_bias } in added {
+            let sums = self.added.entry(compartment).or_default();
+            *sums = (sums.0 + i64::from(to_q), sums.1 + i64::from(to_bias));
         }
     }
 
@@ -669,8 +681,14 @@ fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, input:
 }
 
 /// A step of an integrate-and-fire compartment: equations (2) to (7) with du = 4096 and dv = 0.
-fn integrate_and_fire(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
-    hardware(&Neuron { du: Decay::MAX, dv: Decay::MIN, ..*neuron }, threshold, state, (sum, 0), step)
+fn integrate_and_fire(
+    neuron: &Neuron,
+    threshold: ThresholdTest,
+    state: &mut State,
+    input: (i64, i64),
+    step: u32,
+) -> Outcome {
+    hardware(&Neuron { du: Decay::MAX, dv: Decay::MIN, ..*neuron }, threshold, state, input, step)
 }
 
 /// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of

@@ -295,6 +295,17 @@ impl<I: Id> Spike for GradedSpike<I> {
     }
 }
 
+/// Integers that a step adds to a `Loihi` compartment in the chip's arithmetic: noise, for example.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Added {
+    /// The compartment.
+    pub compartment: CompartmentId,
+    /// Added to its arrivals before equation (2) narrows them, in units of 1.
+    pub to_q: i32,
+    /// Added to u + b before equation (6) narrows them.
+    pub to_bias: i32,
+}
+
 /// Interface of an engine, by which probes, digests and comparisons read its state after a step.
 /// The engine is chosen at run time.
 pub trait Engine {
@@ -321,6 +332,11 @@ pub trait Engine {
     /// Sets the random numbers of learning, before [`Engine::begin`].
     fn set_draws(&mut self, draws: &Draws) {
         let _ = draws;
+    }
+    /// Adds integers in the next step, in addition to those given before. Engines of real numbers
+    /// ignore them.
+    fn add(&mut self, added: &[Added]) {
+        let _ = added;
     }
     /// A column of a rule's state in the first copy of the network: by row of the rule for a
     /// variable, by source or target of the rule for a trace. The delivery that follows a step

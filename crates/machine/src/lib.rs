@@ -49,7 +49,7 @@ use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id, IdVec, RuleId};
 use nsim_ir::learning::draws::Draws;
 use nsim_ir::learning::{Column, Variable};
 use nsim_ir::source_counts::SourceCounts;
-use nsim_ir::spikes::{Engine, Spikes};
+use nsim_ir::spikes::{Added, Engine, Spikes};
 
 /// Settings of a run, which change no result.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -605,6 +605,17 @@ impl Engine for Machine {
         self.learning.iter_mut().for_each(|learning| learning.set_draws(draws));
     }
 
+    fn add(&mut self, added: &[Added]) {
+        for &Added { compartment, to_q, to_bias } in added.iter().filter(|added| self.image.is_local(added.compartment))
+        {
+            let (shard, lane) = self.image.lane(compartment);
+            let of_shard = &mut self.shards[shard].added;
+            of_shard.resize(self.image.shards[shard].lanes, (0, 0));
+            let sums = &mut of_shard[lane];
+            *sums = (sums.0.wrapping_add(to_q), sums.1.wrapping_add(to_bias));
+        }
+    }
+
     fn synaptic_updates(&self) -> u64 {
         self.learning.as_ref().map_or(0, |learning| learning.updates)
     }
@@ -669,7 +680,7 @@ impl Engine for Machine {
             return 0;
         }
         let (shard, lane) = self.image.lane(compartment);
-        match (self.image.neuron(compartment).kind.table().registers, column) {
+        match (self.image.has_registers(shard, compartment), column) {
             (true, 0) => self.u(compartment),
             (true, _) => self.v(compartment),
             (false, _) => self.shards[shard].word(&self.image.shards[shard], lane, column),
@@ -687,6 +698,9 @@ impl Engine for Machine {
     fn potential(&self, compartment: CompartmentId) -> f64 {
         if !self.image.is_local(compartment) {
             return 0.0;
+        }
+        if self.image.has_registers(self.image.lane(compartment).0, compartment) {
+            return self.v(compartment).into();
         }
         let word = self.image.neuron(compartment).kind.potential();
         word.map_or(0.0, |word| self.state(compartment, word).into())

@@ -9,24 +9,29 @@
 //! What rules change is read between steps, and weights are written. A reset keeps them,
 //! [`Session::reset_all`] does not. Each clone of the session has its own.
 //!
-//! Errors: `session.channel` for channels that the network lacks, `session.weights.*` for weights
+//! Integers may be added to compartments in a step: noise, for example.
+//!
+//! Errors: `session.channel` for channels that the network lacks, `session.added`, `session.weights.*` for weights
 //! that cannot be written, `run.draws` for random numbers that do not fit the next step.
 
 use std::sync::Arc;
 
 use nsim_cost::MeterSettings;
+use nsim_ir::activity::Overflow;
+use nsim_ir::arithmetic::Semantics;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
-use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, RuleId};
+use nsim_ir::base::id::{ChannelId, CompartmentId, Id, IdVec, PopulationId, RuleId};
 use nsim_ir::learning::Column;
 use nsim_ir::learning::draws::{Draws, Recorded, Use};
-use nsim_ir::quantised::Quantised;
-use nsim_ir::spikes::{Engine, Sample, Spikes};
+use nsim_ir::neurons::NeuronKind;
+use nsim_ir::quantised::{Quantised, Units};
+use nsim_ir::spikes::{Added, Engine, Sample, Spikes};
 use nsim_machine::{Image, Machine, Settings};
 
 use crate::learning::SteppedRule;
 use crate::metering::{MeteredSteps, SessionMeter};
 use crate::observers::{Observer, Outputs, Recording, StepRange, integer};
-use crate::outcome::{Outcome, Probe, SampleSettings};
+use crate::outcome::{Outcome, Probe, Quantity, SampleSettings};
 
 /// Channels that spike in a step, and the value of each.
 type Input = (Vec<ChannelId>, Vec<i32>);
@@ -42,6 +47,8 @@ pub struct Session<E: ?Sized = Machine> {
     draws: Draws,
     /// Messages that are set for the next step.
     next: Vec<(ChannelId, i32)>,
+    /// Integers that the next step adds, in all copies.
+    added: Vec<Added>,
     /// Counts of the steps; `None` where they are not metered.
     meter: Option<Box<SessionMeter>>,
     steps: u32,
@@ -64,6 +71,7 @@ impl<E: Engine> Session<E> {
             rules: Arc::default(),
             draws: Draws::default(),
             next: Vec::new(),
+            added: Vec::new(),
             meter: None,
             steps: 0,
             is_begun: false,
@@ -146,6 +154,7 @@ impl<E: Engine + ?Sized> Session<E> {
         self.clear_input();
         self.forget_draws();
         self.next.clear();
+        self.added.clear();
         // The sample has no end, so every delivery is counted.
         self.engine.begin(u32::MAX);
         self.is_begun = true;
@@ -270,6 +279,10 @@ impl<E: Engine + ?Sized> Session<E> {
         self.check_draws()?;
         self.next.clear();
         self.begin();
+        if !self.added.is_empty() {
+            self.engine.add(&self.added);
+            self.added.clear();
+        }
         let step_input = &self.step_input;
         let (ids, values) = &mut self.last_input;
         ids.clear();
@@ -284,11 +297,31 @@ impl<E: Engine + ?Sized> Session<E> {
         Ok(())
     }
 
+    /// Runs the steps of a sample after those so far; `see` sees the session after each.
+    ///
+    /// # Errors
+    /// As [`Self::step`]; the steps before stay.
+    pub fn run_on(&mut self, sample: &Sample, mut see: impl FnMut(&Self)) -> Result<()> {
+        (0..sample.steps()).try_for_each(|step| {
+            let Spikes { ids, values } = sample.input(step);
+            let values = values.iter().copied().chain(std::iter::repeat(1));
+            self.step(ids.iter().copied().zip(values))?;
+            see(self);
+            Ok(())
+        })
+    }
+
+    /// Counts of overflows in all copies since the last reset.
+    pub fn overflow(&self) -> Overflow {
+        self.engine.overflow()
+    }
+
     /// Skips steps without input, if the engine would be idle in them, and returns true; otherwise
     /// does nothing and returns false.
     pub fn skip(&mut self, steps: u32) -> bool {
         self.begin();
-        let skipped = self.next.is_empty() && !self.draws.of_step && self.engine.skip_idle(steps);
+        let skipped =
+            self.next.is_empty() && self.added.is_empty() && !self.draws.of_step && self.engine.skip_idle(steps);
         if skipped && steps > 0 {
             self.last_input.0.clear();
             self.last_input.1.clear();
@@ -372,6 +405,79 @@ impl Session {
         Some(self.meter.as_ref()?.sample(&self.engine, self.steps))
     }
 
+    /// Appends a probe's value of each compartment after the last step, in the order before pruning;
+    /// pruned ones have 0.
+    pub fn append_probe(&self, one: &Quantised, probe: &Probe, values: &mut Vec<i32>) {
+        let population = one.populations().enumerate().find(|(_, population)| {
+            population.first_compartment() == Some(probe.first) && population.shape.len() == probe.count
+        });
+        let Some((id, _)) = population else { return };
+        let start = values.len();
+        values.resize(start + one.units_before_pruning(id) as usize, 0);
+        let place = |i| start + one.index_before_pruning(id, i) as usize;
+        if matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
+            for (i, payload) in self.spikes(probe.first, probe.count) {
+                values[place(i)] = if probe.quantity == Quantity::Spikes { 1 } else { payload };
+            }
+            return;
+        }
+        for i in 0..probe.count {
+            values[place(i)] = integer(&self.engine, probe.quantity, CompartmentId(probe.first.0 + i));
+        }
+    }
+
+    /// Integers that the next step adds, by name as for [`Self::add_next`], one a compartment.
+    ///
+    /// # Errors
+    /// `session.added`.
+    pub fn added_to(&self, one: &Quantised, name: &str) -> Result<Vec<i32>> {
+        let (id, first, to_q) = added_place(one, name)?;
+        let mut values = vec![0; one.units_before_pruning(id) as usize];
+        for added in &self.added {
+            let i = added.compartment.0.checked_sub(first.0).filter(|&i| i < one.populations()[id].shape.len());
+            if let Some(i) = i {
+                values[one.index_before_pruning(id, i) as usize] += if to_q { added.to_q } else { added.to_bias };
+            }
+        }
+        Ok(values)
+    }
+
+    /// Adds integers to each compartment of a population of `one` in the next step, in every copy:
+    /// before (2) narrows its arrivals for the name `POPULATION.q`, to u + b of (6) for
+    /// `POPULATION.bias`. The values replace those set before.
+    ///
+    /// # Errors
+    /// `session.added` for other names, kinds and arithmetics, for another number of values, and
+    /// beyond 2^30.
+    pub fn add_next(&mut self, one: &Quantised, name: &str, values: &[i32]) -> Result<()> {
+        let (id, first, is_q) = added_place(one, name)?;
+        let wrong = |message: String, help: &str| Err(Diagnostic::new("session.added", message).help(help));
+        let units = one.units_before_pruning(id) as usize;
+        if values.len() != units {
+            let message = format!("'{name}' has {} integers for {units} compartments", values.len());
+            return wrong(message, "give one for each");
+        }
+        if let Some(at) = values.iter().position(|value| value.unsigned_abs() > 1 << 30) {
+            return wrong(format!("'{name}' adds {} to compartment {at}", values[at]), "give at most 2^30");
+        }
+        self.begin();
+        let members = one.populations()[id].shape.len();
+        let is_own = |added: &Added| {
+            let place = (added.compartment.0 % one.compartments()).checked_sub(first.0);
+            place.is_some_and(|place| place < members) && (added.to_q != 0) == is_q
+        };
+        self.added.retain(|added| !is_own(added));
+        for copy in 0..self.copies {
+            for i in 0..members {
+                let value = values[one.index_before_pruning(id, i) as usize];
+                let compartment = CompartmentId(copy * one.compartments() + first.0 + i);
+                let (to_q, to_bias) = if is_q { (value, 0) } else { (0, value) };
+                self.added.extend((value != 0).then_some(Added { compartment, to_q, to_bias }));
+            }
+        }
+        Ok(())
+    }
+
     /// The rule of this name.
     ///
     /// # Errors
@@ -416,4 +522,21 @@ impl Session {
         self.engine.write_weights(rule, weights);
         Ok(())
     }
+}
+
+/// The population and first compartment of a name POPULATION.q or POPULATION.bias, and whether it is
+/// q.
+fn added_place(one: &Quantised, name: &str) -> Result<(PopulationId, CompartmentId, bool)> {
+    let wrong = |help: &str| Diagnostic::new("session.added", format!("'{name}' takes no integers")).help(help);
+    let known = name.rsplit_once('.').filter(|(_, to)| matches!(*to, "q" | "bias"));
+    let known = known.and_then(|(population, to)| Some((one.population_named(population)?, to == "q")));
+    let (id, is_q) = known.ok_or_else(|| wrong("give POPULATION.q or POPULATION.bias"))?;
+    let population = &one.populations()[id];
+    let Units::Compartments { first, neurons, .. } = &population.units else {
+        return Err(wrong("an input has no compartments"));
+    };
+    let takes = one.parts().semantics == Semantics::Hardware
+        && !population.shape.is_empty()
+        && matches!(neurons.get(0).kind, NeuronKind::Loihi | NeuronKind::If);
+    if takes { Ok((id, *first, is_q)) } else { Err(wrong("Loihi and If neurons in the chip's arithmetic do")) }
 }

@@ -9,8 +9,10 @@
 
 use nsim_compile::{Options, Strategy, compile};
 use nsim_files::target::load_target;
+use nsim_ir::base::fixed::{BiasMantissa, OutOfRange};
 use nsim_ir::base::id::ChannelId;
 use nsim_ir::base::rng;
+use nsim_ir::graph::PerCompartment;
 use nsim_ir::quantised::{Neuron, Quantised};
 use nsim_ir::spikes::Sample;
 use nsim_session::SampleSettings;
@@ -27,6 +29,8 @@ pub const CLIFF: f64 = 2.5;
 /// The goal of a compartment's update, in nanoseconds: a million compartments in 0.57 ms, as
 /// `nsim bench step` measured `silent-1m` without skipping (AVX-512, `docs/benchmarks.md`).
 const UPDATE_NS: f64 = 0.6;
+/// The goal of the update of a compartment that its own bias drives, in nanoseconds.
+const BIASED_UPDATE_NS: f64 = 6.0;
 /// Runs of a rung, of which the fastest counts: other programs only make runs longer.
 const REPEATS: usize = 15;
 /// Approximate number of synaptic events of a run.
@@ -72,6 +76,8 @@ pub struct LadderCase {
     /// Compartments of a random or dense network; channels of a convolution.
     size: u32,
     populations: u32,
+    /// Number of different biases that drive the compartments; 0 for none.
+    biases: u32,
     /// Sources in 1,000 that spike in a step.
     per_mille: u64,
     /// Steps of a sample.
@@ -114,6 +120,7 @@ pub fn ladder_cases(seed: u64, threads: usize) -> Vec<LadderCase> {
             class: Class::Lists { fan_out: draw(0, 32, 128) as u32, delays: 1 },
             size: draw(1, 4_096, 16_384) as u32,
             populations: 1,
+            biases: 0,
             per_mille: draw(2, 10, 50),
             steps: draw(3, 200, 400) as u32,
             strategy: Strategy::default(),
@@ -143,6 +150,9 @@ pub fn ladder_cases(seed: u64, threads: usize) -> Vec<LadderCase> {
     for populations in [1, 2, 4, 8, 16, 32, 64] {
         add("populations", &populations, LadderCase { populations, ..base(4) });
     }
+    for biases in [2, 16, 256, 4_096] {
+        add("biases", &biases, LadderCase { biases, ..base(10) });
+    }
     for kernel in [1, 3, 5, 7] {
         add("kernel", &kernel, LadderCase { class: Class::Convolution { kernel, depthwise: false }, ..layer(5) });
     }
@@ -166,7 +176,7 @@ pub fn ladder_cases(seed: u64, threads: usize) -> Vec<LadderCase> {
 
 impl LadderCase {
     fn build(&self) -> Result<Quantised, BuildError> {
-        let LadderCase { class, size, populations, seed, .. } = *self;
+        let LadderCase { class, size, populations, biases, seed, .. } = *self;
         if let Class::Convolution { kernel, depthwise } = class {
             let mut layers = Layers::new("ladder", (size, 20, 20));
             layers.threshold = NEVER;
@@ -179,8 +189,17 @@ impl LadderCase {
         }
         let (mut net, size) = (Builder::new("ladder"), size / populations);
         for population in 0..populations {
-            let ends =
-                (net.input(&format!("in{population}"), size), silent(&mut net, &format!("out{population}"), size));
+            let (source, name) = (net.input(&format!("in{population}"), size), format!("out{population}"));
+            let target = match biases {
+                0 => silent(&mut net, &name, size),
+                _ => {
+                    let own =
+                        |i: u32| Ok(Neuron { bias_mant: BiasMantissa::new((i % biases).into())?, ..Neuron::PLAIN });
+                    let neurons = (1..=size).map(own).collect::<Result<_, OutOfRange>>()?;
+                    net.compartments(&name, size, PerCompartment::Each(neurons))
+                }
+            };
+            let ends = (source, target);
             match class {
                 Class::Lists { fan_out, delays } => {
                     for place in 0..delays {
@@ -240,7 +259,8 @@ impl LadderCase {
         };
         let ((class, goal), at) = (class.goal(), self.at.clone());
         let updates = u64::from(compiled.program.compartments()) * u64::from(self.steps) * samples.len() as u64;
-        let goal = goal + UPDATE_NS * updates as f64 / events.max(1) as f64;
+        let update = if self.biases > 0 { BIASED_UPDATE_NS } else { UPDATE_NS };
+        let goal = goal + update * updates as f64 / events.max(1) as f64;
         Ok(LadderRow { ladder: self.ladder, at, class, events, ns_an_event, goal, is_cliff: false })
     }
 }

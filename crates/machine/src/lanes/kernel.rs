@@ -1,8 +1,8 @@
 //! The update of sixteen compartments in parallel, in the chip's semantics: the vector form of
 //! [`nsim_dynamics::update`].
 //!
-//! Input: registers and sums of a block whose compartments share their fields, padded to whole
-//! chunks of sixteen. Output: the new registers, the lanes that spiked, the lanes that were not
+//! Input: registers, sums and biases of a block whose compartments share their other fields, padded
+//! to whole chunks of sixteen. Output: the new registers, the lanes that spiked, the lanes that were not
 //! idle, and the chunks with overflow. The compiler turns plain loops over arrays of sixteen into
 //! vector instructions. `pulp` picks the widest set of the processor, and all sets compute equal
 //! integers. For AVX-512 the instructions are explicit (`vectors`). A test compares both with the
@@ -15,7 +15,7 @@
 //! 36-bit product of a decay is split at bit 12: with x = 4096 h + l,
 //! `(x k) >> 12 = h k + ((l k) >> 12)` exactly.
 
-use std::array::from_mut;
+use std::array::{from_mut, from_ref};
 
 use nsim_dynamics::Fields;
 use nsim_ir::base::fixed::{DECAY_ONE, UV_BITS, WEIGHT_SHIFT};
@@ -23,14 +23,11 @@ use nsim_ir::base::fixed::{DECAY_ONE, UV_BITS, WEIGHT_SHIFT};
 /// Number of compartments of a chunk.
 pub const LANES: usize = 16;
 
-/// Fields that a whole block shares.
+/// Fields that a whole block shares: all but the bias.
 #[derive(Debug, Clone, Copy)]
 pub struct BlockParameters {
-    /// Whether there is no bias.
-    pub(crate) plain: bool,
     pub(crate) keep_u: i32,
     pub(crate) keep_v: i32,
-    pub(crate) bias: i32,
     pub(crate) fires_from: i32,
     pub(crate) vmin: i32,
     pub(crate) vmax: i32,
@@ -47,10 +44,8 @@ impl From<&Fields> for BlockParameters {
         const ONE: i32 = DECAY_ONE as i32;
         let (keep_u, keep_v) = (ONE - i32::from(f.neuron.du.get()), ONE - i32::from(f.neuron.dv.get()));
         BlockParameters {
-            plain: f.bias == 0,
             keep_u,
             keep_v,
-            bias: f.bias,
             fires_from: f.fires_from,
             vmin: f.vmin,
             vmax: f.vmax,
@@ -71,6 +66,8 @@ pub struct Block<'a, S> {
     pub v: &'a mut [i32],
     /// Sums of arrivals in units of 64; set to 0.
     pub sums: &'a mut [S],
+    /// Biases; empty if all are 0 and v is not bounded from below, so that it is rarely clipped.
+    pub biases: &'a [i32],
 }
 
 /// The voltage register while v is held is this plus the steps until v is free again. It is above
@@ -162,6 +159,8 @@ pub struct Chunks<'a, S, const N: usize> {
     pub v: &'a mut [[i32; LANES]; N],
     /// Sums of arrivals; set to 0.
     pub sums: &'a mut [[S; LANES]; N],
+    /// Biases.
+    pub biases: &'a [[i32; LANES]; N],
 }
 
 /// Effect of an update of some lanes.
@@ -171,6 +170,8 @@ pub struct Effect {
     pub spiked: u64,
     /// A bit for each lane that was not idle.
     pub moved: u64,
+    /// A bit for each lane whose voltage was clipped from below, where this is not an overflow.
+    pub clipped: u64,
     /// Whether any lane is not idle afterwards.
     pub busy: bool,
 }
@@ -181,20 +182,23 @@ impl Effect {
     pub(crate) fn merge(&mut self, other: Effect) {
         self.spiked |= other.spiked;
         self.moved |= other.moved;
+        self.clipped |= other.clipped;
         self.busy |= other.busy;
     }
 
     /// This effect, `lanes` lanes later.
     #[inline(always)]
     pub(crate) fn after(self, lanes: usize) -> Effect {
-        Effect { spiked: self.spiked << lanes, moved: self.moved << lanes, ..self }
+        let Effect { spiked, moved, clipped, busy } = self;
+        Effect { spiked: spiked << lanes, moved: moved << lanes, clipped: clipped << lanes, busy }
     }
 }
 
 /// Vector instructions for chunks.
 pub trait Vectors: Copy {
     /// Equations (2) to (7). `None` if a value of any lane would leave its field; then nothing
-    /// changes. `PLAIN` only for fields without a bias.
+    /// changes. `PLAIN` only where all biases are 0; then a voltage that is clipped leaves its field,
+    /// otherwise only one that is clipped from above.
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &BlockParameters) -> Option<Effect>;
 
     /// Updates some chunks in one call; `None` also on processors with too few registers.
@@ -217,13 +221,13 @@ impl Vectors for Portable {
     #[inline(always)]
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &BlockParameters) -> Option<Effect> {
         let BlockParameters { keep_u, keep_v, fires_from, vmin, vmax, refractory, .. } = *shared;
-        let bias = if PLAIN { 0 } else { shared.bias };
-        let Chunks { u: [u], v: [v], sums: [sums] } = chunk;
+        let Chunks { u: [u], v: [v], sums: [sums], biases: [biases] } = chunk;
         let (mut new_u, mut new_v) = ([0; LANES], [0; LANES]);
-        let [mut fired, mut moved] = [[false; LANES]; 2];
+        let [mut fired, mut moved, mut low] = [[false; LANES]; 3];
         let (mut busy, mut overflowed) = (0, 0);
         for lane in 0..LANES {
             let (sum, old_u, stored) = (sums[lane].value(), u[lane], v[lane]);
+            let bias = if PLAIN { 0 } else { biases[lane] };
             let old_v = if stored < HOLD_BASE { stored } else { 0 };
             let is_free = stored < HOLD_BASE + 2;
             // The truncation to 16 bits of a sum in units of 64 is the wrap to 22.
@@ -239,14 +243,17 @@ impl Vectors for Portable {
             busy |= next_u | new_v[lane];
             fired[lane] = fires;
             moved[lane] = ((old_u | old_v | sum | bias) != 0) | !is_free;
+            low[lane] = !PLAIN & is_free & (free < vmin);
             let wrapped = outside(next_u) | outside(input) | if S::WIDE { (q >> WEIGHT_SHIFT) ^ sum } else { 0 };
-            overflowed |= wrapped | if is_free { clipped ^ free } else { 0 };
+            let bound = if PLAIN { clipped } else { free.min(vmax) };
+            overflowed |= wrapped | if is_free { bound ^ free } else { 0 };
         }
         if overflowed != 0 {
             return None;
         }
         (*u, *v, *sums) = (new_u, new_v, [S::default(); LANES]);
-        Some(Effect { spiked: bits(fired).into(), moved: bits(moved).into(), busy: busy != 0 })
+        let clipped = if PLAIN { 0 } else { bits(low).into() };
+        Some(Effect { spiked: bits(fired).into(), moved: bits(moved).into(), clipped, busy: busy != 0 })
     }
 }
 
@@ -256,7 +263,7 @@ impl Vectors for Portable {
 /// They are rare, and are updated lane by lane.
 #[inline(always)]
 pub fn hardware<S: Sum>(block: &mut Block<'_, S>, shared: &BlockParameters, vectors: impl Vectors) -> (Effect, u32) {
-    match shared.plain {
+    match block.biases.is_empty() {
         true => chunks::<S, true>(block, shared, vectors),
         false => chunks::<S, false>(block, shared, vectors),
     }
@@ -272,17 +279,18 @@ fn chunks<S: Sum, const PLAIN: bool>(
     let (u, _) = block.u.as_chunks_mut::<LANES>();
     let (v, _) = block.v.as_chunks_mut::<LANES>();
     let (sums, _) = block.sums.as_chunks_mut::<LANES>();
+    let biases = if PLAIN { [[0; LANES]; 4].as_slice() } else { block.biases.as_chunks::<LANES>().0 };
     let unrolled = match u.len() {
-        4 => update_n::<S, PLAIN, 4>(u, v, sums, shared, vectors),
-        3 => update_n::<S, PLAIN, 3>(u, v, sums, shared, vectors),
-        2 => update_n::<S, PLAIN, 2>(u, v, sums, shared, vectors),
+        4 => update_n::<S, PLAIN, 4>((u, v, sums, biases), shared, vectors),
+        3 => update_n::<S, PLAIN, 3>((u, v, sums, biases), shared, vectors),
+        2 => update_n::<S, PLAIN, 2>((u, v, sums, biases), shared, vectors),
         _ => None,
     };
     if let Some(effect) = unrolled {
         return (effect, 0);
     }
-    for (index, ((u, v), sums)) in u.iter_mut().zip(v).zip(sums).enumerate().take(4) {
-        let one = Chunks { u: from_mut(u), v: from_mut(v), sums: from_mut(sums) };
+    for (index, (((u, v), sums), biases)) in u.iter_mut().zip(v).zip(sums).zip(biases).enumerate().take(4) {
+        let one = Chunks { u: from_mut(u), v: from_mut(v), sums: from_mut(sums), biases: from_ref(biases) };
         match vectors.update::<S, PLAIN>(one, shared) {
             Some(effect) => effects.merge(effect.after(index * LANES)),
             None => overflowed |= 1 << index,
@@ -291,17 +299,18 @@ fn chunks<S: Sum, const PLAIN: bool>(
     (effects, overflowed)
 }
 
+/// Chunks of u, v, sums and biases.
+type Columns<'a, S> = (&'a mut [[i32; LANES]], &'a mut [[i32; LANES]], &'a mut [[S; LANES]], &'a [[i32; LANES]]);
+
 /// Updates N chunks in one call.
 #[inline(always)]
 fn update_n<S: Sum, const PLAIN: bool, const N: usize>(
-    u: &mut [[i32; LANES]],
-    v: &mut [[i32; LANES]],
-    sums: &mut [[S; LANES]],
+    (u, v, sums, biases): Columns<'_, S>,
     shared: &BlockParameters,
     vectors: impl Vectors,
 ) -> Option<Effect> {
     let (u, v, sums) = (u.first_chunk_mut::<N>()?, v.first_chunk_mut::<N>()?, sums.first_chunk_mut::<N>()?);
-    vectors.update_n::<S, PLAIN, N>(Chunks { u, v, sums }, shared)
+    vectors.update_n::<S, PLAIN, N>(Chunks { u, v, sums, biases: biases.first_chunk::<N>()? }, shared)
 }
 
 /// Returns one bit a lane. The product collects the lowest bits of eight bytes in its highest byte,
@@ -380,8 +389,9 @@ mod tests {
     /// Runs the machine's vectors, and checks that the compiler's vectors give equal results.
     fn run<S: Sum>(arch: pulp::Arch, block: &mut Block<'_, S>, shared: &BlockParameters) -> (Effect, u32) {
         let (mut u, mut v, mut sums) = (block.u.to_vec(), block.v.to_vec(), block.sums.to_vec());
-        let plain = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums }, shared, Portable));
-        let same = Block { u: &mut *block.u, v: &mut *block.v, sums: &mut *block.sums };
+        let biases = block.biases;
+        let plain = arch.dispatch(Run(Block { u: &mut u, v: &mut v, sums: &mut sums, biases }, shared, Portable));
+        let same = Block { u: &mut *block.u, v: &mut *block.v, sums: &mut *block.sums, biases };
         let effects = match arch {
             #[cfg(target_arch = "x86_64")]
             pulp::Arch::V4(simd) => simd.vectorize(Run(same, shared, simd)),
@@ -418,13 +428,26 @@ mod tests {
         let mut v = registers.map(|r| store(r.v, r.hold));
         let (before_u, before_v) = (u, v);
         let mut sums = arrived;
-        let effects = run(arch, &mut Block { u: &mut u, v: &mut v, sums: &mut sums }, &BlockParameters::from(&f));
+        // Each lane has a bias of its own, among them 0, or none has one. Biases allow clips.
+        let biases: [i32; COUNT] = std::array::from_fn(|lane| [f.bias, 0, at(lane, 4, 19) as i32][lane % 3]);
+        let of_lane = |lane: usize| Fields { bias: if f.bias == 0 { 0 } else { biases[lane] }, ..f };
+        let block =
+            &mut Block { u: &mut u, v: &mut v, sums: &mut sums, biases: if f.bias == 0 { &[] } else { &biases } };
+        let effects = run(arch, block, &BlockParameters::from(&f));
         let (mut expected, mut overflowed) = (Effect::default(), 0u32);
         for chunk in 0..COUNT / LANES {
             let lanes = chunk * LANES..(chunk + 1) * LANES;
             let results: Vec<_> =
-                lanes.clone().map(|lane| update(registers[lane], arrived[lane].value(), &f)).collect();
-            if results.iter().any(|(_, effect)| effect.q_wrapped | effect.u_wrapped | effect.v_clipped) {
+                lanes.clone().map(|lane| update(registers[lane], arrived[lane].value(), &of_lane(lane))).collect();
+            // Without an upper bound only voltages below the lower one are clipped.
+            let is_low = |lane: usize| {
+                let unbounded = Fields { vmax: 1 << 28, ..of_lane(lane) };
+                f.bias != 0 && update(registers[lane], arrived[lane].value(), &unbounded).1.v_clipped
+            };
+            let leaves = |(lane, (_, effect)): (usize, &(Registers, neuron::Effect))| {
+                effect.q_wrapped | effect.u_wrapped | (effect.v_clipped && !is_low(lane))
+            };
+            if lanes.clone().zip(&results).any(leaves) {
                 overflowed |= 1 << chunk;
                 assert_eq!(
                     (&u[lanes.clone()], &v[lanes.clone()]),
@@ -435,9 +458,10 @@ mod tests {
             }
             for (lane, (new, effect)) in lanes.clone().zip(results) {
                 assert_eq!((u[lane], load(v[lane])), (new.u, (new.v, new.hold)), "seed {seed} lane {lane}");
-                let at_rest = f.at_rest(&registers[lane], arrived[lane].value());
+                let at_rest = of_lane(lane).at_rest(&registers[lane], arrived[lane].value() != 0);
                 expected.spiked |= u64::from(effect.spiked) << lane;
                 expected.moved |= u64::from(!at_rest) << lane;
+                expected.clipped |= u64::from(effect.v_clipped) << lane;
                 expected.busy |= new != Registers::default();
             }
             assert_eq!(sums[lanes], [S::default(); LANES], "seed {seed} chunk {chunk}");

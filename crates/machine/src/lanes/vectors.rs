@@ -12,7 +12,7 @@ use crate::lanes::kernel::{BlockParameters, Chunks, Effect, HOLD_BASE, LANES, Su
 use nsim_ir::base::fixed::{UV_BITS, WEIGHT_SHIFT};
 
 #[cfg(target_arch = "x86_64")]
-use std::arch::x86_64::{__m512, __m512i, __mmask16, _MM_FROUND_NO_EXC, _MM_FROUND_TO_ZERO};
+use std::arch::x86_64::{__m512, __m512i, _MM_FROUND_NO_EXC, _MM_FROUND_TO_ZERO};
 
 /// A number in every lane.
 #[inline(always)]
@@ -45,12 +45,12 @@ impl Vectors for V4 {
         chunks: Chunks<'_, S, N>,
         shared: &BlockParameters,
     ) -> Option<Effect> {
-        let Chunks { u: currents, v: voltages, sums } = chunks;
+        let Chunks { u: currents, v: voltages, sums, biases } = chunks;
         let f = self.avx512f;
         let zero = f._mm512_setzero_si512();
         let (fraction_u, fraction_v) = (f._mm512_set1_ps(shared.fraction_u), f._mm512_set1_ps(shared.fraction_v));
         let (mut next_u, mut next_v) = ([zero; N], [zero; N]);
-        let (mut spiked, mut moved, mut remaining_state) = (0u64, 0u64, zero);
+        let (mut spiked, mut moved, mut clipped, mut remaining_state) = (0u64, 0u64, 0u64, zero);
         // Bits that no value within its field has, distances from vmin, lanes whose sum is too
         // wide.
         let (mut outside, mut highest, mut wrapped) = (zero, zero, 0);
@@ -71,11 +71,17 @@ impl Vectors for V4 {
             let u = f._mm512_add_epi32(decayed_u, q);
             let mut input = u;
             outside = f._mm512_or_si512(outside, f._mm512_add_epi32(u, broadcast(self, 1 << UV_BITS)));
+            let bias: __m512i = cast(biases[i]);
             if !PLAIN {
-                input = f._mm512_add_epi32(u, broadcast(self, shared.bias));
+                input = f._mm512_add_epi32(u, bias);
                 outside = f._mm512_or_si512(outside, f._mm512_add_epi32(input, broadcast(self, 1 << UV_BITS)));
             }
-            let free = f._mm512_add_epi32(decayed_v, input);
+            let mut free = f._mm512_add_epi32(decayed_v, input);
+            if !PLAIN {
+                let vmin = broadcast(self, shared.vmin);
+                clipped |= u64::from(f._mm512_mask_cmplt_epi32_mask(is_free, free, vmin)) << (LANES * i);
+                free = f._mm512_max_epi32(free, vmin);
+            }
             highest =
                 f._mm512_max_epu32(highest, f._mm512_maskz_sub_epi32(is_free, free, broadcast(self, shared.vmin)));
             if S::WIDE {
@@ -86,8 +92,8 @@ impl Vectors for V4 {
             let v = f._mm512_mask_mov_epi32(v, fires, broadcast(self, HOLD_BASE + shared.refractory));
             let any = f._mm512_ternarylogic_epi32::<ANY>(old_u, cast(old_v), sum);
             let mut moves = f._mm512_test_epi32_mask(any, any) | !is_free;
-            if !PLAIN && shared.bias != 0 {
-                moves = __mmask16::MAX;
+            if !PLAIN {
+                moves |= f._mm512_test_epi32_mask(bias, bias);
             }
             spiked |= u64::from(fires) << (LANES * i);
             moved |= u64::from(moves) << (LANES * i);
@@ -102,6 +108,6 @@ impl Vectors for V4 {
         for i in 0..N {
             (currents[i], voltages[i], sums[i]) = (cast(next_u[i]), cast(next_v[i]), [S::default(); LANES]);
         }
-        Some(Effect { spiked, moved, busy: f._mm512_test_epi32_mask(remaining_state, remaining_state) != 0 })
+        Some(Effect { spiked, moved, clipped, busy: f._mm512_test_epi32_mask(remaining_state, remaining_state) != 0 })
     }
 }

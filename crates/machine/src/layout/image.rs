@@ -27,6 +27,7 @@ use nsim_dynamics::Fields;
 use nsim_dynamics::kinds::Updater;
 use nsim_dynamics::{arithmetic, kinds};
 use nsim_ir::arithmetic::Semantics;
+use nsim_ir::base::fixed::VminExponent;
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId, Id};
 use nsim_ir::neurons::ParameterRow;
 use nsim_ir::program::{Compartment, CoreClass, CoreImage, Parts, Program};
@@ -71,6 +72,8 @@ pub struct Image {
     pub(crate) reset: Option<Reset>,
     pub(crate) fields: Vec<Fields>,
     pub(crate) shared: Vec<BlockParameters>,
+    /// Index of the first parameters that equal these but for the bias.
+    alike: Vec<u32>,
     pub(crate) field_of: Vec<u32>,
     /// First compartment of the range that each step sorts, where lanes are not in ascending order.
     /// Spikes that reach dense blocks have to ascend.
@@ -135,6 +138,7 @@ impl Image {
             reset: parts.reset,
             fields: Vec::new(),
             shared: Vec::new(),
+            alike: Vec::new(),
             field_of: Vec::new(),
             sorted_from: None,
             lanes: vec![NOT_LOCAL; program.compartments() as usize],
@@ -236,6 +240,11 @@ impl Image {
         self.program.class_of(seat.core).compartments[usize::from(seat.slot)].neuron
     }
 
+    /// Whether a compartment of a shard has registers; most shards have no other kind.
+    pub(crate) fn has_registers(&self, shard: usize, compartment: CompartmentId) -> bool {
+        self.shards[shard].words.is_empty() || self.neuron(compartment).kind.table().registers
+    }
+
     /// The parameters of one lane of a core block.
     #[inline]
     pub(crate) fn fields_of(&self, block: CoreBlock, offset: usize) -> &Fields {
@@ -255,7 +264,8 @@ impl Image {
     /// Bytes of memory that it holds, the program not included.
     pub fn bytes(&self) -> usize {
         let shards: usize = self.shards.iter().map(Shard::bytes).sum();
-        let fields = (size_of::<Fields>() + size_of::<BlockParameters>()) * self.fields.len() + 4 * self.field_of.len();
+        let fields = (size_of::<Fields>() + size_of::<BlockParameters>() + 4) * self.fields.len();
+        let fields = fields + 4 * self.field_of.len();
         shards
             + fields
             + 4 * self.lanes.len()
@@ -269,7 +279,7 @@ impl Image {
     fn lay_out(&mut self, sums: &Sums) -> Vec<CoreBlock> {
         let program = Arc::clone(&self.program);
         let order = LaneOrder::new(&program);
-        let (mut known, mut blocks, mut lane) = (HashMap::new(), Vec::new(), 0u32);
+        let (mut known, mut blocks, mut lane) = (Known::default(), Vec::new(), 0u32);
         // Parameters and population of the last block, if it is updated as vectors.
         let mut last_run: Option<(u32, usize)> = None;
         for (core, CoreImage { class, ids, .. }) in program.cores().enumerate() {
@@ -304,14 +314,17 @@ impl Image {
     }
 
     /// The index of a compartment's parameters, which are stored once; `known` has those so far.
-    fn field(&mut self, compartment: &Compartment, known: &mut HashMap<(Neuron, u32), u32>) -> u32 {
+    fn field(&mut self, compartment: &Compartment, known: &mut Known) -> u32 {
         let &Compartment { neuron, start_step, .. } = compartment;
-        *known.entry((neuron, start_step)).or_insert_with(|| {
+        *known.fields.entry((neuron, start_step)).or_insert_with(|| {
             let Parts { semantics, threshold, .. } = *self.program.parts();
             let fields = neuron::fields(&neuron, start_step, semantics, threshold);
+            let index = self.fields.len() as u32;
+            let plain = Neuron { bias_mant: Neuron::PLAIN.bias_mant, bias_exp: Neuron::PLAIN.bias_exp, ..neuron };
+            self.alike.push(*known.but_for_bias.entry((plain, start_step)).or_insert(index));
             self.shared.push(BlockParameters::from(&fields));
             self.fields.push(fields);
-            self.fields.len() as u32 - 1
+            index
         })
     }
 
@@ -327,18 +340,18 @@ impl Image {
         };
         let starts = field_of.iter().map(|&field| self.fields[field as usize].start_step).min().unwrap_or(0);
         let (length, stated) = (cut.length as u32, kind.has_stated_price());
-        CoreBlock { start: cut.start, length, core, fields, starts, sums: cut.sums, stated }
+        let vector = self.vector(field_of);
+        CoreBlock { start: cut.start, length, core, fields, vector, starts, sums: cut.sums, stated }
     }
 
-    /// The parameters of a core block that can be updated as vectors.
-    fn vector(&self, fields: BlockFields) -> Option<u32> {
-        match fields {
-            // A compartment that spikes at a voltage of 0 would make padding spike too.
-            BlockFields::Same(f) => {
-                Some(f).filter(|&f| self.fields[f as usize].vectors && self.fields[f as usize].fires_from > 0)
-            }
-            BlockFields::Each(_) => None,
-        }
+    /// The parameters that compartments share but for the bias, if they can be updated as vectors.
+    fn vector(&self, field_of: &[u32]) -> Option<u32> {
+        let alike = |field: &u32| self.alike[*field as usize];
+        let first = alike(field_of.first()?);
+        let fields = &self.fields[first as usize];
+        // A compartment that spikes at a voltage of 0 would make padding spike too.
+        let are_vectors = fields.vectors && fields.fires_from > 0 && fields.neuron.kind.table().registers;
+        (are_vectors && field_of.iter().all(|field| alike(field) == first)).then_some(first)
     }
 
     /// Bounds sums. Each synapse adds at most once a step, so no sum exceeds the total of the
@@ -383,8 +396,9 @@ impl Image {
 
     /// Adds a core block to a shard, and to its last vector run if it has the same parameters.
     fn add_block(&self, shard: &mut Shard, block: CoreBlock, sums: &Sums, updaters: &mut Updaters) {
-        let CoreBlock { start, starts, .. } = block;
-        let vector = self.vector(block.fields);
+        let CoreBlock { start, starts, vector, .. } = block;
+        let is_plain = |fields: &Fields| fields.bias == 0 && fields.neuron.vmin == VminExponent::MAX;
+        let plain = (0..block.length as usize).all(|lane| is_plain(self.fields_of(block, lane)));
         let mask = u64::MAX >> (SKIP_BLOCK as u32 - block.length);
         let mut end = (start + block.length).next_multiple_of(LANES as u32);
         let words = self.words(&block, sums, &shard.words, updaters);
@@ -403,12 +417,13 @@ impl Image {
         match shard.vector_runs.last_mut() {
             Some(run) if !begins && vector.is_some() && run.vector == vector => {
                 run.end += 1;
+                run.plain &= plain;
                 run.mask |= mask << (start - run.start);
                 run.lanes = end - run.start;
             }
             _ => {
                 let (end, lanes) = (first + 1, end - start);
-                shard.vector_runs.push(VectorRun { first, end, start, lanes, starts, vector, words, mask });
+                shard.vector_runs.push(VectorRun { first, end, start, lanes, starts, vector, plain, words, mask });
             }
         }
         shard.blocks.push(block);
@@ -432,6 +447,16 @@ impl Image {
             if (0..block.length as usize).any(|lane| self.fields_of(*block, lane).drives_itself()) {
                 let skip_block = block.start as usize / SKIP_BLOCK;
                 shard.driven[skip_block / 64] |= 1 << (skip_block % 64);
+            }
+        }
+        if shard.vector_runs.iter().any(|run| run.vector.is_some() && !run.plain) {
+            shard.biases = vec![0; shard.lanes];
+            for block in &shard.blocks {
+                for (offset, bias) in
+                    shard.biases[block.start as usize..][..block.length as usize].iter_mut().enumerate()
+                {
+                    *bias = self.fields_of(*block, offset).bias;
+                }
             }
         }
     }
@@ -527,6 +552,14 @@ impl Image {
     }
 }
 
+/// Indices of the parameters so far, by neuron and start step.
+#[derive(Default)]
+struct Known {
+    fields: HashMap<(Neuron, u32), u32>,
+    /// The first of those that are equal but for the bias.
+    but_for_bias: HashMap<(Neuron, u32), u32>,
+}
+
 /// The next block of a core's compartments.
 struct Cut {
     /// Its first lane.
@@ -566,10 +599,10 @@ impl CoreLanes<'_> {
         !self.fields(at).neuron.stack.is_unused()
     }
 
-    /// Parameters and population. Weights of dense blocks are aligned when a population begins with
-    /// a core block of its own.
+    /// Parameters but for the bias, and population. Weights of dense blocks are aligned when a
+    /// population begins with a core block of its own.
     fn run_of(&self, at: usize) -> (u32, usize) {
-        (self.field_of[at], self.populations[at])
+        (self.image.alike[self.field_of[at] as usize], self.populations[at])
     }
 
     /// The block that begins with a compartment, from this lane on.
@@ -618,7 +651,7 @@ impl CoreLanes<'_> {
         let runs: Vec<(u32, usize)> = (at..at + left).map(|other| self.run_of(other)).collect();
         if is_long_run(&runs) {
             let length = first_run(&runs);
-            let run = Some(runs[0]).filter(|&(field, _)| self.image.vector(BlockFields::Same(field)).is_some());
+            let run = Some(runs[0]).filter(|&(field, _)| self.image.vector(&[field]).is_some());
             return Cut { start, length, lanes: length, sums: 0, run };
         }
         let aligned = start.next_multiple_of(LANES as u32);

@@ -64,6 +64,8 @@ pub(crate) struct CoreBlock {
     pub length: u32,
     pub core: CoreId,
     pub fields: BlockFields,
+    /// The parameters that all share but for the bias, if they can be updated as vectors.
+    pub vector: Option<u32>,
     /// The earliest step from which one of its compartments is not held at zero.
     pub starts: u32,
     /// Index of the list of sums of compartments whose state is words.
@@ -86,9 +88,11 @@ pub(crate) struct VectorRun {
     /// The earliest step from which one of its compartments is not held at zero; all its blocks
     /// have the same fields.
     pub starts: u32,
-    /// The parameters that all share, if they can be updated as vectors; otherwise the run is one
-    /// block.
+    /// The parameters that all share but for the bias, if they can be updated as vectors; otherwise
+    /// the run is one block.
     pub vector: Option<u32>,
+    /// Whether all biases are 0, and v has the whole of its field.
+    pub plain: bool,
     /// Its index among the blocks of words, if its state is words.
     pub words: Option<u32>,
     /// Its lanes without padding, one bit each.
@@ -109,6 +113,8 @@ pub(crate) struct Shard {
     pub vector_runs: Vec<VectorRun>,
     /// First vector run of each skip block, and the number of vector runs.
     pub skip_blocks: Vec<u32>,
+    /// The bias of each lane, 0 in padding; empty if all vector runs are plain.
+    pub biases: Vec<i32>,
     /// Skip blocks that are never idle, one bit each.
     pub driven: Vec<u64>,
     /// Skip blocks that are not idle before the first step, one bit each.
@@ -134,7 +140,7 @@ impl Shard {
     pub fn bytes(&self) -> usize {
         size_of::<CoreBlock>() * self.blocks.len()
             + size_of_val(self.vector_runs.as_slice())
-            + 4 * (self.skip_blocks.len() + self.compartments.len())
+            + 4 * (self.skip_blocks.len() + self.compartments.len() + self.biases.len())
             + 16 * self.driven.len()
             + size_of_val(self.words.as_slice())
             + self.from_channels.bytes()

@@ -19,10 +19,10 @@ use crate::layout::shard::{CoreBlock, SKIP_BLOCK, Shard, VectorRun, WordBlock};
 use crate::store::Aligned;
 use nsim_dynamics::arithmetic::{falls_on, wrap};
 use nsim_dynamics::kinds::{Block, CHUNK, Flags, lanes_with};
-use nsim_dynamics::{Effect, Registers, update, update_joined};
+use nsim_dynamics::{Effect, Registers, update, update_added};
 use nsim_ir::activity::Overflow;
 use nsim_ir::arithmetic::Semantics;
-use nsim_ir::base::fixed::UV_BITS;
+use nsim_ir::base::fixed::{UV_BITS, WEIGHT_SHIFT};
 use nsim_ir::base::id::{ChannelId, CompartmentId, CoreId};
 use nsim_ir::source_counts::OverflowCounts;
 use nsim_ir::spikes::Spike;
@@ -105,6 +105,8 @@ pub(crate) struct CompartmentState {
     pub(crate) updates: Vec<u64>,
     /// Value of the last message of each lane; empty if sums of 32 bits suffice.
     pub(super) sent: Vec<i32>,
+    /// Integers added to q and to u + b in the next step, by lane; empty if there are none.
+    pub(crate) added: Vec<(i32, i32)>,
     /// Skip blocks that are not idle, one bit each.
     busy: Vec<u64>,
     /// The lanes that spiked in the last step, ascending, and room for more.
@@ -211,6 +213,7 @@ impl ShardState {
             block.updater.clear(&mut state.words[block.columns()]);
         }
         state.busy.copy_from_slice(&shard.wakes);
+        state.added.clear();
         state.spikes.clear();
         state.payloads.clear();
         state.spiking = 0;
@@ -223,6 +226,7 @@ impl ShardState {
         let clear = |words: &[u64]| words.iter().all(|&word| word == 0);
         clear(&self.state.busy)
             && clear(&shard.driven)
+            && self.state.added.is_empty()
             && match &self.rings {
                 Rings::Bits16(ring) => ring.is_empty(),
                 Rings::Bits32(ring) => ring.is_empty(),
@@ -353,8 +357,8 @@ impl CompartmentState {
         for word in 0..self.busy.len() {
             let arrived = arrivals.take(word);
             let mut set = match input.skip {
-                true => self.busy[word] | shard.driven[word] | arrived,
-                false => ones(skip_blocks - word * 64),
+                true if self.added.is_empty() => self.busy[word] | shard.driven[word] | arrived,
+                _ => ones(skip_blocks - word * 64),
             };
             let mut busy = 0;
             while set != 0 {
@@ -369,6 +373,7 @@ impl CompartmentState {
             }
             self.busy[word] = busy;
         }
+        self.added.clear();
     }
 
     /// Updates a vector run; returns whether any of its compartments is not idle.
@@ -392,14 +397,8 @@ impl CompartmentState {
             sums[lanes].fill(S::default());
             return false;
         }
-        let Some(fields) = run.vector else {
-            let block = shard.blocks[run.first as usize];
-            let lanes = 0..block.length as usize;
-            // A block has whole neurons, or neurons of one compartment.
-            let effects = match image.fields_of(block, 0).neuron.stack.is_unused() {
-                true => self.scalar::<S, false>(sums, image, shard, block, lanes, input),
-                false => self.scalar::<S, true>(sums, image, shard, block, lanes, input),
-            };
+        let Some(fields) = run.vector.filter(|_| self.added.is_empty()) else {
+            let effects = self.each_lane(sums, image, shard, *run, input);
             return self.count(shard, index, effects, input);
         };
         if let Some(reset) = image.reset
@@ -409,15 +408,21 @@ impl CompartmentState {
             self.v[lanes.clone()].fill(0);
         }
         let shared = &image.shared[fields as usize];
-        let mut registers =
-            kernel::Block { u: &mut self.u[lanes.clone()], v: &mut self.v[lanes.clone()], sums: &mut sums[lanes] };
+        let biases = if run.plain { &[][..] } else { &shard.biases[lanes.clone()] };
+        let mut registers = kernel::Block {
+            u: &mut self.u[lanes.clone()],
+            v: &mut self.v[lanes.clone()],
+            sums: &mut sums[lanes],
+            biases,
+        };
         let (mut effects, overflowed) = kernel::hardware(&mut registers, shared, vectors);
         if overflowed != 0 {
             effects.merge(self.redo(sums, image, shard, *run, overflowed, input));
         }
-        // With a bias padding is never idle, without one it always is.
-        let moved = if shared.plain { effects.moved } else { run.mask };
-        self.count(shard, index, kernel::Effect { spiked: effects.spiked & run.mask, moved, ..effects }, input)
+        if effects.clipped != 0 {
+            self.note_clips(effects.clipped, input.step, run.start as usize, shard);
+        }
+        self.count(shard, index, effects, input)
     }
 
     /// [`CompartmentState::update_run`] of a run whose state is words. The function is separate, so
@@ -524,7 +529,30 @@ impl CompartmentState {
                 Effect { spiked: false, q_wrapped: is_in(narrowed), u_wrapped: is_in(wraps), v_clipped: is_in(clips) };
             self.note_overflow(effect, 0, input.step, start + lane, shard);
         }
-        kernel::Effect { spiked: effects.emitted, moved: effects.active | reached, busy: effects.busy != 0 }
+        kernel::Effect { spiked: effects.emitted, moved: effects.active | reached, clipped: 0, busy: effects.busy != 0 }
+    }
+
+    /// Updates a vector run lane by lane.
+    fn each_lane<S: Sum>(
+        &mut self,
+        sums: &mut [S],
+        image: &Image,
+        shard: &Shard,
+        run: VectorRun,
+        input: StepInput,
+    ) -> kernel::Effect {
+        let mut effects = kernel::Effect::default();
+        for block in &shard.blocks[run.first as usize..run.end as usize] {
+            let lanes = 0..block.length as usize;
+            // A block has whole neurons, or neurons of one compartment.
+            let joined = !self.added.is_empty() || !image.fields_of(*block, 0).neuron.stack.is_unused();
+            let of_block = match joined {
+                true => self.scalar::<S, true>(sums, image, shard, *block, lanes, input),
+                false => self.scalar::<S, false>(sums, image, shard, *block, lanes, input),
+            };
+            effects.merge(of_block.after((block.start - run.start) as usize));
+        }
+        effects
     }
 
     /// Updates lane by lane the chunks of a vector run in which a value leaves its field.
@@ -588,6 +616,23 @@ impl CompartmentState {
         }
     }
 
+    /// Counts the lanes from `start` on whose voltage was clipped from below: frequent where v may not
+    /// be negative.
+    fn note_clips(&mut self, clipped: u64, step: u32, start: usize, shard: &Shard) {
+        self.overflow.v_clipped += u64::from(clipped.count_ones());
+        self.overflows_by_lane.resize(shard.lanes, OverflowCounts::default());
+        let is_first = self.overflow.first.is_none_or(|(first, _)| first == step);
+        let mut left = clipped;
+        while left != 0 {
+            let lane = start + left.trailing_zeros() as usize;
+            left &= left - 1;
+            self.overflows_by_lane[lane].clipped += 1;
+            if is_first {
+                self.overflow.note(step, shard.compartments[lane]);
+            }
+        }
+    }
+
     /// Counts overflows, which are rare.
     #[cold]
     fn note_overflow(&mut self, effect: Effect, v: i32, step: u32, lane: usize, shard: &Shard) {
@@ -606,8 +651,8 @@ impl CompartmentState {
         counts.cut += clipped * u64::from(v > 0);
     }
 
-    /// Updates some lanes of a core block one by one; `JOINED` where neurons have several
-    /// compartments, which are in consecutive lanes, children first.
+    /// Updates some lanes of a core block one by one; `JOINED` where integers are added, or neurons
+    /// have several compartments, which are in consecutive lanes, children first.
     fn scalar<S: Sum, const JOINED: bool>(
         &mut self,
         sums: &mut [S],
@@ -617,7 +662,7 @@ impl CompartmentState {
         lanes: Range<usize>,
         input: StepInput,
     ) -> kernel::Effect {
-        let (mut effects, mut pushed) = (kernel::Effect::default(), 0);
+        let (mut effects, mut pushed) = (kernel::Effect::default(), 0i32);
         for offset in lanes {
             let lane = block.start as usize + offset;
             let fields = image.fields_of(block, offset);
@@ -629,9 +674,15 @@ impl CompartmentState {
             if image.reset.is_some_and(|reset| falls_on(reset, input.step, fields.resets_from)) {
                 old = Registers::default();
             }
-            effects.moved |= u64::from(!fields.at_rest(&old, arrived) | (JOINED && pushed != 0)) << offset;
-            let (new, effect) = match JOINED {
-                true => update_joined(old, arrived, fields, &mut pushed),
+            let added = if JOINED { self.added.get(lane).copied().unwrap_or_default() } else { (0, 0) };
+            let reached = match JOINED {
+                true => (i64::from(arrived) << WEIGHT_SHIFT) + i64::from(added.0) != 0,
+                false => arrived != 0,
+            };
+            let popped = JOINED && pushed.wrapping_add(added.1) != 0;
+            effects.moved |= u64::from(!fields.at_rest(&old, reached) | popped) << offset;
+            let (new, effect) = match JOINED && fields.takes_added() {
+                true => update_added(old, arrived, fields, &mut pushed, added),
                 false => update(old, arrived, fields),
             };
             self.set(lane, new);
