@@ -23,7 +23,11 @@ fn alike_but_for_bias(network: &Quantised, seed: u64) -> Quantised {
     with_neurons(network, |_| {
         let i = number.replace(number.get() + 1);
         let draw = |use_: u64, limit| rng::below(limit, seed, 1 + i, use_) as i64;
-        if i % 3 == 0 { alike } else { biased(alike, draw(5, 8192) - 4096, draw(6, if i % 7 == 0 { 8 } else { 3 })) }
+        if i.is_multiple_of(3) {
+            alike
+        } else {
+            biased(alike, draw(5, 8192) - 4096, draw(6, if i.is_multiple_of(7) { 8 } else { 3 }))
+        }
     })
 }
 
@@ -80,10 +84,11 @@ fn integers_added_to_a_step_act_in_it_alone_and_as_in_the_interpreter() {
             let given = if step % 2 == 0 { added(&kinds, seed, step) } else { Vec::new() };
             let (first, rest) = given.split_at(given.len() / 2);
             // Calls before a step add up.
-            (golden.add(first), golden.add(rest), golden.add(&given), golden.step(sample.input(step)));
+            [first, rest, &given].into_iter().for_each(|added| golden.add(added));
+            golden.step(sample.input(step));
             let expected = shown(&golden, &kinds);
             for (place, machine) in machines.iter_mut().enumerate() {
-                (machine.add(&given), machine.add(&given));
+                (0..2).for_each(|_| machine.add(&given));
                 assert!(given.is_empty() || !machine.skip_idle(1), "a step with integers is not idle");
                 machine.step(sample.input(step));
                 let found = shown(machine, &kinds);
