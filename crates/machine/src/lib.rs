@@ -118,7 +118,8 @@ impl Machine {
     /// A machine in its initial state.
     pub fn new(image: &Arc<Image>, settings: Settings) -> Self {
         let slots = image.longest_delay as usize + 1;
-        let learns = image.plastic.rules.iter().any(|rule| rule.rule().is_active());
+        // A rule without products has traces, too.
+        let learns = !image.plastic.rules.is_empty();
         Machine {
             image: image.clone(),
             shards: image.shards.iter().map(|shard| ShardState::new(image, shard, slots)).collect(),

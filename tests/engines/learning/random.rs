@@ -377,7 +377,7 @@ fn random_rules_change_weights_delays_and_tags() {
     let networks = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10].map(|flag| tried.iter().filter(|tried| tried.0[flag]).count());
     let updates: u64 = tried.iter().map(|tried| tried.1).sum();
     let spikes: u64 = tried.iter().map(|tried| tried.2).sum();
-    let least = [160, 80, 100, 45, 110, 100, 60, 160, 60, 30, 40].map(|least| least * tried.len() / 200);
+    let least = [160, 65, 100, 45, 110, 100, 60, 160, 60, 30, 40].map(|least| least * tried.len() / 200);
     let enough = networks.iter().zip(least).all(|(found, least)| *found >= least);
     assert!(
         enough && updates > 1_000_000 && spikes > 100_000,
@@ -390,8 +390,10 @@ fn random_rules_change_weights_delays_and_tags() {
 /// and those of each step where they are asked for.
 #[test]
 fn random_rules_act_alike_in_both_engines() {
+    // The rule of 208 has traces and no products.
     let updates: u64 = (0..few_or_all(134, 500))
         .into_par_iter()
+        .chain([208])
         .map(|seed| {
             let (network, draws) = random_plastic(seed);
             let samples = samples(&network, seed);
