@@ -37,8 +37,8 @@ use rayon::prelude::*;
 
 use nsim_ir::base::fixed::Delay;
 use nsim_ir::base::id::{ClassId, CompartmentId, CoreId, Id, IdVec};
-use nsim_ir::hardware::Target;
-use nsim_ir::neurons::{Family, Stack};
+use nsim_ir::hardware::{Chip, Target};
+use nsim_ir::neurons::Stack;
 use nsim_ir::partition::{CoreUsage, Partition};
 use nsim_ir::placement::Mesh;
 use nsim_ir::program::{
@@ -84,6 +84,16 @@ pub enum Violation {
         core: CoreId,
         /// The kind.
         kind: &'static str,
+    },
+    /// A refractory period that the chip's compartments do not count.
+    #[error("{core} has a refractory period of {period} steps, but the chip has at most {limit}")]
+    Refractory {
+        /// The core.
+        core: CoreId,
+        /// The period.
+        period: u8,
+        /// The chip's longest.
+        limit: u8,
     },
     /// Integers that the chip's messages cannot carry.
     #[error("source {source_number} sends integers of {bits} bits, but messages of the chip carry {limit}")]
@@ -178,7 +188,7 @@ pub fn used(program: &Program, target: &Target) -> Result<IdVec<CoreId, CoreUsag
     }
     let firsts = program.first_cores();
     let of_core = |&core| {
-        verify_kinds(program, core, &chip.neuron_kinds)?;
+        verify_neurons(program, core, chip)?;
         verify_tables(program, core, limits)
     };
     let tables = firsts.as_slice().par_iter().map(of_core);
@@ -255,12 +265,17 @@ pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result
     }
 }
 
-fn verify_kinds(program: &Program, core: CoreId, kinds: &[Family]) -> Result<(), Violation> {
-    let mut of_core = program.class_of(core).compartments.iter().map(|compartment| compartment.neuron.kind);
-    match of_core.find(|kind| !kinds.contains(&kind.family())) {
-        Some(kind) => Err(Violation::Kind { core, kind: kind.name() }),
-        None => Ok(()),
+fn verify_neurons(program: &Program, core: CoreId, chip: &Chip) -> Result<(), Violation> {
+    for neuron in program.class_of(core).compartments.iter().map(|compartment| compartment.neuron) {
+        if !chip.neuron_kinds.contains(&neuron.kind.family()) {
+            return Err(Violation::Kind { core, kind: neuron.kind.name() });
+        }
+        let (period, limit) = (neuron.refractory.get(), chip.refractory);
+        if period > limit {
+            return Err(Violation::Refractory { core, period, limit });
+        }
     }
+    Ok(())
 }
 
 fn verify_messages(

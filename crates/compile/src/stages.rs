@@ -324,7 +324,7 @@ fn has_kinds_and_messages(network: &Quantised, target: &Target) -> Result<()> {
         // The values of a signal are read by rules, and sent to no core.
         let sends = population.first_channel().is_none() || !network.outgoing(id).is_empty();
         let messages = if sends { has_messages(population, target) } else { Ok(()) };
-        [messages, has_kind(population, target)]
+        [messages, has_kind(population, target), has_refractory(population, target)]
     });
     let learning = network.plastic().map(|(_, projection)| has_learning(network, projection, target));
     collect_all(checked.chain(learning))?;
@@ -350,6 +350,17 @@ fn has_messages(population: &Population, target: &Target) -> Result<(), Diagnost
     let message = format!("messages of population '{name}' carry integers of {bits} bits, messages of {target} {most}");
     Err(Diagnostic::new("map.message", message)
         .help(format!("set message_bits: {bits} in a chip of your own, or choose a target with wider messages")))
+}
+
+fn has_refractory(population: &Population, target: &Target) -> Result<(), Diagnostic> {
+    let (period, most) = (population.longest_refractory(), target.chip().refractory);
+    if period <= most {
+        return Ok(());
+    }
+    let (name, target) = (&population.name, target.name());
+    let message = format!("population '{name}' has a refractory period of {period} steps, {target} has at most {most}");
+    Err(Diagnostic::new("map.refractory", message)
+        .help(format!("shorten it, set refractory: {period} in a chip of your own, or choose the target unlimited")))
 }
 
 fn has_kind(population: &Population, target: &Target) -> Result<(), Diagnostic> {

@@ -160,6 +160,15 @@ fn mutate(compiled: Mapping, target: &Target, seed: u64, tallies: &mut [Tally]) 
     chip.neuron_kinds.retain(|&family| family != kind.family());
     let found = verify(&program, &target.clone().with_chip(chip));
     assert!(matches!(&found, Err(Violation::Kind { kind: of, .. }) if *of == kind.name()), "seed {seed}: {found:?}");
+    let periods = program.classes().iter().flat_map(|class| class.compartments.iter());
+    if let Some(longest) = periods.map(|compartment| compartment.neuron.refractory.get()).max().filter(|&r| r > 0) {
+        let chip = Chip { refractory: longest - 1, ..target.chip().clone() };
+        let found = verify(&program, &target.clone().with_chip(chip));
+        assert!(
+            matches!(found, Err(Violation::Refractory { period, .. }) if period == longest),
+            "seed {seed}: {found:?}"
+        );
+    }
     let sends = |graded: &&Graded| graded.sources.clone().any(|source| program.messages(source).len() > 0);
     if let Some(widest) = program.parts().graded.iter().filter(sends).map(|graded| graded.message.bits()).max() {
         let narrow = Chip { message_bits: widest - 1, ..target.chip().clone() };

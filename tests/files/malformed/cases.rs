@@ -165,7 +165,7 @@ pub fn cases() -> Vec<Case> {
             "3 values for 2 compartments",
         ),
         ("threshold too large", "vth_mant: 80", "vth_mant: 131072", "model.range", 6, "131072 is outside 0..=131071"),
-        ("refractory too long", "refractory: 1", "refractory: 64", "model.range", 6, "64 is outside 0..=63"),
+        ("refractory too long", "refractory: 1", "refractory: 256", "model.range", 6, "256 is outside 0..=255"),
         ("bias too large", "refractory: 1", "bias_mant: 4096", "model.range", 6, "4096"),
         ("weight too large", "[4, 4, 4, 4]", "[4, 4, 4, 400]", "model.weight-range", 9, "400"),
         ("weight not whole", "[4, 4, 4, 4]", "[4, 4, 4, 4.5]", "model.weight-not-integer", 9, "4.5"),

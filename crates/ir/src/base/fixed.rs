@@ -127,8 +127,8 @@ ranged!(
 );
 ranged!(
     /// Refractory period: a spike at t allows the next at t + period. 0 behaves as 1 in hardware
-    /// semantics.
-    Refractory(u8) in 0..=63, "refractory period"
+    /// semantics. The counter of a chip may be narrower ([`crate::hardware::Chip::refractory`]).
+    Refractory(u8) in 0..=255, "refractory period"
 );
 ranged!(
     /// Exponent e of the lower clip of `v`, which is -(2^e - 1); 23 uses the whole field.

@@ -25,6 +25,11 @@ fn learns_unless_stated() -> bool {
     true
 }
 
+/// Six bits (nengo-loihi `block.py`: 1 to 63).
+fn refractory_of_loihi() -> u8 {
+    63
+}
+
 /// Sizes and limits of a chip and its cores.
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields, rename = "Chip")]
@@ -57,6 +62,9 @@ pub struct Chip {
     /// Whether its synapses can learn.
     #[serde(default = "learns_unless_stated")]
     pub learning: bool,
+    /// The longest refractory period of its compartments, in timesteps.
+    #[serde(default = "refractory_of_loihi")]
+    pub refractory: u8,
     /// The limits of a core.
     pub limits: Limits,
     /// Sources of the limits.
@@ -225,6 +233,8 @@ pub struct TargetChanges {
     pub message_bits: Option<u32>,
     /// Whether its synapses can learn.
     pub learning: Option<bool>,
+    /// The longest refractory period of its compartments, in timesteps.
+    pub refractory: Option<u8>,
     /// Limits of a core.
     #[serde(default)]
     pub limits: LimitChanges,
@@ -248,7 +258,10 @@ impl TargetChanges {
                 false => chip.stated_in.insert(limit, chip.stated_in.get(limit).unwrap_or(&chip.name).clone()),
             };
         }
-        let other = programmed || self.learning.is_some() || self.limits != LimitChanges::default();
+        let other = programmed
+            || self.learning.is_some()
+            || self.refractory.is_some()
+            || self.limits != LimitChanges::default();
         if other || sizes.iter().chain(&x86).any(Option::is_some) {
             let of_limits = !programmed && sizes.iter().chain(&x86).all(Option::is_none);
             let measured = chip.measured_as.unwrap_or_else(|| chip.hardware.unwrap_or(chip.name));
@@ -268,6 +281,7 @@ impl TargetChanges {
         chip.neuron_kinds = self.neuron_kinds.clone().unwrap_or(chip.neuron_kinds);
         chip.message_bits = self.message_bits.unwrap_or(chip.message_bits);
         chip.learning = self.learning.unwrap_or(chip.learning);
+        chip.refractory = self.refractory.unwrap_or(chip.refractory);
         chip.limits = self.limits.applied(chip.limits);
         let is_stated = |entry: &LimitSource| self.limit_sources.iter().any(|own| own.limit.value == entry.limit.value);
         chip.limit_sources.retain(|entry| !self.limits.changes(&entry.limit) && !is_stated(entry));

@@ -185,6 +185,12 @@ impl Population {
         self.neurons().into_iter().flat_map(move |neurons| units.clone().map(move |index| neurons.get(index)))
     }
 
+    /// The longest refractory period of its compartments; 0 for inputs.
+    pub fn longest_refractory(&self) -> u8 {
+        let periods = self.neurons().into_iter().flat_map(|neurons| neurons.values());
+        periods.map(|neuron| neuron.refractory.get()).max().unwrap_or(0)
+    }
+
     /// The kind of its neurons; `None` for inputs.
     pub fn neuron_kind(&self) -> Option<NeuronKind> {
         self.neurons()?.values().first().map(|neuron| neuron.kind)

@@ -365,7 +365,7 @@ mod tests {
             vth: ThresholdMantissa::new([of(4, 0, 131_071), of(5, 0, 300)][of(6, 0, 1) as usize]).unwrap(),
             bias_mant: BiasMantissa::new([0, of(7, -4096, 4095)][of(8, 0, 1) as usize]).unwrap(),
             bias_exp: BiasExponent::new(of(9, 0, 7)).unwrap(),
-            refractory: Refractory::new([1, of(10, 0, 63)][of(11, 0, 1) as usize]).unwrap(),
+            refractory: Refractory::new([1, of(10, 0, 255)][of(11, 0, 1) as usize]).unwrap(),
             vmin: VminExponent::new([23, of(12, 0, 23)][of(13, 0, 1) as usize]).unwrap(),
             vmax: VmaxExponent::new([7, of(14, 0, 7)][of(15, 0, 1) as usize]).unwrap(),
             ..Neuron::PLAIN
@@ -413,7 +413,7 @@ mod tests {
         let f = fields(seed);
         let at = |lane: usize, what: u64, bits| draw(seed, 1000 + lane as u64 * 8 + what, bits);
         let registers: [Registers; COUNT] = std::array::from_fn(|lane| {
-            let hold = (at(lane, 2, 7).unsigned_abs() as u8).min(f.refractory);
+            let hold = (at(lane, 2, 7).unsigned_abs().min(255) as u8).min(f.refractory);
             let v = at(lane, 1, [12, 18, 20, 23][seed as usize / 4 % 4]).clamp(f.vmin.into(), f.vmax.into()) as i32;
             // A held voltage is 0, so the counter can share its register.
             let v = if hold > 0 { 0 } else { v };
