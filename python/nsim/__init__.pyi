@@ -387,7 +387,7 @@ class Session:
         """Runs one timestep with the channels of each input population that spike: their numbers, or a truth value each;
         an input population that sends integers takes an integer for each channel."""
     def run(
-        self, inputs: Any = None, steps: Optional[int] = None, probes: Sequence[str] = ()
+        self, inputs: Any = None, steps: Optional[int] = None, probes: Optional[Sequence[str]] = None
     ) -> dict[str, NDArray[np.int32]]:
         """Runs several timesteps; `inputs` are arrays `[channels.., steps]` or Events, by input population. Probes, such as
         "out.v" or "out.spikes", give arrays `[steps, units]`."""

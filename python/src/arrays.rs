@@ -12,7 +12,9 @@
 use nsim::import::spikes::options::{SPIKE_RULE, SpikeValues};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::graph::Shape;
-use numpy::{Element, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods};
+use numpy::{
+    Element, PyArray1, PyArrayDescrMethods, PyArrayDyn, PyArrayMethods, PyUntypedArray, PyUntypedArrayMethods,
+};
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList, PyTuple};
@@ -35,10 +37,29 @@ pub struct Array<'py> {
     is_truth: bool,
 }
 
+/// The numbers of an array of one axis with this type of numbers, which takes less time than NumPy's
+/// conversion; `None` of other arrays, and of those whose numbers are not aligned.
+pub fn copied<T: Element + Copy, U>(array: &Bound<'_, PyUntypedArray>, of: impl Fn(T) -> U) -> Option<Vec<U>> {
+    let array = array.cast::<PyArray1<T>>().ok()?;
+    let is_whole = array.strides().iter().all(|stride| stride.unsigned_abs() % align_of::<T>() == 0);
+    (array.data().is_aligned() && is_whole).then(|| array.to_owned_array().iter().map(|&number| of(number)).collect())
+}
+
+/// A value that is an array of integers or real numbers of at most 8 bytes, of NumPy's own type.
+fn plain<'py>(value: &Bound<'py, PyAny>) -> Option<Bound<'py, PyUntypedArray>> {
+    let array = value.cast_exact::<PyUntypedArray>().ok()?;
+    let dtype = array.dtype();
+    matches!((dtype.kind(), dtype.itemsize()), (b'i' | b'u', _) | (b'f', ..=8)).then(|| array.clone())
+}
+
 impl<'py> Array<'py> {
     /// Makes one of any value that NumPy makes an array of; `name` is the argument.
     pub fn new(value: &Bound<'py, PyAny>, name: impl Into<String>) -> PyResult<Self> {
         let (py, name) = (value.py(), name.into());
+        // A masked array, and a list of arrays, is none of this type.
+        if let Some(array) = plain(value) {
+            return Ok(Array { name, array, is_truth: false });
+        }
         let numpy = py.import("numpy")?;
         if is_masked(value, &numpy.getattr("ma")?.getattr("MaskedArray")?, 0)? {
             let help = "fill the masked values: array.filled(0)";
@@ -163,12 +184,23 @@ impl<'py> Array<'py> {
             let message = format!("{} has {count} numbers, more than {most}", self.name);
             return Err(refused(self.array.py(), message, help));
         }
+        if let Some(numbers) = self.plain_numbers() {
+            return Ok(numbers);
+        }
         let mut numbers = Vec::with_capacity(count);
         self.each(|_, number| {
             numbers.push(number);
             Ok(())
         })?;
         Ok(numbers)
+    }
+
+    /// All numbers of an array of one axis whose numbers Rust can copy, as sessions get in each step;
+    /// `None` of others, and where a number is not finite.
+    fn plain_numbers(&self) -> Option<Vec<f64>> {
+        let of_f64 = || copied(&self.array, |x: f64| x).filter(|all| all.iter().all(|x| x.is_finite()));
+        let of_i64 = || copied(&self.array, |x: i64| x as f64);
+        if self.is_truth { None } else { of_f64().or_else(|| copied(&self.array, |x: i32| x.into())).or_else(of_i64) }
     }
 
     /// Calls `add` with the index in C order of every number that is not zero; refuses a negative

@@ -21,7 +21,7 @@ use pyo3::prelude::*;
 use pyo3::sync::MutexExt;
 use pyo3::types::{IntoPyDict, PyDict, PyList, PyTuple};
 
-use crate::arrays::{Array, matches_shape};
+use crate::arrays::{Array, copied, matches_shape};
 use crate::energy::{Energy, Metering};
 use crate::error::exception;
 use crate::keywords::{Keywords, usage};
@@ -151,21 +151,26 @@ fn check_each(array: &Array<'_>, name: &str, shape: Shape, what: &str) -> PyResu
 /// Adds the channels of a population that spike in a step, from their numbers or from a truth value
 /// for each.
 fn add_channels(shown: &mut Input, given: &Bound<'_, PyAny>, first: u32, name: &str, shape: Shape) -> PyResult<()> {
-    // A copy takes less time than NumPy's check of borrowed arrays.
-    fn copied<T: Element + Copy + TryInto<u32>>(array: &Bound<'_, PyArray1<T>>, mut add: impl FnMut(u32)) -> bool {
-        array.to_owned_array().iter().all(|&number| number.try_into().map(&mut add).is_ok())
-    }
     let (units, before, mut are_truths) = (shape.len(), shown.len(), false);
     let help = "give the numbers of the channels that spike, counted from 0, or a truth value for each: array > 0";
     let mut add = |number| shown.push((ChannelId(number), 1));
     // A masked array is an array, too.
-    let plain = Some(given).filter(|given| given.is_exact_instance_of::<PyUntypedArray>());
-    let are_whole = if let Some(Ok(array)) = plain.map(|array| array.cast::<PyArray1<i64>>()) {
-        copied(array, add)
-    } else if let Some(Ok(array)) = plain.map(|array| array.cast::<PyArray1<i32>>()) {
-        copied(array, add)
-    } else if let Some(Ok(array)) = plain.map(|array| array.cast::<PyArray1<u32>>()) {
-        copied(array, add)
+    let plain = given.cast_exact::<PyUntypedArray>().ok();
+    // Whether each number is one of a channel, of an array whose numbers can be copied.
+    fn added<T: Element + Copy + TryInto<u32>>(
+        array: &Bound<'_, PyUntypedArray>,
+        add: &mut impl FnMut(u32),
+    ) -> Option<bool> {
+        let numbers = copied(array, |number: T| number.try_into().ok())?;
+        Some(numbers.into_iter().all(|number| number.map(&mut *add).is_some()))
+    }
+    let of_plain = |array: &Bound<'_, PyUntypedArray>| {
+        added::<i64>(array, &mut add)
+            .or_else(|| added::<i32>(array, &mut add))
+            .or_else(|| added::<u32>(array, &mut add))
+    };
+    let are_whole = if let Some(are_whole) = plain.and_then(of_plain) {
+        are_whole
     } else if given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>() || given.hasattr("__array__")? {
         let array = Array::new(given, format!("'{name}'"))?;
         let numbers = || array.numbers(units as usize, help);
@@ -275,15 +280,15 @@ impl Session {
     /// `inputs` is a dictionary from input populations to arrays `[channels.., steps]` or `Events`, or
     /// the value of the only one; populations without an entry are silent. `steps` is needed where
     /// no input tells it. Probes are POPULATION.u, .v, .spikes, .message, or a word of state.
-    #[pyo3(signature = (inputs=None, steps=None, probes=Vec::new()))]
+    #[pyo3(signature = (inputs=None, steps=None, probes=None))]
     fn run<'py>(
         &self,
         py: Python<'py>,
         inputs: Option<&Bound<'py, PyAny>>,
         steps: Option<u32>,
-        probes: Vec<String>,
+        probes: Option<Vec<String>>,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let network = self.network();
+        let (probes, network) = (probes.unwrap_or_default(), self.network());
         let sample = steps_to_run(network, inputs, steps)?;
         let readers = probes.iter().map(|name| probe_named(network, name)).collect::<PyResult<Vec<Probe>>>()?;
         let mut rows: Vec<Vec<i32>> = vec![Vec::new(); readers.len()];

@@ -106,6 +106,73 @@ class Sessions(unittest.TestCase):
             with self.assertRaisesRegex(nsim.Error, "3 channels"):
                 session.step([1, 2])
 
+    def test_several_steps_in_a_call_are_single_steps(self):
+        for model, copies in [("vtsnn-slip", 2), ("container-tactile", 1)]:
+            mapping = nsim.load(model).map(copies=copies)
+            spikes = recorded(mapping)
+            names = [name for name, kind, _ in mapping.populations if kind != "input"]
+            probes = [f"{name}.{what}" for name in names for what in ("u", "v", "spikes")]
+            with mapping.session(energy=False) as single, mapping.session(energy=False) as session:
+                seen = stepped(mapping, single, spikes)
+                first, rest = ({name: array[:, part].astype(np.uint8) for name, array in spikes.items()} for part in (np.s_[:20], np.s_[20:]))
+                # Events are the rows (sample, step, channel).
+                events = {name: np.argwhere(array.T) for name, array in rest.items()}
+                events = {name: nsim.Events(np.insert(rows, 0, 0, axis=1), steps=40) for name, rows in events.items()}
+                runs = [session.run(first, probes=probes), session.run(events, steps=40, probes=probes)]
+                self.assertEqual(session.steps, 60)
+                for step, populations in enumerate(seen):
+                    run, at = (runs[0], step) if step < 20 else (runs[1], step - 20)
+                    for name, (fired, v, u) in zip(names, zip(*[iter(populations)] * 3)):
+                        self.assertEqual(np.flatnonzero(run[f"{name}.spikes"][at]).tolist(), fired)
+                        self.assertEqual([run[f"{name}.{what}"][at].tolist() for what in "vu"], [v, u])
+                # In silence the number of steps is given.
+                silent = session.run(steps=3, probes=probes[:1])[probes[0]]
+                self.assertEqual((silent.shape[0], silent.dtype, session.steps), (3, np.int32, 63))
+                name = next(iter(spikes))
+                units = spikes[name].shape[0]
+                for arguments, words in [
+                    (((None,), {}), "no input tells the number"),
+                    ((({name: np.zeros((units, 4), np.uint8)}, 5), {}), "the inputs have 4 timesteps"),
+                    ((({"nobody": np.zeros((1, 4))},), {}), "not an input population"),
+                    (((None, 2, ["nobody.v"]), {}), "no probe 'nobody.v'"),
+                    ((({name: np.zeros((2, units, 4), np.uint8)},), {}), "2 samples"),
+                ]:
+                    with self.assertRaisesRegex(nsim.Error, words):
+                        session.run(*arguments[0], **arguments[1])
+                self.assertEqual(session.steps, 63)
+
+    def test_integers_are_added_to_one_timestep(self):
+        populations = [{"name": "in", "shape": 1, "kind": "Input"}, {"name": "out", "shape": 3, "du": 4096, "dv": 0, "vth_mant": 2000}]
+        network = nsim.Network("added", populations, [{"from": "in", "to": "out", "weights": np.full((3, 1), 2)}], output="out")
+        with network.map(copies=2).session(energy=False) as session:
+            out = session["out"]
+            session.added["out.q"] = [5, -7, 0]
+            session.added["out.bias"] = np.array([0, 100, 1], np.int16)
+            self.assertEqual(session.added["out.q"].tolist(), [5, -7, 0])
+            session.step([True])
+            # A weight of 2 adds 128; only u decays.
+            self.assertEqual((out.u.tolist(), out.v.tolist()), ([133, 121, 128], [133, 221, 129]))
+            session.step()
+            self.assertEqual((out.u.tolist(), out.v.tolist()), ([0, 0, 0], [133, 221, 129]))
+            self.assertEqual(session.overflow, {"q": 0, "u": 0, "v": 0})
+            # Beyond 22 bits the accumulator wraps, in both copies.
+            session.added["out.q"] = np.array([1 << 21, 0, 0])
+            session.run(steps=2)
+            self.assertEqual((session.overflow, out.v.tolist()[0]), ({"q": 2, "u": 0, "v": 0}, 133 - (1 << 21)))
+            session.added["out.q"] = [1, 1, 1]
+            session.reset()
+            session.step()
+            self.assertEqual((out.u.tolist(), session.overflow["q"]), ([0, 0, 0], 0))
+            for name, given, words in [
+                ("out.w", [1, 1, 1], "takes no integers"),
+                ("in.q", [1], "takes no integers"),
+                ("out.q", [1, 1], "2 integers for 3 compartments"),
+                ("out.q", [0, 0.5, 0], "an integer of 32 bits is expected"),
+                ("out.q", [0, 0, 2**31 - 1], "adds 2147483647"),
+            ]:
+                with self.assertRaisesRegex(nsim.Error, words):
+                    session.added[name] = given
+
     def test_a_snapshot_is_gone_back_to(self):
         mapping = nsim.load("vtsnn-slip").map()
         spikes = recorded(mapping, steps=100)

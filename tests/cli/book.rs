@@ -143,7 +143,7 @@ fn tutorial(page: &Path, path: &std::ffi::OsStr, python: Option<&str>) {
                     return;
                 }
             },
-            ["python", "torch" | "session"] => commands += 1,
+            ["python", "torch" | "session" | "nengo"] => commands += 1,
             _ => {}
         }
     }

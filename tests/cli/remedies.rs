@@ -395,6 +395,22 @@ fn each_warning_of_a_run_is_gone_after_the_change_that_it_names() {
     }
 }
 
+/// A refractory period beyond a chip's counter is refused, and each of the remedies maps.
+#[test]
+fn a_refractory_period_beyond_the_chips_counter_fits_where_it_says() {
+    let folder = tempfile::tempdir().unwrap();
+    let model =
+        write(folder.path(), "n.ron", &single("du: 4096, dv: 0, vth_mant: 90, refractory: 101", "weights: [[64, 64]]"));
+    let (status, _, refused) = said(&["map", &model]);
+    let advice = "shorten it, set refractory: 101 in a chip of your own, or choose a target with a longer one";
+    assert!(status == 3 && refused.contains("map.refractory") && refused.contains(advice), "{status}: {refused}");
+    let own = write(folder.path(), "own.ron", r#"Target(base: "nahuku-32", refractory: 101)"#);
+    for remedy in [&["--set", "populations.1.refractory=63"][..], &["--target", &own], &["--target", "boundless"]] {
+        let (status, _, told) = said(&[&["map", &model][..], remedy].concat());
+        assert_eq!(status, 0, "{remedy:?}: {told}");
+    }
+}
+
 /// Advice that ends in a command or option: it is taken from the output, and typed.
 #[test]
 fn what_is_printed_to_be_typed_is_typed() {

@@ -359,8 +359,9 @@ fn has_refractory(population: &Population, target: &Target) -> Result<(), Diagno
     }
     let (name, target) = (&population.name, target.name());
     let message = format!("population '{name}' has a refractory period of {period} steps, {target} has at most {most}");
-    Err(Diagnostic::new("map.refractory", message)
-        .help(format!("shorten it, set refractory: {period} in a chip of your own, or choose the target unlimited")))
+    Err(Diagnostic::new("map.refractory", message).help(format!(
+        "shorten it, set refractory: {period} in a chip of your own, or choose a target with a longer one"
+    )))
 }
 
 fn has_kind(population: &Population, target: &Target) -> Result<(), Diagnostic> {

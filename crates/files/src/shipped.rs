@@ -100,9 +100,9 @@ pub const TRAININGS: &[Shipped] = shipped!(
 );
 /// Shipped targets.
 pub const TARGETS: &[Shipped] = shipped!("mapping/targets": "tiny", "loihi1-chip", "kapoho-bay", "nahuku-32", "pohoiki-springs", "oheo-gulch",
-        "oheo-gulch-2022", "kapoho-point", "hala-point", "unlimited");
+        "oheo-gulch-2022", "kapoho-point", "hala-point", "boundless");
 /// Shipped chips.
-pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "loihi2", "tiny", "unlimited");
+pub const CHIPS: &[Shipped] = shipped!("mapping/chips": "loihi1", "loihi2", "tiny", "boundless");
 /// Shipped presets of constants.
 pub const CONSTANTS: &[Shipped] = shipped!(
     "mapping/constants":

@@ -295,7 +295,7 @@ mod tests {
             ("oheo-gulch-2022", 1, 128),
             ("kapoho-point", 8, 1024),
             ("hala-point", 1152, 147_456),
-            ("unlimited", 1, 16_384),
+            ("boundless", 1, 16_384),
         ];
         assert_eq!(sizes.collect::<Vec<_>>(), published);
     }

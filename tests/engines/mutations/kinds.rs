@@ -49,7 +49,7 @@ pub const KINDS: &[(&str, Kind)] = &[
     ("threshold", |p, d| field(p, d, |n, d| n.vth = ThresholdMantissa::new(d.from(0, 131_071)).unwrap())),
     ("bias mantissa", |p, d| field(p, d, |n, d| n.bias_mant = BiasMantissa::new(d.from(-4096, 4095)).unwrap())),
     ("bias exponent", |p, d| field(p, d, |n, d| n.bias_exp = BiasExponent::new(d.from(0, 7)).unwrap())),
-    ("refractory period", |p, d| field(p, d, |n, d| n.refractory = Refractory::new(d.from(0, 255)).unwrap())),
+    ("refractory period", |p, d| field(p, d, |n, d| n.refractory = Refractory::new(d.from(0, 63)).unwrap())),
     ("lower clip", |p, d| field(p, d, |n, d| n.vmin = VminExponent::new(d.from(0, 23)).unwrap())),
     ("upper clip", |p, d| field(p, d, |n, d| n.vmax = VmaxExponent::new(d.from(0, 7)).unwrap())),
     ("parameter of a row", |p, d| {
