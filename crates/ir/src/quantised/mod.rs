@@ -187,7 +187,7 @@ impl Population {
 
     /// The longest refractory period of its compartments; 0 for inputs.
     pub fn longest_refractory(&self) -> u8 {
-        let periods = self.neurons().into_iter().flat_map(|neurons| neurons.values());
+        let periods = self.neurons().into_iter().flat_map(PerCompartment::values);
         periods.map(|neuron| neuron.refractory.get()).max().unwrap_or(0)
     }
 
