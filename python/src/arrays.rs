@@ -37,8 +37,8 @@ pub struct Array<'py> {
     is_truth: bool,
 }
 
-/// The numbers of an array of one axis with this type of numbers, which takes less time than NumPy's
-/// conversion; `None` of other arrays, and of those whose numbers are not aligned.
+/// The numbers of an array of one axis with this type of numbers, which takes less time than
+/// NumPy's conversion; `None` of other arrays, and of those whose numbers are not aligned.
 pub fn copied<T: Element + Copy, U>(array: &Bound<'_, PyUntypedArray>, of: impl Fn(T) -> U) -> Option<Vec<U>> {
     let array = array.cast::<PyArray1<T>>().ok()?;
     let is_whole = array.strides().iter().all(|stride| stride.unsigned_abs() % align_of::<T>() == 0);
@@ -195,8 +195,8 @@ impl<'py> Array<'py> {
         Ok(numbers)
     }
 
-    /// All numbers of an array of one axis whose numbers Rust can copy, as sessions get in each step;
-    /// `None` of others, and where a number is not finite.
+    /// All numbers of an array of one axis whose numbers Rust can copy, as sessions get in each
+    /// step; `None` of others, and where a number is not finite.
     fn plain_numbers(&self) -> Option<Vec<f64>> {
         let of_f64 = || copied(&self.array, |x: f64| x).filter(|all| all.iter().all(|x| x.is_finite()));
         let of_i64 = || copied(&self.array, |x: i64| x as f64);

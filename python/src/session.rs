@@ -277,9 +277,9 @@ impl Session {
 
     /// Runs several timesteps and returns `probes` by name, int32 arrays `[steps, units]`.
     ///
-    /// `inputs` is a dictionary from input populations to arrays `[channels.., steps]` or `Events`, or
-    /// the value of the only one; populations without an entry are silent. `steps` is needed where
-    /// no input tells it. Probes are POPULATION.u, .v, .spikes, .message, or a word of state.
+    /// `inputs` is a dictionary from input populations to arrays `[channels.., steps]` or `Events`,
+    /// or the value of the only one; populations without an entry are silent. `steps` is needed
+    /// where no input has it. Probes are POPULATION.u, .v, .spikes, .message, or a word of state.
     #[pyo3(signature = (inputs=None, steps=None, probes=None))]
     fn run<'py>(
         &self,
@@ -306,8 +306,8 @@ impl Session {
         Ok(values)
     }
 
-    /// Integers that the next timestep adds to each compartment, by POPULATION.q (to its arrivals) and
-    /// POPULATION.bias (to u + bias). They hold for this timestep only.
+    /// Integers that the next timestep adds to each compartment, by POPULATION.q (to its arrivals)
+    /// and POPULATION.bias (to u + bias). They hold for this timestep only.
     #[getter]
     fn added(slf: &Bound<'_, Self>) -> PyResult<Values> {
         Values::new(slf, Kind::Added)

@@ -225,14 +225,14 @@ pub fn steps_to_run(network: &Quantised, inputs: Option<&Bound<'_, PyAny>>, step
             return Err(usage(message, &format!("give a dictionary with arrays for: {}", names())));
         }
     }
-    let told = given.iter().flatten().map(|spikes| spikes.steps).next();
-    let steps = match (steps, told) {
-        (Some(steps), Some(told)) if steps != told => {
-            let message = format!("steps={steps}, but the inputs have {told} timesteps");
+    let given_steps = given.iter().flatten().map(|spikes| spikes.steps).next();
+    let steps = match (steps, given_steps) {
+        (Some(steps), Some(given)) if steps != given => {
+            let message = format!("steps={steps}, but the inputs have {given} timesteps");
             return Err(usage(message, "give inputs of as many timesteps, or no steps="));
         }
         (Some(steps), _) | (None, Some(steps)) => steps,
-        (None, None) => return Err(usage("no input tells the number of timesteps".into(), "give steps=")),
+        (None, None) => return Err(usage("no input has the number of timesteps".into(), "give steps=")),
     };
     if steps > MOST_STEPS {
         let message = format!("{steps} timesteps, more than {MOST_STEPS}");

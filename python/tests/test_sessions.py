@@ -131,7 +131,7 @@ class Sessions(unittest.TestCase):
                 name = next(iter(spikes))
                 units = spikes[name].shape[0]
                 for arguments, words in [
-                    (((None,), {}), "no input tells the number"),
+                    (((None,), {}), "no input has the number"),
                     ((({name: np.zeros((units, 4), np.uint8)}, 5), {}), "the inputs have 4 timesteps"),
                     ((({"nobody": np.zeros((1, 4))},), {}), "not an input population"),
                     (((None, 2, ["nobody.v"]), {}), "no probe 'nobody.v'"),

@@ -95,8 +95,8 @@ impl Fields {
         if self.refractory == 0 { hold } else { hold.saturating_sub(1) }
     }
 
-    /// Rule (13): whether the compartment is idle, with or without arrivals. Unless `fires_from` <= 0,
-    /// the update then changes nothing and sends no spike.
+    /// Rule (13): whether the compartment is idle, with or without arrivals. Unless `fires_from` <=
+    /// 0, the update then changes nothing and sends no spike.
     #[inline]
     pub fn at_rest(&self, r: &Registers, reached: bool) -> bool {
         r.u == 0 && r.v == 0 && !self.holds(r) && !reached && self.bias == 0

@@ -87,8 +87,8 @@ pub fn update(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     }
 }
 
-/// Computes one update of a compartment of a neuron with several, or of one to whose arrivals and to
-/// whose u + b integers are added; [`Fields::takes_added`]. `stack` is the value that its child
+/// Computes one update of a compartment of a neuron with several, or of one to whose arrivals and
+/// to whose u + b integers are added; [`Fields::takes_added`]. `stack` is the value that its child
 /// pushed, then its own; 0 where nothing is pushed.
 #[inline]
 pub fn update_added(

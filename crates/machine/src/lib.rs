@@ -101,7 +101,7 @@ pub struct Machine {
     totals: Totals,
     last: StepActivity,
     counts: SpikeCounts,
-    /// Notes and traces of rules; `None` where no rule learns.
+    /// Notes and traces of rules; `None` where there is no rule.
     learning: Option<Box<Learning>>,
     /// Whether the last step's spikes have been noted.
     settled: bool,

@@ -11,7 +11,8 @@
 //!
 //! Integers may be added to compartments in a step: noise, for example.
 //!
-//! Errors: `session.channel` for channels that the network lacks, `session.added`, `session.weights.*` for weights
+//! Errors: `session.channel` for channels that the network lacks, `session.added` for integers that
+//! cannot be added, `session.weights.*` for weights
 //! that cannot be written, `run.draws` for random numbers that do not fit the next step.
 
 use std::sync::Arc;
@@ -405,8 +406,8 @@ impl Session {
         Some(self.meter.as_ref()?.sample(&self.engine, self.steps))
     }
 
-    /// Appends a probe's value of each compartment after the last step, in the order before pruning;
-    /// pruned ones have 0.
+    /// Appends a probe's value of each compartment after the last step, in the order before
+    /// pruning; pruned ones have 0.
     pub fn append_probe(&self, one: &Quantised, probe: &Probe, values: &mut Vec<i32>) {
         let population = one.populations().enumerate().find(|(_, population)| {
             population.first_compartment() == Some(probe.first) && population.shape.len() == probe.count
@@ -524,8 +525,8 @@ impl Session {
     }
 }
 
-/// The population and first compartment of a name POPULATION.q or POPULATION.bias, and whether it is
-/// q.
+/// The population and first compartment of a name POPULATION.q or POPULATION.bias, and whether it
+/// is q.
 fn added_place(one: &Quantised, name: &str) -> Result<(PopulationId, CompartmentId, bool)> {
     let wrong = |help: &str| Diagnostic::new("session.added", format!("'{name}' takes no integers")).help(help);
     let known = name.rsplit_once('.').filter(|(_, to)| matches!(*to, "q" | "bias"));

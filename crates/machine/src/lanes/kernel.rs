@@ -2,11 +2,11 @@
 //! [`nsim_dynamics::update`].
 //!
 //! Input: registers, sums and biases of a block whose compartments share their other fields, padded
-//! to whole chunks of sixteen. Output: the new registers, the lanes that spiked, the lanes that were not
-//! idle, and the chunks with overflow. The compiler turns plain loops over arrays of sixteen into
-//! vector instructions. `pulp` picks the widest set of the processor, and all sets compute equal
-//! integers. For AVX-512 the instructions are explicit (`vectors`). A test compares both with the
-//! scalar update.
+//! to whole chunks of sixteen. Output: the new registers, the lanes that spiked, the lanes that
+//! were not idle, and the chunks with overflow. The compiler turns plain loops over arrays of
+//! sixteen into vector instructions. `pulp` picks the widest set of the processor, and all sets
+//! compute equal integers. For AVX-512 the instructions are explicit (`vectors`). A test compares
+//! both with the scalar update.
 //!
 //! A voltage and its refractory counter share a register, so that a step streams through less
 //! memory.
@@ -197,8 +197,8 @@ impl Effect {
 /// Vector instructions for chunks.
 pub trait Vectors: Copy {
     /// Equations (2) to (7). `None` if a value of any lane would leave its field; then nothing
-    /// changes. `PLAIN` only where all biases are 0; then a voltage that is clipped leaves its field,
-    /// otherwise only one that is clipped from above.
+    /// changes. `PLAIN` only where all biases are 0; then a voltage that is clipped leaves its
+    /// field, otherwise only one that is clipped from above.
     fn update<S: Sum, const PLAIN: bool>(self, chunk: Chunks<'_, S, 1>, shared: &BlockParameters) -> Option<Effect>;
 
     /// Updates some chunks in one call; `None` also on processors with too few registers.

@@ -73,7 +73,7 @@ pub struct Image {
     pub(crate) fields: Vec<Fields>,
     pub(crate) shared: Vec<BlockParameters>,
     /// Index of the first parameters that equal these but for the bias.
-    alike: Vec<u32>,
+    but_for_bias: Vec<u32>,
     pub(crate) field_of: Vec<u32>,
     /// First compartment of the range that each step sorts, where lanes are not in ascending order.
     /// Spikes that reach dense blocks have to ascend.
@@ -138,7 +138,7 @@ impl Image {
             reset: parts.reset,
             fields: Vec::new(),
             shared: Vec::new(),
-            alike: Vec::new(),
+            but_for_bias: Vec::new(),
             field_of: Vec::new(),
             sorted_from: None,
             lanes: vec![NOT_LOCAL; program.compartments() as usize],
@@ -321,7 +321,7 @@ impl Image {
             let fields = neuron::fields(&neuron, start_step, semantics, threshold);
             let index = self.fields.len() as u32;
             let plain = Neuron { bias_mant: Neuron::PLAIN.bias_mant, bias_exp: Neuron::PLAIN.bias_exp, ..neuron };
-            self.alike.push(*known.but_for_bias.entry((plain, start_step)).or_insert(index));
+            self.but_for_bias.push(*known.but_for_bias.entry((plain, start_step)).or_insert(index));
             self.shared.push(BlockParameters::from(&fields));
             self.fields.push(fields);
             index
@@ -346,12 +346,12 @@ impl Image {
 
     /// The parameters that compartments share but for the bias, if they can be updated as vectors.
     fn vector(&self, field_of: &[u32]) -> Option<u32> {
-        let alike = |field: &u32| self.alike[*field as usize];
-        let first = alike(field_of.first()?);
+        let but_for_bias = |field: &u32| self.but_for_bias[*field as usize];
+        let first = but_for_bias(field_of.first()?);
         let fields = &self.fields[first as usize];
         // A compartment that spikes at a voltage of 0 would make padding spike too.
         let are_vectors = fields.vectors && fields.fires_from > 0 && fields.neuron.kind.table().registers;
-        (are_vectors && field_of.iter().all(|field| alike(field) == first)).then_some(first)
+        (are_vectors && field_of.iter().all(|field| but_for_bias(field) == first)).then_some(first)
     }
 
     /// Bounds sums. Each synapse adds at most once a step, so no sum exceeds the total of the
@@ -602,7 +602,7 @@ impl CoreLanes<'_> {
     /// Parameters but for the bias, and population. Weights of dense blocks are aligned when a
     /// population begins with a core block of its own.
     fn run_of(&self, at: usize) -> (u32, usize) {
-        (self.image.alike[self.field_of[at] as usize], self.populations[at])
+        (self.image.but_for_bias[self.field_of[at] as usize], self.populations[at])
     }
 
     /// The block that begins with a compartment, from this lane on.

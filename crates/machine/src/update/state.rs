@@ -616,8 +616,8 @@ impl CompartmentState {
         }
     }
 
-    /// Counts the lanes from `start` on whose voltage was clipped from below: frequent where v may not
-    /// be negative.
+    /// Counts the lanes from `start` on whose voltage was clipped from below: frequent where v may
+    /// not be negative.
     fn note_clips(&mut self, clipped: u64, step: u32, start: usize, shard: &Shard) {
         self.overflow.v_clipped += u64::from(clipped.count_ones());
         self.overflows_by_lane.resize(shard.lanes, OverflowCounts::default());
