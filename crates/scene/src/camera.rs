@@ -12,6 +12,8 @@
 //! columns x 63 rows (the last row of units sees two rows of pixels), channel = row of units x 50 +
 //! column.
 
+use pulp::{Arch, Simd, WithSimd};
+
 use super::draw::{Draws, Purpose};
 
 /// Columns of pixels.
@@ -80,6 +82,27 @@ struct Pixel {
     seen: bool,
 }
 
+/// Brightness of some pixels: a plain loop, compiled for the vectors of this machine.
+struct Brightness<'a, F> {
+    pixels: &'a [u32],
+    now: F,
+    levels: &'a mut Vec<f32>,
+}
+
+impl<F: Fn(u32, u32) -> f32> WithSimd for Brightness<'_, F> {
+    type Output = ();
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) {
+        let Brightness { pixels, now, levels } = self;
+        levels.clear();
+        levels.resize(pixels.len(), 0.0);
+        for (level, &pixel) in levels.iter_mut().zip(pixels) {
+            *level = now(pixel % WIDTH as u32, pixel / WIDTH as u32);
+        }
+    }
+}
+
 /// State of a camera.
 #[derive(Debug, Clone)]
 pub struct Camera {
@@ -91,6 +114,10 @@ pub struct Camera {
     /// Bit masks of spiking units, by polarity: falls, rises.
     spiking: [Vec<u64>; 2],
     step: u16,
+    arch: Arch,
+    /// Pixels of a tick, and their brightness.
+    checked: Vec<u32>,
+    levels: Vec<f32>,
 }
 
 impl Camera {
@@ -104,6 +131,9 @@ impl Camera {
             behind: Vec::new(),
             spiking: [vec![0; POOLED.div_ceil(64)], vec![0; POOLED.div_ceil(64)]],
             step: 0,
+            arch: Arch::new(),
+            checked: Vec::new(),
+            levels: Vec::new(),
         }
     }
 
@@ -113,14 +143,17 @@ impl Camera {
     pub fn step(
         &mut self,
         changed: &[u32],
-        at_rest: impl Fn(usize, usize) -> f32,
-        now: impl Fn(usize, usize) -> f32,
+        at_rest: impl Fn(u32, u32) -> f32,
+        now: impl Fn(u32, u32) -> f32,
         mut spike: impl FnMut(u32, Polarities),
     ) {
         let rest = self.pixels.refractory_ms.div_ceil(self.pixels.tick_ms);
-        let behind = std::mem::take(&mut self.behind);
-        for &pixel in changed.iter().chain(&behind) {
-            let (x, y) = (pixel as usize % WIDTH, pixel as usize / WIDTH);
+        self.checked.clear();
+        self.checked.extend(changed.iter().chain(&self.behind));
+        self.behind.clear();
+        self.arch.dispatch(Brightness { pixels: &self.checked, now, levels: &mut self.levels });
+        for (&pixel, &level) in self.checked.iter().zip(&self.levels) {
+            let (x, y) = (pixel % WIDTH as u32, pixel / WIDTH as u32);
             let state = &mut self.state[pixel as usize];
             if !state.seen {
                 let gain = 1.0 + self.pixels.mismatch * Draws::DEVICE.normal(Purpose::PixelGain, pixel, 0);
@@ -131,7 +164,6 @@ impl Camera {
                     seen: true,
                 };
             }
-            let level = now(x, y);
             let change = level - state.reference;
             if change.abs() < state.threshold {
                 continue;
@@ -139,7 +171,7 @@ impl Camera {
             if self.step >= state.free_at {
                 state.reference += if change > 0.0 { state.threshold } else { -state.threshold };
                 state.free_at = self.step + rest;
-                let unit = pooled(x, y);
+                let unit = pooled(x as usize, y as usize);
                 self.spiking[usize::from(change > 0.0)][unit / 64] |= 1 << (unit % 64);
             }
             // A remaining difference is checked again when the refractory time is over.

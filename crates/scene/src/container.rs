@@ -422,9 +422,9 @@ impl Picture {
     }
 
     /// Brightness, as a natural logarithm, at the middle of a pixel.
-    #[inline]
-    fn at(&self, x: usize, y: usize) -> f32 {
-        let (x, y) = (x as f32 + 0.5, y as f32 + 0.5);
+    #[inline(always)]
+    fn at(&self, x: u32, y: u32) -> f32 {
+        let (x, y) = (x as i32 as f32 + 0.5, y as i32 as f32 + 0.5);
         let [left, right, top, bottom] = self.body;
         let mut seen = -0.5 * fraction_past(y, self.table);
         let inside =

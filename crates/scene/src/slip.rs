@@ -292,18 +292,18 @@ impl Pose {
 
 /// The brightness of a brick. Every sample has the same box, whose bricks alternate between lighter
 /// and darker.
-#[inline]
-fn look(behind: f32, row: usize, column: usize) -> f32 {
-    let outside = row == 0 || column == 0 || row > BRICKS.1 || column > BRICKS.0;
-    let brick = if (row + column).is_multiple_of(2) { 0.4 } else { 0.65 };
+#[inline(always)]
+fn look(behind: f32, row: i32, column: i32) -> f32 {
+    let outside = (row == 0) | (column == 0) | (row > BRICKS.1 as i32) | (column > BRICKS.0 as i32);
+    let brick = if (row + column) & 1 == 0 { 0.4 } else { 0.65 };
     if outside { behind } else { brick }
 }
 
 impl BoxGeometry {
-    /// The brightness at the middle of a pixel.
-    #[inline]
-    fn at(&self, pose: &Pose, x: usize, y: usize) -> f32 {
-        let (px, py) = (x as f32 + 0.5, y as f32 + 0.5);
+    /// The brightness at the middle of a pixel. Without branches, so that pixels are vectors.
+    #[inline(always)]
+    fn at(&self, pose: &Pose, x: u32, y: u32) -> f32 {
+        let (px, py) = (x as i32 as f32 + 0.5, y as i32 as f32 + 0.5);
         let (dx, dy) = (px - pose.x, py - pose.y);
         let u = (pose.cos * dx + pose.sin * dy - self.left) / self.brick.0;
         let v = (pose.cos * dy - pose.sin * dx - self.top) / self.brick.1;
@@ -312,9 +312,6 @@ impl BoxGeometry {
         let (row, down) = cell(v, self.brick.1 / self.edge, BRICKS.1);
         let left = look(behind, row, column);
         let upper = left + (look(behind, row, column + 1) - left) * across;
-        if down == 0.0 {
-            return upper;
-        }
         let left = look(behind, row + 1, column);
         let lower = left + (look(behind, row + 1, column + 1) - left) * across;
         upper + (lower - upper) * down
@@ -357,9 +354,9 @@ impl BoxGeometry {
 }
 
 /// Cell before a position in bricks, and the fraction of the next cell that the pixel sees.
-#[inline]
-fn cell(place: f32, pixels: f32, bricks: usize) -> (usize, f32) {
-    let nearest = (place.clamp(0.0, bricks as f32) + 0.5) as usize;
+#[inline(always)]
+fn cell(place: f32, pixels: f32, bricks: usize) -> (i32, f32) {
+    let nearest = (place.clamp(0.0, bricks as f32) + 0.5) as i32;
     (nearest, ((place - nearest as f32) * pixels + 0.5).clamp(0.0, 1.0))
 }
 
