@@ -118,6 +118,8 @@ impl LayerLoss {
 /// The whole attribution.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attribution {
+    /// The stage that is compared with: the network as its tool runs it.
+    pub trained: ComparisonStage,
     /// 1 minus the coincidence of the machine with the trained network.
     pub disagreement: f64,
     /// Number of compared samples.
@@ -211,6 +213,9 @@ pub fn compare_stages(
     let compared = samples.par_iter().map(|sample| {
         let trained = first.run(from, sample, true);
         let stages = to.iter().map(|&(staged, stage)| {
+            if std::ptr::eq(staged, first) && stage == from {
+                return ComparedSample::new(&layers, output, (&trained, &trained), 0);
+            }
             // Steps after the end of a shorter trace count as silent.
             let trace = staged.run(stage, sample, true).silent_until(trained.steps);
             ComparedSample::new(&layers, output, (&trained, &trace), staged.shift(stage) - first.shift(from))
@@ -273,9 +278,13 @@ pub fn attribute_from(
         }
     }
     stages.extend(causes.iter().map(|&cause| ComparisonStage::MACHINE.without(cause)));
-    let to: Vec<(&StagedNetwork, ComparisonStage)> = stages.iter().map(|&stage| (staged, stage)).collect();
-    let compared = compare_stages((staged, trained), &to, output, samples);
-    let last = count.checked_sub(1).map(|last| &compared[last]);
+    // Both orders end at the machine, and a single cause is both its first and its last.
+    let mut distinct: Vec<ComparisonStage> = Vec::new();
+    let places: Vec<usize> = stages.iter().map(|&stage| place_of(&mut distinct, stage)).collect();
+    let to: Vec<(&StagedNetwork, ComparisonStage)> = distinct.iter().map(|&stage| (staged, stage)).collect();
+    let of_distinct = compare_stages((staged, trained), &to, output, samples);
+    let compared: Vec<&StageComparison> = places.iter().map(|&place| &of_distinct[place]).collect();
+    let last = count.checked_sub(1).map(|last| compared[last]);
     let mut layers = Vec::new();
     for (layer, Layer { name, .. }) in staged.layers().iter().enumerate() {
         let lost: Vec<f64> = compared.iter().map(|stage| 1.0 - stage.layers[layer].coincidence()).collect();
@@ -302,12 +311,21 @@ pub fn attribute_from(
         without: compared[2 * count + place].distance,
     });
     Attribution {
+        trained,
         samples: samples.len(),
         disagreement: count.checked_sub(1).map_or(0.0, |last| lost[last]).max(0.0),
         machine: last.map_or(Distance::EQUAL, |last| last.distance),
         shares: shares.collect(),
         layers,
     }
+}
+
+/// The place of a stage in a list; it is added where the list does not have it.
+fn place_of(stages: &mut Vec<ComparisonStage>, stage: ComparisonStage) -> usize {
+    stages.iter().position(|other| *other == stage).unwrap_or_else(|| {
+        stages.push(stage);
+        stages.len() - 1
+    })
 }
 
 /// The loss that a cause adds in both orders.

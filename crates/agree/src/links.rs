@@ -9,7 +9,8 @@ use std::collections::HashMap;
 use nsim_dynamics::arithmetic::scaled;
 use nsim_dynamics::synapses::Enumerate;
 use nsim_ir::quantised;
-use nsim_reference::synapses::Synapses;
+use nsim_ir::quantised::connectivity::Connectivity;
+use nsim_reference::synapses::{SumOrder, Synapses};
 
 /// The synapses from one population to another.
 #[derive(Debug)]
@@ -85,15 +86,32 @@ impl Link {
     }
 }
 
+/// A matrix with more than this many places for each synapse is a list.
+const MOST_ZEROS: usize = 4;
+
 /// Synapses whose weights are the accumulator's increments times `factor`.
-pub(super) fn integer_synapses(projection: &quantised::Projection, sources: u32, factor: f64) -> Synapses<f64> {
+pub(super) fn integer_synapses(
+    projection: &quantised::Projection,
+    sources: u32,
+    order: SumOrder,
+    factor: f64,
+) -> Synapses<f64> {
+    let real = |weight: i16| f64::from(scaled(projection.format, weight)) * factor;
+    if let Connectivity::Conv2d { window, kernel } = &projection.connectivity {
+        return Synapses::convolution(*window, order, |place| real(kernel[place]));
+    }
+    if let Connectivity::Dense { targets, weights } = &projection.connectivity
+        && weights.iter().filter(|weight| **weight != 0).count() * MOST_ZEROS >= weights.len()
+    {
+        return Synapses::dense(sources, order, |source, target| real(weights[(source * targets + target) as usize]));
+    }
     let mut synapses = Vec::new();
     for source in 0..sources {
         projection.connectivity.for_each_from(source, |target, weight| {
             if weight != 0 {
-                synapses.push((source, target, f64::from(scaled(projection.format, weight)) * factor));
+                synapses.push((source, target, real(weight)));
             }
         });
     }
-    Synapses::list(sources, synapses)
+    Synapses::list(sources, order, synapses)
 }

@@ -141,6 +141,11 @@ fn van_rossum(a: &[u32], b: &[u32]) -> f64 {
     }
 }
 
+/// The lesser of two numbers; `f64::min` also asks whether they are numbers.
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
 fn victor_purpura(a: &[u32], b: &[u32]) -> f64 {
     let mut row: Vec<f64> = (0..=b.len()).map(|j| j as f64).collect();
     for (i, &x) in a.iter().enumerate() {
@@ -149,7 +154,7 @@ fn victor_purpura(a: &[u32], b: &[u32]) -> f64 {
         for (j, &y) in b.iter().enumerate() {
             let moved = diagonal + f64::from(x.abs_diff(y)) / TAU;
             diagonal = row[j + 1];
-            row[j + 1] = moved.min(row[j] + 1.0).min(row[j + 1] + 1.0);
+            row[j + 1] = lesser(lesser(moved, row[j] + 1.0), diagonal + 1.0);
         }
     }
     row[b.len()]

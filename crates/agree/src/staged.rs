@@ -23,7 +23,7 @@ use nsim_ir::spikes::Sample;
 use nsim_quantise::analytic::{self, Fit};
 use nsim_quantise::exponents::Detail;
 use nsim_quantise::quantise::{quantise_with, scales};
-use nsim_reference::synapses::Synapses;
+use nsim_reference::synapses::{SumOrder, Synapses};
 
 use super::causes::{Cause, ComparisonStage};
 use super::links::{Link, integer_synapses};
@@ -47,6 +47,8 @@ struct Population {
     origin: Option<Origin>,
     first: u32,
     count: u32,
+    /// Order of the sums of its arrivals.
+    order: SumOrder,
     /// Register units per real unit.
     scale: f64,
 }
@@ -119,7 +121,9 @@ impl StagedNetwork {
             };
             debug_assert_eq!(node.index(), populations.len());
             let counter = if origin.is_none() { &mut channels } else { &mut compartments };
-            populations.push(Population { origin, first: *counter, count, scale: scale.unwrap_or(1.0) });
+            let incoming = chosen.projections().filter(|(_, _, target, _)| *target == node).map(|(.., p)| p);
+            let order = SumOrder::for_projections(count, incoming);
+            populations.push(Population { origin, first: *counter, count, order, scale: scale.unwrap_or(1.0) });
             *counter += count;
         }
         let facts = graph.facts();
@@ -201,14 +205,14 @@ impl StagedNetwork {
                 let scale = projection.weight_scale.as_ref().map_or(1.0, |scale| scale.value);
                 scale * libm::exp2(6.0 + projection.weight_exp.value as f64)
             });
-            let (sources, targets) = (self.populations[source.index()].count, self.populations[target.index()].count);
+            let (sources, order) = (self.populations[source.index()].count, self.populations[target.index()].order);
             let factor = factor * f64::from(graph.population(source).message.factor().unwrap_or(1));
             Link {
                 source: source.index(),
                 target: target.index(),
                 delays: vec![projection.delay.get().into()],
                 restores: analytic::is_reset_name(&projection.name),
-                synapses: Synapses::new(projection, sources, targets, factor),
+                synapses: Synapses::new(projection, sources, order, factor),
             }
         });
         links.collect()
@@ -230,7 +234,12 @@ impl StagedNetwork {
                 target,
                 delays: vec![projection.delay.get().into()],
                 restores: analytic::is_reset_name(&projection.name),
-                synapses: integer_synapses(projection, self.populations[source].count, rescale * payload),
+                synapses: integer_synapses(
+                    projection,
+                    self.populations[source].count,
+                    self.populations[target].order,
+                    rescale * payload,
+                ),
             }
         });
         links.collect()
@@ -386,7 +395,7 @@ impl StagedNetwork {
     fn state(&self, population: usize, stage: ComparisonStage) -> Option<PopulationState> {
         let of = &self.populations[population];
         let origin = of.origin.as_ref()?;
-        let neurons = (0..of.count).map(|index| self.neuron(population, origin, index, stage)).collect();
+        let neurons: Vec<RealForm> = (0..of.count).map(|index| self.neuron(population, origin, index, stage)).collect();
         let (response, resets_from, floors) = match origin {
             Origin::Srm(srm, _) => (Some((srm, self.timestep_ms)), 0, false),
             Origin::Loihi { parameters, .. } => {
@@ -398,7 +407,7 @@ impl StagedNetwork {
         // SLAYER's loop starts at step 1; its resets are counted from the step as given.
         let first = u32::from(response.is_none() && self.graph.facts().semantics == Semantics::Slayer);
         let timing = Timing { start_step: resets_from.max(first), resets_from, floors };
-        Some(PopulationState::new(neurons, response, timing, self.test, stage))
+        Some(PopulationState::new(&neurons, response, timing, self.test, stage))
     }
 
     /// The steps that a stage adds to its layers; `None` in stages without them.
@@ -442,6 +451,7 @@ impl StagedNetwork {
         };
         let deciding = self.calibrated.parts().output.index();
         let mut firing = Firing::new(self.links(stage), self.populations.len());
+        let mut by_unit = Vec::new();
         let inputs: Vec<usize> = (0..states.len()).filter(|&index| self.populations[index].origin.is_none()).collect();
         for now in 0..steps {
             for channel in sample.at(now) {
@@ -467,16 +477,17 @@ impl StagedNetwork {
                 let sums = &mut arrivals[index][slot];
                 let first = self.populations[index].first;
                 if now >= state.start_step {
-                    state.step(sums, |neuron| {
+                    state.step(self.populations[index].order.by_unit(sums, &mut by_unit), |neuron| {
                         firing.add(index, neuron);
                         trace.trains[(first + neuron) as usize].push(now);
                     });
                 }
                 sums.fill(0.0);
                 if potentials {
-                    for (neuron, potential) in state.step_potentials.iter().enumerate() {
-                        let place = (first as usize + neuron) * steps as usize + now as usize;
-                        trace.potentials[place] = (potential / state.neurons[neuron].threshold) as f32;
+                    let relative =
+                        state.step_potentials.iter().zip(state.thresholds()).map(|(v, vth)| (v / vth) as f32);
+                    for (neuron, potential) in relative.enumerate() {
+                        trace.potentials[(first as usize + neuron) * steps as usize + now as usize] = potential;
                     }
                 }
                 if index == deciding && trace.decision != ReadOut::Spikes && now >= state.start_step {

@@ -13,7 +13,7 @@ use super::cuba::Cuba;
 use super::kernel::Kernel;
 use super::real::Real;
 use super::srm::{self, Srm};
-use super::synapses::Synapses;
+use super::synapses::{SumOrder, Synapses};
 use nsim_dynamics as neuron;
 use nsim_dynamics::RealForm;
 use nsim_dynamics::arithmetic::falls_on;
@@ -46,6 +46,7 @@ struct Population {
     /// First channel or compartment, and number of units.
     first: u32,
     count: u32,
+    order: SumOrder,
     /// Number of steps before the first update, in which neurons are held at zero.
     start_step: u32,
     /// Step from which resets are counted.
@@ -104,7 +105,9 @@ impl<F: Real> Model<F> {
             let skipped = matches!(kind, Kind::Cuba(_)) && facts.semantics == Semantics::Slayer;
             let start_step = resets_from.max(u32::from(skipped));
             debug_assert_eq!(node.index(), populations.len());
-            populations.push(Population { kind, first: *counter, count, start_step, resets_from });
+            let incoming = graph.projections().filter(|(_, _, target, _)| *target == node).map(|(.., p)| p);
+            let order = SumOrder::for_projections(count, incoming);
+            populations.push(Population { kind, first: *counter, count, order, start_step, resets_from });
             *counter += count;
         }
         let mut projections: Vec<Vec<Projection<F>>> = populations.iter().map(|_| Vec::new()).collect();
@@ -120,7 +123,7 @@ impl<F: Real> Model<F> {
                 synapses: Synapses::new(
                     projection,
                     populations[source.index()].count,
-                    populations[target.index()].count,
+                    populations[target.index()].order,
                     weight_unit(graph, target, projection)
                         * f64::from(graph.population(source).message.factor().unwrap_or(1)),
                 ),
@@ -209,8 +212,10 @@ impl<F: Real> Units<F> {
 pub struct Reference<'m, F> {
     model: &'m Model<F>,
     units: Vec<Units<F>>,
-    /// `[population][slot][neuron]`: sums of arrivals in the coming steps.
+    /// `[population][slot][place in its order]`: sums of arrivals in the coming steps.
     arrivals: Vec<Vec<Vec<F>>>,
+    /// Sums of a population in the order of its units.
+    by_unit: Vec<F>,
     spikes: Vec<CompartmentId>,
     step: u32,
     steps: u32,
@@ -233,6 +238,7 @@ impl<'m, F: Real> Reference<'m, F> {
             model,
             units: units.collect(),
             arrivals: arrivals.collect(),
+            by_unit: Vec::new(),
             spikes: Vec::new(),
             step: 0,
             steps: 0,
@@ -291,9 +297,10 @@ impl<F: Real> Engine for Reference<'_, F> {
             if model.reset.is_some_and(|reset| falls_on(reset, self.step, population.resets_from)) {
                 self.units[index].clear();
             }
+            let by_unit = population.order.by_unit(sums, &mut self.by_unit);
             match &mut self.units[index] {
-                Units::Srm(srm) => srm.step(sums, spike),
-                Units::Cuba(cuba) if !held => cuba.step(sums, spike),
+                Units::Srm(srm) => srm.step(by_unit, spike),
+                Units::Cuba(cuba) if !held => cuba.step(by_unit, spike),
                 Units::Input | Units::Cuba(_) => {}
             }
             sums.fill(F::default());

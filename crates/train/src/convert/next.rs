@@ -6,7 +6,7 @@
 
 use crate::convert::copies;
 use crate::convert::deployed::Conversion;
-use nsim_agree::attribution::{Attribution, Distance, LayerLoss, as_trained, compare_stages};
+use nsim_agree::attribution::{Attribution, Distance, LayerLoss, compare_stages};
 use nsim_agree::causes::{Cause, ComparisonStage};
 use nsim_agree::compare::output_layer;
 use nsim_agree::staged::StagedNetwork;
@@ -141,14 +141,11 @@ fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
     (!changes.is_empty()).then_some(changes)
 }
 
-/// Distance of the changed model's integers from this model as its tool runs it.
-fn distance_after(model: &str, changes: &[String], samples: &[&Sample]) -> Option<Distance> {
+/// The model with changes, where it can be read and quantised.
+fn changed(model: &str, changes: &[String]) -> Option<StagedNetwork> {
     let changes: Vec<Change> = changes.iter().map(|change| Change::parse(change)).collect::<Result<_, _>>().ok()?;
     let graph = lower(&with_changes(&changes, || load_model(model)).ok()?).ok()?;
-    let staged = StagedNetwork::new(&graph, &analytic::starts(&graph)).ok()?;
-    let output = output_layer(staged.deployed());
-    let trained = as_trained(&staged, &output, samples);
-    Some(compare_stages((&staged, trained), &[(&staged, ComparisonStage::MACHINE)], &output, samples).first()?.distance)
+    StagedNetwork::new(&graph, &analytic::starts(&graph)).ok()
 }
 
 fn distance_text(distance: &Distance) -> String {
@@ -216,8 +213,17 @@ fn remedy(
     let mut best: Option<(&str, Vec<String>, Distance)> = None;
     // A model that is read again has the resets of its file.
     let replaced = !graph.has_srm() && staged.causes().contains(&Cause::HardReset);
-    for (what, changes) in candidates(cause, graph).into_iter().filter(|_| !replaced) {
-        let Some(after) = distance_after(typed.model, &changes, samples) else { continue };
+    let candidates = if replaced { Vec::new() } else { candidates(cause, graph) };
+    let networks = candidates
+        .into_iter()
+        .filter_map(|(what, changes)| changed(typed.model, &changes).map(|network| (what, changes, network)));
+    let networks: Vec<(&str, Vec<String>, StagedNetwork)> = networks.collect();
+    let stages: Vec<(&StagedNetwork, ComparisonStage)> =
+        networks.iter().map(|(.., network)| (network, ComparisonStage::MACHINE)).collect();
+    let output = output_layer(staged.deployed());
+    let compared = compare_stages((staged, attribution.trained), &stages, &output, samples);
+    for ((what, changes, _), compared) in networks.into_iter().zip(compared) {
+        let after = compared.distance;
         let least = best.as_ref().map_or(total(before), |(.., best)| total(best)) + LEAST_GAIN;
         if total(&after) > least && after.coincidence > before.coincidence + LEAST_GAIN {
             best = Some((what, changes, after));

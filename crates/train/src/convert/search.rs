@@ -38,7 +38,7 @@ use nsim_ir::spikes::Sample;
 use nsim_quantise::analytic::{self, Fit};
 use nsim_quantise::exponents::Detail;
 use nsim_quantise::quantise::quantise_with;
-use nsim_reference::synapses::Synapses;
+use nsim_reference::synapses::{SumOrder, Synapses};
 
 use super::copies::{self, Arrivals, Copies, MOST_COPIES};
 
@@ -446,7 +446,7 @@ fn task(
         .map(|(source, projection)| {
             let count = graph.population(source).shape.len();
             let input = matches!(graph.population(source).kind, PopulationKind::Input);
-            let synapses = Synapses::<f64>::new(projection, count, layer.count, 1.0);
+            let synapses = Synapses::<f64>::new(projection, count, SumOrder::of_units(layer.count), 1.0);
             (firsts[source.index()], count, input, u32::from(projection.delay.get()), synapses)
         })
         .collect();
