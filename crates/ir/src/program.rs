@@ -277,6 +277,17 @@ impl CoreClass {
         CoreClass { compartments, formats: Vec::new(), inputs: InputTable::default() }
     }
 
+    /// Number of dense and of sparse synapses of a stored list. A list of a class without dense
+    /// formats is not read.
+    pub fn dense_and_sparse(&self, list: &[Synapse]) -> (u32, u32) {
+        let is_dense = |format: &CoreFormat| format.index_bits.is_none();
+        let dense = match self.formats.iter().any(is_dense) {
+            true => list.iter().filter(|synapse| is_dense(&self.formats[usize::from(synapse.format)])).count(),
+            false => 0,
+        };
+        (dense as u32, (list.len() - dense) as u32)
+    }
+
     /// Counts of a visit to each compartment.
     pub fn visit(&self) -> CoreCounts {
         let mut sum = CoreCounts::default();

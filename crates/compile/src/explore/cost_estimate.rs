@@ -162,11 +162,10 @@ fn arrive(sum: &mut StepActivity, program: &Program, rates: &Rates) {
         let class = program.class_of(id);
         for (axon, list) in class.inputs.iter().enumerate() {
             let rate = of_axons.as_ref().map_or_else(|| rates.rate_of(0), |of_axons| of_axons[core][axon]);
-            let list = list.stored;
-            let dense = list.iter().filter(|s| class.formats[usize::from(s.format)].index_bits.is_none()).count();
+            let (dense, sparse) = class.dense_and_sparse(list.stored);
             counts.messages_in += rate;
-            counts.events_dense += dense as u64 * rate;
-            counts.events_sparse += (list.len() - dense) as u64 * rate;
+            counts.events_dense += u64::from(dense) * rate;
+            counts.events_sparse += u64::from(sparse) * rate;
         }
     });
     for (core, &like) in like.enumerate().filter(|(core, like)| core != *like) {

@@ -19,7 +19,7 @@ use nsim_ir::base::id::{ChannelId, CoreId, Id};
 use nsim_ir::groups::{CoreGroups, Kind};
 use nsim_ir::partition::Seat;
 use nsim_ir::placement::{Mesh, Route, Site};
-use nsim_ir::program::{AxonTarget, CoreClass, Program};
+use nsim_ir::program::{AxonTarget, Program};
 
 /// One message that a spike of some source sends.
 #[derive(Debug, Clone, Copy)]
@@ -143,14 +143,6 @@ pub(super) struct Region {
     pub(super) between: Vec<bool>,
 }
 
-/// Dense and sparse synapses of an input axon.
-fn events(class: &CoreClass, axon: u16) -> (u32, u32) {
-    let synapses = class.inputs.get(usize::from(axon)).stored;
-    let dense = |format: u8| class.formats[usize::from(format)].index_bits.is_none();
-    let count = synapses.iter().filter(|synapse| dense(synapse.format)).count();
-    (count as u32, (synapses.len() - count) as u32)
-}
-
 /// Number of sources of a piece, whose messages one thread looks up.
 const PIECE: u32 = 1 << 12;
 /// Number of pieces of each thread that are joined in one call, which bounds their memory.
@@ -159,7 +151,8 @@ const PIECES: usize = 4;
 /// Returns the messages of each of these sources, which are numbered channels first.
 fn messages(program: &Program, sources: Range<u32>) -> Csr<Message> {
     let message = |AxonTarget { core, axon }| {
-        let (events_dense, events_sparse) = events(program.class_of(core), axon);
+        let class = program.class_of(core);
+        let (events_dense, events_sparse) = class.dense_and_sparse(class.inputs.get(usize::from(axon)).stored);
         Message { core, events_dense, events_sparse }
     };
     let piece = |&first: &u32| {
