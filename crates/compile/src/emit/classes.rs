@@ -6,9 +6,9 @@
 //! compartments of one population that only windows reach, shifted by some rows and columns
 //! ([`crate::emit::windows`]), or both. Classes are numbered by their first cores.
 
-use std::collections::HashMap;
 use std::hash::Hash;
 
+use foldhash::HashMap;
 use rayon::prelude::*;
 
 use crate::emit::windows::{Origin, Pattern, Windows};
@@ -34,7 +34,7 @@ pub struct Classes {
 impl Classes {
     /// The classes of cores with these keys, in order of cores.
     pub fn by_key<K: Hash + Eq>(keys: impl Iterator<Item = K>) -> Self {
-        let (mut known, mut classes) = (HashMap::new(), Classes::default());
+        let (mut known, mut classes) = (HashMap::default(), Classes::default());
         for (core, key) in (0..).map(CoreId).zip(keys) {
             let class = *known.entry(key).or_insert_with(|| classes.firsts.push(core));
             classes.of.push(class);

@@ -11,9 +11,9 @@
 //! Cores are written in parallel, from their own synapses alone. Then each core's input axons are
 //! sorted by the cores that send to them. Cores with equal messages to other cores share them.
 
-use std::collections::HashMap;
 use std::sync::Arc;
 
+use foldhash::HashMap;
 use rayon::prelude::*;
 
 use crate::emit::classes::{Classes, CoreClasses, Shift};
@@ -184,7 +184,7 @@ fn received<M: Iterator<Item = (Seat, u16)>>(
     let mut members: IdVec<ClassId, Vec<CoreId>> = vec![Vec::new(); classes.firsts.len()].into();
     classes.of.enumerate().for_each(|(core, &class)| members[class].push(core));
     let of_class = |cores: &Vec<CoreId>| {
-        let (mut keys, mut known) = (Vec::new(), HashMap::<Arc<Received>, CoreId>::new());
+        let (mut keys, mut known) = (Vec::new(), HashMap::<Arc<Received>, CoreId>::default());
         let mut all = Vec::with_capacity(cores.len());
         for &core in cores {
             let (senders, received) = Received::by_sender(messages(core), &mut keys);

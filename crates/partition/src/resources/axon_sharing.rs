@@ -47,7 +47,9 @@
 //!
 //! [`packing::words_as`]: crate::resources::packing::words_as
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::collections::{BTreeMap, BTreeSet};
+
+use foldhash::HashMap;
 
 use crate::resources::sorted_synapses::{self, Key};
 use nsim_ir::base::id::PopulationId;
@@ -315,7 +317,7 @@ pub fn equal_places(keys: &[Key], places: &Places, limits: &Limits) -> Vec<Equal
     });
     let mut placed: Vec<(u32, u16, u32)> = placed.collect();
     placed.sort_unstable();
-    let (mut classes, mut known): (Vec<EqualPlaces>, HashMap<Vec<u64>, usize>) = (Vec::new(), HashMap::new());
+    let (mut classes, mut known): (Vec<EqualPlaces>, HashMap<Vec<u64>, usize>) = (Vec::new(), HashMap::default());
     for of_place in placed.chunk_by(|a, b| a.0 == b.0) {
         let of = |&(_, _, number): &(u32, u16, u32)| lists[number as usize];
         let first_slot = of_place.iter().flat_map(of).map(|key| key.slot()).min();

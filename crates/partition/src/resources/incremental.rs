@@ -12,7 +12,7 @@
 //! lists differ, and only the lists of a whole tile are equal. So compartments that came one by one
 //! are counted with separate lists, which is never too little.
 
-use std::collections::{HashMap, HashSet};
+use foldhash::{HashMap, HashSet};
 
 use crate::resources::axon_sharing::{self, PlaceClass, Places};
 use crate::resources::counter::{CoreTotals, FormatCounts, Profiles};
@@ -246,12 +246,12 @@ impl<'a> Filling<'a> {
             widths: Widths::for_core(0, Delay::MIN, limits.packing),
             totals: CoreTotals::new(0, Delay::MIN),
             slots_out: 0,
-            together: HashSet::new(),
+            together: HashSet::default(),
             stored: fan_in.stored(network, limits),
             kernels: Kernels::new(),
             words: fan_in.words(network, limits),
             held_words: HeldWords::default(),
-            begins: HashMap::new(),
+            begins: HashMap::default(),
             shares: places.are_required(),
             places,
             shortened: false,
@@ -491,7 +491,7 @@ impl<'a> Filling<'a> {
         let mut placed: Vec<(PlacedAxon, usize)> = placed.collect();
         placed.sort_unstable_by_key(|(placed, _)| (placed.place, placed.atom));
         let mut classes: [Vec<PlaceClass>; LISTS] = Default::default();
-        let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::new();
+        let mut known: HashMap<Vec<(u16, u64)>, usize> = HashMap::default();
         for of_place in placed.chunk_by(|a, b| a.0.place == b.0.place) {
             let digests = of_place.iter().map(|(placed, _)| (placed.atom, placed.digest)).collect();
             let next = classes[0].len();

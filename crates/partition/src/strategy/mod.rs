@@ -110,6 +110,9 @@ const WORK_PER_SECOND: u64 = 200_000_000;
 const WORK_PER_SYNAPSE: u64 = 60;
 /// Number of synapses from which a network with uniform connectivity is not grouped by levels.
 const EVEN_SYNAPSES: u64 = 1 << 18;
+/// The order of the file is given up at this multiple of the cores of tiles: it is no alternative
+/// then, and its output axons take many rounds.
+const MOST_TIMES_TILES: usize = 8;
 /// Longest step relative to the order of the file, to be multiplied by the ratio of cores saved.
 const MOST_LONGER: f64 = 1.1;
 /// Most synapses of a network whose tiles are also tried with fewer words.
@@ -363,9 +366,11 @@ struct CopySearch<'a> {
 
 /// Output of the candidates.
 struct Mappings {
-    /// All, beginning with the order of the file where it fits.
+    /// All, beginning with the order of the file where it fits and was not given up.
     all: Vec<FilledCores>,
-    /// Whether the order of the file fits.
+    /// The mapping in tiles, until it is its turn.
+    in_tiles: Option<Result<FilledCores>>,
+    /// Whether the first is in the order of the file.
     has_file_order: bool,
     /// The error of the first that does not fit.
     failure: Option<CompileError>,
@@ -402,20 +407,32 @@ const CANDIDATES: [(&str, Candidate); 5] = [
 /// The members that a strategy finds for one copy.
 fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<FilledCores> {
     let network = filler.network;
-    let in_file_order = || filler.fewest_cores(&file_order(network), chips);
     if search.strategy == Strategy::Sequential || !network.parts().children.is_empty() {
-        return in_file_order();
+        return filler.fewest_cores(&file_order(network), chips);
     }
     let spatial: Spatial = network.populations().ids().map(|id| is_spatial(network, id)).collect();
     let any_spatial = spatial.iter().any(|&spatial| spatial);
-    let tiled = || if any_spatial { tiled(filler, &spatial, chips, search.most_synapses) } else { Vec::new() };
-    let (sequential, tiled) = rayon::join(in_file_order, tiled);
-    if matches!(&sequential, Ok(only) if only.members.len() == 1) {
-        return sequential;
+    let tiled = if any_spatial { tiled(filler, &spatial, chips, search.most_synapses) } else { Vec::new() };
+    let in_tiles = (!tiled.is_empty()).then(|| {
+        let order: Vec<Segment> = tiled.iter().cloned().chain(without_tiles(network, &spatial)).collect();
+        filler.fewest_cores(&order, chips)
+    });
+    let most = match &in_tiles {
+        Some(Ok(in_tiles)) => in_tiles.members.len() * MOST_TIMES_TILES,
+        _ => usize::MAX,
+    };
+    let sequential = filler.at_most(most, &file_order(network), chips).transpose();
+    if let Some(Ok(only)) = &sequential
+        && only.members.len() == 1
+    {
+        return Ok(only.clone());
     }
+    let has_file_order = matches!(sequential, Some(Ok(_)));
     let copy = CopySearch::new(filler, search, chips, spatial, tiled);
-    let mut mappings = Mappings { all: Vec::new(), has_file_order: sequential.is_ok(), failure: None, levels: None };
-    mappings.keep(sequential);
+    let mut mappings = Mappings { all: Vec::new(), in_tiles, has_file_order, failure: None, levels: None };
+    if let Some(sequential) = sequential {
+        mappings.keep(sequential);
+    }
     for (reason, add) in CANDIDATES {
         add(&copy, &mut mappings);
         tracing::trace!(reason, mappings = mappings.all.len(), "candidates");
@@ -463,11 +480,9 @@ fn by_shared_sources(copy: &CopySearch<'_>, mappings: &mut Mappings) {
     }
 }
 
-fn in_tiles(copy: &CopySearch<'_>, mappings: &mut Mappings) {
-    if !copy.tiled.is_empty() {
-        let others = without_tiles(copy.filler.network, &copy.spatial);
-        let order: Vec<Segment> = copy.tiled.iter().cloned().chain(others).collect();
-        mappings.keep(copy.filler.fewest_cores(&order, copy.chips));
+fn in_tiles(_: &CopySearch<'_>, mappings: &mut Mappings) {
+    if let Some(in_tiles) = mappings.in_tiles.take() {
+        mappings.keep(in_tiles);
     }
 }
 

@@ -13,9 +13,10 @@
 //!   and the filling is repeated. It ends because estimates only grow, and a core with a single
 //!   neuron is never split.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
+use foldhash::HashMap;
 use rayon::prelude::*;
 
 use crate::error::CompileError;
@@ -213,9 +214,19 @@ impl<'a> Filler<'a> {
     /// [`CompileError::DoesNotFit`] with a reason for each population that has a compartment that
     /// fits no core.
     pub fn fewest_cores(&self, order: &[Segment], chips: Chips) -> Result<FilledCores, CompileError> {
+        let filled = self.at_most(usize::MAX, order, chips)?;
+        filled.ok_or_else(|| CompileError::fault("a mapping of any number of cores was given up"))
+    }
+
+    /// As [`Filler::fewest_cores`]; `None` once it is certain that an order takes more than `most`
+    /// cores.
+    ///
+    /// # Errors
+    /// As [`Filler::fewest_cores`].
+    pub fn at_most(&self, most: usize, order: &[Segment], chips: Chips) -> Result<Option<FilledCores>, CompileError> {
         let whole = || {
             let (estimate, filled) = self.first_filling(order, true)?;
-            self.settled(order, chips, true, estimate, filled)
+            self.settled(most, order, chips, true, estimate, filled)
         };
         if !self.may_keep_whole(order) {
             return whole();
@@ -223,9 +234,10 @@ impl<'a> Filler<'a> {
         let (whole, full) = rayon::join(whole, || self.first_filling(order, false));
         let whole = whole?;
         // Settling never takes fewer cores.
-        let full = full.ok().filter(|(_, full)| full.len() < whole.members.len());
-        match full.map(|(estimate, full)| self.settled(order, chips, false, estimate, full)) {
-            Some(Ok(full)) if full.members.len() < whole.members.len() => Ok(full),
+        let fewer = whole.as_ref().map_or(most, |whole| whole.members.len() - 1);
+        let full = full.ok().filter(|(_, full)| full.len() <= fewer);
+        match full.map(|(estimate, full)| self.settled(fewer, order, chips, false, estimate, full)) {
+            Some(Ok(Some(full))) => Ok(Some(full)),
             _ => Ok(whole),
         }
     }
@@ -302,17 +314,22 @@ impl<'a> Filler<'a> {
         of_cores.into_iter().flatten().collect()
     }
 
-    /// Fills again until output axons fit too.
+    /// Fills again until output axons fit too; `None` once there are more than `most` cores, which
+    /// never become fewer.
     fn settled(
         &self,
+        most: usize,
         order: &[Segment],
         chips: Chips,
         keep_whole: bool,
         mut estimate: Estimate,
         mut filled: Vec<Filled>,
-    ) -> Result<FilledCores, CompileError> {
+    ) -> Result<Option<FilledCores>, CompileError> {
         let limits = self.target.limits();
         for round in 0.. {
+            if filled.len() > most {
+                return Ok(None);
+            }
             let (members, usage): (Vec<_>, Vec<_>) = filled.into_iter().unzip();
             let members: Members = members.into();
             let (fan_out, counted) = self.fan_out(&members, chips);
@@ -339,7 +356,7 @@ impl<'a> Filler<'a> {
             }
             if !again {
                 let usage = counted.or_else(|| usage.into_iter().collect());
-                return Ok(FilledCores { members, fan_out: Some(fan_out), usage });
+                return Ok(Some(FilledCores { members, fan_out: Some(fan_out), usage }));
             }
             self.raise(&mut estimate.slots, &fan_out, round);
             estimate.together = fan_out.together;
@@ -477,5 +494,29 @@ impl<'a> Filler<'a> {
             filled.push((filling.next_core(), used));
         }
         (filled, misfits)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use nsim_testing::{limits, random_network, target};
+
+    #[test]
+    fn an_order_is_given_up_where_it_takes_more_cores_than_allowed_and_only_there() {
+        let mut several = 0;
+        for seed in 0..60 {
+            let target = target(4, 4, limits().with(Resource::Compartments, 9).with(Resource::AxonsOut, 40));
+            let network = random_network(seed);
+            let filler = Filler::new(&network, &target);
+            let order = file_order(&network);
+            let Ok(filled) = filler.fewest_cores(&order, Chips::Row) else { continue };
+            let cores = filled.members.len();
+            several += u32::from(cores > 1);
+            let allowed = filler.at_most(cores, &order, Chips::Row).unwrap().unwrap();
+            assert_eq!(allowed.members, filled.members, "seed {seed}");
+            assert!(filler.at_most(cores - 1, &order, Chips::Row).unwrap().is_none(), "seed {seed}");
+        }
+        assert!(several > 20, "{several}");
     }
 }
