@@ -3,7 +3,8 @@
 //! Input: a JSON object. Output: the object with the field [`FIELD`], the SHA-256 of the other
 //! fields, or whether the field is right. White space is ignored, so other tools may reformat it.
 
-use serde_json::Value;
+use serde::{Serialize, Serializer};
+use serde_json::{Map, Value};
 
 use crate::text::sha256;
 use nsim_ir::base::names::printable;
@@ -14,14 +15,23 @@ pub const FIELD: &str = "checksum";
 /// results.
 const TIMES: [&str; 3] = ["wall_s", "us_per_timestep", "seconds"];
 
+/// The fields of an object that its checksum covers.
+struct Covered<'a>(&'a Map<String, Value>);
+
+impl Serialize for Covered<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(self.0.iter().filter(|(name, _)| *name != FIELD && !TIMES.contains(&name.as_str())))
+    }
+}
+
 /// The checksum of an object's other fields.
 pub fn checksum_of(object: &Value) -> String {
-    let mut object = object.clone();
-    if let Some(fields) = object.as_object_mut() {
-        fields.retain(|name, _| name != FIELD && !TIMES.contains(&name.as_str()));
-    }
+    let text = match object {
+        Value::Object(fields) => serde_json::to_string(&Covered(fields)).unwrap_or_default(),
+        other => other.to_string(),
+    };
     // The checksum covers the printed form.
-    sha256(printable(&object.to_string()).as_bytes())
+    sha256(printable(&text).as_bytes())
 }
 
 /// An object with its checksum.
