@@ -8,6 +8,7 @@ use serde_json::json;
 use crate::cli::context::Format;
 use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
+use crate::cli::progress;
 use nsim_files::write;
 use nsim_ir::base::diagnostic::{Diagnostic, Place, SourceText, Span};
 use nsim_ir::base::names::{is_unprintable, printable};
@@ -19,7 +20,7 @@ pub fn report(error: &Error, format: Format) -> ExitCode {
     match format {
         Format::Json => {
             // stdout carries the result; with JSON the error object is the result.
-            let _ = write::stdout(&format!("{:#}\n", object(error)));
+            let _ = progress::print(&format!("{:#}\n", object(error)));
         }
         _ => write_stderr(&text(error, colour())),
     }
@@ -55,7 +56,7 @@ pub fn requested_format() -> Format {
 pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
     // Help and version are answers; anything else is wrong usage.
     if !error.use_stderr() {
-        return match write::stdout(&error.render().to_string()) {
+        return match progress::print(&error.render().to_string()) {
             Ok(()) => ExitCode::SUCCESS,
             Err(problem) => report(&problem.into(), Format::Text),
         };
@@ -70,7 +71,7 @@ pub fn usage(error: &clap::Error, asked: Format) -> ExitCode {
                 "schema": "nsim.error/1", "code": "usage", "message": message, "help": rest.trim(),
                 "file": null, "line": null, "column": null,
             });
-            let _ = write::stdout(&format!("{object:#}\n"));
+            let _ = progress::print(&format!("{object:#}\n"));
         }
         // Colours are escapes too, so a message with other escapes is printed without colours.
         _ if colour() && printable(&said) == said => write_stderr(&error.render().ansi().to_string()),

@@ -6,6 +6,7 @@ use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_compile::explore;
 use nsim_compile::explore::remedy::{self, Refused, Remedy};
 use nsim_compile::{
@@ -129,10 +130,10 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     };
     let mut candidates = Vec::new();
     if args.pareto.is_some() {
-        let _busy = output::spinner("mapping in several ways");
+        let _busy = progress::stage("mapping in several ways");
         candidates = explore::candidates(&front, target, options, &rates).unwrap_or_default();
     }
-    let busy = output::spinner(if settings.saved.is_some() { "checking the mapping" } else { "mapping" });
+    let busy = progress::stage(if settings.saved.is_some() { "checking the mapping" } else { "mapping" });
     let mapped = match settings.mapped(front, &rates) {
         Ok(mapped) => Ok(mapped),
         Err(CompileError::DoesNotFit(reasons)) => Err(reasons),

@@ -21,6 +21,7 @@ mod output;
 mod plot;
 mod probes;
 mod process;
+mod progress;
 mod report;
 mod run;
 mod scene;
@@ -148,7 +149,7 @@ fn dispatch(command: &Command, context: Context) -> Result<Answer, Error> {
         Command::Show(args) => inspect::show::run(args, context),
         Command::Help(args) => inspect::help::run(args, args::columns::folded(Cli::command()), context),
         Command::Completions { shell } => {
-            nsim_files::write::stdout(&completions(*shell))?;
+            progress::print(&completions(*shell))?;
             Ok(Answer::Yes)
         }
     }
@@ -232,10 +233,12 @@ fn command(line: &[OsString], asked: Format) -> ExitCode {
     let mut known = args::columns::folded(Cli::command());
     let parsed = known.try_get_matches_from_mut(line).and_then(|matches| {
         advice::runs(&matches, options_of_commands);
-        Cli::from_arg_matches(&matches)
+        let name = matches.subcommand_name().unwrap_or_default().to_string();
+        Ok((Cli::from_arg_matches(&matches)?, name))
     });
-    let cli = match parsed.map_err(|error| args::removed::explained(error, line, &mut known).format(&mut known)) {
-        Ok(cli) => cli,
+    let (cli, name) = match parsed.map_err(|error| args::removed::explained(error, line, &mut known).format(&mut known))
+    {
+        Ok(parsed) => parsed,
         Err(error) => {
             let status = diagnostics::usage(&error, asked);
             if status == ExitCode::SUCCESS {
@@ -255,9 +258,12 @@ fn command(line: &[OsString], asked: Format) -> ExitCode {
         return diagnostics::report(&error, cli.format);
     }
     let answer = threads::start(cli.threads).and_then(|threads| {
-        let progress = diagnostics::on_terminal() && !cli.quiet;
-        output::allow_spinners(progress);
-        dispatch(&cli.command, Context { format: cli.format, force: cli.force, progress, threads })
+        let shows_progress = diagnostics::on_terminal() && !cli.quiet;
+        if shows_progress {
+            progress::start();
+        }
+        let _busy = progress::stage(format!("nsim {name}"));
+        dispatch(&cli.command, Context { format: cli.format, force: cli.force, progress: shows_progress, threads })
     });
     match answer {
         Ok(answer) => {

@@ -1,11 +1,9 @@
-//! Functions that several commands share: printing, progress, sections of documents.
+//! Functions that several commands share: printing, sections of documents.
 
 use std::path::{Path, PathBuf};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 use crate::cli::context::{Context, Format, refuse_if};
+use crate::cli::progress;
 use nsim_energy::environment::Environment;
 use nsim_files as io;
 use nsim_files::table::{latex, markdown, replace_section};
@@ -14,7 +12,6 @@ use nsim_files::write::checksum;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_report::charts::picture::{ENDINGS, PictureFormat};
 use nsim_session::error::Error;
-use nsim_session::samples::Progress;
 
 /// The words after `nsim` on the command line, without the number of threads, on which no result
 /// depends.
@@ -105,85 +102,7 @@ pub fn print(
         Format::Markdown => markdown(&csv()),
         Format::Latex => latex(&csv()),
     };
-    Ok(io::write::stdout(&out)?)
-}
-
-/// Whether stages without countable parts are shown.
-static SPINNERS_ALLOWED: AtomicBool = AtomicBool::new(false);
-/// Number of active bars and stages. A stage is shown only if no other is active.
-static ACTIVE_STAGES: AtomicUsize = AtomicUsize::new(0);
-
-/// Sets whether [`spinner`] shows stages.
-pub fn allow_spinners(shown: bool) {
-    SPINNERS_ALLOWED.store(shown, Ordering::Relaxed);
-}
-
-/// A stage without countable parts. From the second second on, a line on stderr names it, until
-/// this is dropped.
-#[derive(Debug)]
-pub struct Spinner(ProgressBar);
-
-/// Begins a stage, which is hidden if a bar or another stage is active.
-pub fn spinner(what: &'static str) -> Spinner {
-    let alone = ACTIVE_STAGES.fetch_add(1, Ordering::Relaxed) == 0;
-    if !alone || !SPINNERS_ALLOWED.load(Ordering::Relaxed) {
-        return Spinner(ProgressBar::hidden());
-    }
-    let line = hidden_at_first(None, "{spinner} {msg}, {elapsed}", what);
-    let shown = line.clone();
-    // Without a thread the line does not move.
-    let _ = std::thread::Builder::new().spawn(move || {
-        while !shown.is_finished() {
-            shown.tick();
-            std::thread::sleep(std::time::Duration::from_millis(200));
-        }
-    });
-    Spinner(line)
-}
-
-/// A bar or line on stderr that appears after a second unless it is finished before.
-fn hidden_at_first(length: Option<u64>, template: &str, what: &'static str) -> ProgressBar {
-    let style = ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar());
-    let bar = ProgressBar::with_draw_target(length, ProgressDrawTarget::hidden()).with_style(style).with_message(what);
-    let shown = bar.clone();
-    // Without a thread there is no bar.
-    let _ = std::thread::Builder::new().spawn(move || {
-        std::thread::sleep(std::time::Duration::from_secs(1));
-        if !shown.is_finished() {
-            shown.set_draw_target(ProgressDrawTarget::stderr());
-        }
-    });
-    bar
-}
-
-impl Drop for Spinner {
-    fn drop(&mut self) {
-        ACTIVE_STAGES.fetch_sub(1, Ordering::Relaxed);
-        self.0.finish_and_clear();
-    }
-}
-
-/// Runs `work` under a progress bar; it calls its argument after each of `length` parts.
-pub fn with_progress<T>(
-    context: Context,
-    length: usize,
-    what: &'static str,
-    work: impl FnOnce(Progress<'_>) -> T,
-) -> T {
-    let bar = progress(context, length as u64, what);
-    ACTIVE_STAGES.fetch_add(1, Ordering::Relaxed);
-    let result = work(&|| bar.inc(1));
-    ACTIVE_STAGES.fetch_sub(1, Ordering::Relaxed);
-    bar.finish_and_clear();
-    result
-}
-
-/// A progress bar on stderr that appears after a second, or none.
-pub fn progress(context: Context, length: u64, what: &'static str) -> ProgressBar {
-    if !context.progress {
-        return ProgressBar::hidden();
-    }
-    hidden_at_first(Some(length), "{msg} [{bar:40}] {pos}/{len} {eta}", what)
+    Ok(progress::print(&out)?)
 }
 
 /// Environment of a measurement; warns of a build without optimisation.

@@ -11,6 +11,7 @@ use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use crate::cli::probes::{NamedProbe, ProbeArgs, ProbeRecordings};
 use crate::cli::process::ranks;
+use crate::cli::progress;
 use nsim_files as io;
 use nsim_files::warnings::show;
 use nsim_ir::quantised::Quantised;
@@ -27,7 +28,7 @@ use nsim_session::populations::CountsByPopulation;
 use nsim_session::priced::MeteredMapping;
 use nsim_session::samples::{self, Progress, Run, RunSettings, Traces, fast, golden};
 use nsim_session::warnings::{FinishedRun, RunEngine, warnings};
-use nsim_session::{Probe, Quantity, SampleSettings, inputs};
+use nsim_session::{Probe, Quantity, SampleSettings};
 
 /// Engines of a run.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
@@ -117,7 +118,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     };
     let file = Some(file).filter(|_| args.learning.learned.is_some());
     let network = job.quantised();
-    let stimulus = inputs::stimulus(network, &args.input.sources()?, job.scene(), args.input.seed)?;
+    let stimulus = args.input.stimulus(network, job.scene())?;
     let samples = select(&stimulus.samples, &args.input)?;
     check_pruned(network, &samples, &args.input)?;
     let probes = args.probes.probes(network, &samples)?;
@@ -131,7 +132,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     args.learning.check_files(network, context.force)?;
     let mut batch = io::write::Batch::new(context.force);
     let Run { outcomes, activity, counts, meter: traces, skipped_updates, wall_s, ranks: rows, learned } =
-        output::with_progress(context, samples.len(), "samples", |done| {
+        progress::with_bar(context, samples.len(), "samples", |done| {
             run_samples(args, &job, &samples, &keep, &mut batch, done)
         })?;
     let neurobench = if args.neurobench { neurobench(args, &job, &samples, &keep)? } else { None };

@@ -7,6 +7,7 @@ use rayon::prelude::*;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_files::dataset::{DataSet, SampleEntry};
 use nsim_files::{mapping, npy, write};
 use nsim_import::spikes::{self, MANIFEST};
@@ -96,7 +97,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         ))
     };
     let made: Vec<Result<(SampleFacts, SampleEntry), Diagnostic>> =
-        output::with_progress(context, scene.samples as usize, "scenes", |done| {
+        progress::with_bar(context, scene.samples as usize, "scenes", |done| {
             (0..scene.samples).into_par_iter().map(make).inspect(|_| done()).collect()
         });
     let (facts, entries): (Vec<SampleFacts>, Vec<SampleEntry>) =

@@ -4,6 +4,7 @@ use rayon::prelude::*;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_agree::stress::{CASES, Case, Verdict};
 use nsim_files as io;
 use nsim_report::stress as report;
@@ -35,7 +36,7 @@ fn case(name: &str) -> Result<&'static Case, String> {
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let cases: Vec<&Case> = if args.case.is_empty() { CASES.iter().collect() } else { args.case.clone() };
     let target = io::target::load_target("loihi1-chip")?;
-    let verdicts: Vec<Verdict> = output::with_progress(context, cases.len(), "cases", |done| {
+    let verdicts: Vec<Verdict> = progress::with_bar(context, cases.len(), "cases", |done| {
         cases.par_iter().with_max_len(1).map(|case| case.run(&target)).inspect(|_| done()).collect()
     });
     output::print(context.format, || report::text(&verdicts), || report::json(&verdicts), || report::csv(&verdicts))?;

@@ -15,6 +15,7 @@ use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
 use crate::cli::process::signals;
+use crate::cli::progress;
 use nsim_files as io;
 use nsim_files::table::{text_of_csv, with_columns};
 use nsim_files::write::journal::Journal;
@@ -186,7 +187,7 @@ fn run_variants(
         let name = name?;
         Some(format!("{} variants are stored in {name}, and the same command continues", seen.load(Ordering::SeqCst)))
     });
-    output::with_progress(context, left.len(), "variants", |progress| {
+    progress::with_bar(context, left.len(), "variants", |progress| {
         work::run(sweep, left, context.threads, |variant, cells| {
             if let Some(journal) = &mut opened {
                 journal.add(&line(variant, &cells))?;

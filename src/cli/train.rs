@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex};
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
 use crate::cli::process::signals;
+use crate::cli::progress;
 use nsim_files as io;
 use nsim_files::network::NetworkFile;
 #[cfg(feature = "ann")]
@@ -88,21 +89,21 @@ pub(in crate::cli) fn train(
     context: Context,
 ) -> Result<(TrainingState, f64)> {
     let kept = kept.map(|path| Checkpoint::new(path, plan, examples));
-    let bar = output::progress(context, u64::from(plan.epochs), "epochs");
+    let bar = progress::bar(context, u64::from(plan.epochs), "epochs");
     let finished = Arc::new(Mutex::new(None));
     let _ending = kept.clone().map(|kept| {
         let (finished, epochs) = (Arc::clone(&finished), plan.epochs);
         signals::at_end(move || save_at_signal(&finished, &kept, epochs))
     });
     let done = job::train(plan, examples, kept.as_ref(), |state| {
-        bar.set_position(u64::from(state.epoch));
+        bar.set(u64::from(state.epoch));
         if kept.is_some()
             && let Ok(mut finished) = finished.lock()
         {
             *finished = Some(state.clone());
         }
     });
-    bar.finish_and_clear();
+    drop(bar);
     done
 }
 
@@ -121,7 +122,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer> {
     }
     let taken = output::check_files(args.output.iter().chain(&weights).chain(&args.log), None, context)?;
     let data = {
-        let _busy = output::spinner("reading or making samples");
+        let _busy = progress::stage("reading or making samples");
         job.data(&args.train, &args.test)?
     };
     refuse_if(data.train.is_empty(), "there are no training samples: add --train SOURCE")?;

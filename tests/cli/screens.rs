@@ -2,6 +2,9 @@
 //! one screen.
 
 use std::collections::BTreeSet;
+use std::io::Read;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
 
 use crate::{MODEL, SRM, nsim, write};
 
@@ -111,6 +114,44 @@ fn inspection_fits_its_columns_and_lines_and_breaks_no_word() {
     check_screens(&INSPECTION);
     let lines = |name| printed(std::path::Path::new("."), &["inspect", name], 80).lines().count();
     assert!(lines("nahuku-32") <= 40 && lines("vtsnn-slip") <= 40);
+}
+
+/// What a terminal shows while a command runs, and the time of its first character.
+fn in_a_terminal(line: &str) -> (String, Duration) {
+    let program = assert_cmd::cargo::cargo_bin("nsim");
+    let command = format!("{} {line} > /dev/null", program.display());
+    let begun = Instant::now();
+    let mut terminal = std::process::Command::new("script")
+        .args(["-qefc", &command, "/dev/null"])
+        .env("TERM", "xterm")
+        .env_remove("NO_COLOR")
+        .stdin(Stdio::null())
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut out = terminal.stdout.take().unwrap();
+    let mut screen = vec![0];
+    out.read_exact(&mut screen).unwrap();
+    let after = begun.elapsed();
+    out.read_to_end(&mut screen).unwrap();
+    let screen = String::from_utf8(screen).unwrap();
+    assert!(terminal.wait().unwrap().success(), "{line}: {screen}");
+    (screen, after)
+}
+
+#[test]
+#[cfg(target_os = "linux")]
+fn a_terminal_shows_the_stage_of_a_command_and_clears_it_and_a_pipe_shows_nothing() {
+    let line = "run --input scene:slip?samples=200";
+    let (screen, after) = in_a_terminal(line);
+    assert!(screen.contains("nsim run") || screen.contains("reading or making samples"), "{screen:?}");
+    assert!(screen.contains("samples ["), "a bar: {screen:?}");
+    // Half a second on a free machine.
+    assert!(after < Duration::from_secs(5), "{after:?}");
+    let left = screen.rsplit("\u{1b}[2K").next().unwrap();
+    assert_eq!(left.trim(), "", "{screen:?}");
+    let piped = nsim(&line.split(' ').collect::<Vec<_>>()).output().unwrap();
+    assert_eq!(String::from_utf8_lossy(&piped.stderr), "");
 }
 
 #[test]

@@ -19,6 +19,7 @@ use crate::cli::args::recording::RecordingPair;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_agree::attribution::attribute;
 use nsim_agree::compare::{Counterpart, DeployedNetwork, compare, output_layer};
 use nsim_agree::staged::layers;
@@ -34,7 +35,6 @@ use nsim_ir::stimulus::{InputArg, InputSource};
 use nsim_report::agree::{AgreeReport, bars, converted_from, named_fits};
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
-use nsim_session::inputs;
 use nsim_train::convert::next::{CommandWords, suggest};
 use nsim_train::convert::staged::is_real;
 
@@ -50,7 +50,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let (graph, analytic) = real_and_integers(&network)?;
     refuse_large("nsim agree", &analytic, 1)?;
     show("", &analytic.parts().warnings);
-    let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
+    let stimulus = args.input.stimulus(&analytic, scene.as_deref())?;
     let samples = select(&stimulus.samples, &args.input)?;
     let models = models::model_files(&args.against)?;
     // A network in real numbers is not mapped; its counterpart is.
@@ -93,11 +93,11 @@ fn with_counterpart(args: &Args, trained: &Compared<'_>, scene: Option<&str>, ta
     )?;
     let (fits, program, steps) = (&integers.fits, &compiled.program, args.steps);
     let deployed = DeployedNetwork { graph, fits, staged: &staged, program, samples, steps };
-    let agreement = output::with_progress(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
+    let agreement = progress::with_bar(context, samples.len(), "samples", |done| compare(deployed, &against, done))?;
     show("", &deployed_warnings(&compiled, samples)?);
     let some = &samples[..samples.len().min(args.attribution_samples as usize)];
     let attribution = attributed.then(|| {
-        let _busy = output::spinner("attributing the disagreement to causes");
+        let _busy = progress::stage("attributing the disagreement to causes");
         attribute(&staged, &output_layer(staged.deployed()), some)
     });
     let typed = command_words(args);

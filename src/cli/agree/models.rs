@@ -11,6 +11,7 @@ use crate::cli::agree::args::{Args, answer, deployed_warnings, draw, within_boun
 use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_agree::compare::compare_models;
 use nsim_compile::{CompileError, Mapping, refuse_large};
 use nsim_files as io;
@@ -100,7 +101,7 @@ fn compare_each(
         refuse_large("nsim agree", &second, 1)?;
         let Some(compiled) = trained.deployed(file, &second)? else { return Ok(None) };
         let first = (graph, integers, mapped.as_ref().map(|mapped| &mapped.program));
-        let agreement = output::with_progress(context, samples.len(), "samples", |done| {
+        let agreement = progress::with_bar(context, samples.len(), "samples", |done| {
             compare_models(first, (&second, &compiled.program), samples, args.steps, done)
         })?;
         show("", &deployed_warnings(&compiled, samples)?);

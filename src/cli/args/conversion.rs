@@ -2,7 +2,7 @@
 
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::values::one_of;
-use crate::cli::output;
+use crate::cli::progress;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
@@ -70,7 +70,7 @@ impl ConversionArgs {
             most_copies: self.copies.most(),
         };
         let _busy = (networks.0.has_srm() && self.conversion == Conversion::Search)
-            .then(|| output::spinner("searching for integers"));
+            .then(|| progress::stage("searching for integers"));
         ConvertedIntegers::find(networks, choice, samples, |population| match population {
             Some(population) => tracing::info!("searching '{population}'"),
             None => tracing::warn!("calibrating on the first samples of the input itself; --calibrate gives others"),

@@ -4,11 +4,12 @@ use std::ops::Range;
 
 use crate::cli::args::values::sample_range;
 use crate::cli::context::refuse_if;
+use crate::cli::progress;
 use nsim_ir::quantised::Quantised;
-use nsim_ir::spikes::Sample;
+use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_quantise::prune::check_stimulus;
 use nsim_session::error::Error;
-use nsim_session::inputs::{MOST_REPEATS, repeated_indices};
+use nsim_session::inputs::{self, MOST_REPEATS, repeated_indices};
 
 /// Sources and selection of the input samples of a run.
 #[derive(Debug, Clone, clap::Args)]
@@ -48,6 +49,15 @@ impl InputArgs {
             *first = format!("{first}{}labels={labels}", if begun { '&' } else { '?' });
         }
         Ok(sources)
+    }
+
+    /// Reads or makes the samples; `scene` is the model's own.
+    ///
+    /// # Errors
+    /// Those of [`inputs::stimulus`].
+    pub fn stimulus(&self, network: &Quantised, scene: Option<&str>) -> Result<Stimulus, Error> {
+        let _busy = progress::stage("reading or making samples");
+        inputs::stimulus(network, &self.sources()?, scene, self.seed)
     }
 
     /// Command-line options with the sources and seed of these samples.

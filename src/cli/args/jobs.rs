@@ -5,9 +5,10 @@ use std::path::PathBuf;
 use crate::cli::args::conversion::CopiesArgs;
 use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
+use crate::cli::diagnostics;
 use crate::cli::process::advice::with_owners;
 use crate::cli::process::ranks;
-use crate::cli::{diagnostics, output};
+use crate::cli::progress;
 use nsim_compile::{CopyPlacement, Options, Reason};
 use nsim_files as io;
 use nsim_files::network::Network;
@@ -141,7 +142,7 @@ impl Refusal {
             object["target"] = self.target.name().into();
             object["fits"] = false.into();
             object["reasons"] = serde_json::json!(self.reasons);
-            io::write::stdout(&format!("{object:#}\n"))?;
+            progress::print(&format!("{object:#}\n"))?;
         }
         Ok(Answer::No)
     }
@@ -174,7 +175,7 @@ pub fn prepare_loaded(
 ) -> Result<Result<Job, Refusal>> {
     let integers = |network: &Network| integers(network, args.anew.copies.most());
     let request = Request { engine, copies, probed, ..args.request(network, &integers) };
-    let _busy = output::spinner(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
+    let _busy = progress::stage(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
     match obtain(&request) {
         Err(Error::DoesNotFit(reasons)) => {
             let target = io::target::load_target(network.file().target_or_usual(args.target.as_deref()))?;

@@ -7,6 +7,7 @@ use serde_json::json;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::progress;
 use crate::cli::train::labelled;
 use nsim_ann::{AnnKind, AnnResult, AnnSettings, Senses, trained};
 use nsim_energy::environment::Environment;
@@ -117,7 +118,7 @@ pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
         let tested = args.tested.unwrap_or(args.folds).min(args.folds) as usize;
         for &kind in &kinds {
             let epochs = u64::from(args.epochs) * tested as u64;
-            let bar = output::progress(context, epochs, kind.name());
+            let bar = progress::bar(context, epochs, kind.name());
             let mut results = Vec::with_capacity(tested);
             for fold in folds.iter().take(tested) {
                 let part = |of_fold: bool| {
@@ -128,11 +129,11 @@ pub fn run(args: &AnnArgs, context: Context) -> Result<Answer, Error> {
                 let settings = AnnSettings { epochs: args.epochs, batch: BATCH, rate: RATE, seed };
                 let done = trained((kind, &senses), (&part(false), &part(true)), settings, |loss| {
                     tracing::debug!("{} {}: loss {loss:.4}", file.name, kind.name());
-                    bar.inc(1);
+                    bar.add(1);
                 });
                 results.push(done.map_err(|error| Error::Fault(format!("candle: {error}")))?);
             }
-            bar.finish_and_clear();
+            drop(bar);
             all.extend(rows(file, kind, &results, args.folds, args.epochs));
         }
     }

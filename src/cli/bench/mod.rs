@@ -21,6 +21,7 @@ use crate::cli::bench::sweep::SweepArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
 use crate::cli::process::ranks;
+use crate::cli::progress;
 use nsim_compile::{CompileError, Options, compile};
 use nsim_energy::measure::{Budget, StepTiming, measure_agreed};
 use nsim_files as io;
@@ -152,7 +153,7 @@ fn map_suite(args: &MapArgs, context: Context) -> Result<Answer, Error> {
     };
     let environment = output::environment();
     let ways: usize = mapping::MAPPING_VARIANTS.iter().map(|(_, _, places)| places.len()).sum();
-    let rows = output::with_progress(context, cases.len() * ways, "mappings", |done| {
+    let rows = progress::with_bar(context, cases.len() * ways, "mappings", |done| {
         let mut rows = Vec::new();
         for case in &cases {
             let bench = case.build().map_err(|error| Error::Fault(format!("{}: {error}", case.name)))?;
@@ -179,7 +180,7 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     };
     let environment = output::environment();
     let budget = args.steps.map_or(Budget::Time(args.seconds), Budget::Steps);
-    let bar = output::progress(context, networks.len() as u64, "networks");
+    let bar = progress::bar(context, networks.len() as u64, "networks");
     let mut rows = Vec::new();
     // Networks that share a program are mapped and flattened once.
     for same in networks.chunk_by(|a, b| a.program_of() == b.program_of()) {
@@ -194,10 +195,10 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
         for standard in same {
             let BenchNetwork { period, .. } = build(*standard)?;
             rows.extend(step_rows(*standard, &images, &period, budget, context)?);
-            bar.inc(1);
+            bar.add(1);
         }
     }
-    bar.finish_and_clear();
+    drop(bar);
     ranks::leave_to_first();
     let json = || report::step::json(&environment, &rows);
     let text = || report::step::text(&environment, &rows);

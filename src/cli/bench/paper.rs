@@ -10,6 +10,7 @@ use crate::cli::bench::scenes::each_cell;
 use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::workload::simulate;
 use crate::cli::output;
+use crate::cli::progress;
 use crate::cli::train::train;
 use nsim_energy::environment::Environment;
 use nsim_energy::workload::Workload;
@@ -104,7 +105,7 @@ fn trial(model: &str, samples: Vec<Sample>, neurons: Neurons, context: Context) 
     let keep = SampleSettings::new(quantised.output());
     let (model, units) =
         (Model::<f64>::new(graph, Options::default())?, (quantised.channels(), quantised.compartments()));
-    let outcomes = output::with_progress(context, samples.len(), "samples", |progress| {
+    let outcomes = progress::with_bar(context, samples.len(), "samples", |progress| {
         reference(&model, units, &samples, &keep, progress).outcomes
     });
     let steps = samples.iter().map(|sample| sample.steps() as usize).max().unwrap_or(0);
@@ -230,7 +231,7 @@ pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
         Format::Json | Format::Csv => {
             output::print(context.format, text, || report::json(&rows), || report::csv(&rows))?;
         }
-        _ => io::write::stdout(&text())?,
+        _ => progress::print(&text())?,
     }
     Ok(Answer::Yes)
 }

@@ -9,13 +9,13 @@ use crate::cli::args::reading::ReadingArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_compile::refuse_large;
 use nsim_files as io;
 use nsim_report::bench::pareto::ParetoReport;
 use nsim_report::charts::picture::FILE;
 use nsim_session::error::Error;
 use nsim_session::front::real_and_integers;
-use nsim_session::inputs;
 use nsim_study::pareto::{Subject, Variant, mark_front};
 
 const EXAMPLES: &str = "\
@@ -63,7 +63,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let scene = network.file().scene.clone();
     let (graph, analytic) = real_and_integers(&network)?;
     refuse_large("nsim bench pareto", &analytic, 1)?;
-    let stimulus = inputs::stimulus(&analytic, &args.input.sources()?, scene.as_deref(), args.input.seed)?;
+    let stimulus = args.input.stimulus(&analytic, scene.as_deref())?;
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();
     let networks = (&graph, &analytic);
@@ -71,7 +71,7 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let target = io::target::load_target(&args.target)?;
     let subject = Subject::new(&graph, &integers.fits, &target, samples, args.seconds)?;
     let variants = Variant::all(graph.has_srm());
-    let mut rows = output::with_progress(context, variants.len(), "variants", |done| {
+    let mut rows = progress::with_bar(context, variants.len(), "variants", |done| {
         let measured = variants.into_iter().map(|variant| subject.measure(variant));
         measured.inspect(|_| done()).collect::<Result<Vec<_>, _>>()
     })?;

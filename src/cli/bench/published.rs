@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_energy::published::workload;
 use nsim_files as io;
 use nsim_report::bench::published as report;
@@ -47,7 +48,7 @@ pub fn run(args: &PublishedArgs, context: Context) -> Result<Answer, Error> {
             return Err(Error::Usage(format!("--only {only}: no such work; there are {}", works.join(", "))));
         }
     }
-    let rows = output::with_progress(context, workloads.len(), "workloads", |done| {
+    let rows = progress::with_bar(context, workloads.len(), "workloads", |done| {
         rows(&workloads, &constants, |name| Ok(io::target::load_target(name)?), done)
     })?;
     if let Some(path) = &args.plot {

@@ -2,6 +2,7 @@
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_report::bench::ladders as report;
 use nsim_session::error::Error;
 use nsim_study::ladders::{LadderCase, ladder_cases, mark_cliffs};
@@ -26,7 +27,7 @@ pub struct SweepArgs {
 pub fn run(args: &SweepArgs, context: Context) -> Result<Answer, Error> {
     let environment = output::environment();
     let cases = ladder_cases(args.seed, context.threads);
-    let mut rows = output::with_progress(context, cases.len(), "rungs", |done| {
+    let mut rows = progress::with_bar(context, cases.len(), "rungs", |done| {
         cases.iter().map(LadderCase::measure).inspect(|_| done()).collect::<Result<Vec<_>, _>>()
     })?;
     mark_cliffs(&mut rows);

@@ -8,8 +8,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use crate::cli::context::Context;
-use crate::cli::output;
 use crate::cli::process::signals;
+use crate::cli::progress;
 use nsim_files::shipped;
 use nsim_ir::graph::Graph;
 use nsim_ir::spikes::Sample;
@@ -64,13 +64,13 @@ impl FineTuneArgs {
             let (path, provenance, force) = (path.to_path_buf(), provenance.to_string(), context.force);
             signals::at_end(move || save_at_signal(&task, &best, &graph, &path, &provenance, force))
         });
-        let bar = output::progress(context, tuning.work(), "fine-tuning");
-        let tuned = tuning.run(converted, held_out, &|| bar.inc(1), |epoch| {
+        let bar = progress::bar(context, tuning.work(), "fine-tuning");
+        let tuned = tuning.run(converted, held_out, &|| bar.add(1), |epoch| {
             if let Ok(mut best) = best.lock() {
                 *best = Some(epoch.clone());
             }
         })?;
-        bar.finish_and_clear();
+        drop(bar);
         Ok(Some(tuned))
     }
 }

@@ -5,8 +5,8 @@ use std::path::Path;
 use crate::cli::args::input::{InputArgs, check_pruned, select_numbers};
 use crate::cli::args::steps::run_with_step_rows;
 use crate::cli::context::Context;
-use crate::cli::output;
 use crate::cli::process::ranks;
+use crate::cli::progress;
 use nsim_compile::Mapping;
 use nsim_cost::{MeterSettings, StepMeter};
 use nsim_energy::workload::Workload;
@@ -15,7 +15,6 @@ use nsim_ir::learning::draws::Draws;
 use nsim_ir::spikes::Sample;
 use nsim_session::decision::EarlyExit;
 use nsim_session::error::Error;
-use nsim_session::inputs;
 use nsim_session::obtain::Job;
 use nsim_session::outcome::LearningSettings;
 use nsim_session::samples::{Run, RunSettings};
@@ -26,7 +25,7 @@ pub fn workload<'j>(job: &'j Job, other: Option<&'j Mapping>, input: &InputArgs)
         return Err(Error::Fault("energy needs a mapped job".to_string()));
     };
     let compiled = other.unwrap_or(compiled);
-    let stimulus = inputs::stimulus(&compiled.one, &input.sources()?, job.scene(), input.seed)?;
+    let stimulus = input.stimulus(&compiled.one, job.scene())?;
     let order = select_numbers(stimulus.samples.len(), input)?;
     let samples: Vec<&Sample> = order.iter().map(|&sample| &stimulus.samples[sample]).collect();
     check_pruned(&compiled.one, &samples, input)?;
@@ -48,13 +47,13 @@ pub fn simulate(
 ) -> Result<Run<StepMeter>, Error> {
     let (samples, ranks) = (workload.samples(), ranks::several());
     let Some(steps) = steps else {
-        return output::with_progress(context, samples.len(), "samples", |progress| {
+        return progress::with_bar(context, samples.len(), "samples", |progress| {
             workload.simulate(settings, early_exit, skip, progress, ranks)
         });
     };
     let keep = workload.sample_settings(early_exit);
     let mut batch = io::write::Batch::new(context.force);
-    let run = output::with_progress(context, samples.len(), "samples", |progress| {
+    let run = progress::with_bar(context, samples.len(), "samples", |progress| {
         let run_settings = RunSettings { skip, progress, ranks, ..RunSettings::new(&keep) };
         let network = &workload.compiled.one;
         run_with_step_rows((steps, &mut batch), network, workload.meter(), settings, &samples, run_settings)

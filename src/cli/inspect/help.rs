@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Command;
 
 use crate::cli::context::{Answer, Context};
+use crate::cli::progress;
 use nsim_files as io;
 use nsim_session::error::Error;
 
@@ -37,7 +38,7 @@ pub fn run(args: &Args, root: Command, context: Context) -> Result<Answer, Error
             batch.add(path, |out| out.write_all(page))?;
         }
         batch.commit()?;
-        io::write::stdout(&format!("{} manual pages in {}\n", pages.len(), folder.display()))?;
+        progress::print(&format!("{} manual pages in {}\n", pages.len(), folder.display()))?;
         return Ok(Answer::Yes);
     }
     let mut command = &mut root;
@@ -45,7 +46,7 @@ pub fn run(args: &Args, root: Command, context: Context) -> Result<Answer, Error
         let message = format!("there is no command '{name}' here; nsim help lists them");
         command = command.find_subcommand_mut(name).ok_or(Error::Usage(message))?;
     }
-    io::write::stdout(&command.render_long_help().to_string())?;
+    progress::print(&command.render_long_help().to_string())?;
     Ok(Answer::Yes)
 }
 

@@ -13,6 +13,7 @@ use crate::cli::args::jobs::{JobArgs, prepare};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_files as io;
 use nsim_files::mapping::pretty;
 use nsim_files::shipped::{self, Shipped};
@@ -73,7 +74,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             Format::Json => format!("{:#}\n", json!({ "schema": "nsim.show/1", "names": names })),
             _ => names.iter().map(|name| format!("{name}\n")).collect(),
         };
-        io::write::stdout(&text)?;
+        progress::print(&text)?;
         return Ok(Answer::Yes);
     };
     output::check_files(&args.output, [], context)?;
@@ -102,9 +103,9 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     if let Some(path) = &args.output {
         io::write::text(path, context.force, &text)?;
     } else if context.format == Format::Json {
-        io::write::stdout(&format!("{:#}\n", json!({ "schema": "nsim.show/1", "name": name, "text": text })))?;
+        progress::print(&format!("{:#}\n", json!({ "schema": "nsim.show/1", "name": name, "text": text })))?;
     } else {
-        io::write::stdout(&text)?;
+        progress::print(&text)?;
     }
     Ok(Answer::Yes)
 }

@@ -17,9 +17,9 @@ use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::energy::workload::workload;
 use crate::cli::output;
+use crate::cli::progress;
 use nsim_compile::DEFAULT_RATE;
 use nsim_energy::workload::Workload;
-use nsim_files as io;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::id::{CompartmentId, PopulationId};
 use nsim_ir::base::names::fits_pattern;
@@ -194,7 +194,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     if args.what == PlotKind::Weights {
         return write(args, &weights_of(args, &workload, sample, &title)?, taken, context);
     }
-    let timeline = output::with_progress(context, 1, "sample", |_| drawn(&[]))?;
+    let timeline = progress::with_bar(context, 1, "sample", |_| drawn(&[]))?;
     let populations = chosen(network, &args.probe, args.what)?;
     if args.what == PlotKind::Raster {
         let shown: Vec<PopulationId> = populations.into_iter().map(|(id, _)| id).collect();
@@ -210,7 +210,7 @@ fn mapped(args: &Args, taken: bool, context: Context) -> Result<Answer, Error> {
     let spikes = |id: CompartmentId| u64::from(counts[id.0 as usize]);
     let (ids, traced) = traced(network, wanted, quantity, spikes, MOST_OF_PICTURE);
     refuse_if(traced.is_empty(), "no neuron of these populations has a potential: plot messages or raster instead")?;
-    let timeline = output::with_progress(context, 1, "sample", |_| drawn(&ids))?;
+    let timeline = progress::with_bar(context, 1, "sample", |_| drawn(&ids))?;
     write(args, &traces(&title, network, &timeline, &traced, quantity), taken, context)
 }
 
@@ -275,7 +275,7 @@ fn chosen(network: &Quantised, probes: &[String], what: PlotKind) -> Result<Vec<
 fn write(args: &Args, svg: &str, taken: bool, context: Context) -> Result<Answer, Error> {
     output::write_picture(&args.output, svg, context)?;
     if !taken {
-        io::write::stdout(&format!("{}\n", args.output.display()))?;
+        progress::print(&format!("{}\n", args.output.display()))?;
     }
     Ok(Answer::Yes)
 }

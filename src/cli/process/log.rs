@@ -5,7 +5,7 @@ use std::io::Write;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
-use crate::cli::diagnostics;
+use crate::cli::{diagnostics, progress};
 
 /// Stderr, whose errors are ignored.
 struct LossyStderr;
@@ -13,7 +13,7 @@ struct LossyStderr;
 impl Write for LossyStderr {
     fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
         if !nsim_files::write::is_silent() {
-            let _ = std::io::stderr().lock().write_all(bytes);
+            let _ = progress::without_line(|| std::io::stderr().lock().write_all(bytes));
         }
         Ok(bytes.len())
     }

@@ -15,6 +15,7 @@ use signal_hook::iterator::Signals;
 use crate::cli::context::Format;
 use crate::cli::diagnostics;
 use crate::cli::process::ranks;
+use crate::cli::progress;
 use nsim_files::write;
 
 /// Last action of a command that a signal ends: it saves finished work and returns a message.
@@ -94,7 +95,7 @@ fn end(signal: i32, format: Format) {
             "schema": "nsim.error/1", "code": "interrupted", "message": message, "help": null,
             "file": null, "line": null, "column": null,
         });
-        let _ = write::stdout(&format!("{object:#}\n"));
+        let _ = progress::print(&format!("{object:#}\n"));
     } else {
         diagnostics::write_stderr(&format!("nsim: {message}\n"));
     }

@@ -10,7 +10,7 @@ use crate::cli::args::saved;
 use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
-use crate::cli::output;
+use crate::cli::progress;
 use nsim_energy::evaluate::Evaluation;
 use nsim_energy::workload::Workload;
 use nsim_files as io;
@@ -88,7 +88,7 @@ fn page(args: &Args, workload: &Workload<'_>, evaluated: &Evaluation, context: C
     if let Some(trained) = file.as_ref().map(|file| trained(workload, file)).transpose()?.flatten() {
         let compared = compared(workload);
         sections.agreement =
-            output::with_progress(context, compared, "samples compared", |done| agreement(workload, &trained, done))?;
+            progress::with_bar(context, compared, "samples compared", |done| agreement(workload, &trained, done))?;
     }
     let source = file.iter().map(|file| origin("model", &args.cost.job.model, file.source().text().as_bytes()));
     let mut origins: Vec<Origin> = source.collect();
@@ -136,7 +136,7 @@ fn write(
     io::write::text(&args.output, context.force, &page)?;
     if !io::text::is_standard_stream(&args.output) {
         let size = page.len() as f64 / f64::from(1 << 20);
-        io::write::stdout(&format!("{}: {title}, {size:.1} MiB\n", args.output.display()))?;
+        progress::print(&format!("{}: {title}, {size:.1} MiB\n", args.output.display()))?;
     }
     Ok(Answer::Yes)
 }
