@@ -82,14 +82,28 @@ struct Pixel {
     seen: bool,
 }
 
+/// What a camera sees.
+pub trait View {
+    /// Brightness of a pixel, as a natural logarithm. Implementations are inlined into loops over
+    /// pixels.
+    fn at(&self, x: u32, y: u32) -> f32;
+}
+
+impl<F: Fn(u32, u32) -> f32> View for F {
+    #[inline(always)]
+    fn at(&self, x: u32, y: u32) -> f32 {
+        self(x, y)
+    }
+}
+
 /// Brightness of some pixels: a plain loop, compiled for the vectors of this machine.
-struct Brightness<'a, F> {
+struct Brightness<'a, V> {
     pixels: &'a [u32],
-    now: F,
+    now: V,
     levels: &'a mut Vec<f32>,
 }
 
-impl<F: Fn(u32, u32) -> f32> WithSimd for Brightness<'_, F> {
+impl<V: View> WithSimd for Brightness<'_, V> {
     type Output = ();
 
     #[inline(always)]
@@ -98,7 +112,7 @@ impl<F: Fn(u32, u32) -> f32> WithSimd for Brightness<'_, F> {
         levels.clear();
         levels.resize(pixels.len(), 0.0);
         for (level, &pixel) in levels.iter_mut().zip(pixels) {
-            *level = now(pixel % WIDTH as u32, pixel / WIDTH as u32);
+            *level = now.at(pixel % WIDTH as u32, pixel / WIDTH as u32);
         }
     }
 }
@@ -143,8 +157,8 @@ impl Camera {
     pub fn step(
         &mut self,
         changed: &[u32],
-        at_rest: impl Fn(u32, u32) -> f32,
-        now: impl Fn(u32, u32) -> f32,
+        at_rest: impl View,
+        now: impl View,
         mut spike: impl FnMut(u32, Polarities),
     ) {
         let rest = self.pixels.refractory_ms.div_ceil(self.pixels.tick_ms);
@@ -158,7 +172,7 @@ impl Camera {
             if !state.seen {
                 let gain = 1.0 + self.pixels.mismatch * Draws::DEVICE.normal(Purpose::PixelGain, pixel, 0);
                 *state = Pixel {
-                    reference: at_rest(x, y),
+                    reference: at_rest.at(x, y),
                     threshold: (self.pixels.contrast * gain.max(0.2)) as f32,
                     free_at: state.free_at,
                     seen: true,

@@ -16,7 +16,7 @@
 use std::f64::consts::TAU;
 use std::ops::Range;
 
-use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
+use super::camera::{Camera, HEIGHT, Pixels, View, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::GRAVITY;
 use super::parameter::{parameter, parameters, spread, unknown};
@@ -337,13 +337,7 @@ impl Containers {
                 now.near_edges(&shown, &mut near);
                 shown = now;
             }
-            let view = shown;
-            camera.step(
-                &near,
-                |x, y| rest.at(x, y),
-                |x, y| view.at(x, y),
-                |unit, polarities| seen.add(tick as u32, unit, polarities),
-            );
+            camera.step(&near, rest, shown, |unit, polarities| seen.add(tick as u32, unit, polarities));
         }
         seen
     }
@@ -396,6 +390,26 @@ fn fill(near: &mut Vec<u32>, columns: &Range<usize>, rows: Range<usize>) {
     }
 }
 
+impl View for Picture {
+    #[inline(always)]
+    fn at(&self, x: u32, y: u32) -> f32 {
+        let (x, y) = (x as i32 as f32 + 0.5, y as i32 as f32 + 0.5);
+        let [left, right, top, bottom] = self.body;
+        let mut seen = -0.5 * fraction_past(y, self.table);
+        let inside =
+            (fraction_past(x, left) - fraction_past(x, right)) * (fraction_past(y, top) - fraction_past(y, bottom));
+        if inside > 0.0 {
+            let wall = 0.5 + self.label.0 * (fraction_past(y, self.label.1) - fraction_past(y, self.label.2))
+                - self.level.0 * fraction_past(y, self.level.1);
+            seen += (wall - seen) * inside;
+        }
+        let [inner_left, inner_right, upper, lower] = self.fingers;
+        let finger = (1.0 - fraction_past(x, inner_left) + fraction_past(x, inner_right))
+            * (fraction_past(y, upper) - fraction_past(y, lower));
+        seen + (-0.9 - seen) * finger
+    }
+}
+
 impl Picture {
     fn new(course: &GraspPlan, moment: &GraspMoment, offset_mm: f64) -> Picture {
         let (middle, grasp) = (100.0f32, 120.0f32);
@@ -419,25 +433,6 @@ impl Picture {
             level: (container.level, level),
             fingers: [middle - gap, middle + gap, grasp - 15.0, grasp + 15.0],
         }
-    }
-
-    /// Brightness, as a natural logarithm, at the middle of a pixel.
-    #[inline(always)]
-    fn at(&self, x: u32, y: u32) -> f32 {
-        let (x, y) = (x as i32 as f32 + 0.5, y as i32 as f32 + 0.5);
-        let [left, right, top, bottom] = self.body;
-        let mut seen = -0.5 * fraction_past(y, self.table);
-        let inside =
-            (fraction_past(x, left) - fraction_past(x, right)) * (fraction_past(y, top) - fraction_past(y, bottom));
-        if inside > 0.0 {
-            let wall = 0.5 + self.label.0 * (fraction_past(y, self.label.1) - fraction_past(y, self.label.2))
-                - self.level.0 * fraction_past(y, self.level.1);
-            seen += (wall - seen) * inside;
-        }
-        let [inner_left, inner_right, upper, lower] = self.fingers;
-        let finger = (1.0 - fraction_past(x, inner_left) + fraction_past(x, inner_right))
-            * (fraction_past(y, upper) - fraction_past(y, lower));
-        seen + (-0.9 - seen) * finger
     }
 
     fn edges(&self) -> [f32; 12] {

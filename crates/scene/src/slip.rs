@@ -13,7 +13,7 @@
 
 use std::f64::consts::TAU;
 
-use super::camera::{Camera, HEIGHT, Pixels, WIDTH};
+use super::camera::{Camera, HEIGHT, Pixels, View, WIDTH};
 use super::draw::{Draws, Purpose};
 use super::gripper::{
     CONTACT_M, GRAVITY, Grasp, GraspState, KINETIC_RATIO, Motion, SHEAR_N_PER_M, SIZE_M, TWIST_NM_PER_RAD,
@@ -381,6 +381,20 @@ fn line(from: (f32, f32), to: (f32, f32), reach: f32, near: &mut Vec<u32>) {
     }
 }
 
+/// The box at a pose, under the lamps.
+struct SlipView<'a> {
+    look: &'a BoxGeometry,
+    pose: Pose,
+    flicker: f32,
+}
+
+impl View for SlipView<'_> {
+    #[inline(always)]
+    fn at(&self, x: u32, y: u32) -> f32 {
+        self.look.at(&self.pose, x, y) + self.flicker
+    }
+}
+
 fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, draws: Draws) -> CameraSpikes {
     let (look, x, y) = BoxGeometry::draw(draws, slip.edge_px);
     let tilt = draws.between(Purpose::Look, 2, (-0.02, 0.02));
@@ -426,11 +440,10 @@ fn vision(slip: &Slip, grasp: &Grasp, motion: &Motion, vibration: Vibration, dra
                 (depth * libm::sin(lamps + 0.1 * TAU * step as f64)) as f32
             }
         };
-        let view = shown;
         camera.step(
             &near,
-            |x, y| look.at(&rest, x, y),
-            |x, y| look.at(&view, x, y) + flicker,
+            SlipView { look: &look, pose: rest, flicker: 0.0 },
+            SlipView { look: &look, pose: shown, flicker },
             |unit, polarities| seen.add(step as u32, unit, polarities),
         );
     }
