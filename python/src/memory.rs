@@ -11,8 +11,8 @@ use nsim::files::network::learning::RuleDesc;
 use nsim::files::network::{
     Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor,
 };
-use nsim::import::foreign::hdf5::{Group, Numbers};
 use nsim::import::foreign::{self, DecayRule, Imported, Options, Reading, ResetMode, Tool};
+use nsim::import::hdf5::{Group, Numbers};
 use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;

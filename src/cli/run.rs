@@ -143,13 +143,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let sums = CountsByPopulation::new(network, &counts);
-    let (engine, ran) = match &job {
-        // Ranks have parts of the program; the interpreter finds the same potentials.
-        Job::Mapped(..) if ranks::several().is_some() => ("fast", RunEngine::Integers),
-        Job::Mapped(compiled, ..) => ("fast", RunEngine::Program(&compiled.program)),
-        Job::Quantised(..) => ("golden", RunEngine::Integers),
-        Job::Real(..) => ("reference", RunEngine::Reals),
-    };
+    let (engine, ran) = engine_of(&job);
     let warnings = warnings(FinishedRun {
         network,
         engine: ran,
@@ -183,6 +177,17 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
+}
+
+/// Name of the engine that ran a job, and what it ran.
+fn engine_of(job: &Job) -> (&'static str, RunEngine<'_>) {
+    match job {
+        // Ranks have parts of the program; the interpreter finds the same potentials.
+        Job::Mapped(..) if ranks::several().is_some() => ("fast", RunEngine::Integers),
+        Job::Mapped(compiled, ..) => ("fast", RunEngine::Program(&compiled.program)),
+        Job::Quantised(..) => ("golden", RunEngine::Integers),
+        Job::Real(..) => ("reference", RunEngine::Reals),
+    }
 }
 
 /// Writes probes and random numbers, and the rows of steps; returns the files.

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use crate::foreign::hdf5;
+use crate::hdf5;
 use crate::spikes::events::nir_data;
 use nsim_files::write;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};

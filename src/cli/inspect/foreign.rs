@@ -8,8 +8,8 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use nsim_import::foreign::hdf5::{Group, Item};
-use nsim_import::foreign::{self, Imported, Options, Reading, hdf5, torch};
+use nsim_import::foreign::{self, Imported, Options, Reading, torch};
+use nsim_import::hdf5::{self, Group, Item};
 use nsim_import::kind::{EventFormat, FileKind, RECORDINGS};
 use nsim_import::spikes::EventOptions;
 use nsim_import::spikes::events::event::{Counts, Event, Sink};

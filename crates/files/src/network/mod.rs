@@ -3,7 +3,7 @@
 //! [`NetworkFile`] is the content of a model file, parsed or built by a reader of foreign files;
 //! serde makes its text. [`Network`] is a file with its text, for messages, and with every array
 //! that it refers to. Values do not store their places; [`nsim_ir::locate`] finds the place that a
-//! message needs. [`crate::lower`] checks that the values are consistent.
+//! message needs. Lowering to a graph checks that the values are consistent.
 
 mod kinds;
 pub mod learned;

@@ -8,8 +8,6 @@
 
 pub mod conventions;
 mod encode;
-pub mod hdf5;
-mod hdf5_links;
 pub mod imported;
 mod netx;
 pub(crate) mod neuron_config;
@@ -28,7 +26,8 @@ use self::imported::name_list;
 pub use self::imported::{Imported, LayerWeights, Options};
 pub use self::netx::export as netx_export;
 pub use self::nir::export as nir_export;
-use super::kind::FileKind;
+use crate::hdf5;
+use crate::kind::FileKind;
 use nsim_files::budget::MOST_ARRAY;
 use nsim_files::changes;
 use nsim_files::network::{Conventions, Network, NetworkFile};

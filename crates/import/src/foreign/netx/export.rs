@@ -8,9 +8,9 @@
 //!
 //! Errors: `export.unsupported` for a model without a form in netx.
 
-use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::nir::export::{MOST_MATRIX, check_neurons, model_metadata};
 use crate::foreign::window::Step;
+use crate::hdf5::{Group, Item, Numbers};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::neurons::{NeuronKind, Port};

@@ -4,9 +4,9 @@
 //! errors that name the layer.
 
 use super::reader::wrong;
-use crate::foreign::hdf5::{Group, Numbers};
 use crate::foreign::imported::wrong_option;
 use crate::foreign::window::Step;
+use crate::hdf5::{Group, Numbers};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 pub(super) struct Layer<'a> {

@@ -18,10 +18,10 @@ mod reader;
 
 use std::cell::Cell;
 
-use super::hdf5::{Group, Numbers};
 use super::imported::{Imported, Options, name_list, wrong_option};
 use super::nir::unmodified_model;
 use crate::foreign::nir::export::restore;
+use crate::hdf5::{Group, Numbers};
 use layer::Layer;
 use neuron::set_bias;
 use nsim_files::network::{NetworkFile, ProjectionDesc, ProjectionKind};

@@ -10,9 +10,9 @@ use super::filter::cannot_send;
 use super::linear::{Connection, Linear, Window, all_equal, at, scaled, spread, sum_of_delays};
 use super::node_types::{FILTER, Node};
 use super::state::{MOST_UNITS, Reader, axes, product, reals, unsupported, wrong};
-use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
+use crate::hdf5::Group;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::warning::{Warning, WarningCode};
 

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::node_types::{Flat, Node, is_population};
 use super::state::{DEEPEST, MOST_NODES, MOST_PATHS, MOST_UNITS, Reader, product, reals, wrong};
-use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::population_name;
+use crate::hdf5::{Group, Item, Numbers};
 use nsim_ir::base::diagnostic::Result;
 
 /// Adds a graph's nodes under a prefix. Edges to a nested graph end at its inputs, edges from it
