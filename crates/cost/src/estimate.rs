@@ -11,7 +11,7 @@ use crate::meter::{Distribution, Lane, StepSums};
 use crate::model::{StepTime, energy};
 pub use crate::power::{JobPower, job_power, step_price};
 use crate::quantiles::{Quantiles, Spread};
-pub use crate::row::{Bound, EnergyRow, FigureSource, Shares, StatusShare};
+pub use crate::row::{Bound, EnergyRow, FigureSource, RowUnit, Shares, StatusShare};
 use nsim_ir::base::units::Femtojoules;
 use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::hardware::constants::Status;
@@ -19,7 +19,7 @@ use nsim_ir::hardware::constants::Status;
 /// Result of an estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// `x86`, `neuron`, `total`; by rails `boot`, `idle`, `x86`, `total`.
+    /// By the profiler x86, neuron, total; by rails boot, idle, x86, total.
     pub rows: Vec<EnergyRow>,
     /// Powers of all copies together.
     pub job: JobPower,
@@ -36,6 +36,13 @@ pub struct Estimate {
     pub x86_share: Option<f64>,
     /// Unknown figures, and steps that real time does not wait for.
     pub warnings: Vec<Warning>,
+}
+
+impl Estimate {
+    /// The row of a unit.
+    pub fn row(&self, unit: RowUnit) -> Option<&EnergyRow> {
+        self.rows.iter().find(|row| row.unit == unit)
+    }
 }
 
 /// Time and energy of a whole run, physical.

@@ -8,6 +8,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use nsim_cost::Host;
+use nsim_cost::estimate::RowUnit;
 use nsim_cost::job::{Accounting, Mode};
 use nsim_energy::evaluate::{self, DeploymentPlan};
 use nsim_energy::options::CostOptions;
@@ -122,7 +123,7 @@ fn priced(
     (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);
     found.samples = evaluated.energy.samples;
     let x86_share = evaluated.energy.estimate.x86_share;
-    let total = evaluated.energy.estimate.rows.into_iter().find(|row| row.unit == "total");
+    let total = evaluated.energy.estimate.row(RowUnit::Total).cloned();
     let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
     let of_level = if evaluated.energy.level.is_some() { Intervals::Works } else { Intervals::Constants };
     let intervals = row.low.map(|_| of_level);

@@ -7,7 +7,7 @@ use super::compared::Comparison;
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
-use nsim_cost::estimate::{Convention, EnergyRow, Estimate};
+use nsim_cost::estimate::{Convention, EnergyRow, Estimate, RowUnit};
 use nsim_cost::job::{Accounting, Mode};
 use nsim_cost::{Host, Transport};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
@@ -207,7 +207,7 @@ impl EnergyReport {
     }
 
     pub(super) fn total(&self) -> Option<&EnergyRow> {
-        self.estimate.rows.iter().find(|row| row.unit == "total")
+        self.estimate.row(RowUnit::Total)
     }
 
     /// Powers of all copies, and a copy's share, by the report's accounting.
@@ -258,11 +258,10 @@ impl EnergyReport {
 
     /// Physical cost of a mean sample, and of its neuron cores; `None` without timesteps.
     pub(super) fn sample(&self) -> Option<SampleCost> {
-        let row = |unit: &str| self.estimate.rows.iter().find(|row| row.unit == unit);
         let steps = (self.samples > 0).then(|| self.timesteps as f64 / self.samples as f64)?;
         let time_us = steps * self.total()?.latency_us?;
         let energy_uj = |row: &EnergyRow| Some(row.total_mw? * time_us / 1e3);
-        let cores_uj = row("neuron").and_then(energy_uj);
+        let cores_uj = self.estimate.row(RowUnit::Neuron).and_then(energy_uj);
         Some(SampleCost { steps, time_us, energy_uj: energy_uj(self.total()?)?, cores_uj })
     }
 }

@@ -15,7 +15,7 @@ use crate::sweep::cache::SharedCache;
 use crate::sweep::variants::{FIGURES, Job, Training};
 use nsim_compile::{Front, Mapping};
 use nsim_cost::HostWork;
-use nsim_cost::estimate::{EstimateInput, estimate};
+use nsim_cost::estimate::{EstimateInput, RowUnit, estimate};
 use nsim_energy::options::select_constants;
 use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
@@ -258,7 +258,7 @@ impl Runner {
             ..EstimateInput::new(&activity, &meter, &deployment)
         };
         let estimate = estimate(&case);
-        let total = estimate.rows.iter().find(|row| row.unit == "total");
+        let total = estimate.row(RowUnit::Total);
         let figure = |name| or_empty(total.and_then(|row| row.figure(name)));
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);
