@@ -13,8 +13,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::conventions::Tool;
-use super::imported::{Imported, Options, population_name, wrong_option};
+use super::imported::{Format, Imported, Options, population_name, wrong_option};
 use super::neuron_config::{self, LAVA_SCALE, NeuronKind};
 use super::slayer::{self, Matrix};
 use super::stored::{self, Array, wrong};
@@ -93,8 +92,7 @@ pub fn read(bytes: Vec<u8>, path: &Path, name: &str, options: &Options) -> Resul
     refuse_others(&arrays, lava, path, key.as_deref())?;
     let (used, unused): (Vec<Array>, Vec<Array>) = arrays.into_iter().partition(|array| role(&array.key).is_some());
     ignored.extend(unused.into_iter().map(|array| array.key));
-    options.refuse_unused("layers of SLAYER and lava-dl", &["--from", "--neuron", "--input-shape"])?;
-    options.refuse_tools("layers of SLAYER and lava-dl", &[Tool::Slayer, Tool::LavaDl])?;
+    options.check(Format::Layers)?;
     let (mut neuron, mut notes) = neuron_config::read_neuron(options)?;
     if !ignored.is_empty() {
         notes.insert(0, format!("not used: {}", ignored[..ignored.len().min(12)].join(", ")));

@@ -18,7 +18,7 @@ mod reader;
 
 use std::cell::Cell;
 
-use super::imported::{Imported, Options, name_list, wrong_option};
+use super::imported::{Format, Imported, Options, name_list, wrong_option};
 use super::nir::unmodified_model;
 use crate::foreign::nir::export::restore;
 use crate::hdf5::{Group, Numbers};
@@ -38,7 +38,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut notes = Vec::new();
     let written = restore(root, export::GROUP, ["layer", "simulation"], "layers", export::export);
     if let Some(Ok(_)) = &written {
-        options.refuse_unused("a model of nsim, restored unchanged", &[])?;
+        options.check(Format::Nsim)?;
     }
     if let Some(imported) = unmodified_model("lava-dl netx", written, options, &mut notes)? {
         return Ok(imported);
