@@ -98,9 +98,9 @@ struct VariantCounts {
 }
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let MappingArgs { relays, prune, copies } = &args.anew;
+    let MappingArgs { relays, prune, taps } = &args.anew;
     let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;
-    let sweep = sweep.with(args.reading.reading(), *relays, prune, copies.most());
+    let sweep = sweep.with(args.reading.reading(), *relays, prune, taps.most());
     let mut table = Table::new(&sweep);
     let axes = args.axes.as_ref().map(|[x, y]| [x.as_str(), y.as_str()]);
     for axis in axes.into_iter().flatten().chain(args.columns.iter().map(String::as_str)) {

@@ -57,8 +57,8 @@ fn srm() -> Graph {
     )
 }
 
-fn choices(most_copies: usize) -> ConversionLimits {
-    ConversionLimits { most_copies, soft_reset: false }
+fn choices(most_taps: usize) -> ConversionLimits {
+    ConversionLimits { most_taps, soft_reset: false }
 }
 
 fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {

@@ -137,7 +137,7 @@ fn command_words(args: &Args) -> CommandWords<'_> {
         closer: args.plot.is_none().then(|| with_plot.collect()),
         words,
         model: &args.model,
-        conversion: (args.conversion.conversion, args.conversion.copies.most()),
+        conversion: (args.conversion.conversion, args.conversion.taps.most()),
     }
 }
 

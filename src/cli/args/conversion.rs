@@ -8,28 +8,28 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_train::convert::calibration::RunInput;
-use nsim_train::convert::copies;
 use nsim_train::convert::deployed::{Conversion, ConversionSettings, ConvertedIntegers};
+use nsim_train::convert::taps;
 
-/// Limit on the delayed copies of a conversion.
+/// Limit on the taps, delayed copies of an input, of a conversion.
 #[derive(Debug, Clone, clap::Args)]
-pub struct CopiesArgs {
+pub struct TapsArgs {
     /// Most delayed copies of the input of a spike response population, each with synapses of its
     /// own; twice this number where synapses are few
     #[arg(
-        long,
+        long = "delayed-copies",
         help_heading = "Conversion",
         value_name = "N",
-        default_value_t = copies::DEFAULT_COPIES as u32,
-        value_parser = clap::value_parser!(u32).range(1..=copies::MOST_COPIES as i64)
+        default_value_t = taps::DEFAULT_TAPS as u32,
+        value_parser = clap::value_parser!(u32).range(1..=taps::MOST_TAPS as i64)
     )]
-    pub delayed_copies: u32,
+    pub most_taps: u32,
 }
 
-impl CopiesArgs {
-    /// The greatest number of copies.
+impl TapsArgs {
+    /// The greatest number of taps.
     pub fn most(&self) -> usize {
-        self.delayed_copies as usize
+        self.most_taps as usize
     }
 }
 
@@ -48,7 +48,7 @@ pub struct ConversionArgs {
     #[arg(help_heading = "Conversion", long, value_name = "SOURCE")]
     pub calibrate: Vec<String>,
     #[command(flatten)]
-    pub copies: CopiesArgs,
+    pub taps: TapsArgs,
 }
 
 impl ConversionArgs {
@@ -67,7 +67,7 @@ impl ConversionArgs {
             calibrate: &self.calibrate,
             run,
             wanted,
-            most_copies: self.copies.most(),
+            most_taps: self.taps.most(),
         };
         let _busy = (networks.0.has_srm() && self.conversion == Conversion::Search)
             .then(|| output::spinner("searching for integers"));

@@ -8,7 +8,7 @@ mod fine_tuning;
 
 use std::path::PathBuf;
 
-use crate::cli::args::conversion::CopiesArgs;
+use crate::cli::args::conversion::TapsArgs;
 use crate::cli::args::input::{InputArgs, select};
 use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
@@ -52,7 +52,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     calibration_samples: u32,
     #[command(flatten)]
-    copies: CopiesArgs,
+    taps: TapsArgs,
     /// Target of the integers: resets by subtraction become resets to zero if it lacks them
     #[arg(long, default_value = "nahuku-32")]
     target: String,
@@ -80,7 +80,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let run = RunInput { sources: &args.input.input, seed: args.input.seed, scene: scene.as_deref() };
     let apart = calibration::stimulus(&job.integers, &args.calibrate, run, wanted)?;
     let split = SampleSplit::new(&stimulus.origin, &shown, apart.as_ref(), wanted);
-    let done = job.convert(&split, args.copies.most(), |population| tracing::info!("searching '{population}'"))?;
+    let done = job.convert(&split, args.taps.most(), |population| tracing::info!("searching '{population}'"))?;
     let provenance = job.provenance(&args.model, &split, &done);
     let output = args.output.as_deref().map(|path| (path, provenance.as_str()));
     let tuned = args.tuning.tune(&job, &done, &split.held_out, output, context)?;
@@ -99,7 +99,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let closer: Vec<String> = closer.chain(["--plot".to_string(), "first.svg".to_string()]).collect();
     let typed = CommandWords {
         model: &args.model,
-        conversion: (Conversion::Search, args.copies.most()),
+        conversion: (Conversion::Search, args.taps.most()),
         // The target of `nsim agree` has no reset by subtraction either.
         closer: (!job.resets_are_replaced()).then_some(closer),
         words,

@@ -36,8 +36,8 @@ pub struct ConversionSettings<'a> {
     pub run: RunInput<'a>,
     /// Number of samples for the search.
     pub wanted: usize,
-    /// Most delayed copies of a population's input.
-    pub most_copies: usize,
+    /// Most taps of a population's input.
+    pub most_taps: usize,
 }
 
 /// Integers that represent a network.
@@ -72,7 +72,7 @@ impl ConvertedIntegers {
                 samples.iter().take(choice.wanted).copied().collect()
             }
         };
-        let found = search::search(graph, &calibration, choice.most_copies, |population| searching(Some(population)))?;
+        let found = search::search(graph, &calibration, choice.most_taps, |population| searching(Some(population)))?;
         Ok(ConvertedIntegers { fits: found.conversion.fits.clone(), found: Some(found) })
     }
 

@@ -5,7 +5,7 @@
 //! their scores. Invariants: in every minibatch `quantise` makes the weights integers, and exactly
 //! these run the samples (`agree::staged`, whose last stage equals the golden interpreter bit for
 //! bit). The gradient is the trained neurons' at the integers' potentials, in thresholds, and at
-//! their spikes. Rounding, reset and delayed copies have a derivative of 1. The selected epoch does
+//! their spikes. Rounding, reset and taps have a derivative of 1. The selected epoch does
 //! best on the unvaried training samples, the start included: most right, then least loss. Held-out
 //! samples are only counted, at the start and at the end. Errors: networks that the plan does not
 //! describe.

@@ -121,10 +121,10 @@ impl Job {
     pub fn convert(
         &self,
         samples: &SampleSplit<'_>,
-        most_copies: usize,
+        most_taps: usize,
         searching: impl FnMut(&str),
     ) -> Result<ConversionRun> {
-        let choices = staged::ConversionLimits { most_copies, soft_reset: self.soft_reset };
+        let choices = staged::ConversionLimits { most_taps, soft_reset: self.soft_reset };
         let start = Instant::now();
         let converted = staged::convert(&self.graph, &samples.calibration, choices, searching)?;
         let seconds = start.elapsed().as_secs_f64();

@@ -4,8 +4,8 @@
 //! changes something about the costliest cause, or that looks closer if nothing can be changed. A
 //! change of the model is tried on the samples, and printed only if the integers come nearer.
 
-use crate::convert::copies;
 use crate::convert::deployed::Conversion;
+use crate::convert::taps;
 use nsim_agree::attribution::{Attribution, Distance, LayerLoss, as_trained, compare_stages};
 use nsim_agree::causes::{Cause, ComparisonStage};
 use nsim_agree::compare::output_layer;
@@ -41,7 +41,7 @@ pub struct CommandWords<'a> {
     pub words: Vec<String>,
     /// The model among them.
     pub model: &'a str,
-    /// How a spike response network becomes integers, and the number of delayed copies.
+    /// How a spike response network becomes integers, and the number of taps.
     pub conversion: (Conversion, usize),
     /// The words after `nsim` of a command that looks closer.
     pub closer: Option<Vec<String>>,
@@ -229,13 +229,13 @@ fn remedy(
 
 /// A better search for the integers of a spike response network, unless this one was full.
 fn search(typed: &CommandWords<'_>) -> Option<(&'static str, String)> {
-    let (conversion, most_copies) = typed.conversion;
+    let (conversion, most_taps) = typed.conversion;
     match conversion {
         Conversion::Analytic => {
             Some(("searches for better integers", typed.with_options(&[("--conversion", Conversion::Search.name())])))
         }
-        Conversion::Search => (most_copies < copies::DEFAULT_COPIES).then(|| {
-            let most = copies::DEFAULT_COPIES.to_string();
+        Conversion::Search => (most_taps < taps::DEFAULT_TAPS).then(|| {
+            let most = taps::DEFAULT_TAPS.to_string();
             ("gives the search more delayed copies of the input", typed.with_options(&[("--delayed-copies", &most)]))
         }),
     }

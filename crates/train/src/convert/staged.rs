@@ -133,8 +133,8 @@ impl Converted {
 /// Limits of a conversion.
 #[derive(Debug, Clone, Copy)]
 pub struct ConversionLimits {
-    /// Most delayed copies of a population's input.
-    pub most_copies: usize,
+    /// Most taps of a population's input.
+    pub most_taps: usize,
     /// Whether compartments can reset by subtraction.
     pub soft_reset: bool,
 }
@@ -151,7 +151,7 @@ pub fn convert(
 ) -> Result<Converted> {
     let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
     let graph = replaced.as_ref().unwrap_or(given);
-    let most = choices.most_copies;
+    let most = choices.most_taps;
     let UnmeasuredConversion { fits, detail, mut stages, mut staged } = match graph.has_srm() {
         true => convert_by_search(graph, samples, most, progress)?,
         false => convert_by_exponents(graph)?,
