@@ -210,7 +210,7 @@ impl Comparison<'_> {
             wanted: settings.calibration_samples,
             most_taps: settings.most_taps,
         };
-        let integers = ConvertedIntegers::find((graph, written), choice, &samples, |_| progress())?;
+        let integers = ConvertedIntegers::find(graph, written, choice, &samples, |_| progress())?;
         let (fits, staged) = (&integers.fits, integers.staged(graph)?);
         let program = &map_with_defaults(staged.deployed().clone(), self.target)?.program;
         let steps = settings.steps;

@@ -322,7 +322,8 @@ pub fn import_bytes(
 pub fn import_nodes(
     py: Python<'_>,
     name: &str,
-    (nodes, edges): (&Bound<'_, PyDict>, Vec<(String, String)>),
+    nodes: &Bound<'_, PyDict>,
+    edges: Vec<(String, String)>,
     held: &[String],
     keywords: &Keywords<'_>,
 ) -> PyResult<(Network, Vec<String>)> {

@@ -123,7 +123,7 @@ impl Session {
     }
 
     /// Whether a message of this population is set for the next step.
-    fn is_set_next(&self, py: Python<'_>, (first, population): (u32, &quantised::Population)) -> PyResult<bool> {
+    fn is_set_next(&self, py: Python<'_>, first: u32, population: &quantised::Population) -> PyResult<bool> {
         let channels = first..first + population.shape.len();
         self.stepped(py, |stepped| stepped.next().iter().any(|(channel, _)| channels.contains(&channel.0)))
     }
@@ -242,7 +242,7 @@ impl Session {
                     let message = format!("'{name}' is not an input population");
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
-                if self.is_set_next(py, (first, population))? {
+                if self.is_set_next(py, first, population)? {
                     let message = format!("'{name}' is set for this step by session.signal too");
                     return Err(usage(message, "give it in one of them"));
                 }

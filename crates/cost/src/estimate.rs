@@ -344,7 +344,7 @@ pub(crate) mod tests {
         constants.x86_static_ratio.value = 2.0.into();
         constants.turn_time.value = 0.0.into();
         let table = CostTable::new(&constants).unwrap();
-        let price = step_price(&table, &deployment, 1, (Mode::Offline, Accounting::Profiler));
+        let price = step_price(&table, &deployment, 1, Mode::Offline, Accounting::Profiler);
         let run = run(&[quiet, busy], vec![table], Some(price));
         let offline = case(&run, &deployment);
         let found = estimate(&offline);
@@ -417,7 +417,7 @@ pub(crate) mod tests {
             let deployment = Deployment { copies, cores_used, x86_cores, x86_chips, x86_working, ..paper() };
             let mode = if realtime { Mode::Realtime } else { Mode::Offline };
             let tables = vec![CostTable::new(&constants).unwrap(), table("davies2018")];
-            let price = step_price(&tables[0], &deployment, copies_counted, (mode, Accounting::Profiler));
+            let price = step_price(&tables[0], &deployment, copies_counted, mode, Accounting::Profiler);
             let run = run(&steps, tables, Some(price));
             let found = estimate(&EstimateInput {
                 copies_counted,

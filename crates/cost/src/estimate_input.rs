@@ -132,7 +132,7 @@ impl EstimateInput<'_> {
 
     /// Returns the price of a step of the `total` row, under one preset.
     pub fn price(&self, table: &CostTable) -> StepPrice {
-        step_price(table, self.deployment, self.copies_counted, (self.mode, self.accounting))
+        step_price(table, self.deployment, self.copies_counted, self.mode, self.accounting)
     }
 
     /// Powers of all copies under one preset.

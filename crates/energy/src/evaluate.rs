@@ -226,7 +226,7 @@ impl Conditions {
         options.check_x86(&deployment, &target)?;
         let preset = &target.constants()[0];
         options.check_accounting(&target)?;
-        let price = step_price(&table, &deployment, workload.copies, (options.mode, options.accounting));
+        let price = step_price(&table, &deployment, workload.copies, options.mode, options.accounting);
         let corners = if target.is_measured_by(preset) { CostTable::corners(preset)? } else { None };
         let without_host = plan.source.deployment(compiled, &target, copies, HostWork { host: Host::None, ..work })?;
         let timing = |deployment: &Deployment| deployment.timing(options.transport, workload.copies);

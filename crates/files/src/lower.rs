@@ -431,7 +431,7 @@ impl<'a> Lowering<'a> {
         let rule = declared.rule(&sources, target, nodes, graph)?.map(|rule| rules.push(rule));
         for Part { own_delay, synapses } in declared.parts()? {
             let delay = own_delay.map_or(Ok(delay), |own| declared.delay(own, "arrays.delay"))?;
-            declared.add((delay, rule), synapses, &sources, target, graph);
+            declared.add(delay, rule, synapses, &sources, target, graph);
         }
         Ok(())
     }
@@ -497,7 +497,8 @@ impl ProjectionLowering<'_> {
     /// Adds a part of a projection, from each of its source populations.
     fn add(
         &self,
-        (delay, rule): (Delay, Option<RuleId>),
+        delay: Delay,
+        rule: Option<RuleId>,
         whole: ProjectionKind,
         sources: &[NodeIndex],
         target: NodeIndex,

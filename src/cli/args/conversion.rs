@@ -55,7 +55,8 @@ impl ConversionArgs {
     /// The converted form of each spike response population of a network.
     pub fn integers(
         &self,
-        networks: (&Graph, &Quantised),
+        graph: &Graph,
+        network: &Quantised,
         input: &InputArgs,
         scene: Option<&str>,
         samples: &[&Sample],
@@ -69,9 +70,9 @@ impl ConversionArgs {
             wanted,
             most_taps: self.taps.most(),
         };
-        let _busy = (networks.0.has_srm() && self.conversion == Conversion::Search)
+        let _busy = (graph.has_srm() && self.conversion == Conversion::Search)
             .then(|| output::spinner("searching for integers"));
-        ConvertedIntegers::find(networks, choice, samples, |population| match population {
+        ConvertedIntegers::find(graph, network, choice, samples, |population| match population {
             Some(population) => tracing::info!("searching '{population}'"),
             None => tracing::warn!("calibrating on the first samples of the input itself; --calibrate gives others"),
         })

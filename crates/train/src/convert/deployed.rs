@@ -56,7 +56,8 @@ impl ConvertedIntegers {
     /// # Errors
     /// A source that cannot be used.
     pub fn find(
-        (graph, network): (&Graph, &Quantised),
+        graph: &Graph,
+        network: &Quantised,
         choice: ConversionSettings<'_>,
         samples: &[&Sample],
         mut searching: impl FnMut(Option<&str>),

@@ -387,7 +387,8 @@ impl Task {
     /// As [`Task::integers`], if weights exceed the range of the integers.
     pub fn run(
         &self,
-        (examples, held_out): (&[Example], &[Example]),
+        examples: &[Example],
+        held_out: &[Example],
         epochs: u32,
         shown: &(impl Fn() + Sync),
         mut after: impl FnMut(&BestEpoch),

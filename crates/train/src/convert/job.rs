@@ -232,7 +232,7 @@ impl FineTuning {
         after: impl FnMut(&BestEpoch),
     ) -> Result<TunedIntegers> {
         let FineTuning { task, epochs, origin, examples, unseen } = self;
-        let tuned = task.run((&examples, &unseen), epochs, shown, after)?;
+        let tuned = task.run(&examples, &unseen, epochs, shown, after)?;
         let integers = task.integers(&tuned.weights)?;
         let held_out = (!held_out.is_empty()).then(|| converted.measure(&integers, held_out));
         Ok(TunedIntegers { tuned, epochs, integers, samples: origin, held_out })
