@@ -606,8 +606,8 @@ impl Values {
     }
 
     fn signal(&self, name: &str) -> PyResult<(u32, &quantised::Population)> {
-        let found = signals(self.session.get().network()).find(|(_, population)| population.name == name);
-        found.ok_or_else(|| self.unknown(name))
+        let signal = signals(self.session.get().network()).find(|(_, population)| population.name == name);
+        signal.ok_or_else(|| self.unknown(name))
     }
 }
 
@@ -636,8 +636,8 @@ impl Values {
                 return Ok(PyArray1::from_vec(py, values).into_any());
             }
             Kind::Added => {
-                let given = session.stepped(py, |stepped| stepped.added_to(session.network(), name))?;
-                return Ok(PyArray1::from_vec(py, given.map_err(|problem| exception(py, problem))?).into_any());
+                let added = session.stepped(py, |stepped| stepped.added_to(session.network(), name))?;
+                return Ok(PyArray1::from_vec(py, added.map_err(|problem| exception(py, problem))?).into_any());
             }
             Kind::Draws => {
                 let rule = self.rule(py, name)?;

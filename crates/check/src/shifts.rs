@@ -74,9 +74,9 @@ struct Bounds {
 impl Bounds {
     /// Returns the bounds of these sources, by population; `None` where one is no volume.
     fn around(network: &Quantised, sources: &[u32]) -> Option<Vec<Self>> {
-        let mut found: Vec<(Range<u32>, (u32, u32), Bounds)> = Vec::new();
+        let mut windows: Vec<(Range<u32>, (u32, u32), Bounds)> = Vec::new();
         for &source in sources {
-            let at = match found.iter().position(|(range, ..)| range.contains(&source)) {
+            let at = match windows.iter().position(|(range, ..)| range.contains(&source)) {
                 Some(at) => at,
                 None => {
                     let range = |population: &Population| {
@@ -88,17 +88,17 @@ impl Bounds {
                     let (_, height, width) = population.shape.volume()?;
                     let none = (i64::MAX, i64::MIN);
                     let bounds = Bounds { population: id, rows: none, columns: none };
-                    found.push((range(population), (height, width), bounds));
-                    found.len() - 1
+                    windows.push((range(population), (height, width), bounds));
+                    windows.len() - 1
                 }
             };
-            let (range, (height, width), bounds) = &mut found[at];
+            let (range, (height, width), bounds) = &mut windows[at];
             let position = (source - range.start) % (*height * *width);
             let wider = |of: (i64, i64), at: u32| (of.0.min(at.into()), of.1.max(at.into()));
             bounds.rows = wider(bounds.rows, position / *width);
             bounds.columns = wider(bounds.columns, position % *width);
         }
-        Some(found.into_iter().map(|(.., bounds)| bounds).collect())
+        Some(windows.into_iter().map(|(.., bounds)| bounds).collect())
     }
 
     /// Whether the sources stay inside the volume, `down` rows and `right` columns further on.

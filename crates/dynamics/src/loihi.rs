@@ -151,8 +151,8 @@ fn lava(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
 /// Source: slayerPytorch 01beeeb, `src/cuda/spikeLoihiKernels.h`.
 fn slayer(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
     let product = |x: i32, d: u16| {
-        let kept = (x.unsigned_abs().wrapping_mul(4096 - u32::from(d)) >> 12) as i32;
-        if x < 0 { -kept } else { kept }
+        let decayed = (x.unsigned_abs().wrapping_mul(4096 - u32::from(d)) >> 12) as i32;
+        if x < 0 { -decayed } else { decayed }
     };
     let u = product(r.u, f.neuron.du.get()).wrapping_add(arrived << WEIGHT_SHIFT);
     let v = product(r.v, f.neuron.dv.get()).wrapping_add(u);

@@ -672,12 +672,12 @@ impl ProjectionLowering<'_> {
         };
         let Window { source: (_, from_height, from_width), target: (_, height, width), .. } = *window;
         let Window { kernel, stride, padding, dilation, .. } = *window;
-        let made = [
+        let sides = [
             size(from_height, kernel.0, stride.0, (padding.0, after.0), dilation.0),
             size(from_width, kernel.1, stride.1, (padding.1, after.1), dilation.1),
         ];
-        if made != [height, width].map(|side| Some(u64::from(side))) {
-            let [high, wide] = made.map(|side| side.map_or("nothing".to_string(), |side| side.to_string()));
+        if sides != [height, width].map(|side| Some(u64::from(side))) {
+            let [high, wide] = sides.map(|side| side.map_or("nothing".to_string(), |side| side.to_string()));
             let what = format!(
                 "the window makes {high} x {wide} from {from_height} x {from_width}, the population is {height} x \
                 {width}"

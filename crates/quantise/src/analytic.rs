@@ -141,12 +141,12 @@ pub fn own_synapses(srm: (&SrmParameters, f64), keep: (f64, f64), scales: (f64, 
     };
     let before = |k: usize, by: usize| k.checked_sub(by).map_or(0.0, nu);
     let weight = |k: usize| {
-        let given = match k {
+        let reset_correction = match k {
             1 => mean_excess * keep_v,
             2 => -mean_excess * keep_v * keep_u,
             _ => 0.0,
         };
-        given + nu(k) - (keep_u + keep_v) * before(k, 1) + keep_u * keep_v * before(k, 2)
+        reset_correction + nu(k) - (keep_u + keep_v) * before(k, 1) + keep_u * keep_v * before(k, 2)
     };
     (1..=count).map(weight).collect()
 }

@@ -287,13 +287,13 @@ impl<F: Real> Engine for Reference<'_, F> {
             let sums = &mut self.arrivals[index][slot];
             let spikes = &mut self.spikes;
             let spike = |neuron: u32| spikes.push(CompartmentId(population.first + neuron));
-            let held = self.step < population.start_step;
+            let is_before_start = self.step < population.start_step;
             if model.reset.is_some_and(|reset| falls_on(reset, self.step, population.resets_from)) {
                 self.units[index].clear();
             }
             match &mut self.units[index] {
                 Units::Srm(srm) => srm.step(sums, spike),
-                Units::Cuba(cuba) if !held => cuba.step(sums, spike),
+                Units::Cuba(cuba) if !is_before_start => cuba.step(sums, spike),
                 Units::Input | Units::Cuba(_) => {}
             }
             sums.fill(F::default());

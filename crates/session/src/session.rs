@@ -225,8 +225,8 @@ impl<E: Engine + ?Sized> Session<E> {
 
     /// Checks that each rule whose numbers are set has those of the next step.
     fn check_draws(&self) -> Result<()> {
-        let given = self.draws.recorded.iter().zip(self.rules.iter());
-        given
+        let recorded = self.draws.recorded.iter().zip(self.rules.iter());
+        recorded
             .filter_map(|(numbers, rule)| Some((numbers.as_ref()?, rule)))
             .try_for_each(|(numbers, rule)| rule.check_numbers(numbers, self.steps))
     }

@@ -65,10 +65,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let name = network.file().name.clone();
     let (mode, accounting) = (args.mode, args.accounting);
     let (input, set, targets_found) = (Vec::new(), Vec::new(), Vec::new());
-    let mut found =
+    let mut comparison =
         Comparison { model: name, input, samples: 0, mode, accounting, seed: None, set, targets: targets_found };
     for (name, target) in args.targets.iter().zip(&targets) {
-        let on_target = match priced(args, name, &mut found, context) {
+        let on_target = match priced(args, name, &mut comparison, context) {
             // A diagnostic of mapping reports a feature that a chip lacks.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
                 let reason = |problem: &Diagnostic| {
@@ -81,12 +81,22 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         };
         let constants = target.constants().first().map_or(String::new(), |preset| preset.name.clone());
         let hardware = target.chip().hardware().to_string();
-        found.targets.push(ComparedTarget { target: target.name().to_string(), hardware, constants, found: on_target });
+        comparison.targets.push(ComparedTarget {
+            target: target.name().to_string(),
+            hardware,
+            constants,
+            found: on_target,
+        });
     }
     let set = io::changes::process_changes().iter().filter(|change| change.changes_target());
-    found.set.extend(set.map(|change| change.path().to_string()));
-    output::print(context.format, || report::text(&found), || report::json(&found), || report::csv_rows(&found))?;
-    let holds = found.targets.iter().any(|target| target.found.is_ok());
+    comparison.set.extend(set.map(|change| change.path().to_string()));
+    output::print(
+        context.format,
+        || report::text(&comparison),
+        || report::json(&comparison),
+        || report::csv_rows(&comparison),
+    )?;
+    let holds = comparison.targets.iter().any(|target| target.found.is_ok());
     Ok(if holds { Answer::Yes } else { Answer::No })
 }
 

@@ -473,6 +473,6 @@ impl Network {
 pub fn place(source: &SourceText, path: &str) -> Span {
     let whole = Span { start: 0, end: source.text().len() };
     let ends = path.rmatch_indices('.').map(|(at, _)| at);
-    let found = std::iter::once(path.len()).chain(ends).find_map(|end| locate(source.text(), whole, &path[..end]));
-    found.unwrap_or_default()
+    let place = std::iter::once(path.len()).chain(ends).find_map(|end| locate(source.text(), whole, &path[..end]));
+    place.unwrap_or_default()
 }

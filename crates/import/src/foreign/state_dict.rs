@@ -221,20 +221,20 @@ fn refuse_others(arrays: &[Array], lava: bool, path: &Path, key: Option<&str>) -
 /// The layers in the order of the file.
 fn layers(arrays: Vec<Array>) -> Result<Vec<Layer>> {
     let mut names: Vec<String> = Vec::new();
-    let mut found: BTreeMap<String, BTreeMap<Role, Array>> = BTreeMap::new();
+    let mut layers_by_name: BTreeMap<String, BTreeMap<Role, Array>> = BTreeMap::new();
     for array in arrays {
         let Some((layer, role)) = role(&array.key) else { continue };
         let layer = layer.to_string();
-        if !found.contains_key(&layer) {
+        if !layers_by_name.contains_key(&layer) {
             names.push(layer.clone());
         }
-        if let Some(other) = found.entry(layer).or_default().insert(role, array) {
+        if let Some(other) = layers_by_name.entry(layer).or_default().insert(role, array) {
             return Err(wrong(format!("'{}' is given twice, as it is and in two parts", other.key)));
         }
     }
     let mut layers = Vec::new();
     for name in names {
-        let mut others = found.remove(&name).unwrap_or_default();
+        let mut others = layers_by_name.remove(&name).unwrap_or_default();
         let Some(weight) = others.remove(&Role::Weight) else {
             let keys: Vec<&str> = others.values().map(|array| array.key.as_str()).collect();
             return Err(wrong(format!("'{name}' has no weights, only {}", keys.join(", "))));

@@ -138,8 +138,8 @@ fn accuracies(rows: &[PaperRow], task: &str, title: &str) -> Option<Grid> {
             let row = find(rows, table, [task, senses, "accuracy"], loss, note);
             line.push(row.map_or(String::new(), |row| {
                 let folds = if row.deviation.is_some() { "" } else { "*" };
-                let here = row.measured.map(|share| format!("{share:.3}{folds}"));
-                here_and_printed(here, row.published.map(|share| format!("{share:.2}")))
+                let measured_share = row.measured.map(|share| format!("{share:.3}{folds}"));
+                here_and_printed(measured_share, row.published.map(|share| format!("{share:.2}")))
             }));
             epochs.extend(row.and_then(|row| row.note.split_once(" epochs")?.0.split(' ').next_back()));
         }

@@ -73,8 +73,9 @@ impl ConvertedIntegers {
                 samples.iter().take(choice.wanted).copied().collect()
             }
         };
-        let found = search::search(graph, &calibration, choice.most_taps, |population| searching(Some(population)))?;
-        Ok(ConvertedIntegers { fits: found.conversion.fits.clone(), found: Some(found) })
+        let search_result =
+            search::search(graph, &calibration, choice.most_taps, |population| searching(Some(population)))?;
+        Ok(ConvertedIntegers { fits: search_result.conversion.fits.clone(), found: Some(search_result) })
     }
 
     /// The comparison stages from the trained network to these integers.

@@ -67,8 +67,8 @@ impl CommandWords<'_> {
     fn with_options(&self, options: &[(&str, &str)]) -> String {
         let mut words = self.words.clone();
         for &(name, value) in options {
-            let given = words.iter().position(|word| word == name || word.starts_with(&format!("{name}=")));
-            match given.filter(|_| name != "--set") {
+            let place = words.iter().position(|word| word == name || word.starts_with(&format!("{name}=")));
+            match place.filter(|_| name != "--set") {
                 Some(at) => {
                     let both = if words[at] == name { at..(at + 2).min(words.len()) } else { at..at + 1 };
                     words.splice(both, [name.to_string(), value.to_string()]);

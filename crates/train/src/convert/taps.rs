@@ -116,8 +116,8 @@ pub fn candidates(
     let of_voltage = |&voltage: &f64| {
         let pairs = CURRENTS.iter().flat_map(|current| {
             let keep_u = nearest_decay(libm::exp(-1.0 / (current * tau)));
-            let found = taps_for_decays(task, &wanted, (keep_u, nearest_decay(voltage)), &delays, most);
-            found.into_iter().map(move |(taken, taps)| (taken, keep_u, taps))
+            let fitted = taps_for_decays(task, &wanted, (keep_u, nearest_decay(voltage)), &delays, most);
+            fitted.into_iter().map(move |(taken, taps)| (taken, keep_u, taps))
         });
         let mut pairs: Vec<(f64, f64, Taps)> = pairs.collect();
         if voltage > 0.0 {

@@ -175,8 +175,8 @@ fn neuron(population: &PopulationDesc, notes: &mut Vec<String>) -> Result<Group>
         let is_bias = form.bias.is_some() && ["bias_mant", "bias_exp"].contains(&field.name);
         let fixed = form.fixed.iter().find(|(fixed, _)| *fixed == field.name).map(|(_, value)| *value);
         let default = field.default.unwrap_or(0) as f64;
-        let given = population.parameter(field.name).cloned().unwrap_or(Parameter::Same(default));
-        if !written && !is_bias && given != Parameter::Same(fixed.unwrap_or(default)) {
+        let parameter = population.parameter(field.name).cloned().unwrap_or(Parameter::Same(default));
+        if !written && !is_bias && parameter != Parameter::Same(fixed.unwrap_or(default)) {
             lost.push(field.name);
         }
     }

@@ -239,12 +239,12 @@ impl Reader<'_> {
     }
 
     fn check_size(&mut self, layer: &Layer<'_>, key: &str, right: &[f64]) {
-        let given: Vec<f64> = layer.group.numbers(key).into_iter().flat_map(Numbers::reals).collect();
+        let numbers: Vec<f64> = layer.group.numbers(key).into_iter().flat_map(Numbers::reals).collect();
         // One number is the height and the width of a kernel.
-        if right.is_empty() || given.iter().zip(right).all(|(a, b)| a == b) {
+        if right.is_empty() || numbers.iter().zip(right).all(|(a, b)| a == b) {
             return;
         }
-        let message = format!("{key} is {given:?}, the arrays have {right:?}: only the arrays count, as in netx");
+        let message = format!("{key} is {numbers:?}, the arrays have {right:?}: only the arrays count, as in netx");
         self.warn(layer, WarningCode::SizeIgnored, message);
     }
 
