@@ -274,7 +274,9 @@ fn run_samples(
         }
         Job::Quantised(quantised, _) => golden(quantised, samples, keep, progress).map_meter(|()| None),
         Job::Real(graph, quantised, _) => {
-            let is_of_chip = |probe: &Probe| [Quantity::VRegister, Quantity::Message].contains(&probe.quantity);
+            fn is_of_chip(probe: &Probe) -> bool {
+                [Quantity::VRegister, Quantity::Message].contains(&probe.quantity)
+            }
             let message = "--engine reference does not support --probe .v_register and .message; probe .v or .spikes";
             refuse_if(keep.probes.iter().any(is_of_chip), message)?;
             let model = Model::<f64>::new(graph, nsim_reference::Options { kernel: args.kernel })?;

@@ -208,11 +208,11 @@ fn variant_arguments(args: &Args) -> impl std::fmt::Debug {
 /// First line of a journal, by which it is identified: the program's version, and a digest of the
 /// part, the sweep, and the size and time of its files, which need not be opened.
 fn journal_header(args: &Args, sweep: &Sweep) -> String {
-    let of_file = |path: &Path| {
+    fn of_file(path: &Path) -> String {
         let facts = std::fs::metadata(path).ok();
         let time = facts.as_ref().and_then(|facts| facts.modified().ok()?.duration_since(UNIX_EPOCH).ok());
         format!("{:?} {time:?}", facts.as_ref().map(std::fs::Metadata::len))
-    };
+    }
     let digest = digest(&format!("{:?}", (args.shard, variant_arguments(args))), sweep, of_file);
     format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
 }

@@ -94,7 +94,9 @@ impl Bounds {
             };
             let (range, (height, width), bounds) = &mut windows[at];
             let position = (source - range.start) % (*height * *width);
-            let wider = |of: (i64, i64), at: u32| (of.0.min(at.into()), of.1.max(at.into()));
+            fn wider(of: (i64, i64), at: u32) -> (i64, i64) {
+                (of.0.min(at.into()), of.1.max(at.into()))
+            }
             bounds.rows = wider(bounds.rows, position / *width);
             bounds.columns = wider(bounds.columns, position % *width);
         }
@@ -150,7 +152,9 @@ impl Shifts<'_> {
             let size = self.sizes.map_or(0, |sizes| if is_channel { sizes.channels } else { sizes.compartments });
             copies * i64::from(size)
         };
-        let within = |range: Range<u32>, more: i64| i64::from(range.start) + more..i64::from(range.end) + more;
+        fn within(range: Range<u32>, more: i64) -> Range<i64> {
+            i64::from(range.start) + more..i64::from(range.end) + more
+        }
         let Some((target, (rows, columns))) = positions else {
             let added = |range: Range<u32>, is_channel| (range.clone(), within(range, 0), of_copies(is_channel));
             let all = channels + network.compartments();

@@ -36,7 +36,9 @@ impl ByStatus {
     /// As [`CostTable::new`].
     pub fn new(constants: &Constants, chips: u64) -> Result<Self, Diagnostic> {
         let one = |name: &'static str| least_trusted(constants, |own| own == name);
-        let mesh = |name: &str| name.ends_with("hop_time") || name.starts_with("link_");
+        fn mesh(name: &str) -> bool {
+            name.ends_with("hop_time") || name.starts_with("link_")
+        }
         let of_mesh = least_trusted(constants, |name| mesh(name) && (chips > 1 || !name.contains("chip")));
         let tiles = constants.barrier.iter().map(|entry| entry.time.status).max().unwrap_or(Status::Published);
         let barrier = if chips > 1 { tiles.max(one("chip_hop_time")) } else { tiles };

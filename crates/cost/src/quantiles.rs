@@ -87,7 +87,9 @@ impl Quantiles {
             passed >= rank
         });
         let middle = bucket.map(|(&bucket, _)| {
-            let end = |bucket: u32| f64::from_bits(u64::from(bucket) << DROPPED);
+            fn end(bucket: u32) -> f64 {
+                f64::from_bits(u64::from(bucket) << DROPPED)
+            }
             // The first bucket holds 0.
             if bucket == 0 { 0.0 } else { (end(bucket) + end(bucket + 1)) / 2.0 }
         });

@@ -665,11 +665,11 @@ impl ProjectionLowering<'_> {
     /// appended to the source.
     fn check_window(&self, window: &Window, after: (u64, u64)) -> Result<(), Diagnostic> {
         let after = self.pair(after, "padding_after", 0)?;
-        let size = |source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32| {
+        fn size(source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32) -> Option<u64> {
             let reach = u64::from(dilation) * u64::from(kernel - 1) + 1;
             let room = u64::from(source) + u64::from(padding.0) + u64::from(padding.1);
             room.checked_sub(reach).map(|slack| slack / u64::from(stride) + 1)
-        };
+        }
         let Window { source: (_, from_height, from_width), target: (_, height, width), .. } = *window;
         let Window { kernel, stride, padding, dilation, .. } = *window;
         let sides = [

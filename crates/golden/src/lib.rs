@@ -727,10 +727,10 @@ fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, 
 /// A step of SLAYER's Loihi kernel (slayerPytorch 01beeeb, `src/cuda/spikeLoihiKernels.h`).
 fn slayer(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
     // Rule (11): the product keeps its low 32 bits.
-    let decay = |x: i64, d: Decay| {
+    fn decay(x: i64, d: Decay) -> i64 {
         let decayed = (x.abs() * (4096 - i64::from(d.get()))) % (1 << 32) / 4096;
         if x < 0 { -decayed } else { decayed }
-    };
+    }
     state.u = wrap(decay(state.u, neuron.du) + sum, 31);
     let voltage = wrap(decay(state.v, neuron.dv) + state.u, 31);
     Outcome { spiked: fire(Semantics::Slayer, neuron, threshold, state, voltage, step), ..Outcome::default() }

@@ -205,7 +205,7 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),
         (other, _) => other.clone(),
     });
-    let copy = |projection: &Projection, (delay, factor): (u32, f64)| {
+    fn copy(projection: &Projection, delay: u32, factor: f64) -> Projection {
         let late = i64::from(projection.delay.get()) + i64::from(delay);
         let kind = match &projection.kind {
             kind if factor == 1.0 => kind.clone(),
@@ -216,17 +216,20 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
             kind => kind.map_weights(|_, weight| weight * factor),
         };
         Projection { kind, delay: Delay::new(late).unwrap_or(Delay::MAX), ..projection.clone() }
-    };
+    }
     let mut added = Vec::new();
     for (_, source, target, projection) in graph.projections() {
         let Some(fit) = &fits[target.index()] else { continue };
-        for &of in fit.taps.iter().skip(1) {
-            let name = format!("{} ({} steps later)", projection.name, of.0);
-            added.push((source, target, Projection { name, ..copy(projection, of) }));
+        for &(delay, factor) in fit.taps.iter().skip(1) {
+            let name = format!("{} ({delay} steps later)", projection.name);
+            added.push((source, target, Projection { name, ..copy(projection, delay, factor) }));
         }
     }
     let changed = kinds.with_projections(|target, projection| match &fits[target.index()] {
-        Some(fit) => copy(projection, fit.taps.first().copied().unwrap_or((0, 1.0))),
+        Some(fit) => {
+            let (delay, factor) = fit.taps.first().copied().unwrap_or((0, 1.0));
+            copy(projection, delay, factor)
+        }
         None => projection.clone(),
     });
     for (node, population) in graph.populations() {

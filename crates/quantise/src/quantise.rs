@@ -250,7 +250,9 @@ impl Stage<'_> {
             let message = format!("population '{}': a real threshold of {greatest} is not above 0", population.name);
             return Err(self.error("model.threshold", message, threshold.span));
         }
-        let register = |mantissa: f64, exponent: f64| mantissa * (exponent + f64::from(WEIGHT_SHIFT)).exp2();
+        fn register(mantissa: f64, exponent: f64) -> f64 {
+            mantissa * (exponent + f64::from(WEIGHT_SHIFT)).exp2()
+        }
         let mut pinned: Option<f64> = None;
         let mut largest = f64::from(ThresholdMantissa::MAX.get()) * 64.0 / greatest;
         let mut driven = false;

@@ -463,10 +463,10 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
         Series::Line(name.to_string(), points.collect())
     };
     let end = f64::from(excerpt.from) + excerpt.a.len().max(excerpt.b.len()) as f64 - 1.0;
-    let spikes = |name: &str, steps: &[u32], height: f64| {
+    fn spikes(name: &str, steps: &[u32], height: f64) -> Series {
         let points = steps.iter().map(|&step| (f64::from(step), height, String::new()));
         Series::Points(name.to_string(), points.collect())
-    };
+    }
     let series = [
         line("a", &excerpt.a),
         line("b", &excerpt.b),

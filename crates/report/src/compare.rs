@@ -133,13 +133,13 @@ pub fn json(found: &Comparison) -> Value {
 
 /// CSV with a row for each target.
 pub fn csv_rows(found: &Comparison) -> String {
-    let row = |row: &ComparedTarget| {
+    fn row(row: &ComparedTarget) -> Value {
         let mut object = row_json(row);
         let reasons = row.found.as_ref().err().map_or(&[][..], Vec::as_slice);
         let said: Vec<&str> = reasons.iter().map(|reason| reason.message.as_str()).collect();
         object["reasons"] = said.join("; ").into();
         object
-    };
+    }
     csv(found.targets.iter().map(row), KEYS)
 }
 

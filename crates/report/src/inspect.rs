@@ -113,7 +113,9 @@ impl Findings {
 
     /// The first table; facts as key and value when there is none.
     pub fn csv(&self) -> String {
-        let cell = |value: &Value| if value.is_null() { String::new() } else { value_text(value) };
+        fn cell(value: &Value) -> String {
+            if value.is_null() { String::new() } else { value_text(value) }
+        }
         let header = |columns: &[&str]| columns.iter().map(ToString::to_string).collect();
         match self.tables.first() {
             Some(part) => csv_text(header(part.columns), part.rows.iter().map(|row| row.iter().map(cell).collect())),

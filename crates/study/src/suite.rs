@@ -169,7 +169,9 @@ fn listed(
         all.extend_from_slice(&own);
         first.push(all.len() as u64);
     }
-    let weight = |index: u64| -16 + 2 * rng::below(17, 6, index, 0) as i16;
+    fn weight(index: u64) -> i16 {
+        -16 + 2 * rng::below(17, 6, index, 0) as i16
+    }
     let weights = (0..all.len() as u64).map(weight).collect();
     let synapses = Connectivity::Sparse { first: first.into(), targets: all.into(), weights };
     net.connect(neurons, neurons, 0, synapses)?;

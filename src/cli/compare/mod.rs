@@ -71,10 +71,10 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         let on_target = match priced(args, name, &mut comparison, context) {
             // A diagnostic of mapping reports a feature that a chip lacks.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
-                let reason = |problem: &Diagnostic| {
+                fn reason(problem: &Diagnostic) -> RefusalReason {
                     let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
                     RefusalReason { code: problem.code.to_string(), message: problem.message.clone() + &help }
-                };
+                }
                 Err(std::iter::once(&*problem).chain(problem.others()).map(reason).collect())
             }
             other => other?,

@@ -124,10 +124,12 @@ fn write(
     origins: Vec<Origin>,
     context: Context,
 ) -> Result<Answer, Error> {
-    let quoted = |word: String| match word.chars().all(|c| c.is_alphanumeric() || "-_./:=,+".contains(c)) {
-        true => word,
-        false => format!("'{}'", word.replace('\'', "'\\''")),
-    };
+    fn quoted(word: String) -> String {
+        match word.chars().all(|c| c.is_alphanumeric() || "-_./:=,+".contains(c)) {
+            true => word,
+            false => format!("'{}'", word.replace('\'', "'\\''")),
+        }
+    }
     // `--force` does not affect the content of the page.
     let words = std::env::args_os().skip(1).filter(|word| word != "--force");
     let words = words.map(|word| quoted(word.to_string_lossy().into_owned()));

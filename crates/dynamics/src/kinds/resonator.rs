@@ -138,7 +138,9 @@ impl Neuron for RfZero {
 
     #[inline(always)]
     fn update(p: &ZeroParameters, s: &mut Parts, [real, imag]: Arrived, overflows: &mut OverflowFlags) -> Emission {
-        let floor = |factor: i32, x: i32| (i64::from(factor) * i64::from(x)) >> 15;
+        fn floor(factor: i32, x: i32) -> i64 {
+            (i64::from(factor) * i64::from(x)) >> 15
+        }
         let u = overflows.word(floor(p.cos, s.u) - floor(p.sin, s.v) + i64::from(real));
         let v = overflows.word(floor(p.cos, s.v) + floor(p.sin, s.u) + i64::from(imag));
         let sends = (u > p.threshold) & (v >= 0) & (s.v < 0);

@@ -51,7 +51,9 @@ pub struct JobPart {
 impl JobPart {
     /// Ratios of static, dynamic and total power here to the printed ones; `None` if not printed.
     pub(super) fn ratios(&self) -> [Option<f64>; 3] {
-        let powers = |row: &EnergyRow| [row.static_mw, row.dynamic_mw, row.total_mw];
+        fn powers(row: &EnergyRow) -> [Option<f64>; 3] {
+            [row.static_mw, row.dynamic_mw, row.total_mw]
+        }
         let (here, printed) = (powers(&self.here), powers(&self.printed));
         std::array::from_fn(|at| Some(here[at]? / printed[at].filter(|mw| *mw > 0.0)?))
     }
@@ -223,7 +225,9 @@ impl EnergyReport {
             .breakdown_pj
             .as_ref()
             .map(|parts| parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj))).collect::<Map<_, _>>());
-        let times = |times: [(&str, f64); 6]| times.map(|(name, us)| (name.replace(' ', "_"), json!(us)));
+        fn times(times: [(&str, f64); 6]) -> [(String, Value); 6] {
+            times.map(|(name, us)| (name.replace(' ', "_"), json!(us)))
+        }
         let Deployment { x86_cores, x86_chips, host, .. } = self.deployment;
         let injecting = if host == Host::Stream { x86_chips } else { 0 };
         let (deployment, estimate, total) = (&self.deployment, &self.estimate, self.total());

@@ -98,11 +98,13 @@ impl EnergyReport {
         let printed = row.source == FigureSource::Published;
         let computed = row.energy_source == FigureSource::Computed;
         let assumed = row.power_source != row.source && row.power_source == FigureSource::Assumed;
-        let cell = |figure: Option<f64>, exact: bool| match figure {
-            None => String::new(),
-            Some(figure) if exact => format!("{figure}"),
-            Some(figure) => readable(figure),
-        };
+        fn cell(figure: Option<f64>, exact: bool) -> String {
+            match figure {
+                None => String::new(),
+                Some(figure) if exact => format!("{figure}"),
+                Some(figure) => readable(figure),
+            }
+        }
         let mark = if assumed { "?" } else { "" };
         let power = |figure: Option<f64>| cell(figure, printed) + mark;
         let [(_, of_energy), (_, of_edp)] = self.units();
@@ -221,10 +223,12 @@ impl EnergyReport {
         let header =
             ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
         // A mark needs its footnote in the same row.
-        let marked = |cells: &[String; 6], source: String| match cells.iter().any(|cell| cell.ends_with('*')) {
-            true => format!("{source}; * from its power x time"),
-            false => source,
-        };
+        fn marked(cells: &[String; 6], source: String) -> String {
+            match cells.iter().any(|cell| cell.ends_with('*')) {
+                true => format!("{source}; * from its power x time"),
+                false => source,
+            }
+        }
         // Without indentation, a line names the row to which it belongs.
         let mut above = String::new();
         let row = |(name, cells, source): (String, [String; 6], String)| {

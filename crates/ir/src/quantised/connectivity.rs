@@ -233,7 +233,9 @@ impl Window {
 }
 
 fn window_fits(window: &Window, source: Shape, target: Shape) -> bool {
-    let within = |pair: (u32, u32), least: u32| [pair.0, pair.1].iter().all(|n| (least..=65_535).contains(n));
+    fn within(pair: (u32, u32), least: u32) -> bool {
+        [pair.0, pair.1].iter().all(|n| (least..=65_535).contains(n))
+    }
     source.volume() == Some(window.source)
         && target.volume() == Some(window.target)
         && window.groups > 0

@@ -18,7 +18,9 @@ fn interval(row: &PaperRow) -> String {
 
 /// A mean with its deviation, where there is one.
 fn mean(mean: Option<f64>, deviation: Option<f64>) -> String {
-    let digits = |x: f64| if x.abs() < 10.0 { format!("{x:.3}") } else { format!("{x:.1}") };
+    fn digits(x: f64) -> String {
+        if x.abs() < 10.0 { format!("{x:.3}") } else { format!("{x:.1}") }
+    }
     let deviation = deviation.map_or(String::new(), |deviation| format!("\u{b1}{}", digits(deviation)));
     mean.map_or(String::new(), |mean| digits(mean) + &deviation)
 }

@@ -36,7 +36,9 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     sheet.ticks_across(&across, RIGHT, true);
     sheet.ticks_up(&up);
     // A front is drawn above the other points, and its labels are placed first.
-    let is_front = |one: &Series| matches!(one, Series::Front(..));
+    fn is_front(one: &Series) -> bool {
+        matches!(one, Series::Front(..))
+    }
     let mut order: Vec<(usize, &Series)> = series.iter().enumerate().collect();
     order.sort_by_key(|(_, one)| is_front(one));
     let mut labels = Vec::new();
@@ -168,7 +170,9 @@ pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<
 }
 
 fn barred(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f64>)], stacked: bool) -> String {
-    let value = |series: &(String, Vec<f64>), place: usize| series.1.get(place).copied().unwrap_or(0.0);
+    fn value(series: &(String, Vec<f64>), place: usize) -> f64 {
+        series.1.get(place).copied().unwrap_or(0.0)
+    }
     let tops: Vec<f64> = match stacked {
         true => (0..categories.len()).map(|place| series.iter().map(|one| value(one, place)).sum()).collect(),
         false => series.iter().flat_map(|(_, values)| values.iter().copied()).collect(),

@@ -146,7 +146,9 @@ impl TunedIntegers {
     /// A sentence for a model's provenance.
     pub fn provenance_text(&self) -> String {
         let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
-        let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
+        fn change(before: &TaskScore, after: &TaskScore) -> String {
+            format!("{:.4} -> {:.4}", before.accuracy, after.accuracy)
+        }
         let (before, after) = self.tuned.scores();
         let unseen = held_out.map_or_else(String::new, |held| {
             let change = change(&held.before, &held.after);

@@ -48,7 +48,9 @@ pub struct CommandWords<'a> {
 }
 
 fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
+    fn plain(c: char) -> bool {
+        c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c)
+    }
     if !word.is_empty() && word.chars().all(plain) {
         word.to_string()
     } else {
@@ -102,11 +104,13 @@ fn candidates(cause: Cause, graph: &Graph) -> Vec<(&'static str, Vec<String>)> {
 /// Thresholds, biases and weights of populations in the chip's integers, doubled `times` times. The
 /// rounding of current and voltage then weighs less. `None` if a field cannot represent a value.
 fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
-    let same = |p: &NeuronParameters, name: &str| match p.get(name).map(|values| &values.each) {
-        None => Some(p.value(name, 0) as i64),
-        Some(PerCompartment::Same(value)) => Some(*value as i64),
-        Some(PerCompartment::Each(_)) => None,
-    };
+    fn same(p: &NeuronParameters, name: &str) -> Option<i64> {
+        match p.get(name).map(|values| &values.each) {
+            None => Some(p.value(name, 0) as i64),
+            Some(PerCompartment::Same(value)) => Some(*value as i64),
+            Some(PerCompartment::Each(_)) => None,
+        }
+    }
     // A population with the greatest threshold is read out by its potential.
     let never = f64::from(ThresholdMantissa::MAX.get());
     let in_integers = |kind: &PopulationKind| match kind {
@@ -212,7 +216,9 @@ fn remedy(
         );
         return spelled(&changes, what);
     }
-    let total = |distance: &Distance| distance.class_agreement.unwrap_or(1.0) + distance.coincidence;
+    fn total(distance: &Distance) -> f64 {
+        distance.class_agreement.unwrap_or(1.0) + distance.coincidence
+    }
     let mut best: Option<(&str, Vec<String>, Distance)> = None;
     // A model that is read again has the resets of its file.
     let replaced = !graph.has_srm() && staged.causes().contains(&Cause::HardReset);

@@ -101,13 +101,15 @@ pub struct Converted {
 
 /// Whether a network has real numbers that become integers.
 pub fn is_real(graph: &Graph) -> bool {
-    let real = |kind: &PopulationKind| match kind {
-        PopulationKind::Input => false,
-        PopulationKind::Srm(_) => true,
-        PopulationKind::Neurons(parameters) => {
-            ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.real(name).is_some())
+    fn real(kind: &PopulationKind) -> bool {
+        match kind {
+            PopulationKind::Input => false,
+            PopulationKind::Srm(_) => true,
+            PopulationKind::Neurons(parameters) => {
+                ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.real(name).is_some())
+            }
         }
-    };
+    }
     graph.populations().any(|(_, population)| real(&population.kind))
         || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some())
 }
