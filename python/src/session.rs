@@ -15,6 +15,7 @@ use nsim::session::learning::parse_probe;
 use nsim::session::outcome::Probe;
 use nsim::session::priced::MeteredMapping;
 use nsim::session::samples::{Division, lay_out};
+use nsim::session::session::append_before_pruning;
 use numpy::{Element, PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
@@ -484,12 +485,9 @@ impl Population {
             return Err(usage(message, &format!("their state is: {}", known.join(", "))));
         };
         let engine = stepped.engine();
-        // Pruned compartments have state 0.
-        let mut values = vec![0; network.units_before_pruning(self.id) as usize];
-        for i in 0..population.shape.len() {
-            values[network.index_before_pruning(self.id, i) as usize] =
-                engine.state(CompartmentId(first.0 + i), column);
-        }
+        let states = (0..population.shape.len()).map(|i| (i, engine.state(CompartmentId(first.0 + i), column)));
+        let mut values = Vec::new();
+        append_before_pruning(network, self.id, states, &mut values);
         Ok(PyArray1::from_vec(py, values))
     }
 }
