@@ -108,9 +108,9 @@ pub fn print(
     Ok(io::write::stdout(&out)?)
 }
 
-/// Whether stages without countable parts are shown.
+/// Whether stages without countable parts are displayed.
 static SPINNERS_ALLOWED: AtomicBool = AtomicBool::new(false);
-/// Number of active bars and stages. A stage is shown only if no other is active.
+/// Number of active bars and stages. A stage is displayed only if no other is active.
 static ACTIVE_STAGES: AtomicUsize = AtomicUsize::new(0);
 
 /// Sets whether [`spinner`] shows stages.

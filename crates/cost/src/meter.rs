@@ -22,7 +22,7 @@ use nsim_ir::base::units::{Femtojoules, Picoseconds};
 /// Sums over steps under one preset, exact.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StepSums {
-    /// Number of steps.
+    /// Timesteps that were added.
     pub steps: u64,
     /// Energy of their events.
     pub energy: Femtojoules,

@@ -170,7 +170,7 @@ fn inputs_on_chip(case: &EstimateInput<'_>, without_host: &Deployment) -> Option
 pub struct Evaluation {
     /// The report, its detail included.
     pub energy: EnergyReport,
-    /// The run.
+    /// Outcomes, counts and meter of the samples.
     pub run: Run<StepMeter>,
     /// The numbers of cores of its cost.
     pub deployment: Deployment,

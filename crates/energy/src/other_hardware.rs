@@ -34,7 +34,7 @@ fn load() -> Option<f64> {
 /// The workload of one copy.
 #[derive(Debug, Clone, Copy)]
 pub struct CopyWorkload<'a> {
-    /// The network.
+    /// The network in integers, without relays and other additions for the chip.
     pub network: &'a Quantised,
     /// The network, mapped alone.
     pub program: Option<&'a Arc<Program>>,

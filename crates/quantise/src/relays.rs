@@ -53,7 +53,7 @@ pub struct Relayed {
     pub network: Quantised,
     /// By population of the original, the steps by which its spikes are later.
     pub later: IdVec<PopulationId, u32>,
-    /// Number of relays.
+    /// Relay compartments that were added.
     pub relays: u32,
     /// Levels of the deepest tree.
     pub levels: u32,

@@ -83,7 +83,7 @@ impl Findings {
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
         for part in self.tables.iter().filter(|part| part.rows_in_text > 0) {
-            // Sources are sentences, and the shown rows are of one preset: both are omitted.
+            // Sources are sentences, and the printed rows are of one preset: both are omitted.
             let is_shown = |at: &usize| !["source", "preset"].contains(&part.columns[*at]);
             let columns: Vec<usize> = (0..part.columns.len()).filter(is_shown).collect();
             let header: Vec<&str> = columns.iter().map(|&at| part.columns[at]).collect();

@@ -31,7 +31,7 @@ use nsim_ir::resource::{Limits, Resource};
 pub struct MapRequest<'a> {
     /// The model's name.
     pub model: &'a str,
-    /// The target.
+    /// Target to map on.
     pub target: &'a Target,
     /// Options of the compiler.
     pub options: &'a Options,

@@ -50,7 +50,7 @@ const RARE: u64 = 20;
 pub struct SuiteCase {
     /// Its name in results.
     pub name: &'static str,
-    /// Number of copies.
+    /// Copies of the network that are mapped together.
     pub copies: u32,
     /// Whether it is skipped unless all networks are requested.
     pub large: bool,

@@ -20,7 +20,7 @@ use nsim_session::front::check;
 
 /// Columns of the table, in which each array or text is a row.
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
-/// Characters of a text that are shown.
+/// Most characters of a text that are printed.
 const MOST_TEXT: usize = 60;
 /// Most rows of a table, as files may hold a group for each of very many nodes.
 const MOST_ROWS: usize = 1 << 12;

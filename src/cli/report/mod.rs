@@ -1,8 +1,8 @@
 //! `nsim report`: a run, or saved results, as one page.
 //!
 //! Output: an HTML file that opens without a network. A model is run and priced as in `nsim
-//! energy`; every step of its first sample is shown. A model in real numbers is also compared with
-//! its trained form.
+//! energy`; the page has every step of its first sample. A model in real numbers is also compared
+//! with its trained form.
 
 use std::path::{Path, PathBuf};
 

@@ -45,7 +45,7 @@ pub struct MeasurementsFile {
     pub notes: String,
     /// The model whose activity represents the workload.
     pub model: String,
-    /// The target.
+    /// Name of the target that was measured.
     pub target: String,
     /// Number of copies; each figure is the share of one.
     pub copies: u32,

@@ -27,7 +27,7 @@ pub struct Ratio {
 /// Time and energy of one sample on one piece of hardware.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PerSample {
-    /// The hardware.
+    /// Name of the hardware, as in the energy table.
     pub hardware: String,
     /// Time from its first timestep to its last, us.
     pub time_us: f64,

@@ -70,7 +70,7 @@ impl JobPart {
 pub struct ConstantEntry {
     /// Its name; barriers carry their number of tiles.
     pub name: String,
-    /// The number.
+    /// Value, in `unit`.
     pub value: f64,
     /// Its unit.
     pub unit: Unit,

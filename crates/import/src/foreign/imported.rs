@@ -183,7 +183,7 @@ impl Format {
 pub struct Imported {
     /// Name of the file's format.
     pub kind: &'static str,
-    /// The model.
+    /// The network as a model file of nsim.
     pub model: NetworkFile,
     /// The conventions by which it was read, and the changes.
     pub notes: Vec<String>,

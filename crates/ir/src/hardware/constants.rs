@@ -452,7 +452,7 @@ macro_rules! constants {
                 others
             }
 
-            /// Drops the errors of these classes, when the constants behind them change.
+            /// Drops the errors of these classes, when their constants change.
             pub fn forget_errors(&mut self, classes: &[FigureClass]) {
                 self.errors.retain(|error| !classes.contains(&error.class));
             }

@@ -40,13 +40,6 @@ impl SynapseFormat {
     pub const fn is_plastic(self) -> bool {
         self.rule.is_some()
     }
-
-    /// The nearest weight of the format toward 0.
-    pub fn toward_zero(self, weight: i16) -> i16 {
-        let (low, high) = self.sign.range(self.bits);
-        let weight = weight.clamp(low, high);
-        weight - weight % self.sign.step(self.bits)
-    }
 }
 
 /// A separate sum, which is narrowed before it is added to its port. It sums the arrivals of a

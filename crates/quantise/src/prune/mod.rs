@@ -327,7 +327,7 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
     (parts, kept)
 }
 
-/// Warning of a convolution that is no kernel any more.
+/// Warning of a convolution whose synapses pruning lists, instead of a kernel.
 fn listed(network: &Quantised, projection: &Projection, left: &Connectivity) -> Warning {
     let message = format!(
         "--prune lists the {} synapses of the convolution {} one by one, which can take more cores than its kernel: \

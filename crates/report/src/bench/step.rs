@@ -11,7 +11,7 @@ use nsim_files::table::{Column, csv, table_of, three, wrapped};
 pub struct StepRow {
     /// The standard network.
     pub network: &'static str,
-    /// Number of threads.
+    /// Threads of the run.
     pub threads: usize,
     /// Whether idle compartments were skipped.
     pub skip: bool,

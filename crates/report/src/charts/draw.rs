@@ -44,7 +44,7 @@ pub(super) fn stroked(colour: &str, width: f64, dashes: &str) -> String {
 pub struct Axis {
     /// Its quantity, with unit.
     pub label: String,
-    /// Whether it is logarithmic; then only positive numbers are shown.
+    /// Whether it is logarithmic; then only positive numbers are drawn.
     pub log: bool,
 }
 

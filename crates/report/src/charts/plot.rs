@@ -254,7 +254,7 @@ mod tests {
             .take(2)
             .map(|rect| rect.split("height=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap())
             .collect();
-        // The second stands on the first: their heights are as 30 to 70.
+        // The second bar is above the first: their heights are as 30 to 70.
         assert!((tops[1] / tops[0] - 70.0 / 30.0).abs() < 0.01, "{tops:?} {svg}");
         let svg = bars("b", "y", &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
         assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);

@@ -47,7 +47,7 @@ pub struct Panel {
 /// One sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panels {
-    /// The title.
+    /// Title above the panels.
     pub title: String,
     /// Common quantity of all panels; empty where panels name their own.
     pub y_label: String,

@@ -97,7 +97,7 @@ pub enum BuildError {
 /// A network with its input.
 #[derive(Debug, Clone)]
 pub struct BenchNetwork {
-    /// The network.
+    /// The network in integers.
     pub network: Quantised,
     /// Its input, to be repeated.
     pub period: Sample,

@@ -113,7 +113,7 @@ pub fn is_among(row: &PaperRow, cells: &[&str], neurons: &[Neurons]) -> bool {
 /// Tested networks of a cell, one for each fold.
 #[derive(Debug)]
 pub struct TestedNetworks<'a> {
-    /// The cell.
+    /// Task and senses of the networks.
     pub cell: Cell,
     /// Its loss.
     pub loss: &'a str,

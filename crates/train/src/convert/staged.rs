@@ -68,7 +68,7 @@ pub struct MeasuredDistance {
     pub distance: Distance,
     /// Name of each layer, coincidence (none where nothing spikes), spikes of the integers.
     pub layers: Vec<(String, Option<f64>, u64)>,
-    /// Number of samples.
+    /// Samples on which the distance was measured.
     pub samples: usize,
     /// Fractions of right classes of that network and of the integers, if all samples have labels.
     pub accuracy: Option<(f64, f64)>,
@@ -169,9 +169,9 @@ pub fn convert(
     }
     let output = output_layer(staged.deployed());
     let trained = attribution::as_trained(&staged, &output, samples);
-    let mut rungs: Vec<(&StagedNetwork, ComparisonStage)> = vec![(&staged, ComparisonStage::MACHINE)];
-    rungs.extend(stages.iter().filter_map(|stage| Some((stage.staged.as_ref()?, ComparisonStage::MACHINE))));
-    let mut all = attribution::compare_stages((&staged, trained), &rungs, &output, samples).into_iter();
+    let mut stage_pairs: Vec<(&StagedNetwork, ComparisonStage)> = vec![(&staged, ComparisonStage::MACHINE)];
+    stage_pairs.extend(stages.iter().filter_map(|stage| Some((stage.staged.as_ref()?, ComparisonStage::MACHINE))));
+    let mut all = attribution::compare_stages((&staged, trained), &stage_pairs, &output, samples).into_iter();
     let none = || attribution::StageComparison::new(0, std::iter::empty());
     let calibration = by_layer(&staged, all.next().unwrap_or_else(none), samples.len());
     let distances_of_stages: Vec<Distance> = stages
