@@ -38,7 +38,7 @@ fn network(semantics: Option<LearningSemantics>) -> Quantised {
     };
     let out = builder.loihi_with("out", Shape::Line(COMPARTMENTS), PerCompartment::Same(neuron));
     let one_to_one: Vec<_> = (0..COMPARTMENTS).map(|unit| vec![(unit, 254)]).collect();
-    builder.connect((input, out), format(6, SignMode::Mixed, 8), 0, sparse(one_to_one));
+    builder.connect(input, out, format(6, SignMode::Mixed, 8), 0, sparse(one_to_one));
     let random = Connectivity::Random {
         targets: COMPARTMENTS,
         fan_out: FAN_OUT,
@@ -48,7 +48,7 @@ fn network(semantics: Option<LearningSemantics>) -> Quantised {
         seed: 3,
         first_source: 0,
     };
-    builder.connect((out, out), plain_format(), 0, random);
+    builder.connect(out, out, plain_format(), 0, random);
     if let Some(semantics) = semantics {
         let trace = TraceSettings { impulse: Impulse::try_from(16.0).unwrap(), tau: Tau::try_from(10.0).unwrap() };
         let mut text = RuleText { epoch: 4, semantics, ..RuleText::default() };

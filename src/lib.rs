@@ -18,7 +18,7 @@
 //!     nsim::stimulus(&compiled.one, &["scene:slip?samples=2".to_string()], None, None)?;
 //! let priced = nsim::run_priced(&compiled, &target, &stimulus.samples)?;
 //! assert_eq!(priced.outcomes.len(), 2);
-//! let total = priced.estimate.rows.iter().find(|row| row.unit == "total");
+//! let total = priced.estimate.row(nsim::cost::estimate::RowUnit::Total);
 //! assert!(total.and_then(|row| row.energy_uj).is_some_and(|energy| energy > 0.0));
 //! # Ok(())
 //! # }

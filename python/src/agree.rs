@@ -22,10 +22,10 @@ use nsim::session::front::real_and_integers;
 use nsim::session::obtain::map_with_defaults;
 use nsim::session::samples::Progress;
 use nsim::train::convert::calibration::RunInput;
-use nsim::train::convert::copies::{DEFAULT_COPIES, MOST_COPIES};
 use nsim::train::convert::deployed::{Conversion, ConversionSettings, ConvertedIntegers};
 use nsim::train::convert::next::suggest_in_python;
 use nsim::train::convert::staged::is_real;
+use nsim::train::convert::taps::{DEFAULT_TAPS, MOST_TAPS};
 use pyo3::prelude::*;
 use serde_json::Value;
 
@@ -56,7 +56,7 @@ struct Settings {
     conversion: Conversion,
     calibrate: Vec<String>,
     calibration_samples: usize,
-    delayed_copies: usize,
+    most_taps: usize,
     steps: Option<u32>,
     /// Most samples of the attribution; 0 without one.
     attribution_samples: usize,
@@ -77,7 +77,7 @@ impl Settings {
             conversion: conversion.unwrap_or(Conversion::Search),
             calibrate: sources(keywords.take("calibrate")?.as_ref())?,
             calibration_samples: count_keyword(keywords, "calibration_samples", 60, MOST_SAMPLES)?,
-            delayed_copies: count_keyword(keywords, "delayed_copies", DEFAULT_COPIES, MOST_COPIES)?,
+            most_taps: count_keyword(keywords, "delayed_copies", DEFAULT_TAPS, MOST_TAPS)?,
             steps: keywords.whole("steps", 1..=u32::MAX.into())?.map(|steps| steps as u32),
             attribution_samples: count_keyword(keywords, "attribution_samples", 100, MOST_SAMPLES)?,
             plot: None,
@@ -208,9 +208,9 @@ impl Comparison<'_> {
             calibrate: &settings.calibrate,
             run: RunInput { sources: &stimulus.origin, seed: stimulus.seed, scene: self.scene },
             wanted: settings.calibration_samples,
-            most_copies: settings.delayed_copies,
+            most_taps: settings.most_taps,
         };
-        let integers = ConvertedIntegers::find((graph, written), choice, &samples, |_| progress())?;
+        let integers = ConvertedIntegers::find(graph, written, choice, &samples, |_| progress())?;
         let (fits, staged) = (&integers.fits, integers.staged(graph)?);
         let program = &map_with_defaults(staged.deployed().clone(), self.target)?.program;
         let steps = settings.steps;

@@ -6,9 +6,9 @@ use nsim::files::network::NetworkFile;
 use nsim::files::shipped;
 use nsim::report::convert::ConvertReport;
 use nsim::train::convert::calibration::{self, RunInput};
-use nsim::train::convert::copies::{DEFAULT_COPIES, MOST_COPIES};
 use nsim::train::convert::fine_tune::trainable;
 use nsim::train::convert::job::{FineTuning, Job, SampleSplit};
+use nsim::train::convert::taps::{DEFAULT_TAPS, MOST_TAPS};
 use pyo3::prelude::*;
 use serde_json::Value;
 use std::path::PathBuf;
@@ -51,7 +51,7 @@ impl Conversion {
         let searched = |given| Ok::<_, PyErr>(NetworkInput::new(&job.integers, None, Some(given), &layout)?.stimulus);
         let searched = calibrate.as_ref().map(searched).transpose()?;
         let wanted = count_keyword(keywords, "calibration_samples", 60, MOST_SAMPLES)?;
-        let copies = count_keyword(keywords, "delayed_copies", DEFAULT_COPIES, MOST_COPIES)?;
+        let taps = count_keyword(keywords, "delayed_copies", DEFAULT_TAPS, MOST_TAPS)?;
         let epochs = keywords.whole("fine_tune", 0..=MOST_EPOCHS.into())?.unwrap_or(0) as u32;
         if epochs > 0 {
             trainable(&job.graph).map_err(|problem| exception(py, problem))?;
@@ -74,7 +74,7 @@ impl Conversion {
                 None => calibration::stimulus(&job.integers, &[], run, wanted)?,
             };
             let split = SampleSplit::new(origin, &samples, apart.as_ref(), wanted);
-            let done = job.convert(&split, copies, |_| progress())?;
+            let done = job.convert(&split, taps, |_| progress())?;
             let tuned = match epochs {
                 0 => None,
                 _ => {

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use nsim::cost::estimate::Convention;
+use nsim::cost::estimate::{Convention, RowUnit};
 use nsim::cost::job::{Accounting, Mode};
 use nsim::cost::{Host, MeterSettings, Streams, Transport};
 use nsim::energy::evaluate::{DeploymentPlan, Evaluation, evaluate, session_settings};
@@ -189,7 +189,7 @@ impl Energy {
     }
 
     fn total(&self, figure: &str) -> Option<f64> {
-        self.report.estimate.rows.iter().find(|row| row.unit == "total")?.figure(figure)
+        self.report.estimate.row(RowUnit::Total)?.figure(figure)
     }
 }
 

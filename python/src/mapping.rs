@@ -12,8 +12,8 @@ use nsim::ir::base::warning::Warning;
 use nsim::ir::hardware::Target;
 use nsim::ir::quantised::Population;
 use nsim::session::obtain::{Job, Request, TargetChoice, obtain};
-use nsim::train::convert::copies::DEFAULT_COPIES;
-use nsim::train::convert::prepare::integers;
+use nsim::train::convert::prepare::conversion;
+use nsim::train::convert::taps::DEFAULT_TAPS;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 
@@ -58,13 +58,12 @@ impl MappingRequest {
     }
 
     fn obtain_mapping(&self, model: &str, network: &Network) -> Result<(compile::Mapping, Target), nsim::Error> {
-        let integers = |network: &Network| integers(network, DEFAULT_COPIES);
         let request = Request {
             target: TargetChoice::Named(self.target.as_deref()),
             mapping: self.file.as_deref(),
             copies: self.copies,
             options: self.options,
-            ..Request::new(model, network, &integers)
+            ..Request::new(model, network, conversion(DEFAULT_TAPS))
         };
         match obtain(&request)? {
             Job::Mapped(compiled, target, _) => Ok((*compiled, *target)),

@@ -11,8 +11,8 @@ use nsim::files::network::learning::RuleDesc;
 use nsim::files::network::{
     Conventions, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor,
 };
-use nsim::import::foreign::hdf5::{Group, Numbers};
 use nsim::import::foreign::{self, DecayRule, Imported, Options, Reading, ResetMode, Tool};
+use nsim::import::hdf5::{Group, Numbers};
 use nsim::ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim::ir::base::diagnostic::Diagnostic;
 use nsim::ir::base::fixed::SignMode;
@@ -322,7 +322,8 @@ pub fn import_bytes(
 pub fn import_nodes(
     py: Python<'_>,
     name: &str,
-    (nodes, edges): (&Bound<'_, PyDict>, Vec<(String, String)>),
+    nodes: &Bound<'_, PyDict>,
+    edges: Vec<(String, String)>,
     held: &[String],
     keywords: &Keywords<'_>,
 ) -> PyResult<(Network, Vec<String>)> {

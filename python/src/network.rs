@@ -85,7 +85,7 @@ pub fn from_nodes(
     notes: Vec<String>,
     options: Option<&Bound<'_, PyDict>>,
 ) -> PyResult<Network> {
-    let (network, conventions) = memory::import_nodes(py, name, (nodes, edges), &held, &Keywords::new(options)?)?;
+    let (network, conventions) = memory::import_nodes(py, name, nodes, edges, &held, &Keywords::new(options)?)?;
     Network::without_file(py, network, [conventions, notes].concat())
 }
 
@@ -131,7 +131,7 @@ pub fn check_recording(
     let shown = NetworkInput::new(&integers, None, Some(spikes), &Keywords::new(None)?)?;
     let sample = |(steps, events)| PopulationSpikes { steps, events, ..PopulationSpikes::default() };
     let recorded: Vec<PopulationSpikes> = recorded.into_iter().map(sample).collect();
-    let result = try_detached(py, || compare_recording((&graph, &integers), &shown.samples(), &recorded))?;
+    let result = try_detached(py, || compare_recording(&graph, &integers, &shown.samples(), &recorded))?;
     Ok((result.differing, result.lines().join("; ")))
 }
 

@@ -60,9 +60,9 @@ fn probes(network: &Quantised, names: &[String]) -> PyResult<Vec<Probe>> {
             return Ok(learning::probe(network, id, column, last));
         }
         let (population, what) = name.rsplit_once('.').unwrap_or((name, "spikes"));
-        let found = network.population_named(population).map(|id| &network.populations()[id]);
-        match found.filter(|found| found.first_compartment().is_some()) {
-            Some(found) => Probe::named(found, what).ok_or_else(|| {
+        let probed = network.population_named(population).map(|id| &network.populations()[id]);
+        match probed.filter(|probed| probed.first_compartment().is_some()) {
+            Some(probed) => Probe::named(probed, what).ok_or_else(|| {
                 let message = format!("probe '{name}': '{population}' has no quantity '{what}'");
                 usage(message, "a probe ends in .spikes, .message, .u, .v, .v_register or a word of its neurons' state")
             }),

@@ -15,6 +15,7 @@ use nsim::session::learning::parse_probe;
 use nsim::session::outcome::Probe;
 use nsim::session::priced::MeteredMapping;
 use nsim::session::samples::{Division, lay_out};
+use nsim::session::session::append_before_pruning;
 use numpy::{Element, PyArray1, PyArrayMethods, PyUntypedArray};
 use pyo3::exceptions::{PyKeyError, PyTypeError};
 use pyo3::prelude::*;
@@ -123,7 +124,7 @@ impl Session {
     }
 
     /// Whether a message of this population is set for the next step.
-    fn is_set_next(&self, py: Python<'_>, (first, population): (u32, &quantised::Population)) -> PyResult<bool> {
+    fn is_set_next(&self, py: Python<'_>, first: u32, population: &quantised::Population) -> PyResult<bool> {
         let channels = first..first + population.shape.len();
         self.stepped(py, |stepped| stepped.next().iter().any(|(channel, _)| channels.contains(&channel.0)))
     }
@@ -242,7 +243,7 @@ impl Session {
                     let message = format!("'{name}' is not an input population");
                     return Err(usage(message, &format!("the input populations are: {}", known.join(", "))));
                 };
-                if self.is_set_next(py, (first, population))? {
+                if self.is_set_next(py, first, population)? {
                     let message = format!("'{name}' is set for this step by session.signal too");
                     return Err(usage(message, "give it in one of them"));
                 }
@@ -484,12 +485,9 @@ impl Population {
             return Err(usage(message, &format!("their state is: {}", known.join(", "))));
         };
         let engine = stepped.engine();
-        // Pruned compartments have state 0.
-        let mut values = vec![0; network.units_before_pruning(self.id) as usize];
-        for i in 0..population.shape.len() {
-            values[network.index_before_pruning(self.id, i) as usize] =
-                engine.state(CompartmentId(first.0 + i), column);
-        }
+        let states = (0..population.shape.len()).map(|i| (i, engine.state(CompartmentId(first.0 + i), column)));
+        let mut values = Vec::new();
+        append_before_pruning(network, self.id, states, &mut values);
         Ok(PyArray1::from_vec(py, values))
     }
 }
@@ -606,8 +604,8 @@ impl Values {
     }
 
     fn signal(&self, name: &str) -> PyResult<(u32, &quantised::Population)> {
-        let found = signals(self.session.get().network()).find(|(_, population)| population.name == name);
-        found.ok_or_else(|| self.unknown(name))
+        let signal = signals(self.session.get().network()).find(|(_, population)| population.name == name);
+        signal.ok_or_else(|| self.unknown(name))
     }
 }
 
@@ -636,8 +634,8 @@ impl Values {
                 return Ok(PyArray1::from_vec(py, values).into_any());
             }
             Kind::Added => {
-                let given = session.stepped(py, |stepped| stepped.added_to(session.network(), name))?;
-                return Ok(PyArray1::from_vec(py, given.map_err(|problem| exception(py, problem))?).into_any());
+                let added = session.stepped(py, |stepped| stepped.added_to(session.network(), name))?;
+                return Ok(PyArray1::from_vec(py, added.map_err(|problem| exception(py, problem))?).into_any());
             }
             Kind::Draws => {
                 let rule = self.rule(py, name)?;

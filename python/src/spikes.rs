@@ -132,7 +132,7 @@ impl NetworkInput {
 }
 
 fn named(network: &Quantised, sources: &[String], scene: Option<&str>, seed: Option<u64>) -> PyResult<Stimulus> {
-    Python::attach(|py| work(py, true, |progress| stimulus_with_progress(network, sources, (scene, seed), progress)))
+    Python::attach(|py| work(py, true, |progress| stimulus_with_progress(network, sources, scene, seed, progress)))
 }
 
 /// Sources as for `--input`: one, a list of them, or none.

@@ -109,7 +109,7 @@ fn text(error: &Error, colour: bool) -> String {
     }
 }
 
-/// Most characters of a line that are shown around the place.
+/// Most characters of a line that are printed around the place.
 const SHOWN: usize = 90;
 
 /// The message, the line of the file with the place underlined, and the advice.

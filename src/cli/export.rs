@@ -49,7 +49,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     for note in &notes {
         tracing::warn!("{note}");
     }
-    let found = Findings {
+    let findings = Findings {
         kind,
         facts: vec![
             ("model", json!(args.model)),
@@ -61,6 +61,11 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         tables: Vec::new(),
     };
     let file = args.output.display().to_string();
-    output::print(context.format, || found.text(&file), || found.json("nsim.export/1", &file), || found.csv())?;
+    output::print(
+        context.format,
+        || findings.text(&file),
+        || findings.json("nsim.export/1", &file),
+        || findings.csv(),
+    )?;
     Ok(Answer::Yes)
 }

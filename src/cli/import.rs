@@ -131,10 +131,15 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
         Some(path) => imported.model.write(path, context.force)?,
         None => Vec::new(),
     };
-    let found = findings(&imported, &files, checked.as_ref().map(|(_, lines)| lines.as_slice()));
+    let findings = findings(&imported, &files, checked.as_ref().map(|(_, lines)| lines.as_slice()));
     let file = args.file.display().to_string();
     if !taken {
-        output::print(context.format, || found.text(&file), || found.json("nsim.import/1", &file), || found.csv())?;
+        output::print(
+            context.format,
+            || findings.text(&file),
+            || findings.json("nsim.import/1", &file),
+            || findings.csv(),
+        )?;
     }
     Ok(if checked.is_none_or(|(equal, _)| equal) { Answer::Yes } else { Answer::No })
 }

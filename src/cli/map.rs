@@ -14,7 +14,6 @@ use nsim_compile::{
 };
 use nsim_files as io;
 use nsim_files::changes::{Change, with_changes};
-use nsim_files::network::Network;
 use nsim_files::shipped;
 use nsim_files::warnings::show;
 use nsim_ir::base::diagnostic::Diagnostic;
@@ -28,7 +27,6 @@ use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
 use nsim_session::obtain::{self, MappingSettings, Request};
 use nsim_session::samples::firing_rates;
-use nsim_train::convert::prepare::integers;
 
 const EXAMPLES: &str = "\
 EXAMPLES:
@@ -110,9 +108,7 @@ pub fn run(args: &MapArgs, context: Context) -> Result<Answer> {
     let pictures = [&args.plot, &args.pareto].into_iter().flatten();
     let taken = output::check_files(&args.output, pictures, context)?;
     let network = args.job.reading.load(&args.job.model)?;
-    let most_copies = args.job.anew.copies.most();
-    let integers = |network: &Network| integers(network, most_copies);
-    let request = Request { copies: args.copies, options: options(args), ..args.job.request(&network, &integers) };
+    let request = Request { copies: args.copies, options: options(args), ..args.job.request(&network) };
     let (front, settings) = match obtain::prepare_mapping(&request) {
         Err(Error::DoesNotFit(reasons)) => return print_refusal(args, &request, &reasons, context),
         begun => begun?,

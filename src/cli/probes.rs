@@ -111,8 +111,8 @@ fn input_numbers<'s>(samples: &'s [&Sample], probe: InputProbe) -> impl Iterator
             let Spikes { ids, values } = sample.input(step);
             for (place, channel) in ids.iter().enumerate() {
                 let Some(index) = channel.0.checked_sub(first.0).filter(|&index| index < count) else { continue };
-                let given = values.get(place).copied().unwrap_or(1);
-                let carried = message.map_or(1, |message| message.factor().unwrap_or(given));
+                let payload = values.get(place).copied().unwrap_or(1);
+                let carried = message.map_or(1, |message| message.factor().unwrap_or(payload));
                 numbers[index as usize * steps + step as usize] = carried.into();
             }
         }

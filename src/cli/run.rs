@@ -144,13 +144,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     let labels: Vec<Option<u32>> = samples.iter().map(|sample| sample.label()).collect();
     let sums = CountsByPopulation::new(network, &counts);
-    let (engine, ran) = match &job {
-        // Ranks have parts of the program; the interpreter finds the same potentials.
-        Job::Mapped(..) if ranks::several().is_some() => ("fast", RunEngine::Integers),
-        Job::Mapped(compiled, ..) => ("fast", RunEngine::Program(&compiled.program)),
-        Job::Quantised(..) => ("golden", RunEngine::Integers),
-        Job::Real(..) => ("reference", RunEngine::Reals),
-    };
+    let (engine, ran) = engine_of(&job);
     let warnings = warnings(FinishedRun {
         network,
         engine: ran,
@@ -184,6 +178,17 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     }
     output::print(context.format, || report.text(), || report.json(), || report.csv())?;
     Ok(Answer::Yes)
+}
+
+/// Name of the engine that ran a job, and what it ran.
+fn engine_of(job: &Job) -> (&'static str, RunEngine<'_>) {
+    match job {
+        // Ranks have parts of the program; the interpreter finds the same potentials.
+        Job::Mapped(..) if ranks::several().is_some() => ("fast", RunEngine::Integers),
+        Job::Mapped(compiled, ..) => ("fast", RunEngine::Program(&compiled.program)),
+        Job::Quantised(..) => ("golden", RunEngine::Integers),
+        Job::Real(..) => ("reference", RunEngine::Reals),
+    }
 }
 
 /// Writes probes and random numbers, and the rows of steps; returns the files.
@@ -270,7 +275,9 @@ fn run_samples(
         }
         Job::Quantised(quantised, _) => golden(quantised, samples, keep, progress).map_meter(|()| None),
         Job::Real(graph, quantised, _) => {
-            let is_of_chip = |probe: &Probe| [Quantity::VRegister, Quantity::Message].contains(&probe.quantity);
+            fn is_of_chip(probe: &Probe) -> bool {
+                [Quantity::VRegister, Quantity::Message].contains(&probe.quantity)
+            }
             let message = "--engine reference does not support --probe .v_register and .message; probe .v or .spikes";
             refuse_if(keep.probes.iter().any(is_of_chip), message)?;
             let model = Model::<f64>::new(graph, nsim_reference::Options { kernel: args.kernel })?;

@@ -67,8 +67,8 @@ const FOLDS: usize = 5;
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let mut argument = SceneArg::parse(args.name.strip_prefix("scene:").unwrap_or(&args.name))?;
-    let given = [("samples", args.samples.map(u64::from)), ("seed", args.seed)];
-    for (key, value) in given.into_iter().filter_map(|(key, value)| Some((key, value?))) {
+    let options = [("samples", args.samples.map(u64::from)), ("seed", args.seed)];
+    for (key, value) in options.into_iter().filter_map(|(key, value)| Some((key, value?))) {
         argument.parameters.retain(|(other, _)| other != key);
         argument.parameters.push((key.to_string(), value.to_string()));
     }
@@ -96,12 +96,12 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
             SampleEntry { files, label: Some(label), onset_ms },
         ))
     };
-    let made: Vec<Result<(SampleFacts, SampleEntry), Diagnostic>> =
+    let written_samples: Vec<Result<(SampleFacts, SampleEntry), Diagnostic>> =
         progress::with_bar(context, scene.samples as usize, "scenes", |done| {
             (0..scene.samples).into_par_iter().map(make).inspect(|_| done()).collect()
         });
     let (facts, entries): (Vec<SampleFacts>, Vec<SampleEntry>) =
-        made.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
+        written_samples.into_iter().collect::<Result<Vec<_>, _>>()?.into_iter().unzip();
     if let Some(path) = &args.plot {
         let with_onset = || facts.iter().position(|fact| fact.onset_ms.is_some()).unwrap_or(0) as u32;
         let sample = args.plot_sample.unwrap_or_else(with_onset);

@@ -99,9 +99,9 @@ struct VariantCounts {
 }
 
 pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
-    let MappingArgs { relays, prune, copies } = &args.anew;
+    let MappingArgs { relays, prune, taps } = &args.anew;
     let sweep = Sweep::parse(&io::text::read_text(&args.sweep)?)?;
-    let sweep = sweep.with(args.reading.reading(), *relays, prune, copies.most());
+    let sweep = sweep.with(args.reading.reading(), *relays, prune, taps.most());
     let mut table = Table::new(&sweep);
     let axes = args.axes.as_ref().map(|[x, y]| [x.as_str(), y.as_str()]);
     for axis in axes.into_iter().flatten().chain(args.columns.iter().map(String::as_str)) {
@@ -209,11 +209,11 @@ fn variant_arguments(args: &Args) -> impl std::fmt::Debug {
 /// First line of a journal, by which it is identified: the program's version, and a digest of the
 /// part, the sweep, and the size and time of its files, which need not be opened.
 fn journal_header(args: &Args, sweep: &Sweep) -> String {
-    let of_file = |path: &Path| {
+    fn of_file(path: &Path) -> String {
         let facts = std::fs::metadata(path).ok();
         let time = facts.as_ref().and_then(|facts| facts.modified().ok()?.duration_since(UNIX_EPOCH).ok());
         format!("{:?} {time:?}", facts.as_ref().map(std::fs::Metadata::len))
-    };
+    }
     let digest = digest(&format!("{:?}", (args.shard, variant_arguments(args))), sweep, of_file);
     format!("nsim sweep {} {digest}", env!("CARGO_PKG_VERSION"))
 }

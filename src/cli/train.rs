@@ -85,19 +85,19 @@ fn save_at_signal(finished: &Mutex<Option<TrainingState>>, checkpoint: &Checkpoi
 pub(in crate::cli) fn train(
     plan: &Plan,
     examples: &[Example],
-    kept: Option<&Path>,
+    checkpoint: Option<&Path>,
     context: Context,
 ) -> Result<(TrainingState, f64)> {
-    let kept = kept.map(|path| Checkpoint::new(path, plan, examples));
+    let checkpoint = checkpoint.map(|path| Checkpoint::new(path, plan, examples));
     let bar = progress::bar(context, u64::from(plan.epochs), "epochs");
     let finished = Arc::new(Mutex::new(None));
-    let _ending = kept.clone().map(|kept| {
+    let _ending = checkpoint.clone().map(|checkpoint| {
         let (finished, epochs) = (Arc::clone(&finished), plan.epochs);
-        signals::at_end(move || save_at_signal(&finished, &kept, epochs))
+        signals::at_end(move || save_at_signal(&finished, &checkpoint, epochs))
     });
-    let done = job::train(plan, examples, kept.as_ref(), |state| {
+    let done = job::train(plan, examples, checkpoint.as_ref(), |state| {
         bar.set(u64::from(state.epoch));
-        if kept.is_some()
+        if checkpoint.is_some()
             && let Ok(mut finished) = finished.lock()
         {
             *finished = Some(state.clone());

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
-use nsim::import::foreign::hdf5;
-use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::import::hdf5;
+use nsim::import::hdf5::{Group, Item, Numbers};
 use serde_json::Value;
 
 use crate::common::command;

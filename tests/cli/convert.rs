@@ -57,8 +57,8 @@ fn srm() -> Graph {
     )
 }
 
-fn choices(most_copies: usize) -> ConversionLimits {
-    ConversionLimits { most_copies, soft_reset: false }
+fn choices(most_taps: usize) -> ConversionLimits {
+    ConversionLimits { most_taps, soft_reset: false }
 }
 
 fn samples(seeds: std::ops::Range<u64>) -> Vec<Sample> {
@@ -184,12 +184,12 @@ fn fine_tuning_starts_at_the_integers_and_keeps_what_golden_confirms() {
     let examples: Vec<Example> =
         all.iter().map(|sample| Example::from_sample(&converted.network, sample).unwrap()).collect();
     let (shown, held) = examples.split_at(48);
-    let nothing = task().run((shown, held), 0, &|| (), |_| ()).unwrap();
+    let nothing = task().run(shown, held, 0, &|| (), |_| ()).unwrap();
     let start = task().integers(&nothing.weights).unwrap();
     assert_eq!(numbers(start.deployed()), numbers(&converted.network));
     assert_eq!(nothing.kept, 0);
     let mut kept = Vec::new();
-    let tuned = task().run((shown, held), 4, &|| (), |best| kept.push(best.epoch)).unwrap();
+    let tuned = task().run(shown, held, 4, &|| (), |best| kept.push(best.epoch)).unwrap();
     assert_eq!((kept.first(), kept.last()), (Some(&0), Some(&tuned.kept)));
     assert_eq!((tuned.rows.len(), tuned.samples), (5, 48));
     // The golden interpreter counts these scores.
@@ -204,7 +204,7 @@ fn fine_tuning_starts_at_the_integers_and_keeps_what_golden_confirms() {
     assert!(tuned.kept > 0 && after.loss < before.loss, "{:?}", tuned.rows);
     // Threads and repetition change nothing.
     let again = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let again = again.install(|| task().run((shown, held), 4, &|| (), |_| ()).unwrap());
+    let again = again.install(|| task().run(shown, held, 4, &|| (), |_| ()).unwrap());
     assert_eq!((again.weights, again.rows), (tuned.weights, tuned.rows));
 }
 

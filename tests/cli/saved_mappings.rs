@@ -119,7 +119,7 @@ fn small(n: u32, seed: u64) -> Quantised {
         }))
     };
     let inputs = (0..n).map(|s| if draw(s, 0, 3) == 0 { vec![s] } else { Vec::new() }).collect();
-    net.connect((input, all), format(SignMode::Mixed, 0), 0, listed(inputs));
+    net.connect(input, all, format(SignMode::Mixed, 0), 0, listed(inputs));
     // Numbered across the ring, so the order of the file is not the order in space.
     let at = |place: u32| place * 5 % n;
     let mut near = vec![Vec::new(); n as usize];
@@ -128,7 +128,7 @@ fn small(n: u32, seed: u64) -> Quantised {
         let targets = (1..=2 + draw(source, 1, 2) as u32).map(|d| at((place + d) % n));
         near[source as usize] = targets.filter(|&t| draw(source, 10 + u64::from(t), 5) > 0).collect();
     }
-    net.connect((all, all), format(SignMode::Mixed, 0), 0, listed(near));
+    net.connect(all, all, format(SignMode::Mixed, 0), 0, listed(near));
     net.build()
 }
 

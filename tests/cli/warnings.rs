@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use nsim::files::npy;
-use nsim::import::foreign::hdf5::{self, Group, Numbers};
+use nsim::import::hdf5::{self, Group, Numbers};
 use nsim::ir::base::warning::WarningCode;
 use serde_json::{Value, json};
 

@@ -49,7 +49,7 @@ impl Drive {
             };
             let connectivity = sparse((0..synapses).map(|channel| vec![(channel / channels, weight(channel))]));
             let exponent = if channels == COARSE { 7 } else { 0 };
-            net.connect((source, target), format(sign, exponent), 0, connectivity);
+            net.connect(source, target, format(sign, exponent), 0, connectivity);
         }
     }
 

@@ -205,7 +205,7 @@ pub fn drawn(draw: &mut Draw, most: usize) -> Quantised {
                 _ => 0,
             };
             let connectivity = connectivity(draw, format, shapes[source], shapes[target]);
-            net.connect((ids[source], ids[target]), format, delay, connectivity);
+            net.connect(ids[source], ids[target], format, delay, connectivity);
         }
     }
     net.build()
@@ -416,7 +416,7 @@ pub fn drawn_convolutions(draw: &mut Draw) -> Quantised {
             true => Connectivity::SumPool2d { window, weight: draw.weight(format) },
             false => convolution(draw, window, format),
         };
-        net.connect((from, to), format, draw.one_of(&[0, 0, 1, 17, 62]), connectivity);
+        net.connect(from, to, format, draw.one_of(&[0, 0, 1, 17, 62]), connectivity);
         layers.push((to, shape));
     }
     let (last, shape) = layers[layers.len() - 1];
@@ -427,7 +427,7 @@ pub fn drawn_convolutions(draw: &mut Draw) -> Quantised {
         let window = recurrent(shape, 1);
         let format = random_format(draw);
         let connectivity = convolution(draw, window, format);
-        net.connect((last, to), format, 0, connectivity);
+        net.connect(last, to, format, 0, connectivity);
         layers.push((to, shape));
     }
     if draw.chance(40) {
@@ -435,7 +435,7 @@ pub fn drawn_convolutions(draw: &mut Draw) -> Quantised {
         let window = recurrent(shape, draw.from(1, 3) as u32);
         let format = random_format(draw);
         let connectivity = convolution(draw, window, format);
-        net.connect((to, to), format, draw.from(0, 9), connectivity);
+        net.connect(to, to, format, draw.from(0, 9), connectivity);
     }
     net.build()
 }

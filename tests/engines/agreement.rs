@@ -97,7 +97,7 @@ fn chosen(graph: &Graph) -> Vec<Option<Fit>> {
     let moved = |fit: Fit, count: u32| Fit {
         dv: nsim::ir::base::fixed::Decay::new(900).unwrap(),
         refractory: nsim::ir::base::fixed::Refractory::new(2).unwrap(),
-        copies: vec![(2, 0.7), (5, 0.4)],
+        taps: vec![(2, 0.7), (5, 0.4)],
         own: vec![vec![fit.threshold * 0.2], (0..count).map(|i| -0.02 * fit.threshold * f64::from(i)).collect()],
         threshold: fit.threshold * 0.6,
         ..fit

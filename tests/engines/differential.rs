@@ -198,7 +198,7 @@ fn wide_convolution(side: u32) -> Quantised {
     let window =
         Window { source: from, target: to, kernel: (3, 3), stride: once, padding: (0, 0), dilation: once, groups: 1 };
     let kernel = (0..64 * 64 * 9).map(|k| rng::below(101, 7, k, 0) as i16 * 2 - 90).collect();
-    net.connect((input, out), format(SignMode::Mixed, 0), 0, Connectivity::Conv2d { window, kernel });
+    net.connect(input, out, format(SignMode::Mixed, 0), 0, Connectivity::Conv2d { window, kernel });
     net.build()
 }
 

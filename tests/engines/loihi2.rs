@@ -40,7 +40,7 @@ fn alone(kind: NeuronKind, rows: &[Vec<i64>]) -> Quantised {
     let target = net.each("target", Shape::Line(count), &neurons, 0);
     for (input, port) in inputs.into_iter().zip([Port::First, Port::Second]) {
         let own = sparse((0..count).map(|unit| vec![(unit, 1)]));
-        net.connect((input, target), SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, own);
+        net.connect(input, target, SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, own);
     }
     for population in net.parts.populations.iter_mut() {
         let values = matches!(population.units, Units::Input(_)) || kind.table().emits == Emits::Values;
@@ -291,14 +291,14 @@ fn recorded_layers_of_resonators_match_bit_for_bit() {
     let mut own = net.each("direct", Shape::Line(200), &neurons(NeuronKind::RfIz, &[3042, 2426, 70, 6, 12], 200), 0);
     for port in [Port::First, Port::Second] {
         let one = sparse((0..200).map(|unit| vec![(unit, 1)]));
-        net.connect((source, own), SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, one);
+        net.connect(source, own, SynapseFormat { port, ..format(SignMode::Excitatory, 0) }, 0, one);
     }
     own = net.each("behind", Shape::Line(256), &neurons(NeuronKind::Rf, &[2103, 3273, 1600, 6, 12], 256), 0);
     for (port, weights) in [(Port::First, &real), (Port::Second, &imag)] {
         let by_source = (0..200).flat_map(|s| (0..256).map(move |t| weights.at([t, s]) as i16)).collect();
         // Entry t of the input is sent in step t and arrives a step later.
         let dense = Connectivity::Dense { targets: 256, weights: by_source };
-        net.connect((source, own), SynapseFormat { port, ..format(SignMode::Mixed, 0) }, 1, dense);
+        net.connect(source, own, SynapseFormat { port, ..format(SignMode::Mixed, 0) }, 1, dense);
     }
     let events: Vec<_> = (0..input.values.len())
         .filter(|&at| input.values[at] != 0)

@@ -157,7 +157,7 @@ fn recorded(
     let rows = samples.iter().map(|sample| u64::from(sample.steps())).sum();
     let mut file = Vec::new();
     let table = StepWriter::new(&mut file, format, layout.columns(), Some(rows)).unwrap();
-    let (run, written) = run_recorded(&metered, settings, (samples, RunSettings::new(&keep)), &layout, table).unwrap();
+    let (run, written) = run_recorded(&metered, settings, samples, RunSettings::new(&keep), &layout, table).unwrap();
     written.unwrap();
     (run, layout, file)
 }

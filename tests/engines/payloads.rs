@@ -149,7 +149,7 @@ fn every_form_of_synapses_carries_payloads() {
                 seed,
                 first_source: sources * seed as u32,
             };
-            net.connect((source, layer), format(SignMode::Mixed, exponent), seed as i64 - 1, connectivity);
+            net.connect(source, layer, format(SignMode::Mixed, exponent), seed as i64 - 1, connectivity);
             net.parts.populations[source].message = Message::Payload(Payload::new(401).unwrap());
         }
         let network = net.build();
@@ -180,7 +180,7 @@ fn values_may_outgrow_the_sums_that_they_began_with() {
             groups: 1,
         };
         let kernel = (0..2 * 4 * 121).map(|k| k % 101 * 2 - 100).collect();
-        net.connect((input, out), format(SignMode::Mixed, 0), delay, Connectivity::Conv2d { window, kernel });
+        net.connect(input, out, format(SignMode::Mixed, 0), delay, Connectivity::Conv2d { window, kernel });
         for population in net.parts.populations.iter_mut() {
             population.message = Message::Value(MessageBits::MAX);
         }

@@ -270,8 +270,8 @@ pub fn chain() -> Builder {
     let first = net.each("first", Shape::Line(1), &memoryless(1), 0);
     let second = net.each("second", Shape::Line(1), &memoryless(1_000), 0);
     let ten = || Connectivity::Dense { targets: 1, weights: [10].into() };
-    net.connect((input, first), format(SignMode::Mixed, 0), 2, ten());
-    net.connect((first, second), format(SignMode::Mixed, 0), 0, ten());
+    net.connect(input, first, format(SignMode::Mixed, 0), 2, ten());
+    net.connect(first, second, format(SignMode::Mixed, 0), 0, ten());
     [IN, BETWEEN].into_iter().for_each(|id| _ = make_plastic(&mut net.parts, id, Rule::written()));
     net
 }

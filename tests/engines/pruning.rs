@@ -324,7 +324,7 @@ fn single(seed: u64) -> Quantised {
         let sign_of = if sign == SignMode::Inhibitory { -1 } else { 1 };
         let weights = (0..channels).map(|_| sign_of * draw.from(0, most) as i16).collect();
         let delay = draw.one_of(&[0, 0, 3]);
-        net.connect((input, out), format(sign, exponent), delay, Connectivity::Dense { targets: 1, weights });
+        net.connect(input, out, format(sign, exponent), delay, Connectivity::Dense { targets: 1, weights });
     }
     net.build()
 }
@@ -420,7 +420,7 @@ fn what_may_wrap_is_claimed_by_nobody() {
         let input = net.input("input", 2);
         let out = net.each("out", Shape::Line(1), &[neuron(du, dv, 1, 1)], 0);
         let weights = Connectivity::Dense { targets: 1, weights: [weight; 2].into() };
-        net.connect((input, out), format(SignMode::Inhibitory, exponent), 0, weights);
+        net.connect(input, out, format(SignMode::Inhibitory, exponent), 0, weights);
         let network = net.build();
         assert!(may_fire(&network, &vec![false; 2].into())[CompartmentId(0)], "{semantics:?} {weight}");
         let mut golden = Golden::new(&network);

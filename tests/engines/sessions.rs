@@ -5,7 +5,6 @@ use crate::common::random;
 use crate::common::unsearched;
 use crate::learning::random::random_plastic;
 use nsim::compile::{Options, compile};
-use nsim::files::network::Network;
 use nsim::files::target::load_target;
 use nsim::import::model::load_model;
 use nsim::ir::base::fixed::Payload;
@@ -14,9 +13,8 @@ use nsim::ir::learning::{Rule, Variable};
 use nsim::ir::quantised::{Output, Quantised};
 use nsim::ir::spikes::{Engine, Message, Sample};
 use nsim::machine::{Image, Machine, Settings};
-use nsim::session::front::front;
 use nsim::session::inputs::stimulus;
-use nsim::session::obtain::{Request, obtain};
+use nsim::session::obtain::{Conversion, ConversionStage, Request, obtain};
 use nsim::session::priced::MeteredMapping;
 use nsim::session::samples::{RunSettings, fast};
 use nsim::session::{Outcome, Probe, Quantity, SampleSettings, Session, digest};
@@ -117,6 +115,9 @@ fn a_channel_that_is_not_there_changes_nothing() {
     assert_eq!((refused.code, session.steps()), ("session.channel", 0));
 }
 
+/// Quantisation alone.
+const CONVERSION: Conversion = Conversion { stages: &[ConversionStage::QUANTISE], most_taps: 1 };
+
 /// Output spikes of steps in a sample, in the order of the digest.
 fn outputs(session: &mut Session, sample: &Sample, output: Output, steps: std::ops::Range<u32>) -> Vec<(u32, u32)> {
     let mut spikes = Vec::new();
@@ -133,8 +134,7 @@ fn stepping_is_running_for_every_shipped_model_and_a_snapshot_goes_on_as_before(
     let mut fired = 0;
     for model in nsim::files::shipped::MODELS {
         let network = load_model(model.name).unwrap();
-        let integers = |network: &Network| Ok(front(network)?);
-        let job = obtain(&Request::new(model.name, &network, &integers)).unwrap();
+        let job = obtain(&Request::new(model.name, &network, CONVERSION)).unwrap();
         let (mapped, _) = job.mapped().unwrap();
         let sample = &stimulus(&mapped.one, &source, None, None).unwrap().samples[0];
         let output = mapped.program.output();

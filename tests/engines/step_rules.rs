@@ -213,7 +213,7 @@ fn a_convolution_does_not_flip_its_kernel() {
     let source = net.input_shape("source", Shape::Volume(1, 2, 3));
     let target = net.each("target", Shape::Volume(1, 1, 2), &[neuron(4096, 4096, 131_071, 1); 2], 0);
     let connectivity = Connectivity::Conv2d { window, kernel: [2, 4, 8, 16].into() };
-    net.connect((source, target), format(SignMode::Mixed, 0), 0, connectivity);
+    net.connect(source, target, format(SignMode::Mixed, 0), 0, connectivity);
     let input: Vec<_> = (0..6).map(|channel| (channel, channel)).collect();
     let (u, totals) = watch(&net.build(), 6, &input, |engine| [engine.u(FIRST) / 64, engine.u(CompartmentId(1)) / 64]);
     // Channels in order: (0, 0), (0, 1), (0, 2), (1, 0), (1, 1), (1, 2).

@@ -6,8 +6,8 @@ use crate::real::{spikes, total};
 use crate::tree::{node, reals, typed};
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign::conventions::TABLE;
-use nsim::import::foreign::hdf5::{Group, Numbers};
 use nsim::import::foreign::{ResetMode, Tool};
+use nsim::import::hdf5::{Group, Numbers};
 use nsim::ir::arithmetic::ThresholdTest;
 use nsim::ir::neurons::NeuronKind;
 

@@ -10,9 +10,9 @@ use crate::tree;
 use nsim::files::lower::lower;
 use nsim::files::network::NetworkFile;
 use nsim::import::foreign;
-use nsim::import::foreign::hdf5;
-use nsim::import::foreign::hdf5::{Group, Item, Numbers};
 use nsim::import::foreign::{Imported, Options, Reading};
+use nsim::import::hdf5;
+use nsim::import::hdf5::{Group, Item, Numbers};
 use nsim::ir::base::warning::Warning;
 use serde_json::Value;
 

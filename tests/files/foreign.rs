@@ -12,10 +12,10 @@ use std::path::{Path, PathBuf};
 
 use nsim::files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim::import::foreign;
-use nsim::import::foreign::hdf5;
-use nsim::import::foreign::hdf5::{Item, Numbers};
 use nsim::import::foreign::{Options, Reading, nir_export};
 use nsim::import::fuzz_entry;
+use nsim::import::hdf5;
+use nsim::import::hdf5::{Item, Numbers};
 use nsim::import::model::load_model;
 use nsim::import::spikes::events::event::{Counts, Event, Sink};
 use nsim::import::spikes::events::{nir_data, read as events};

@@ -9,8 +9,8 @@ use std::path::Path;
 
 use crate::common::random;
 use nsim::files::npy;
-use nsim::import::foreign::hdf5;
-use nsim::import::foreign::hdf5::Numbers;
+use nsim::import::hdf5;
+use nsim::import::hdf5::Numbers;
 use nsim::ir::arithmetic::ReadOut;
 use nsim::ir::base::rng;
 use nsim::ir::quantised::{Parts, Quantised};

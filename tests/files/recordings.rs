@@ -6,7 +6,7 @@ use std::io::Write;
 use std::path::Path;
 
 use nsim::files::npy;
-use nsim::import::foreign::hdf5;
+use nsim::import::hdf5;
 use nsim::import::kind::{EventFormat, FileKind};
 use nsim::import::spikes::events::event::Counts;
 use nsim::import::spikes::events::nir_data;

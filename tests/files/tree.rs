@@ -1,6 +1,6 @@
 //! Trees of files in the form of other tools.
 
-use nsim::import::foreign::hdf5::{Group, Item, Numbers};
+use nsim::import::hdf5::{Group, Item, Numbers};
 
 /// A node or a layer of a type.
 pub fn typed(kind: &str) -> Group {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use crate::common::{Builder, neuron, random};
 use nsim::compile::{CopyPlacement, Options, compile};
 use nsim::cost::CostTable;
+use nsim::cost::estimate::RowUnit;
 use nsim::cost::model::StepTime;
 use nsim::cost::transport::QueueMemory;
 use nsim::cost::{Deployment, Host, HostWork, MessageRoutes, MeterSettings, StepMeter, Streams, Transport};
@@ -150,7 +151,7 @@ fn more_copies_or_more_traffic_never_cost_less() {
     let priced = |copies: u32, spikes: u32| {
         let compiled = compile(network(), &target, &options(copies, CopyPlacement::Packed)).unwrap();
         let found = run_priced(&compiled, &target, &[sample(spikes)]).unwrap();
-        let total = found.estimate.rows.iter().find(|row| row.unit == "total").unwrap();
+        let total = found.estimate.row(RowUnit::Total).unwrap();
         (total.latency_us.unwrap(), found.estimate.job.profiler().unwrap() * total.latency_us.unwrap())
     };
     let mut last = (0.0, 0.0);

@@ -22,6 +22,8 @@ const MOST_FILES: usize = 12;
 
 /// Most lines of a crate, with the tests in `src`.
 const MOST_LINES: usize = 13_000;
+/// Most lines of a function, from `fn` to its closing brace.
+const MOST_LINES_OF_FUNCTION: usize = 80;
 /// Most crates of the workspace, the command line included.
 const MOST_CRATES: usize = 22;
 
@@ -108,9 +110,9 @@ fn every_kind_of_path_is_read() {
     let folder = tempfile::tempdir().unwrap();
     let files = [
         ("main.rs", "fn main() { nsim::a::run() }"),
-        ("lib.rs", "pub mod a; pub mod b; #[cfg(test)] mod tests;"),
+        ("lib.rs", "ranged!(/// A number, as [`crate::a::A`].\n N); pub mod a; pub mod b; #[cfg(test)] mod tests;"),
         ("a/mod.rs", "mod child; mod other; pub fn run() { child::f() } pub(crate) struct A;"),
-        ("a/child.rs", "use super::other as o; pub fn f() { o::g(); assert!(crate::b::B::new() > 1); }"),
+        ("a/child.rs", "use super::other as o; pub fn f() {\n o::g(); assert!(crate::b::B::new() > 1);\n }"),
         (
             "a/other.rs",
             "use std::io; #[serde(default = \"crate::b::zero\")] struct S; pub fn g() -> super::A { io::b::x() }",
@@ -125,13 +127,12 @@ fn every_kind_of_path_is_read() {
     }
     let sources = Sources::read(folder.path());
     let name = |file: usize| sources.files[file].path.strip_prefix("src/").unwrap().to_string();
-    let edges: Vec<(String, Vec<String>)> = sources
-        .graph()
-        .iter()
-        .enumerate()
-        .map(|(from, to)| (name(from), to.keys().map(|&to| name(to)).collect()))
-        .collect();
-    let expected: [(&str, &[&str]); 7] = [
+    let edges = |docs: bool| -> Vec<(String, Vec<String>)> {
+        let graph = sources.graph(docs);
+        let targets = |to: &BTreeMap<usize, Vec<String>>| to.keys().map(|&to| name(to)).collect();
+        graph.iter().enumerate().map(|(from, to)| (name(from), targets(to))).collect()
+    };
+    let mut expected: [(&str, &[&str]); 7] = [
         ("a/child.rs", &["a/other.rs", "b.rs"]),
         ("a/mod.rs", &["a/child.rs"]),
         ("a/other.rs", &["a/mod.rs", "b.rs"]),
@@ -140,7 +141,13 @@ fn every_kind_of_path_is_read() {
         ("main.rs", &["a/mod.rs"]),
         ("tests.rs", &[]),
     ];
-    assert_eq!(edges, expected.map(|(from, to)| (from.to_string(), to.iter().map(ToString::to_string).collect())));
+    let owned = |(from, to): (&str, &[&str])| (from.to_string(), to.iter().map(ToString::to_string).collect());
+    assert_eq!(edges(false), expected.map(owned));
+    (expected[3].1, expected[4].1) = (&["a/mod.rs"], &["a/mod.rs"]);
+    assert_eq!(edges(true), expected.map(owned));
+    assert!(!cycles(&sources, Unit::File).is_empty() && cycles(&sources, Unit::Entry).is_empty());
+    let lengths: Vec<usize> = sources.files[0].functions.iter().map(|function| function.lines).collect();
+    assert_eq!(lengths, [3]);
     assert_eq!(sources.files[3].product_lines().map(|(line, _)| line).collect::<Vec<_>>(), [1, 3]);
     assert!(
         holds_number("624 cores", "624") && holds_number("x=624.", "624") && !holds_number("6240, 0.624, 1_624", "624")
@@ -164,16 +171,40 @@ fn crates_are_few_and_none_is_large() {
     hold("a crate has at most 13,000 lines", large.map(|(name, lines)| format!("{name}: {lines} lines")));
 }
 
-/// Cycles among groups of a crate's files, and the paths in the code that make them. A file without
-/// a group is omitted.
-fn cycles(sources: &Sources, group: fn(&SourceFile) -> Option<&str>) -> Vec<String> {
+/// What a rule about cycles groups a crate's files by.
+#[derive(Clone, Copy, PartialEq)]
+enum Unit {
+    /// A file with its code.
+    File,
+    /// An entry of `src`, with code and doc comments: `a.rs` belongs to folder `a`.
+    Entry,
+}
+
+impl Unit {
+    /// The unit of a file; none for `lib.rs` and `main.rs` among entries.
+    fn of_file(self, file: &SourceFile) -> Option<&str> {
+        if self == Unit::File {
+            return Some(&file.path);
+        }
+        let (_, within) = file.path.split_once("src/")?;
+        let name = within.split('/').next()?.trim_end_matches(".rs");
+        (!["lib", "main"].contains(&name)).then_some(name)
+    }
+
+    /// Whether a cycle is refused: of files any, of entries one through several folders.
+    fn refuses(self, cycle: &[&str], sources: &Sources) -> bool {
+        let is_folder = |name: &&&str| sources.files.iter().any(|file| file.path.contains(&format!("src/{name}/")));
+        cycle.len() > 1 && (self == Unit::File || cycle.iter().filter(is_folder).count() > 1)
+    }
+}
+
+/// Cycles among a crate's files or entries, and the paths that make them.
+fn cycles(sources: &Sources, unit: Unit) -> Vec<String> {
     let mut edges: BTreeMap<(&str, &str), Vec<String>> = BTreeMap::new();
-    for (from, targets) in sources.files.iter().zip(sources.graph()) {
+    for (from, targets) in sources.files.iter().zip(sources.graph(unit == Unit::Entry)) {
         for (target, names) in targets {
-            let Some((from, to)) = group(from).zip(group(&sources.files[target])).filter(|(from, to)| from != to)
-            else {
-                continue;
-            };
+            let units = unit.of_file(from).zip(unit.of_file(&sources.files[target]));
+            let Some((from, to)) = units.filter(|(from, to)| from != to) else { continue };
             edges.entry((from, to)).or_default().extend(names);
         }
     }
@@ -183,20 +214,20 @@ fn cycles(sources: &Sources, group: fn(&SourceFile) -> Option<&str>) -> Vec<Stri
     for (from, to) in edges.keys() {
         graph.add_edge(nodes[from], nodes[to], ());
     }
-    let components = tarjan_scc(&graph).into_iter().filter(|component| component.len() > 1);
-    let components: Vec<Vec<&str>> =
-        components.map(|component| component.into_iter().map(|node| graph[node]).collect()).collect();
+    let components = tarjan_scc(&graph).into_iter();
+    let components = components.map(|component| component.into_iter().map(|node| graph[node]).collect());
+    let components: Vec<Vec<&str>> = components.filter(|cycle: &Vec<&str>| unit.refuses(cycle, sources)).collect();
     let in_cycle = |from, to| components.iter().any(|cycle| cycle.contains(&from) && cycle.contains(&to));
     let wrong = edges.into_iter().filter(|((from, to), _)| in_cycle(*from, *to));
     wrong.map(|((from, to), names)| format!("  {from} -> {to}: {}", names.join(", "))).collect()
 }
 
 /// Prints the cycles of all crates.
-fn no_cycles(rule: &str, group: fn(&SourceFile) -> Option<&str>) {
+fn no_cycles(rule: &str, unit: Unit) {
     hold(
         rule,
         CRATES.iter().flat_map(|(name, sources)| {
-            let wrong = cycles(sources, group);
+            let wrong = cycles(sources, unit);
             (!wrong.is_empty()).then(|| format!("{name}:\n{}", wrong.join("\n")))
         }),
     );
@@ -204,18 +235,22 @@ fn no_cycles(rule: &str, group: fn(&SourceFile) -> Option<&str>) {
 
 #[test]
 fn no_file_depends_on_itself() {
-    no_cycles("files depend on each other without cycles", |file| Some(&file.path));
+    no_cycles("files depend on each other without cycles", Unit::File);
 }
 
-/// The folder of a file within its crate's `src`; none for a file next to `lib.rs`.
-fn folder(file: &SourceFile) -> Option<&str> {
-    let (_, within) = file.path.split_once("src/")?;
-    within.split_once('/').map(|(folder, _)| folder)
+/// A folder whose docs link to one that uses it cannot be read first.
+#[test]
+fn no_folder_of_a_crate_depends_on_itself() {
+    no_cycles("folders of a crate depend on each other without cycles, links in docs included", Unit::Entry);
 }
 
 #[test]
-fn no_folder_of_a_crate_depends_on_itself() {
-    no_cycles("folders of a crate depend on each other without cycles", folder);
+fn functions_are_short() {
+    let long = sources().flat_map(|(path, file)| {
+        let long = file.functions.iter().filter(|function| !function.test && function.lines > MOST_LINES_OF_FUNCTION);
+        long.map(move |function| format!("{path}:{}: {} has {} lines", function.line, function.name, function.lines))
+    });
+    hold("a function has at most 80 lines", long);
 }
 
 #[test]
@@ -269,8 +304,8 @@ fn folders_hold_at_most_a_dozen_files() {
 #[test]
 fn functions_say_what_they_return() {
     let called_of = sources().flat_map(|(path, file)| {
-        let functions = file.functions.iter().filter(|(name, _)| name == "of");
-        functions.map(move |(_, line)| format!("{path}:{line}: a function called `of`"))
+        let functions = file.functions.iter().filter(|function| function.name == "of");
+        functions.map(move |function| format!("{path}:{}: a function called `of`", function.line))
     });
     hold("`of` alone is no name", called_of);
 }

@@ -3,7 +3,8 @@
 //! Input: `src`, from `lib.rs` and `main.rs` along the `mod` declarations. Output: every
 //! [`SourceFile`] with the paths in its code, resolved to files. Paths are read from `use` trees,
 //! expressions, types, patterns, attributes' strings, and the tokens of macro calls. A path begins
-//! with `crate`, `self`, `super`, or a child module. A re-export counts as the file with the
+//! with `crate`, `self`, `super`, or a child module. In doc comments, only paths from `crate` are
+//! read, and marked. A re-export counts as the file with the
 //! `pub use`: its users depend on all dependencies of this file.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -25,6 +26,19 @@ pub struct Import {
     pub line: usize,
     /// Whether it is in code that is built for tests only.
     pub test: bool,
+    /// Whether it is in a doc comment.
+    pub doc: bool,
+}
+
+/// A function or method.
+pub struct Function {
+    pub name: String,
+    /// Line of `fn`.
+    pub line: usize,
+    /// Lines from `fn` to the closing brace.
+    pub lines: usize,
+    /// Whether it is built for tests only.
+    pub test: bool,
 }
 
 /// A file of the crate.
@@ -39,8 +53,7 @@ pub struct SourceFile {
     /// Lines of items that are built for tests only.
     pub test_lines: Vec<RangeInclusive<usize>>,
     pub imports: Vec<Import>,
-    /// Names of functions, and their lines.
-    pub functions: Vec<(String, usize)>,
+    pub functions: Vec<Function>,
 }
 
 impl SourceFile {
@@ -76,7 +89,7 @@ impl Sources {
         let modules: BTreeSet<Vec<String>> = by_module.keys().cloned().collect();
         for (file, syntax) in files.iter_mut().zip(&syntax) {
             let (here, test) = (file.module.clone(), file.test);
-            let mut reader = Reader { modules: &modules, here, test, renamed: BTreeMap::new(), file };
+            let mut reader = Reader { modules: &modules, here, test, doc: false, renamed: BTreeMap::new(), file };
             // The first pass finds the modules that `use` brings into scope, the second the paths
             // through them.
             reader.visit_file(syntax);
@@ -93,10 +106,11 @@ impl Sources {
     }
 
     /// For each file, the files that its code names, with the names and lines; without test code.
-    pub fn graph(&self) -> Vec<BTreeMap<usize, Vec<String>>> {
+    /// `docs` adds the files that its doc comments name.
+    pub fn graph(&self, docs: bool) -> Vec<BTreeMap<usize, Vec<String>>> {
         let edges = |(index, file): (usize, &SourceFile)| {
             let mut edges: BTreeMap<usize, Vec<String>> = BTreeMap::new();
-            for import in file.imports.iter().filter(|import| !import.test) {
+            for import in file.imports.iter().filter(|import| !import.test && (docs || !import.doc)) {
                 let target = self.target(import);
                 if target != index {
                     edges.entry(target).or_default().push(format!("{}:{}", import.path.join("::"), import.line));
@@ -163,6 +177,7 @@ struct Reader<'a> {
     modules: &'a BTreeSet<Vec<String>>,
     here: Vec<String>,
     test: bool,
+    doc: bool,
     /// Modules in the `use` items of this file, by local name.
     renamed: BTreeMap<String, Vec<String>>,
     file: &'a mut SourceFile,
@@ -198,7 +213,7 @@ impl Reader<'_> {
         };
         here.extend(rest.iter().cloned());
         let line = span.start().line;
-        self.file.imports.push(Import { path: here.clone(), ends_in_module, line, test: self.test });
+        self.file.imports.push(Import { path: here.clone(), ends_in_module, line, test: self.test, doc: self.doc });
         Some(here)
     }
 
@@ -250,13 +265,30 @@ impl Reader<'_> {
                     colons = 0;
                     self.tokens(group.stream());
                 }
-                _ => {
+                token => {
                     self.end_of_path(&mut path, begin);
                     colons = 0;
+                    // A doc comment in a macro call.
+                    if let TokenTree::Literal(literal) = token
+                        && let Ok(text) = syn::parse_str(&literal.to_string())
+                    {
+                        self.doc_paths(&text);
+                    }
                 }
             }
         }
         self.end_of_path(&mut path, begin);
+    }
+
+    /// Finds the paths from the crate's root in a doc comment.
+    fn doc_paths(&mut self, text: &syn::LitStr) {
+        self.doc = true;
+        for names in text.value().split("crate::").skip(1) {
+            let names = names.split(|c: char| !(c.is_alphanumeric() || c == '_' || c == ':')).next().unwrap();
+            let path: Vec<String> = ["crate"].into_iter().chain(names.split("::")).map(str::to_string).collect();
+            self.name(&path, true, text.span());
+        }
+        self.doc = false;
     }
 
     fn end_of_path(&mut self, path: &mut Vec<String>, begin: Option<Span>) {
@@ -264,6 +296,14 @@ impl Reader<'_> {
             self.name(path, false, span);
         }
         path.clear();
+    }
+
+    /// Records a function that ends at a line.
+    fn function(&mut self, signature: &syn::Signature, attributes: &[syn::Attribute], end: Span) {
+        let line = signature.span().start().line;
+        let lines = end.end().line + 1 - line;
+        let test = self.test || is_test(attributes);
+        self.file.functions.push(Function { name: signature.ident.to_string(), line, lines, test });
     }
 
     /// Visits an item, and records whether it is for tests only.
@@ -280,19 +320,24 @@ impl Reader<'_> {
 
 /// Overrides for nodes that may be built for tests only.
 macro_rules! items {
-    ($($method:ident: $node:ident),*) => {
+    ($($method:ident: $node:ident),*; functions $($function:ident: $function_node:ident),*) => {
         $(fn $method(&mut self, node: &'ast syn::$node) {
             self.item(&node.attrs, node.span(), |reader| visit::$method(reader, node));
+        })*
+        $(fn $function(&mut self, node: &'ast syn::$function_node) {
+            self.function(&node.sig, &node.attrs, node.span());
+            self.item(&node.attrs, node.span(), |reader| visit::$function(reader, node));
         })*
     };
 }
 
 impl<'ast> Visit<'ast> for Reader<'_> {
     items! {
-        visit_item_const: ItemConst, visit_item_enum: ItemEnum, visit_item_fn: ItemFn, visit_item_impl: ItemImpl,
+        visit_item_const: ItemConst, visit_item_enum: ItemEnum, visit_item_impl: ItemImpl,
         visit_item_macro: ItemMacro, visit_item_static: ItemStatic, visit_item_struct: ItemStruct,
-        visit_item_trait: ItemTrait, visit_item_type: ItemType, visit_impl_item_fn: ImplItemFn,
-        visit_impl_item_const: ImplItemConst, visit_trait_item_fn: TraitItemFn, visit_local: Local
+        visit_item_trait: ItemTrait, visit_item_type: ItemType, visit_impl_item_const: ImplItemConst,
+        visit_local: Local;
+        functions visit_item_fn: ItemFn, visit_impl_item_fn: ImplItemFn, visit_trait_item_fn: TraitItemFn
     }
 
     fn visit_item_mod(&mut self, node: &'ast syn::ItemMod) {
@@ -321,6 +366,11 @@ impl<'ast> Visit<'ast> for Reader<'_> {
     }
 
     fn visit_attribute(&mut self, node: &'ast syn::Attribute) {
+        if let syn::Meta::NameValue(syn::MetaNameValue { value: syn::Expr::Lit(value), .. }) = &node.meta
+            && let syn::Lit::Str(text) = &value.lit
+        {
+            self.doc_paths(text);
+        }
         let syn::Meta::List(list) = &node.meta else { return };
         let strings = list.tokens.clone().into_iter().filter_map(|token| match token {
             TokenTree::Literal(literal) => syn::parse_str::<syn::LitStr>(&literal.to_string()).ok(),
@@ -331,11 +381,6 @@ impl<'ast> Visit<'ast> for Reader<'_> {
                 self.visit_path(&path);
             }
         }
-    }
-
-    fn visit_signature(&mut self, node: &'ast syn::Signature) {
-        self.file.functions.push((node.ident.to_string(), node.ident.span().start().line));
-        visit::visit_signature(self, node);
     }
 
     fn visit_visibility(&mut self, _: &'ast syn::Visibility) {}

@@ -79,7 +79,8 @@ impl RecordingResult {
 /// # Errors
 /// See the module.
 pub fn compare_recording(
-    (graph, integers): (&Graph, &Quantised),
+    graph: &Graph,
+    integers: &Quantised,
     samples: &[&Sample],
     recorded: &[PopulationSpikes],
 ) -> Result<RecordingResult> {

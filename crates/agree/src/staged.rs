@@ -128,7 +128,7 @@ impl StagedNetwork {
         }
         let facts = graph.facts();
         let reset = facts.reset.map(|reset| Reset { interval: reset.interval as u32, offset: reset.offset as u32 });
-        let latest = fits.iter().flatten().flat_map(|fit| &fit.copies).map(|&(delay, _)| delay).max().unwrap_or(0);
+        let latest = fits.iter().flatten().flat_map(|fit| &fit.taps).map(|&(delay, _)| delay).max().unwrap_or(0);
         let delays = chosen.projections().map(|(_, _, _, projection)| u32::from(projection.delay.get()));
         let pipeline = Pipeline::missing(graph);
         let waits = pipeline.as_ref().map_or(0, |pipeline| pipeline.longest_wait);
@@ -171,7 +171,7 @@ impl StagedNetwork {
 
     /// Whether a stage has delayed copies of synapses; only two decays need them.
     fn has_copies(&self, stage: ComparisonStage) -> bool {
-        let single = self.fits.iter().flatten().all(|fit| fit.copies == [(0, 1.0)]);
+        let single = self.fits.iter().flatten().all(|fit| fit.taps == [(0, 1.0)]);
         single || stage.has(Cause::Kernel) && stage.has(Cause::Decays)
     }
 
@@ -183,7 +183,7 @@ impl StagedNetwork {
             let fits = if chosen { &self.fits } else { &self.plain };
             let mut fits = fits.clone();
             if !has_copies {
-                fits.iter_mut().flatten().for_each(|fit| fit.copies = vec![(0, 1.0)]);
+                fits.iter_mut().flatten().for_each(|fit| fit.taps = vec![(0, 1.0)]);
             }
             let of = analytic::with_fits(&self.graph, &fits);
             Link::merged(match weights {

@@ -91,14 +91,14 @@ fn bits_of_weights(network: &Quantised, projection: &Projection) -> u64 {
 impl Count<'_> {
     fn held_of(&self, id: PopulationId) -> Held {
         let population = &self.network.populations()[id];
-        let mut held = Held::new();
+        let mut lists = Held::new();
         if let Some(first) = population.first_compartment() {
             for index in 0..population.shape.len() {
                 let core = self.program.seats()[CompartmentId(first.0 + index)].core;
-                held.entry(core).or_default().push(index);
+                lists.entry(core).or_default().push(index);
             }
         }
-        held
+        lists
     }
 
     fn add(&mut self, core: CoreId, resource: Resource, more: u64) {

@@ -74,9 +74,9 @@ struct Bounds {
 impl Bounds {
     /// Returns the bounds of these sources, by population; `None` where one is no volume.
     fn around(network: &Quantised, sources: &[u32]) -> Option<Vec<Self>> {
-        let mut found: Vec<(Range<u32>, (u32, u32), Bounds)> = Vec::new();
+        let mut windows: Vec<(Range<u32>, (u32, u32), Bounds)> = Vec::new();
         for &source in sources {
-            let at = match found.iter().position(|(range, ..)| range.contains(&source)) {
+            let at = match windows.iter().position(|(range, ..)| range.contains(&source)) {
                 Some(at) => at,
                 None => {
                     let range = |population: &Population| {
@@ -88,17 +88,19 @@ impl Bounds {
                     let (_, height, width) = population.shape.volume()?;
                     let none = (i64::MAX, i64::MIN);
                     let bounds = Bounds { population: id, rows: none, columns: none };
-                    found.push((range(population), (height, width), bounds));
-                    found.len() - 1
+                    windows.push((range(population), (height, width), bounds));
+                    windows.len() - 1
                 }
             };
-            let (range, (height, width), bounds) = &mut found[at];
+            let (range, (height, width), bounds) = &mut windows[at];
             let position = (source - range.start) % (*height * *width);
-            let wider = |of: (i64, i64), at: u32| (of.0.min(at.into()), of.1.max(at.into()));
+            fn wider(of: (i64, i64), at: u32) -> (i64, i64) {
+                (of.0.min(at.into()), of.1.max(at.into()))
+            }
             bounds.rows = wider(bounds.rows, position / *width);
             bounds.columns = wider(bounds.columns, position % *width);
         }
-        Some(found.into_iter().map(|(.., bounds)| bounds).collect())
+        Some(windows.into_iter().map(|(.., bounds)| bounds).collect())
     }
 
     /// Whether the sources stay inside the volume, `down` rows and `right` columns further on.
@@ -150,7 +152,9 @@ impl Shifts<'_> {
             let size = self.sizes.map_or(0, |sizes| if is_channel { sizes.channels } else { sizes.compartments });
             copies * i64::from(size)
         };
-        let within = |range: Range<u32>, more: i64| i64::from(range.start) + more..i64::from(range.end) + more;
+        fn within(range: Range<u32>, more: i64) -> Range<i64> {
+            i64::from(range.start) + more..i64::from(range.end) + more
+        }
         let Some((target, (rows, columns))) = positions else {
             let added = |range: Range<u32>, is_channel| (range.clone(), within(range, 0), of_copies(is_channel));
             let all = channels + network.compartments();

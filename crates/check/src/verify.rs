@@ -247,7 +247,9 @@ pub fn confirm(partition: &Partition, used: &IdVec<CoreId, CoreUsage>) -> Result
         Resource::AxonsIn | Resource::SynapseWords => partition.limits().counts_kernels(),
         _ => false,
     };
-    let is_held = |counted: u64, used: u64, exact: bool| used == counted || used < counted && !exact;
+    fn is_held(counted: u64, used: u64, exact: bool) -> bool {
+        used == counted || used < counted && !exact
+    }
     let holds = |(counted, used): (&CoreUsage, &CoreUsage)| {
         counted.synapses == used.synapses
             && Resource::ALL.into_iter().all(|one| is_held(counted[one], used[one], is_exact(one)))

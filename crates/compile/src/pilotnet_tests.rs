@@ -123,7 +123,7 @@ fn pilotnet(bits: [u32; 10]) -> Quantised {
         let window = Window { source: source.0, target, kernel, stride, padding, dilation: (1, 1), groups };
         let weights = u64::from(target.0 * source.0.0 / groups * kernel.0 * kernel.1);
         let kernel = (0..weights).map(|at| weight(bits[number], at)).collect();
-        net.connect((source.1, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        net.connect(source.1, layer, plain_format(), 0, Connectivity::Conv2d { window, kernel });
         source = (target, layer);
     }
     let mut source = source.1;
@@ -218,7 +218,7 @@ fn a_network_that_cannot_fit_is_refused_by_its_sizes() {
         let layer = net.loihi_with(name, Shape::Volume(2, 516, 520), neurons());
         let (kernel, stride, dilation, padding) = ((1, 1), (1, 1), (1, 1), (0, 0));
         let window = Window { source: shape, target: shape, kernel, stride, padding, dilation, groups: 1 };
-        net.connect((source, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2; 4].into() });
+        net.connect(source, layer, plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2; 4].into() });
         source = layer;
     }
     let network = net.build();

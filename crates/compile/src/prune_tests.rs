@@ -19,7 +19,7 @@ fn fan(weights: [i16; 4]) -> Builder {
     let mut builder = Builder::new();
     let (input, hidden, out) = (builder.input("in", 4), builder.loihi("hidden", 4), builder.loihi("out", 1));
     let weights = sparse((0..4).zip(weights).map(|synapse| vec![synapse]));
-    builder.connect((input, hidden), format(0, SignMode::Mixed, 8), 0, weights);
+    builder.connect(input, hidden, format(0, SignMode::Mixed, 8), 0, weights);
     builder.dense(hidden, out, |_, _| 100);
     builder
 }

@@ -118,7 +118,7 @@ fn a_kernel_is_stored_once_on_each_core_and_weights_of_zero_are_not() {
     let window = Window { padding: (1, 1), ..window((2, 9, 9), (4, 9, 9), (3, 3)) };
     // Of the 18 weights of a channel every fourth is 0.
     let kernel = (0..72).map(|k| if k % 4 == 0 { 0 } else { 2 * (k % 50) + 2 }).collect();
-    net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+    net.connect(image, layer, plain_format(), 0, Connectivity::Conv2d { window, kernel });
     net.dense(layer, out, |s, t| if (s + t) % 3 == 0 { 0 } else { 2 });
     let limits = limits().with(Resource::StoredSynapses, 500);
     let compiled = compiled(net.build(), limits.clone());
@@ -223,9 +223,9 @@ fn layers() -> Quantised {
     let pooled = net.loihi_with("pooled", of(8, 8, 7), neurons());
     let kernel = (0..8 * 8 * 9).map(|i| (i * 37 % 128) * 2 - 128).collect();
     let once = Window { padding: (1, 1), ..window((8, 16, 14), (8, 16, 14), (3, 3)) };
-    net.connect((input, wide), plain_format(), 0, Connectivity::Conv2d { window: once, kernel });
+    net.connect(input, wide, plain_format(), 0, Connectivity::Conv2d { window: once, kernel });
     let halved = Window { stride: (2, 2), ..window((8, 16, 14), (8, 8, 7), (2, 2)) };
-    net.connect((wide, pooled), plain_format(), 1, Connectivity::SumPool2d { window: halved, weight: 60 });
+    net.connect(wide, pooled, plain_format(), 1, Connectivity::SumPool2d { window: halved, weight: 60 });
     net.build()
 }
 
@@ -287,7 +287,7 @@ fn cores_are_saved_where_most_of_a_step_is_not_theirs() {
     let (image, layer) = (net.input_shape("image", image), net.loihi_with("layer", layer, neurons()));
     let window = Window { padding: (2, 2), ..window(size, size, (5, 5)) };
     let kernel = (0..16 * 16 * 25).map(|k: i32| (k * 37 % 127 - 63) as i16 * 2).collect();
-    net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+    net.connect(image, layer, plain_format(), 0, Connectivity::Conv2d { window, kernel });
     let network = net.build();
     let cores = |strategy| {
         let options = Options { strategy, ..Options::default() };
@@ -327,7 +327,7 @@ fn more_sources_than_a_program_can_number_take_several_cores() {
     let out = builder.loihi_with("out", Shape::Volume(1, 18, 31), neurons());
     let window = window((128, 20, 33), (1, 18, 31), (3, 3));
     let kernel = (0..128 * 9).map(|k| (k % 50) as i16 * 2 - 40).collect();
-    builder.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+    builder.connect(input, out, plain_format(), 0, Connectivity::Conv2d { window, kernel });
     let compiled = compiled(builder.build(), limits());
     let most = compiled.program.classes().iter().map(|class| class.inputs.len()).max();
     assert!(compiled.partition.cores() > 1 && most.is_some_and(|most| most <= 1 << 16), "{most:?}");
@@ -375,7 +375,7 @@ fn as_many_weights_are_stored_as_nengo_loihi_stores() {
         let window = Window { stride, ..window(source, target, kernel) };
         let weights = i64::from(source.0 * filters * kernel.0 * kernel.1);
         let kernel = (0..weights).map(|i| ((i * 37 + i / 128) % 128 * 2) as i16 - 128).collect();
-        net.connect((input, out), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        net.connect(input, out, plain_format(), 0, Connectivity::Conv2d { window, kernel });
         // Position by position, channels last, as in a tile; lists have equal lengths in and
         // outside of tables.
         let (network, board) = (net.build(), nsim_testing::target(1, 1, limits()));
@@ -432,7 +432,7 @@ fn scattered_synapses_are_found() {
     builder.random(b, a, 3, 5);
     let weights = (0..15i16).map(|w| w * 2 - 14).collect();
     let format = nsim_testing::format(1, SignMode::Mixed, 8);
-    builder.connect((y, b), format, 2, Connectivity::Dense { targets: 3, weights });
+    builder.connect(y, b, format, 2, Connectivity::Dense { targets: 3, weights });
     let limits = limits().with(Resource::Compartments, 4);
     let good = compiled(builder.build(), limits.clone());
     assert_eq!(verify(&good.program, &target(2, 2, limits.clone())), Ok(()));

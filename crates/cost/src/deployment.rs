@@ -107,7 +107,7 @@ struct FullestChip {
 }
 
 /// Hops of a barrier between chips: across the board where it is full, else a square.
-pub fn chip_hops(chips_used: u64, (chips_x, chips_y): (u32, u32)) -> u64 {
+pub fn chip_hops(chips_used: u64, chips_x: u32, chips_y: u32) -> u64 {
     let (wide, high) = (u64::from(chips_x), u64::from(chips_y));
     if chips_used == wide * high {
         return wide + high - 2;
@@ -177,7 +177,7 @@ impl Deployment {
             tiles_used: fullest.tiles,
             chip_cores: fullest.cores,
             chips_used,
-            chip_hops: chip_hops(chips_used, (target.chips_x(), target.chips() / target.chips_x())),
+            chip_hops: chip_hops(chips_used, target.chips_x(), target.chips() / target.chips_x()),
             board_chips: target.chips().into(),
             host,
             x86_cores,
@@ -249,9 +249,9 @@ pub(crate) mod tests {
 
     #[test]
     fn barriers_cross_the_board_where_it_is_full_and_else_a_square() {
-        assert_eq!([1, 2, 5, 14, 22].map(|chips| chip_hops(chips, (8, 4))), [0, 1, 3, 6, 8]);
-        assert_eq!(chip_hops(32, (8, 4)), 10);
-        assert_eq!((chip_hops(256, (4, 64)), chip_hops(768, (12, 64))), (66, 74));
+        assert_eq!([1, 2, 5, 14, 22].map(|chips| chip_hops(chips, 8, 4)), [0, 1, 3, 6, 8]);
+        assert_eq!(chip_hops(32, 8, 4), 10);
+        assert_eq!((chip_hops(256, 4, 64), chip_hops(768, 12, 64)), (66, 74));
     }
 
     #[test]

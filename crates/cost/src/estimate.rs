@@ -11,7 +11,7 @@ use crate::meter::{Distribution, Lane, StepSums};
 use crate::model::{StepTime, energy};
 pub use crate::power::{JobPower, job_power, step_price};
 use crate::quantiles::{Quantiles, Spread};
-pub use crate::row::{Bound, EnergyRow, FigureSource, Shares, StatusShare};
+pub use crate::row::{Bound, EnergyRow, FigureSource, RowUnit, Shares, StatusShare};
 use nsim_ir::base::units::Femtojoules;
 use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::hardware::constants::Status;
@@ -19,7 +19,7 @@ use nsim_ir::hardware::constants::Status;
 /// Result of an estimate.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Estimate {
-    /// `x86`, `neuron`, `total`; by rails `boot`, `idle`, `x86`, `total`.
+    /// By the profiler x86, neuron, total; by rails boot, idle, x86, total.
     pub rows: Vec<EnergyRow>,
     /// Powers of all copies together.
     pub job: JobPower,
@@ -36,6 +36,13 @@ pub struct Estimate {
     pub x86_share: Option<f64>,
     /// Unknown figures, and steps that real time does not wait for.
     pub warnings: Vec<Warning>,
+}
+
+impl Estimate {
+    /// The row of a unit.
+    pub fn row(&self, unit: RowUnit) -> Option<&EnergyRow> {
+        self.rows.iter().find(|row| row.unit == unit)
+    }
 }
 
 /// Time and energy of a whole run, physical.
@@ -337,7 +344,7 @@ pub(crate) mod tests {
         constants.x86_static_ratio.value = 2.0.into();
         constants.turn_time.value = 0.0.into();
         let table = CostTable::new(&constants).unwrap();
-        let price = step_price(&table, &deployment, 1, (Mode::Offline, Accounting::Profiler));
+        let price = step_price(&table, &deployment, 1, Mode::Offline, Accounting::Profiler);
         let run = run(&[quiet, busy], vec![table], Some(price));
         let offline = case(&run, &deployment);
         let found = estimate(&offline);
@@ -410,7 +417,7 @@ pub(crate) mod tests {
             let deployment = Deployment { copies, cores_used, x86_cores, x86_chips, x86_working, ..paper() };
             let mode = if realtime { Mode::Realtime } else { Mode::Offline };
             let tables = vec![CostTable::new(&constants).unwrap(), table("davies2018")];
-            let price = step_price(&tables[0], &deployment, copies_counted, (mode, Accounting::Profiler));
+            let price = step_price(&tables[0], &deployment, copies_counted, mode, Accounting::Profiler);
             let run = run(&steps, tables, Some(price));
             let found = estimate(&EstimateInput {
                 copies_counted,

@@ -6,7 +6,7 @@ use crate::job::{Accounting, Convention, Mode};
 use crate::meter::{Lane, StepMeter, StepPrice, StepSums};
 use crate::model::{CORE_TIMES, energy};
 use crate::power::{JobPower, job_power, step_price};
-use crate::row::{EnergyRow, FigureSource};
+use crate::row::{EnergyRow, FigureSource, RowUnit};
 use nsim_ir::activity::Activity;
 use nsim_ir::base::diagnostic::Diagnostic;
 use nsim_ir::base::warning::{Warning, WarningCode};
@@ -36,7 +36,9 @@ impl ByStatus {
     /// As [`CostTable::new`].
     pub fn new(constants: &Constants, chips: u64) -> Result<Self, Diagnostic> {
         let one = |name: &'static str| least_trusted(constants, |own| own == name);
-        let mesh = |name: &str| name.ends_with("hop_time") || name.starts_with("link_");
+        fn mesh(name: &str) -> bool {
+            name.ends_with("hop_time") || name.starts_with("link_")
+        }
         let of_mesh = least_trusted(constants, |name| mesh(name) && (chips > 1 || !name.contains("chip")));
         let tiles = constants.barrier.iter().map(|entry| entry.time.status).max().unwrap_or(Status::Published);
         let barrier = if chips > 1 { tiles.max(one("chip_hop_time")) } else { tiles };
@@ -132,7 +134,7 @@ impl EstimateInput<'_> {
 
     /// Returns the price of a step of the `total` row, under one preset.
     pub fn price(&self, table: &CostTable) -> StepPrice {
-        step_price(table, self.deployment, self.copies_counted, (self.mode, self.accounting))
+        step_price(table, self.deployment, self.copies_counted, self.mode, self.accounting)
     }
 
     /// Powers of all copies under one preset.
@@ -171,27 +173,27 @@ impl EstimateInput<'_> {
                 let of_x86 = (job.x86_static / x86, job.x86_dynamic().map(|power| power / x86));
                 let of_cores = (job.core_static / copies, job.core_dynamic.map(|power| power / copies));
                 let both = of_x86.1.zip(of_cores.1).map(|(x86, cores)| x86 + cores);
-                let x86_row = row("x86", of_x86, latency_us, modelled);
+                let x86_row = row(RowUnit::X86, of_x86, latency_us, modelled);
                 vec![
                     EnergyRow { x86_cores: Some(counts.x86_cores), ..x86_row },
-                    row("neuron", of_cores, latency_us, simulated),
-                    row("total", (of_x86.0 + of_cores.0, both), latency_us, simulated),
+                    row(RowUnit::Neuron, of_cores, latency_us, simulated),
+                    row(RowUnit::Total, (of_x86.0 + of_cores.0, both), latency_us, simulated),
                 ]
             }
             Accounting::Rails => {
                 let loaded = job.boot + job.x86_on;
                 let running = job.rails_running().map(|power| power - loaded);
-                let at_work = row("x86", (0.0, Some(job.x86_at_work)), None, modelled);
+                let at_work = row(RowUnit::X86, (0.0, Some(job.x86_at_work)), None, modelled);
                 vec![
-                    row("boot", (job.boot, Some(0.0)), None, modelled),
-                    row("idle", (loaded, Some(job.x86_clock)), None, modelled),
+                    row(RowUnit::Boot, (job.boot, Some(0.0)), None, modelled),
+                    row(RowUnit::Idle, (loaded, Some(job.x86_clock)), None, modelled),
                     EnergyRow { x86_cores: Some(self.deployment.x86_at_work()), ..at_work },
-                    row("total", (loaded, running), latency_us, simulated),
+                    row(RowUnit::Total, (loaded, running), latency_us, simulated),
                 ]
             }
             Accounting::Unit => vec![
-                row("idle", (job.unit, Some(0.0)), None, modelled),
-                row("total", (job.unit, job.at_work()), latency_us, simulated),
+                row(RowUnit::Idle, (job.unit, Some(0.0)), None, modelled),
+                row(RowUnit::Total, (job.unit, job.at_work()), latency_us, simulated),
             ],
         }
     }

@@ -3,7 +3,7 @@
 use crate::estimate_input::EstimateInput;
 use crate::job::{Accounting, Convention, Mode};
 use crate::meter::Lane;
-use crate::row::{Bound, EnergyRow};
+use crate::row::{Bound, EnergyRow, RowUnit};
 use nsim_ir::hardware::constants::FigureClass;
 
 /// A part of a row's power, and the error factor of its class.
@@ -80,8 +80,11 @@ impl EstimateInput<'_> {
     /// Logarithms of the error factors of the rows' powers; `events` is the class of core events.
     fn power_factors(&self, rows: &[EnergyRow], events: FigureClass) -> Vec<Option<f64>> {
         if self.accounting != Accounting::Profiler {
-            let class = |row: &EnergyRow| if row.unit == "x86" { FigureClass::X86Rails } else { FigureClass::Rails };
-            return rows.iter().map(|row| self.within(class(row)).map(f64::ln)).collect();
+            let log_factor = |row: &EnergyRow| {
+                let class = if row.unit == RowUnit::X86 { FigureClass::X86Rails } else { FigureClass::Rails };
+                self.within(class).map(f64::ln)
+            };
+            return rows.iter().map(log_factor).collect();
         }
         let part = |power: Option<f64>, class| (power.unwrap_or(0.0), self.within(class));
         let (x86_static, x86) =

@@ -22,7 +22,7 @@ use nsim_ir::base::units::{Femtojoules, Picoseconds};
 /// Sums over steps under one preset, exact.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct StepSums {
-    /// Number of steps.
+    /// Timesteps that were added.
     pub steps: u64,
     /// Energy of their events.
     pub energy: Femtojoules,
@@ -168,7 +168,7 @@ impl StepMeter {
     pub fn add(&mut self, step: &StepActivity, times: u32, decided: bool) {
         self.memory.resize_with(self.memory.len().max(1), QueueMemory::default);
         let step_times = self.settings.step_times(step, &mut self.memory[0]);
-        self.add_timed((step, times, decided), &step_times);
+        self.add_timed(step, times, decided, &step_times);
     }
 
     /// Adds these steps sequentially; threads compute the times of their messages in parallel.
@@ -178,11 +178,11 @@ impl StepMeter {
         let timed = steps.par_iter().zip(&mut self.memory);
         let timed = timed.map(|((step, ..), memory)| settings.step_times(step, memory));
         for ((step, times, decided), step_times) in steps.iter().zip(timed.collect::<Vec<_>>()) {
-            self.add_timed((step, *times, *decided), &step_times);
+            self.add_timed(step, *times, *decided, &step_times);
         }
     }
 
-    fn add_timed(&mut self, (step, times, decided): (&StepActivity, u32, bool), step_times: &[StepTime]) {
+    fn add_timed(&mut self, step: &StepActivity, times: u32, decided: bool, step_times: &[StepTime]) {
         let MeterSettings { tables, routes, timestep, distribution, .. } = &*self.settings;
         let (sum, hops) = (routes.sum_of_cores(step), routes.hops(step));
         self.hops += hops.times(times.into());

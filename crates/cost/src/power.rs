@@ -111,7 +111,8 @@ pub fn step_price(
     table: &CostTable,
     deployment: &Deployment,
     copies_counted: u32,
-    (mode, accounting): (Mode, Accounting),
+    mode: Mode,
+    accounting: Accounting,
 ) -> StepPrice {
     let (injecting, resetting) = x86_work(table, deployment);
     let power = job_power(table, deployment, 0.0, 0, 0);

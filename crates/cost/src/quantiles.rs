@@ -57,20 +57,20 @@ impl Quantiles {
         // Adding 0 makes -0 positive.
         let value = value.max(0.0) + 0.0;
         self.count += times;
-        self.widen((value, value));
+        self.widen(value, value);
         *self.buckets.entry((value.to_bits() >> DROPPED) as u32).or_default() += times;
     }
 
     /// Adds all numbers of another series.
     pub fn merge(&mut self, other: &Quantiles) {
         self.count += other.count;
-        other.ends.into_iter().for_each(|ends| self.widen(ends));
+        other.ends.into_iter().for_each(|(least, greatest)| self.widen(least, greatest));
         for (&bucket, &count) in &other.buckets {
             *self.buckets.entry(bucket).or_default() += count;
         }
     }
 
-    fn widen(&mut self, (least, greatest): (f64, f64)) {
+    fn widen(&mut self, least: f64, greatest: f64) {
         self.ends = Some(self.ends.map_or((least, greatest), |(low, high)| (low.min(least), high.max(greatest))));
     }
 
@@ -87,7 +87,9 @@ impl Quantiles {
             passed >= rank
         });
         let middle = bucket.map(|(&bucket, _)| {
-            let end = |bucket: u32| f64::from_bits(u64::from(bucket) << DROPPED);
+            fn end(bucket: u32) -> f64 {
+                f64::from_bits(u64::from(bucket) << DROPPED)
+            }
             // The first bucket holds 0.
             if bucket == 0 { 0.0 } else { (end(bucket) + end(bucket + 1)) / 2.0 }
         });

@@ -39,6 +39,31 @@ named_variants! {
     }
 }
 
+named_variants! {
+    /// The part of the hardware whose cost a row has.
+    #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+    #[serde(rename_all = "lowercase")]
+    pub enum RowUnit {
+        /// The x86 cores; by rails, their work.
+        X86 = "x86",
+        /// The neuron cores.
+        Neuron = "neuron",
+        /// The board after booting.
+        Boot = "boot",
+        /// The board with a loaded network that does not run.
+        Idle = "idle",
+        /// All of these.
+        Total = "total",
+    }
+}
+
+impl RowUnit {
+    /// Whether the row counts a part of the cost only.
+    pub fn is_part(self) -> bool {
+        self != RowUnit::Total
+    }
+}
+
 /// One end of the intervals of a row's figures.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub struct Bound {
@@ -79,8 +104,8 @@ pub struct Shares {
 pub struct EnergyRow {
     /// The simulated chip's name, or a baseline's hardware.
     pub hardware: String,
-    /// `x86`, `neuron` or `total`; by rails `boot`, `idle`, `x86` or `total`.
-    pub unit: &'static str,
+    /// The part: by the profiler x86, neuron, total; by rails boot, idle, x86, total.
+    pub unit: RowUnit,
     /// x86 cores of the row; `None` for other hardware.
     pub x86_cores: Option<u64>,
     /// Definition of the energy and the energy-delay product.
@@ -120,7 +145,7 @@ impl EnergyRow {
     /// Returns a row of given power and time, with its energy and energy-delay product.
     pub fn new(
         hardware: &str,
-        unit: &'static str,
+        unit: RowUnit,
         convention: Convention,
         (static_mw, dynamic_mw): (f64, Option<f64>),
         latency_us: Option<f64>,

@@ -33,8 +33,8 @@ pub const fn clip(x: i64, low: i64, high: i64) -> i64 {
 /// differences over four traces.
 #[inline]
 pub const fn decay(x: i64, d: Decay) -> i64 {
-    let kept = (x.abs() * (DECAY_ONE - d.get() as i64)) >> 12;
-    if x < 0 { -kept } else { kept }
+    let decayed = (x.abs() * (DECAY_ONE - d.get() as i64)) >> 12;
+    if x < 0 { -decayed } else { decayed }
 }
 
 /// Equation (1): the contribution of one spike over a synapse of weight `w` to the accumulator,

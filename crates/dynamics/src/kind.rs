@@ -187,7 +187,9 @@ impl RealForm {
     /// The compartment in register units, its integers taken as real numbers.
     pub fn of_neuron(neuron: &Neuron, semantics: Semantics) -> Self {
         let fields = Fields::from_registers(neuron, 0, ThresholdTest::Inclusive);
-        let keep = |decay: u16| 1.0 - f64::from(decay) / DECAY_ONE as f64;
+        fn keep(decay: u16) -> f64 {
+            1.0 - f64::from(decay) / DECAY_ONE as f64
+        }
         RealForm {
             keep_u: keep(neuron.du.get()),
             keep_v: keep(neuron.dv.get()),

@@ -54,11 +54,13 @@ const LACKING: [(Semantics, &str, &str); 6] = [
 /// Parameters of a population that have an effect on the chip and none in this arithmetic, with the
 /// reason.
 pub fn ignored_parameters(neurons: &Neurons, semantics: Semantics) -> Vec<(&'static str, &'static str)> {
-    let differs = |name: &str, neuron: &Neuron| match name {
-        // A refractory period of 0 behaves as 1.
-        "refractory" => neuron.refractory > Refractory::ONE,
-        _ => neuron.parameter(name) != Neuron::PLAIN.parameter(name),
-    };
+    fn differs(name: &str, neuron: &Neuron) -> bool {
+        match name {
+            // A refractory period of 0 behaves as 1.
+            "refractory" => neuron.refractory > Refractory::ONE,
+            _ => neuron.parameter(name) != Neuron::PLAIN.parameter(name),
+        }
+    }
     let lacking = LACKING.into_iter().filter(|(of, name, _)| *of == semantics && neurons.any(|n| differs(name, n)));
     lacking.map(|(_, name, why)| (name, why)).collect()
 }

@@ -150,10 +150,10 @@ fn lava(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
 
 /// Source: slayerPytorch 01beeeb, `src/cuda/spikeLoihiKernels.h`.
 fn slayer(r: Registers, arrived: i32, f: &Fields) -> (Registers, Effect) {
-    let product = |x: i32, d: u16| {
-        let kept = (x.unsigned_abs().wrapping_mul(4096 - u32::from(d)) >> 12) as i32;
-        if x < 0 { -kept } else { kept }
-    };
+    fn product(x: i32, d: u16) -> i32 {
+        let decayed = (x.unsigned_abs().wrapping_mul(4096 - u32::from(d)) >> 12) as i32;
+        if x < 0 { -decayed } else { decayed }
+    }
     let u = product(r.u, f.neuron.du.get()).wrapping_add(arrived << WEIGHT_SHIFT);
     let v = product(r.v, f.neuron.dv.get()).wrapping_add(u);
     let hold = f.remaining(r.hold);
@@ -231,10 +231,10 @@ fn greatest_voltage(neuron: &Neuron, semantics: Semantics, arrivals: Arrivals) -
             Some(voltage(neuron, u.high + bias).map_or(most, |v| v.clamp(-most, most)))
         }
         Semantics::Slayer => {
-            let exact = |x: &Arrivals, d: Decay| {
+            fn exact(x: &Arrivals, d: Decay) -> bool {
                 let magnitude = x.high.max(-x.low);
                 magnitude < 1 << 31 && magnitude * (DECAY_ONE - i64::from(d.get())) < 1 << 32
-            };
+            }
             let u = current(neuron, arrivals).filter(|u| exact(u, neuron.du))?;
             let v = Arrivals { low: -ceiling(-u.low, neuron.dv)?, high: ceiling(u.high, neuron.dv)? };
             exact(&v, neuron.dv).then_some(v.high)

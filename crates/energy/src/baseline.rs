@@ -3,7 +3,7 @@
 //! A measured row holds for one network only; [`Baseline::row`] gives the reason for no row.
 
 use crate::published::baseline::{BaselineFile, DenseLayer};
-use nsim_cost::estimate::{Convention, EnergyRow, FigureSource};
+use nsim_cost::estimate::{Convention, EnergyRow, FigureSource, RowUnit};
 use nsim_cost::job::Mode;
 use nsim_files::shipped::{BASELINES, Shipped};
 use nsim_ir::base::diagnostic::{Diagnostic, SourceText};
@@ -127,7 +127,8 @@ impl Figures {
     /// Returns these figures as a row of the table.
     pub fn row(&self, hardware: &str, convention: Convention, steps: Option<u32>) -> EnergyRow {
         let powers = (self.static_mw, Some(self.dynamic_mw));
-        let row = EnergyRow::new(hardware, "total", convention, powers, Some(self.latency_us), self.source, steps);
+        let row =
+            EnergyRow::new(hardware, RowUnit::Total, convention, powers, Some(self.latency_us), self.source, steps);
         EnergyRow { power_source: self.power_source, ..row }
     }
 }

@@ -15,7 +15,9 @@ use crate::published::scenario::{ScenarioFile, shipped_for};
 use crate::report::result::{EnergyReport, JobPart};
 use crate::workload::Workload;
 use nsim_compile::{CopyPlacement, Mapping};
-use nsim_cost::estimate::{ByStatus, Convention, EnergyRow, EstimateInput, FigureSource, estimate, step_price};
+use nsim_cost::estimate::{
+    ByStatus, Convention, EnergyRow, EstimateInput, FigureSource, RowUnit, estimate, step_price,
+};
 use nsim_cost::job::{Accounting, DeployedCores};
 use nsim_cost::{CostTable, Deployment, Host, HostWork, MeterSettings, StepMeter, Timing};
 use nsim_files::table::three;
@@ -154,7 +156,7 @@ fn may_be_mostly_injection(workload: &Workload<'_>, timing: Timing, table: &Cost
 fn inputs_on_chip(case: &EstimateInput<'_>, without_host: &Deployment) -> Option<EnergyRow> {
     let total = |case: &EstimateInput<'_>| {
         let estimate = estimate(case);
-        Some((estimate.rows.into_iter().find(|row| row.unit == "total")?, estimate.time_us?[0].1))
+        Some((estimate.row(RowUnit::Total)?.clone(), estimate.time_us?[0].1))
     };
     let (row, injection_us) = total(case)?;
     if !is_mostly_injection(row.latency_us?, injection_us) {
@@ -168,7 +170,7 @@ fn inputs_on_chip(case: &EstimateInput<'_>, without_host: &Deployment) -> Option
 pub struct Evaluation {
     /// The report, its detail included.
     pub energy: EnergyReport,
-    /// The run.
+    /// Outcomes, counts and meter of the samples.
     pub run: Run<StepMeter>,
     /// The numbers of cores of its cost.
     pub deployment: Deployment,
@@ -224,7 +226,7 @@ impl Conditions {
         options.check_x86(&deployment, &target)?;
         let preset = &target.constants()[0];
         options.check_accounting(&target)?;
-        let price = step_price(&table, &deployment, workload.copies, (options.mode, options.accounting));
+        let price = step_price(&table, &deployment, workload.copies, options.mode, options.accounting);
         let corners = if target.is_measured_by(preset) { CostTable::corners(preset)? } else { None };
         let without_host = plan.source.deployment(compiled, &target, copies, HostWork { host: Host::None, ..work })?;
         let timing = |deployment: &Deployment| deployment.timing(options.transport, workload.copies);
@@ -268,12 +270,12 @@ impl MeasuredJob {
             // The job keeps its own host, whatever is asked for here.
             let of_job = HostWork { steps_per_sample: workload.mean_steps(), ..HostWork::for_target(target) };
             computed = paper::rows(workload, is_mapped, job, options, target, of_job)?;
-            let total = computed.iter().find(|row| row.unit == "total").cloned();
+            let total = computed.iter().find(|row| row.unit == RowUnit::Total).cloned();
             totals.extend(total.map(|total| (total, "the measured job, by the same constants".to_string())));
         }
-        totals.extend(paper::printed(job, "total", mode, convention, steps)?);
+        totals.extend(paper::printed(job, RowUnit::Total, mode, convention, steps)?);
         let mut printed = Vec::new();
-        for unit in ["total", "x86", "neuron"] {
+        for unit in [RowUnit::Total, RowUnit::X86, RowUnit::Neuron] {
             printed.extend(paper::printed(job, unit, mode, Convention::Published, steps)?.map(|(row, _)| row));
         }
         Ok(MeasuredJob { totals, computed, printed })
@@ -286,7 +288,7 @@ impl MeasuredJob {
             let here = rows.iter().find(|row| row.unit == printed.unit)?.clone();
             Some(JobPart { here, printed: printed.clone() })
         };
-        self.printed.iter().filter(|row| row.unit != "total").filter_map(part).collect()
+        self.printed.iter().filter(|row| row.unit.is_part()).filter_map(part).collect()
     }
 }
 
@@ -296,7 +298,7 @@ fn printed_figures(measured: &MeasuredJob, options: &CostOptions, one: CopyWorkl
     let conditions = RowConditions { convention: Convention::Published, ..one.conditions };
     let row = |file: &Baseline| file.row(&shape, conditions).ok();
     let published = options.baselines.files.iter().filter_map(row).filter(|row| row.source == FigureSource::Published);
-    let job = measured.printed.iter().filter(|row| row.unit == "total").cloned();
+    let job = measured.printed.iter().filter(|row| row.unit == RowUnit::Total).cloned();
     job.chain(published).filter_map(|row| Some([row.energy_uj?, row.edp_pjs?])).collect()
 }
 

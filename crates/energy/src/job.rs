@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 
 use nsim_cost::charged::is_charged;
 use nsim_cost::constants::CostTable;
-use nsim_cost::estimate::{Bound, EnergyRow, EstimateInput, estimate, spent};
+use nsim_cost::estimate::{Bound, EnergyRow, EstimateInput, RowUnit, estimate, spent};
 use nsim_cost::model::{CORE_TIMES, StepTime, energy};
 use nsim_files::shipped::{CONSTANTS, Shipped};
 use nsim_files::table::three;
@@ -210,7 +210,7 @@ pub fn report(
     baselines: Vec<(EnergyRow, String)>,
 ) -> EnergyReport {
     let estimate = estimate(case);
-    let total = estimate.rows.iter().find(|row| row.unit == "total");
+    let total = estimate.row(RowUnit::Total);
     let preset = &target.constants()[case.preset];
     let constant_notes = total.map_or_else(Vec::new, |total| constant_notes(target, case, total));
     let ratios = total.map_or_else(Vec::new, |total| ratios(total, &baselines));

@@ -101,8 +101,8 @@ impl CostOptions {
     /// # Errors
     /// [`Error::Usage`] for a host on a chip without x86 cores.
     pub(super) fn host_work(&self, target: &Target, steps_per_sample: u32) -> Result<HostWork, Error> {
-        let refused = |problem: String| Error::Usage(format!("--host {problem}; remove --host"));
-        let work = HostWork::fed_by(self.host, target).map_err(refused)?;
+        let work = HostWork::fed_by(self.host, target)
+            .map_err(|problem| Error::Usage(format!("--host {problem}; remove --host")))?;
         Ok(HostWork { streams: self.streams, reset_words: self.reset_words, steps_per_sample, ..work })
     }
 }
@@ -198,11 +198,13 @@ impl DeploymentSource {
         if scenario.serves(network) {
             return Ok(());
         }
-        let sizes = |sizes: Vec<u32>| sizes.iter().map(u32::to_string).collect::<Vec<_>>().join(" and ");
-        let own = sizes(network.inputs().map(|(_, population)| population.shape.len()).collect());
+        fn sizes(sizes: &[u32]) -> String {
+            sizes.iter().map(u32::to_string).collect::<Vec<_>>().join(" and ")
+        }
+        let own = sizes(&network.inputs().map(|(_, population)| population.shape.len()).collect::<Vec<_>>());
         let wanted = match scenario.inputs.as_slice() {
             [] => format!("model {}", scenario.model),
-            inputs => format!("networks with inputs of {} channels, as {}", sizes(inputs.to_vec()), scenario.model),
+            inputs => format!("networks with inputs of {} channels, as {}", sizes(inputs), scenario.model),
         };
         let model = &network.parts().name;
         Err(Error::Usage(format!(
@@ -333,7 +335,9 @@ impl std::str::FromStr for Watts {
     fn from_str(text: &str) -> Result<Self, String> {
         let wrong = || format!("'{text}' is not IDLE,BUSY in watts, such as 10,65");
         let (idle, busy) = text.split_once(',').ok_or_else(wrong)?;
-        let watts = |text: &str| text.trim().parse::<f64>().ok().filter(|w| (0.0..=1e6).contains(w));
+        fn watts(text: &str) -> Option<f64> {
+            text.trim().parse::<f64>().ok().filter(|w| (0.0..=1e6).contains(w))
+        }
         let (idle, busy) = (watts(idle).ok_or_else(wrong)?, watts(busy).ok_or_else(wrong)?);
         if idle <= busy { Ok(Watts(1e3 * idle, 1e3 * busy)) } else { Err(wrong()) }
     }

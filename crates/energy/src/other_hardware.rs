@@ -34,7 +34,7 @@ fn load() -> Option<f64> {
 /// The workload of one copy.
 #[derive(Debug, Clone, Copy)]
 pub struct CopyWorkload<'a> {
-    /// The network.
+    /// The network in integers, without relays and other additions for the chip.
     pub network: &'a Quantised,
     /// The network, mapped alone.
     pub program: Option<&'a Arc<Program>>,
@@ -61,25 +61,25 @@ impl HardwareRows {
 
 /// Returns the rows of all requested hardware.
 pub fn rows(asked: &BaselineSelection, one: CopyWorkload<'_>, watts: Option<Watts>) -> HardwareRows {
-    let mut found = HardwareRows::default();
+    let mut rows = HardwareRows::default();
     let (shape, work) = (NetworkShape::from_network(one.network), Work::from_network(one.network));
     for baseline in &asked.files {
         match baseline.row(&shape, one.conditions) {
-            Ok(row) => found.rows.push((row, baseline.source())),
+            Ok(row) => rows.rows.push((row, baseline.source())),
             Err(reason) => {
                 if let Some(row) = asked.roofline.then(|| baseline.modelled(&work, one.conditions)).flatten() {
                     let source = "modelled from its peak rate, bandwidth, overhead a layer and power (equation 18)";
-                    found.rows.push((row, format!("{source}: {reason}")));
+                    rows.rows.push((row, format!("{source}: {reason}")));
                 } else {
-                    found.without(format!("{reason}; --baseline {ROOFLINE} models it"));
+                    rows.without(format!("{reason}; --baseline {ROOFLINE} models it"));
                 }
             }
         }
     }
     if asked.cpu {
-        add_cpu_rows(one, watts, &mut found);
+        add_cpu_rows(one, watts, &mut rows);
     }
-    found
+    rows
 }
 
 /// Adds the row of a command on a GPU that processes `steps` timesteps.
@@ -118,21 +118,21 @@ fn add_cpu_rows(one: CopyWorkload<'_>, watts: Option<Watts>, found: &mut Hardwar
     let package = PackagePower::assumed();
     let meter = PowerMeter::new(Path::new(POWERCAP), watts.map(|Watts(idle, busy)| (idle, busy)), package, IDLE);
     let samples = cpu::first_samples(one.samples, TIMESTEPS);
-    let here = Environment::here();
+    let environment = Environment::here();
     let mut add = |name: &str, window: bool, (timed, power): (Result<MeasuredTime, String>, Power)| match timed {
         Err(reason) => found.without(format!("no row for {name}: {reason}")),
         Ok(timed) => {
             // Other programs disturbed the fastest repeat least.
             let figures = figures(timed.fastest, power, one.conditions, window);
             let source = format!(
-                "one thread of {here}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us \
+                "one thread of {environment}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us \
                  apart{}{}; {}",
                 timed.repeats,
                 timed.timesteps,
                 timed.us_per_timestep,
                 timed.spread,
                 busy.map_or(String::new(), |load| format!("; {load} of {available} processors were busy before")),
-                if here.profile == "debug" { "; slow, because nsim was built without optimisation" } else { "" },
+                if environment.profile == "debug" { "; slow, because nsim was built without optimisation" } else { "" },
                 meter.source()
             );
             let row = figures.row(name, one.conditions.convention, one.conditions.steps);

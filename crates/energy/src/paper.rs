@@ -8,7 +8,7 @@ use super::workload::Workload;
 use crate::published::measurement::load_measurements;
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::Mapping;
-use nsim_cost::estimate::{Convention, EnergyRow, EstimateInput, FigureSource, estimate};
+use nsim_cost::estimate::{Convention, EnergyRow, EstimateInput, FigureSource, RowUnit, estimate};
 use nsim_cost::job::Mode;
 use nsim_cost::{CostTable, Deployment, HostWork};
 use nsim_ir::hardware::Target;
@@ -68,14 +68,14 @@ pub fn rows(
     Ok(estimate(&case).rows.into_iter().map(named).collect())
 }
 
-/// The row of a unit (`x86`, `neuron`, `total`) that a job's source printed in this mode. Energy is
+/// The row of a unit that a job's source printed in this mode. Energy is
 /// power times time, or as printed in the published convention.
 ///
 /// # Errors
 /// When a table of measurements cannot be read.
 pub fn printed(
     scenario: &ScenarioFile,
-    unit: &'static str,
+    unit: RowUnit,
     mode: Mode,
     convention: Convention,
     steps: Option<u32>,
@@ -86,7 +86,7 @@ pub fn printed(
             continue;
         }
         let cell = |figure: &str| {
-            let printed = table.cells.iter().find(|cell| cell.unit.value == unit && cell.figure.value == figure);
+            let printed = table.cells.iter().find(|cell| cell.unit.value == unit.name() && cell.figure.value == figure);
             printed.and_then(crate::published::measurement::MeasuredCell::value).map(|(value, _)| value)
         };
         let powers = (cell("static_mw").unwrap_or(0.0), cell("dynamic_mw"));

@@ -89,7 +89,9 @@ fn synapse_counts(class: &CoreClass) -> Vec<[u64; 2]> {
 
 /// Synapse unit of each compartment of a core: the unit of most of its synapses.
 fn units(class: &CoreClass) -> Vec<&'static str> {
-    let unit = |[dense, sparse]: [u64; 2]| if sparse > dense { "sparse" } else { "dense" };
+    fn unit([dense, sparse]: [u64; 2]) -> &'static str {
+        if sparse > dense { "sparse" } else { "dense" }
+    }
     synapse_counts(class).into_iter().map(unit).collect()
 }
 
@@ -256,11 +258,11 @@ impl Export<'_> {
 
     fn core_text(&self, out: &mut String, name: &str, neurons: usize, is_port: bool) {
         let table = self.table;
-        let soma = |name: &str, model: &str, [visit, update, spike]: [(Femtojoules, Picoseconds); 3]| {
+        fn soma(name: &str, model: &str, [visit, update, spike]: [(Femtojoules, Picoseconds); 3]) -> String {
             let costs = [costs("access_neuron", visit), costs("update_neuron", update), costs("spike_out", spike)];
             let costs = costs.join(", ");
             format!("            - {{name: \"{name}\", attributes: {{model: {model}, {costs}}}}}\n")
-        };
+        }
         let synapse = |name: &str, energy, time| {
             let costs = costs("process_spike", (energy, time));
             format!("            - {{name: {name}, attributes: {{model: current_based, {costs}}}}}\n")

@@ -60,7 +60,9 @@ impl Element {
     /// The number in these bytes, big-endian or little-endian.
     #[inline]
     pub fn number(self, bytes: &[u8], big: bool) -> Number {
-        let append = |bits: u64, &byte: &u8| bits << 8 | u64::from(byte);
+        fn append(bits: u64, &byte: &u8) -> u64 {
+            bits << 8 | u64::from(byte)
+        }
         let bits = if big { bytes.iter().fold(0, append) } else { bytes.iter().rev().fold(0, append) };
         match self {
             Element::U(_) => Number::Integer(bits.into()),

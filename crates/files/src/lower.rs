@@ -431,7 +431,7 @@ impl<'a> Lowering<'a> {
         let rule = declared.rule(&sources, target, nodes, graph)?.map(|rule| rules.push(rule));
         for Part { own_delay, synapses } in declared.parts()? {
             let delay = own_delay.map_or(Ok(delay), |own| declared.delay(own, "arrays.delay"))?;
-            declared.add((delay, rule), synapses, &sources, target, graph);
+            declared.add(delay, rule, synapses, &sources, target, graph);
         }
         Ok(())
     }
@@ -497,7 +497,8 @@ impl ProjectionLowering<'_> {
     /// Adds a part of a projection, from each of its source populations.
     fn add(
         &self,
-        (delay, rule): (Delay, Option<RuleId>),
+        delay: Delay,
+        rule: Option<RuleId>,
         whole: ProjectionKind,
         sources: &[NodeIndex],
         target: NodeIndex,
@@ -664,19 +665,19 @@ impl ProjectionLowering<'_> {
     /// appended to the source.
     fn check_window(&self, window: &Window, after: (u64, u64)) -> Result<(), Diagnostic> {
         let after = self.pair(after, "padding_after", 0)?;
-        let size = |source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32| {
+        fn size(source: u32, kernel: u32, stride: u32, padding: (u32, u32), dilation: u32) -> Option<u64> {
             let reach = u64::from(dilation) * u64::from(kernel - 1) + 1;
             let room = u64::from(source) + u64::from(padding.0) + u64::from(padding.1);
             room.checked_sub(reach).map(|slack| slack / u64::from(stride) + 1)
-        };
+        }
         let Window { source: (_, from_height, from_width), target: (_, height, width), .. } = *window;
         let Window { kernel, stride, padding, dilation, .. } = *window;
-        let made = [
+        let sides = [
             size(from_height, kernel.0, stride.0, (padding.0, after.0), dilation.0),
             size(from_width, kernel.1, stride.1, (padding.1, after.1), dilation.1),
         ];
-        if made != [height, width].map(|side| Some(u64::from(side))) {
-            let [high, wide] = made.map(|side| side.map_or("nothing".to_string(), |side| side.to_string()));
+        if sides != [height, width].map(|side| Some(u64::from(side))) {
+            let [high, wide] = sides.map(|side| side.map_or("nothing".to_string(), |side| side.to_string()));
             let what = format!(
                 "the window makes {high} x {wide} from {from_height} x {from_width}, the population is {height} x \
                 {width}"

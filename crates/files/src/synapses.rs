@@ -73,10 +73,10 @@ impl SynapsePlace<'_> {
 impl SynapseArrays {
     /// All arrays by the names of their fields.
     pub fn references(&self) -> impl Iterator<Item = (&'static str, &ArrayRef)> {
-        let given = [("target", Some(&self.target)), ("weight", Some(&self.weight))];
+        let arrays = [("target", Some(&self.target)), ("weight", Some(&self.weight))];
         let optional =
             [("source", self.source.as_ref()), ("first", self.first.as_ref()), ("delay", self.delay.as_ref())];
-        given.into_iter().chain(optional).filter_map(|(name, array)| Some((name, array?)))
+        arrays.into_iter().chain(optional).filter_map(|(name, array)| Some((name, array?)))
     }
 
     /// The synapses by their own delay field, if any; each list is in the order of the arrays.

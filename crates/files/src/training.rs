@@ -228,9 +228,9 @@ pub struct TrainingFile {
     pub layers: Vec<Spanned<LayerDesc>>,
     /// The neurons of layers without their own.
     pub neuron: Spanned<NeuronDesc>,
-    /// The loss.
+    /// Loss on the spikes of the output layer.
     pub loss: Spanned<LossDesc>,
-    /// The optimiser.
+    /// Optimiser of the weights, with its rate.
     pub optimiser: Spanned<OptimiserDesc>,
     /// Multiple of the weights that is added to the gradient (l2), or subtracted from the weights
     /// when `decoupled`.

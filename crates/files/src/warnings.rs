@@ -1,4 +1,4 @@
-//! The warnings that a process has shown, which the shell's JSON repeats.
+//! The warnings that a process has logged, which the shell's JSON repeats.
 //!
 //! Input: warnings of a reader, of the quantiser, of a run. Output: a line of the log for each, and
 //! the list of all. One list feeds both, so that no warning is in the text alone.
@@ -8,7 +8,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 use nsim_ir::base::warning::Warning;
 use tracing::subscriber::NoSubscriber;
 
-/// Shown warnings with their files, in order.
+/// Logged warnings with their files, in order.
 static SHOWN: Mutex<Vec<(String, Warning)>> = Mutex::new(Vec::new());
 
 fn shown_so_far() -> MutexGuard<'static, Vec<(String, Warning)>> {
@@ -23,7 +23,7 @@ pub fn show(file: &str, warnings: &[Warning]) {
     }
     let mut shown = shown_so_far();
     for warning in warnings {
-        // The reader of a file has shown its warnings, which the results of its network have, too.
+        // The reader of a file has logged its warnings, which the results of its network have, too.
         if shown.iter().any(|(of, known)| known == warning && (file.is_empty() || of == file)) {
             continue;
         }
@@ -35,7 +35,7 @@ pub fn show(file: &str, warnings: &[Warning]) {
     }
 }
 
-/// All warnings that the log has shown, each once.
+/// All logged warnings, each once.
 pub fn shown() -> Vec<Warning> {
     let mut all: Vec<Warning> = Vec::new();
     for (_, warning) in shown_so_far().iter() {

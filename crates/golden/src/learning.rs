@@ -230,7 +230,7 @@ impl Learner {
     }
 
     /// (L9) for (L6): r of a variable of a synapse.
-    fn rounding(&self, numbers: Numbers<'_>, variable: Variable, (source, target): (u32, u32), last: u32) -> f64 {
+    fn rounding(&self, numbers: Numbers<'_>, variable: Variable, source: u32, target: u32, last: u32) -> f64 {
         let step = numbers.base + u64::from(last);
         let part = variable as u8;
         match self.is_lava() {
@@ -257,13 +257,13 @@ impl Learner {
         let indices: Vec<u32> = self.sources.keys().copied().collect();
         for index in indices {
             let (source, mut end) = self.sources[&index].clone();
-            self.note_source(numbers, step, (index, &mut end), delivery.carries(source));
+            self.note_source(numbers, step, index, &mut end, delivery.carries(source));
             self.sources.insert(index, (source, end));
         }
         for index in 0..self.targets.len() {
             let (target, mut end) = self.targets[index].clone();
             if delivery.compartments[target.index()].is_some() {
-                self.note_spike(numbers, step, (index as u32, &mut end), &[Trace::Y1, Trace::Y2, Trace::Y3]);
+                self.note_spike(numbers, step, index as u32, &mut end, &[Trace::Y1, Trace::Y2, Trace::Y3]);
             }
             for trace in [Trace::Y1, Trace::Y2, Trace::Y3] {
                 let Some(channels) = &self.signals[trace.index()] else { continue };
@@ -275,18 +275,18 @@ impl Learner {
         }
         let (sources, mut end) = self.reward.clone();
         if sources.iter().any(|&source| delivery.carries(source).is_some()) {
-            self.note_spike(numbers, step, (0, &mut end), &[Trace::R1]);
+            self.note_spike(numbers, step, 0, &mut end, &[Trace::R1]);
         }
         self.reward = (sources, end);
     }
 
     /// A step of a source, which spiked with a payload or did not. (L11) where x1 takes payloads.
-    fn note_source(&self, numbers: Numbers<'_>, step: u32, (index, end): (u32, &mut End), payload: Option<i64>) {
+    fn note_source(&self, numbers: Numbers<'_>, step: u32, index: u32, end: &mut End, payload: Option<i64>) {
         let x1 = end.traces[Trace::X1.index()];
         let half = payload.map_or(0, half);
         let (x1, is_noted) = match self.rule.graded() {
             Graded::Regular if payload.is_some() => {
-                return self.note_spike(numbers, step, (index, end), &[Trace::X1, Trace::X2]);
+                return self.note_spike(numbers, step, index, end, &[Trace::X1, Trace::X2]);
             }
             Graded::AddWithoutSaturation => match (x1 + half) % 256 {
                 sum @ 128.. => (sum - 127, payload.is_some()),
@@ -298,12 +298,12 @@ impl Learner {
         };
         end.traces[Trace::X1.index()] = x1;
         if is_noted {
-            self.note_spike(numbers, step, (index, end), &[Trace::X2]);
+            self.note_spike(numbers, step, index, end, &[Trace::X2]);
         }
     }
 
     /// (L3): notes a spike, which is a further one where another was noted in this epoch.
-    fn note_spike(&self, numbers: Numbers<'_>, step: u32, (index, end): (u32, &mut End), traces: &[Trace]) {
+    fn note_spike(&self, numbers: Numbers<'_>, step: u32, index: u32, end: &mut End, traces: &[Trace]) {
         for &trace in traces.iter().filter(|_| end.note > 0) {
             let r = self.further(numbers, trace, index, step);
             let value = &mut end.traces[trace.index()];
@@ -318,18 +318,18 @@ impl Learner {
         let indices: Vec<u32> = self.sources.keys().copied().collect();
         for index in indices {
             let (source, end) = self.sources[&index].clone();
-            let end = self.remembered(numbers, last, (index, end), &[Trace::X1, Trace::X2]);
+            let end = self.remembered(numbers, last, index, end, &[Trace::X1, Trace::X2]);
             self.sources.insert(index, (source, end));
         }
         for index in 0..self.targets.len() {
             let end = self.targets[index].1.clone();
             let traces = [Trace::Y1, Trace::Y2, Trace::Y3];
-            self.targets[index].1 = self.remembered(numbers, last, (index as u32, end), &traces);
+            self.targets[index].1 = self.remembered(numbers, last, index as u32, end, &traces);
         }
-        self.reward.1 = self.remembered(numbers, last, (0, self.reward.1.clone()), &[Trace::R1]);
+        self.reward.1 = self.remembered(numbers, last, 0, self.reward.1.clone(), &[Trace::R1]);
     }
 
-    fn remembered(&self, numbers: Numbers<'_>, last: u32, (index, mut end): (u32, End), traces: &[Trace]) -> End {
+    fn remembered(&self, numbers: Numbers<'_>, last: u32, index: u32, mut end: End, traces: &[Trace]) -> End {
         let first = last + 1 - self.rule.epoch();
         for &trace in traces {
             // (L10).
@@ -381,7 +381,7 @@ impl Learner {
             }
             evaluated += u64::from(is_counted);
             for variable in Variable::ALL.into_iter().filter(|&variable| self.rule.changes(variable)) {
-                let r = self.rounding(numbers, variable, (source, target), last);
+                let r = self.rounding(numbers, variable, source, target, last);
                 after[variable as usize][number] = synapse.changed(variable, r) as i16;
             }
         }

@@ -650,7 +650,7 @@ fn fire(
 
 /// Equations (2) to (6) in the chip's arithmetic, with the value of a child: the voltage before the
 /// threshold test, and the overflows.
-fn integrate(neuron: &Neuron, state: &mut State, (sum, popped): (i64, i64)) -> (i64, Outcome) {
+fn integrate(neuron: &Neuron, state: &mut State, sum: i64, popped: i64) -> (i64, Outcome) {
     // Equation (2).
     let q = wrap(sum, 21);
     // Equation (4).
@@ -673,7 +673,7 @@ fn integrate(neuron: &Neuron, state: &mut State, (sum, popped): (i64, i64)) -> (
 
 /// A step in the chip's arithmetic; `input` is the sum of arrivals and the value of a child.
 fn hardware(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, input: (i64, i64), step: u32) -> Outcome {
-    let (voltage, outcome) = integrate(neuron, state, input);
+    let (voltage, outcome) = integrate(neuron, state, input.0, input.1);
     state.pushed = voltage;
     // A held voltage is not clipped.
     let v_clipped = outcome.v_clipped && !is_refractory(Semantics::Hardware, neuron, state, step);
@@ -694,7 +694,7 @@ fn integrate_and_fire(
 /// A step of a compartment with reset by subtraction: equations (2) to (6), and (7a) in place of
 /// (7).
 fn soft_reset(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64) -> Outcome {
-    let (voltage, outcome) = integrate(neuron, state, (sum, 0));
+    let (voltage, outcome) = integrate(neuron, state, sum, 0);
     let spiked = above(threshold, voltage, neuron);
     state.v = if spiked { voltage - 64 * i64::from(neuron.vth.get()) } else { voltage };
     Outcome { spiked, ..outcome }
@@ -727,10 +727,10 @@ fn lava(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, 
 /// A step of SLAYER's Loihi kernel (slayerPytorch 01beeeb, `src/cuda/spikeLoihiKernels.h`).
 fn slayer(neuron: &Neuron, threshold: ThresholdTest, state: &mut State, sum: i64, step: u32) -> Outcome {
     // Rule (11): the product keeps its low 32 bits.
-    let decay = |x: i64, d: Decay| {
-        let kept = (x.abs() * (4096 - i64::from(d.get()))) % (1 << 32) / 4096;
-        if x < 0 { -kept } else { kept }
-    };
+    fn decay(x: i64, d: Decay) -> i64 {
+        let decayed = (x.abs() * (4096 - i64::from(d.get()))) % (1 << 32) / 4096;
+        if x < 0 { -decayed } else { decayed }
+    }
     state.u = wrap(decay(state.u, neuron.du) + sum, 31);
     let voltage = wrap(decay(state.v, neuron.dv) + state.u, 31);
     Outcome { spiked: fire(Semantics::Slayer, neuron, threshold, state, voltage, step), ..Outcome::default() }

@@ -50,18 +50,18 @@ impl Names<'_> {
     fn assign(&mut self, code: &Microcode, assignments: &[Assignment], outcome: &mut Outcome) {
         for Assignment { target, value } in assignments {
             let value = self.value(value);
-            let kept = match code.width(*target).map(|word| (word.overflow, word.bits)) {
+            let narrowed = match code.width(*target).map(|word| (word.overflow, word.bits)) {
                 None => value,
                 Some((Overflow::Wrap, bits)) => wrapped(value, bits),
                 Some((Overflow::Clip, bits)) => clipped(value, bits),
             };
             match code.width(*target).map(|word| word.overflow) {
-                Some(Overflow::Clip) => outcome.v_clipped |= kept != value,
-                _ => outcome.u_wrapped |= kept != value,
+                Some(Overflow::Clip) => outcome.v_clipped |= narrowed != value,
+                _ => outcome.u_wrapped |= narrowed != value,
             }
             match target {
-                Variable::State(place) => self.words[*place] = kept as i64,
-                Variable::Temporary(place) => self.temporaries[*place] = kept,
+                Variable::State(place) => self.words[*place] = narrowed as i64,
+                Variable::Temporary(place) => self.temporaries[*place] = narrowed,
                 Variable::Arrived(_) | Variable::Parameter(_) => unreachable!("they are not assigned"),
             }
         }

@@ -122,7 +122,7 @@ fn connections(connectivity: &Connectivity, sources: u32) -> Vec<(u32, u32, i64)
             let channels_out = window.target.0 / window.groups;
             over_outputs(window, |(channel, y, x), to| {
                 for c in 0..channels_in {
-                    over_window(window, (y, x), |(ky, kx), (sy, sx)| {
+                    over_window(window, y, x, |(ky, kx), (sy, sx)| {
                         let from_channel = channel / channels_out * channels_in + c;
                         let from = (from_channel * window.source.1 + sy) * window.source.2 + sx;
                         let at = ((channel * channels_in + c) * window.kernel.0 + ky) * window.kernel.1 + kx;
@@ -132,7 +132,7 @@ fn connections(connectivity: &Connectivity, sources: u32) -> Vec<(u32, u32, i64)
             });
         }
         Connectivity::SumPool2d { window, weight } => over_outputs(window, |(channel, y, x), to| {
-            over_window(window, (y, x), |_, (sy, sx)| {
+            over_window(window, y, x, |_, (sy, sx)| {
                 all.push(((channel * window.source.1 + sy) * window.source.2 + sx, to, i64::from(*weight)));
             });
         }),
@@ -167,7 +167,7 @@ fn over_outputs(window: &Window, mut f: impl FnMut((u32, u32, u32), u32)) {
 
 /// Calls `f((ky, kx), (sy, sx))` for every place of the window at an output position that lies on
 /// the source.
-fn over_window(window: &Window, (y, x): (u32, u32), mut f: impl FnMut((u32, u32), (u32, u32))) {
+fn over_window(window: &Window, y: u32, x: u32, mut f: impl FnMut((u32, u32), (u32, u32))) {
     let place = |out: u32, stride: u32, k: u32, dilation: u32, padding: u32, size: u32| {
         let at = i64::from(out) * i64::from(stride) + i64::from(k) * i64::from(dilation) - i64::from(padding);
         (0 <= at && at < i64::from(size)).then_some(at as u32)

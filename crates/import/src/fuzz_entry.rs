@@ -5,7 +5,8 @@
 
 use std::path::Path;
 
-use crate::foreign::{DecayRule, Options, Reading, from_bytes, hdf5 as hdf5_file, neuron_config, torch};
+use crate::foreign::{DecayRule, Options, Reading, from_bytes, neuron_config, torch};
+use crate::hdf5 as hdf5_file;
 use crate::spikes::events::{nir_data, read};
 use crate::spikes::{EventFormat, EventOptions, InputSpec};
 use nsim_ir::arithmetic::ThresholdTest;

@@ -10,8 +10,7 @@ use std::fmt;
 use std::io::Read;
 use std::path::Path;
 
-use super::foreign::hdf5;
-use super::foreign::torch::ZIP;
+use super::hdf5;
 use super::spikes::csv;
 use super::spikes::events::aedat::AEDAT;
 use super::spikes::events::text::begins_recording;
@@ -20,6 +19,8 @@ use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::names::named_variants;
 use nsim_ir::locate::root_name;
 
+/// The first bytes of an archive of PyTorch or NumPy.
+pub const ZIP: &[u8] = b"PK\x03\x04";
 /// Bytes of a file that are examined, many since a text may begin with comments.
 const HEAD: usize = 1 << 16;
 

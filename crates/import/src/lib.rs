@@ -8,6 +8,8 @@
 pub mod draws;
 pub mod foreign;
 pub mod fuzz_entry;
+pub mod hdf5;
+mod hdf5_links;
 pub mod kind;
 pub mod model;
 pub mod probes;

@@ -6,7 +6,7 @@
 
 use std::path::Path;
 
-use crate::foreign::hdf5;
+use crate::hdf5;
 use crate::spikes::events::nir_data;
 use nsim_files::write;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
@@ -16,7 +16,7 @@ const MOST_GRIDDED: usize = 1 << 26;
 
 /// A recorded register.
 pub struct Trace<'a> {
-    /// The population.
+    /// Name of the recorded population.
     pub population: &'a str,
     /// The register's name: spikes, u, v or v_register.
     pub register: &'a str,

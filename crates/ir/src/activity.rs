@@ -73,8 +73,8 @@ pub struct Overflow {
 impl Overflow {
     /// Records an overflow in `step` at `compartment` as the first, if it is.
     pub fn note(&mut self, step: u32, compartment: CompartmentId) {
-        let here = (step, compartment);
-        self.first = Some(self.first.map_or(here, |first| first.min(here)));
+        let place = (step, compartment);
+        self.first = Some(self.first.map_or(place, |first| first.min(place)));
     }
 
     /// Whether there was any overflow.

@@ -417,8 +417,8 @@ impl Projection {
     /// The place of a row of weights, or of a listed synapse; else the place of all weights.
     pub fn place_of(&self, source: &SourceText, entry: u32) -> Span {
         let in_place = ["weights", "synapses"].map(|list| format!("{list}.{entry}"));
-        let found = in_place.iter().find_map(|path| locate(source.text(), self.span, path));
-        found.unwrap_or(self.weights_span)
+        let span = in_place.iter().find_map(|path| locate(source.text(), self.span, path));
+        span.unwrap_or(self.weights_span)
     }
 }
 

@@ -228,7 +228,9 @@ impl<'p> Selection<'p> {
         let mut projections = Vec::new();
         for projection in &whole.learning.projections {
             let Some(&number) = self.new_copy.get(&(projection.targets.start / one.compartments)) else { continue };
-            let shifted = |range: &Range<u32>, first: u32| first..first + (range.end - range.start);
+            fn shifted(range: &Range<u32>, first: u32) -> Range<u32> {
+                first..first + (range.end - range.start)
+            }
             let of_source = |source: u32| match source.checked_sub(channels) {
                 None => of_channel(source, number),
                 Some(compartment) => kept + of_compartment(compartment, number),

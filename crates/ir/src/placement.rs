@@ -160,7 +160,9 @@ impl Route {
     #[must_use]
     #[inline]
     pub fn max(self, other: Route) -> Route {
-        let key = |r: Route| (r.links(), r.chip, r.north_south);
+        fn key(r: Route) -> (u32, u32, u32) {
+            (r.links(), r.chip, r.north_south)
+        }
         if key(other) > key(self) { other } else { self }
     }
 }

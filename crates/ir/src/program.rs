@@ -687,10 +687,14 @@ impl Program {
         let mut classes = IdVec::new();
         let mut known: HashMap<(ClassId, bool), ClassId> = HashMap::new();
         let image = |(core, image): (CoreId, &CoreImage)| {
-            let held = assignment.is_local(core);
-            let class = *known.entry((image.class, held)).or_insert_with(|| {
+            let is_local = assignment.is_local(core);
+            let class = *known.entry((image.class, is_local)).or_insert_with(|| {
                 let class = &whole.classes[image.class];
-                classes.push(if held { class.clone() } else { CoreClass::without_tables(class.compartments.clone()) })
+                classes.push(if is_local {
+                    class.clone()
+                } else {
+                    CoreClass::without_tables(class.compartments.clone())
+                })
             });
             let axons_out = image.axons_out.filtered(|core| assignment.is_local(core));
             CoreImage { site: image.site, class, ids: image.ids.clone(), axons_out }

@@ -101,7 +101,9 @@ fn malformed(text: &str, error: &ron::error::SpannedError) -> Malformed {
     use ron::Error::{ExpectedArray, ExpectedComma, ExpectedInteger, IntegerOutOfBounds, TrailingCharacters};
     let end = offset_of(text, error.span.end);
     let (before, after) = text.split_at(end);
-    let part = |c: char| c.is_ascii_alphanumeric() || "+-._\"".contains(c);
+    fn part(c: char) -> bool {
+        c.is_ascii_alphanumeric() || "+-._\"".contains(c)
+    }
     let start = before.trim_end_matches(part).len();
     // A string ends at its next quote.
     let quote = text[start..].strip_prefix('"').and_then(|rest| rest.find('"')).map(|quote| start + quote + 2);
@@ -294,11 +296,13 @@ const ONE_OF: &str = "write one of ";
 
 /// RON's message in one line, in the words of files.
 fn plain(error: &ron::Error) -> String {
-    let owner = |outer: &Option<String>| outer.as_ref().map_or(String::new(), |outer| format!(" of `{outer}`"));
-    let meant = |found: &str, known: &[&'static str]| {
+    fn owner(outer: &Option<String>) -> String {
+        outer.as_ref().map_or(String::new(), |outer| format!(" of `{outer}`"))
+    }
+    fn meant(found: &str, known: &[&'static str]) -> String {
         let meant = did_you_mean(found, known.iter().copied());
         format!("{meant}{ONE_OF}`{}`", known.join("`, `"))
-    };
+    }
     let known = match error {
         ron::Error::ExceededRecursionLimit => "brackets are nested too deeply".to_string(),
         ron::Error::ExpectedComma => "expected a comma or a closing bracket".to_string(),

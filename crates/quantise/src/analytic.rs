@@ -32,7 +32,7 @@ pub struct Fit {
     /// Threshold in the units of the weights.
     pub threshold: f64,
     /// Copies of every incoming projection: delay of each in steps, and factor of its weights.
-    pub copies: Vec<(u32, f64)>,
+    pub taps: Vec<(u32, f64)>,
     /// Weights of each compartment's synapses onto itself, by delay 0, 1, ..: for each delay one
     /// weight for all compartments, or one each.
     pub own: Vec<Vec<f64>>,
@@ -99,18 +99,18 @@ pub fn matched_threshold(srm: &SrmParameters, timestep_ms: f64, keep_u: f64, kee
     srm.theta * peak(keep_u, keep_v) / (std::f64::consts::E * r / tau * peak(r, r))
 }
 
-/// The matched threshold of a fit, all copies together.
+/// The matched threshold of a fit, all taps together.
 pub fn matched_threshold_of(srm: &SrmParameters, timestep_ms: f64, fit: &Fit) -> f64 {
     let (keep_u, keep_v) = (keep(fit.du), keep(fit.dv));
     let one = matched_threshold(srm, timestep_ms, keep_u, keep_v);
-    let [first, rest @ ..] = fit.copies.as_slice() else { return one };
+    let [first, rest @ ..] = fit.taps.as_slice() else { return one };
     if rest.is_empty() {
         return one * first.1;
     }
-    let last = fit.copies.iter().map(|&(delay, _)| delay).max().unwrap_or(0);
+    let last = fit.taps.iter().map(|&(delay, _)| delay).max().unwrap_or(0);
     let (mut u, mut v, mut most) = (0.0, 0.0, 0.0);
     for step in 0..ITERATED {
-        let arrived: f64 = fit.copies.iter().filter(|&&(delay, _)| delay == step).map(|&(_, factor)| factor).sum();
+        let arrived: f64 = fit.taps.iter().filter(|&&(delay, _)| delay == step).map(|&(_, factor)| factor).sum();
         u = keep_u * u + arrived;
         let next = keep_v * v + u;
         if step > last && next <= v {
@@ -141,12 +141,12 @@ pub fn own_synapses(srm: (&SrmParameters, f64), keep: (f64, f64), scales: (f64, 
     };
     let before = |k: usize, by: usize| k.checked_sub(by).map_or(0.0, nu);
     let weight = |k: usize| {
-        let given = match k {
+        let reset_correction = match k {
             1 => mean_excess * keep_v,
             2 => -mean_excess * keep_v * keep_u,
             _ => 0.0,
         };
-        given + nu(k) - (keep_u + keep_v) * before(k, 1) + keep_u * keep_v * before(k, 2)
+        reset_correction + nu(k) - (keep_u + keep_v) * before(k, 1) + keep_u * keep_v * before(k, 2)
     };
     (1..=count).map(weight).collect()
 }
@@ -161,7 +161,7 @@ pub fn start(srm: &SrmParameters, timestep_ms: f64) -> Fit {
         dv: decay,
         refractory: Refractory::ONE,
         threshold: matched_threshold(srm, timestep_ms, keep(decay), keep(decay)),
-        copies: vec![(0, 1.0)],
+        taps: vec![(0, 1.0)],
         own: Vec::new(),
         greatest_input: None,
     }
@@ -205,7 +205,7 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
         (PopulationKind::Srm(_), Some(fit)) => PopulationKind::Neurons(parameters(fit)),
         (other, _) => other.clone(),
     });
-    let copy = |projection: &Projection, (delay, factor): (u32, f64)| {
+    fn copy(projection: &Projection, delay: u32, factor: f64) -> Projection {
         let late = i64::from(projection.delay.get()) + i64::from(delay);
         let kind = match &projection.kind {
             kind if factor == 1.0 => kind.clone(),
@@ -216,17 +216,20 @@ pub fn with_fits(graph: &Graph, fits: &[Option<Fit>]) -> Graph {
             kind => kind.map_weights(|_, weight| weight * factor),
         };
         Projection { kind, delay: Delay::new(late).unwrap_or(Delay::MAX), ..projection.clone() }
-    };
+    }
     let mut added = Vec::new();
     for (_, source, target, projection) in graph.projections() {
         let Some(fit) = &fits[target.index()] else { continue };
-        for &of in fit.copies.iter().skip(1) {
-            let name = format!("{} ({} steps later)", projection.name, of.0);
-            added.push((source, target, Projection { name, ..copy(projection, of) }));
+        for &(delay, factor) in fit.taps.iter().skip(1) {
+            let name = format!("{} ({delay} steps later)", projection.name);
+            added.push((source, target, Projection { name, ..copy(projection, delay, factor) }));
         }
     }
     let changed = kinds.with_projections(|target, projection| match &fits[target.index()] {
-        Some(fit) => copy(projection, fit.copies.first().copied().unwrap_or((0, 1.0))),
+        Some(fit) => {
+            let (delay, factor) = fit.taps.first().copied().unwrap_or((0, 1.0));
+            copy(projection, delay, factor)
+        }
         None => projection.clone(),
     });
     for (node, population) in graph.populations() {

@@ -100,7 +100,9 @@ fn wrapping(populations: &Populations, projections: &Projections, into: &[Projec
             *sum = sum.saturating_add((all << exponent.max(0)).saturating_mul(most));
         }
     }
-    let may_wrap = |sums: &[u64]| sums.iter().any(|&sum| sum >= 1 << UV_BITS);
+    fn may_wrap(sums: &[u64]) -> bool {
+        sums.iter().any(|&sum| sum >= 1 << UV_BITS)
+    }
     groups.into_iter().filter(|(_, _, sums)| may_wrap(sums)).map(|(_, members, _)| members).collect()
 }
 

@@ -180,9 +180,9 @@ mod tests {
             Dense(from: [\"in\"], to: \"o\", weights: Uniform(low: -0.4, high: 0.7, seed: 2))], output: \"o\")";
         let graph = nsim_testing::graph(text);
         let start = analytic::starts(&graph)[1].clone().unwrap();
-        let copies: Vec<(u32, f64)> = (0..9).map(|k| (k * k / 2, 1.0 - 0.11 * f64::from(k))).collect();
+        let taps: Vec<(u32, f64)> = (0..9).map(|k| (k * k / 2, 1.0 - 0.11 * f64::from(k))).collect();
         let (du, dv) = (Decay::new(300).unwrap(), Decay::MAX);
-        let fit = Fit { du, dv, copies: copies.clone(), threshold: 10.0, greatest_input: Some(20.0), ..start };
+        let fit = Fit { du, dv, taps: taps.clone(), threshold: 10.0, greatest_input: Some(20.0), ..start };
         let graph = analytic::with_fits(&graph, &[None, Some(fit)]);
         let (network, unit) = (quantise_with(&graph, detail).unwrap(), scales(&graph, detail).unwrap()[1].unwrap());
         let keep = |delay: u32| libm::pow(1.0 - 300.0 / 4096.0, f64::from(32 - delay));

@@ -147,9 +147,9 @@ fn greatest(of: &PerCompartment<f64>) -> f64 {
 
 /// Least fraction of the current that a step removes, 0..=1.
 fn least_decay(parameters: &NeuronParameters, timestep_ms: f64) -> f64 {
-    let least = |of: &PerCompartment<f64>, share: &dyn Fn(f64) -> f64| {
+    fn least(of: &PerCompartment<f64>, share: &dyn Fn(f64) -> f64) -> f64 {
         of.values().iter().map(|&value| share(value)).reduce(f64::min).unwrap_or(1.0)
-    };
+    }
     match (parameters.get("du"), parameters.real("tau_u_ms")) {
         (Some(du), _) => least(&du.each, &|du| du / DECAY_ONE as f64),
         (None, Some(tau)) => least(&tau.each, &|tau| -libm::expm1(-timestep_ms / tau)),

@@ -250,7 +250,9 @@ impl Stage<'_> {
             let message = format!("population '{}': a real threshold of {greatest} is not above 0", population.name);
             return Err(self.error("model.threshold", message, threshold.span));
         }
-        let register = |mantissa: f64, exponent: f64| mantissa * (exponent + f64::from(WEIGHT_SHIFT)).exp2();
+        fn register(mantissa: f64, exponent: f64) -> f64 {
+            mantissa * (exponent + f64::from(WEIGHT_SHIFT)).exp2()
+        }
         let mut pinned: Option<f64> = None;
         let mut largest = f64::from(ThresholdMantissa::MAX.get()) * 64.0 / greatest;
         let mut driven = false;
@@ -258,8 +260,8 @@ impl Stage<'_> {
             let format = self.format(projection)?;
             let exponent = f64::from(format.exponent.get());
             if let Some(scale) = &projection.weight_scale {
-                let here = register(scale.value, exponent);
-                if pinned.is_some_and(|other| other != here) {
+                let in_registers = register(scale.value, exponent);
+                if pinned.is_some_and(|other| other != in_registers) {
                     let name = &population.name;
                     let message = format!("population '{name}': its projections' weight_scale imply different scales");
                     return Err(self.error("model.weight-scale", message, scale.span).help(
@@ -267,7 +269,7 @@ impl Stage<'_> {
                          threshold",
                     ));
                 }
-                pinned = Some(here);
+                pinned = Some(in_registers);
             }
             let (low, high) = format.sign.range(format.bits);
             projection.kind.each_weight(|weight| {
@@ -539,9 +541,9 @@ impl Rounding<'_, '_> {
         let (low, high) = self.format.sign.range(self.format.bits);
         if !(f64::from(low)..=f64::from(high)).contains(&rounded) {
             let (bits, sign) = (self.format.bits, self.format.sign);
-            let given = if rounded == weight { String::new() } else { format!(", rounded {rounded},") };
+            let remark = if rounded == weight { String::new() } else { format!(", rounded {rounded},") };
             let message = format!(
-                "projection {name}: weight {which} {weight}{given} is outside {low}..={high} of {bits} {sign:?} bits"
+                "projection {name}: weight {which} {weight}{remark} is outside {low}..={high} of {bits} {sign:?} bits"
             );
             return Err(self
                 .stage

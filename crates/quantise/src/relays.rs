@@ -53,7 +53,7 @@ pub struct Relayed {
     pub network: Quantised,
     /// By population of the original, the steps by which its spikes are later.
     pub later: IdVec<PopulationId, u32>,
-    /// Number of relays.
+    /// Relay compartments that were added.
     pub relays: u32,
     /// Levels of the deepest tree.
     pub levels: u32,
@@ -65,14 +65,14 @@ pub struct Relayed {
 /// `map.relays`.
 pub fn relayed(network: &Quantised, most: u32) -> Result<Relayed, Diagnostic> {
     let later = network.populations().iter().map(|_| 0).collect();
-    let mut found = Relayed { network: network.clone(), later, relays: 0, levels: 0 };
+    let mut relayed = Relayed { network: network.clone(), later, relays: 0, levels: 0 };
     for _ in 0..MOST_LEVELS {
-        let Some(next) = level(&found.network, most)? else { return Ok(found) };
-        for (later, more) in found.later.iter_mut().zip(&next.later) {
+        let Some(next) = level(&relayed.network, most)? else { return Ok(relayed) };
+        for (later, more) in relayed.later.iter_mut().zip(&next.later) {
             *later += more;
         }
-        let (relays, levels) = (found.relays + next.relays, found.levels + 1);
-        found = Relayed { network: next.network, later: found.later, relays, levels };
+        let (relays, levels) = (relayed.relays + next.relays, relayed.levels + 1);
+        relayed = Relayed { network: next.network, later: relayed.later, relays, levels };
     }
     Err(refused(format!("a tree of {MOST_LEVELS} levels of relays with {most} output axons each is not enough")))
 }

@@ -293,14 +293,14 @@ impl<F: Real> Engine for Reference<'_, F> {
             let sums = &mut self.arrivals[index][slot];
             let spikes = &mut self.spikes;
             let spike = |neuron: u32| spikes.push(CompartmentId(population.first + neuron));
-            let held = self.step < population.start_step;
+            let is_before_start = self.step < population.start_step;
             if model.reset.is_some_and(|reset| falls_on(reset, self.step, population.resets_from)) {
                 self.units[index].clear();
             }
             let by_unit = population.order.by_unit(sums, &mut self.by_unit);
             match &mut self.units[index] {
                 Units::Srm(srm) => srm.step(by_unit, spike),
-                Units::Cuba(cuba) if !held => cuba.step(by_unit, spike),
+                Units::Cuba(cuba) if !is_before_start => cuba.step(by_unit, spike),
                 Units::Input | Units::Cuba(_) => {}
             }
             sums.fill(F::default());

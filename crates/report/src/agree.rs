@@ -178,7 +178,7 @@ const FIT_COLUMNS: [Column<(String, Fit)>; 6] = [
     ("dv", |(_, fit)| fit.dv.to_string()),
     ("refractory", |(_, fit)| fit.refractory.to_string()),
     ("threshold", |(_, fit)| four(fit.threshold)),
-    ("delayed copies", |(_, fit)| fit.copies.len().to_string()),
+    ("delayed copies", |(_, fit)| fit.taps.len().to_string()),
 ];
 
 fn score_columns<'a>() -> [Column<(&'a str, &'a ConversionScore)>; 4] {
@@ -266,8 +266,8 @@ impl AgreeReport<'_> {
         let populations = self.fits.iter().map(|(name, fit)| {
             json!({
                 "name": name, "du": fit.du.get(), "dv": fit.dv.get(), "refractory": fit.refractory.get(),
-                "threshold": rounded(fit.threshold), "delays": fit.copies.iter().map(|copy| copy.0).collect::<Vec<_>>(),
-                "factors": fit.copies.iter().map(|copy| rounded(copy.1)).collect::<Vec<_>>(),
+                "threshold": rounded(fit.threshold), "delays": fit.taps.iter().map(|copy| copy.0).collect::<Vec<_>>(),
+                "factors": fit.taps.iter().map(|copy| rounded(copy.1)).collect::<Vec<_>>(),
             })
         });
         let search = self.found.map(|found| {
@@ -463,10 +463,10 @@ pub fn potentials(model: &str, layers: &[LayerRow]) -> Option<String> {
         Series::Line(name.to_string(), points.collect())
     };
     let end = f64::from(excerpt.from) + excerpt.a.len().max(excerpt.b.len()) as f64 - 1.0;
-    let spikes = |name: &str, steps: &[u32], height: f64| {
+    fn spikes(name: &str, steps: &[u32], height: f64) -> Series {
         let points = steps.iter().map(|&step| (f64::from(step), height, String::new()));
         Series::Points(name.to_string(), points.collect())
-    };
+    }
     let series = [
         line("a", &excerpt.a),
         line("b", &excerpt.b),

@@ -104,14 +104,14 @@ fn row_json(row: &ComparedTarget) -> Value {
         "target": row.target, "hardware": row.hardware, "constants": row.constants, "fits": row.found.is_ok(),
         "chips_used": null, "cores_used": null, "intervals": null, "x86_share": null, "reasons": [],
     });
-    let found = row.found.as_ref();
+    let cost = row.found.as_ref();
     for (key, _, figure, end) in FIGURES {
-        let of = |bound: fn(&EnergyRow) -> Option<Bound>| found.ok().and_then(|one| end(&bound(&one.row)?));
-        object[key] = json!(found.ok().and_then(|one| figure(&one.row)));
+        let of = |bound: fn(&EnergyRow) -> Option<Bound>| cost.ok().and_then(|one| end(&bound(&one.row)?));
+        object[key] = json!(cost.ok().and_then(|one| figure(&one.row)));
         object[format!("{key}_low")] = json!(of(|row| row.low));
         object[format!("{key}_high")] = json!(of(|row| row.high));
     }
-    match found {
+    match cost {
         Ok(priced) => {
             object["chips_used"] = priced.chips_used.into();
             object["cores_used"] = priced.cores_used.into();
@@ -133,13 +133,13 @@ pub fn json(found: &Comparison) -> Value {
 
 /// CSV with a row for each target.
 pub fn csv_rows(found: &Comparison) -> String {
-    let row = |row: &ComparedTarget| {
+    fn row(row: &ComparedTarget) -> Value {
         let mut object = row_json(row);
         let reasons = row.found.as_ref().err().map_or(&[][..], Vec::as_slice);
         let said: Vec<&str> = reasons.iter().map(|reason| reason.message.as_str()).collect();
         object["reasons"] = said.join("; ").into();
         object
-    };
+    }
     csv(found.targets.iter().map(row), KEYS)
 }
 

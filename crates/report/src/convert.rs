@@ -98,11 +98,11 @@ impl ConvertReport<'_> {
 
     /// `nsim.convert/1`.
     pub fn json(&self) -> Value {
-        let left = |left: &Share| {
+        fn left(left: &Share) -> Value {
             let mut object = json!(left.without);
             object["cause"] = left.cause.name().into();
             object
-        };
+        }
         let converted = &self.done.converted;
         let object = json!({
             "schema": "nsim.convert/1", "model": self.job.graph.facts().name, "model_sha256": self.job.hash,

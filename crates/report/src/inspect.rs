@@ -83,7 +83,7 @@ impl Findings {
             let _ = writeln!(out, "  {key:width$}  {value}");
         }
         for part in self.tables.iter().filter(|part| part.rows_in_text > 0) {
-            // Sources are sentences, and the shown rows are of one preset: both are omitted.
+            // Sources are sentences, and the printed rows are of one preset: both are omitted.
             let is_shown = |at: &usize| !["source", "preset"].contains(&part.columns[*at]);
             let columns: Vec<usize> = (0..part.columns.len()).filter(is_shown).collect();
             let header: Vec<&str> = columns.iter().map(|&at| part.columns[at]).collect();
@@ -113,7 +113,9 @@ impl Findings {
 
     /// The first table; facts as key and value when there is none.
     pub fn csv(&self) -> String {
-        let cell = |value: &Value| if value.is_null() { String::new() } else { value_text(value) };
+        fn cell(value: &Value) -> String {
+            if value.is_null() { String::new() } else { value_text(value) }
+        }
         let header = |columns: &[&str]| columns.iter().map(ToString::to_string).collect();
         match self.tables.first() {
             Some(part) => csv_text(header(part.columns), part.rows.iter().map(|row| row.iter().map(cell).collect())),

@@ -31,7 +31,7 @@ use nsim_ir::resource::{Limits, Resource};
 pub struct MapRequest<'a> {
     /// The model's name.
     pub model: &'a str,
-    /// The target.
+    /// Target to map on.
     pub target: &'a Target,
     /// Options of the compiler.
     pub options: &'a Options,
@@ -165,7 +165,9 @@ impl<'a> MapResult<'a> {
             MapOutcome::Fits(mapping, traffic, score) => (Some(mapping), Some(traffic), Some(score), &[][..]),
             MapOutcome::DoesNotFit(reasons) => (None, None, None, reasons),
         };
-        let per_copy = |mapping: &Mapping| mapping.partition.cores() as f64 / f64::from(mapping.options.copies);
+        fn per_copy(mapping: &Mapping) -> f64 {
+            mapping.partition.cores() as f64 / f64::from(mapping.options.copies)
+        }
         let seconds = mapping.map_or(&[][..], |mapping| &mapping.seconds);
         json!({
             "schema": "nsim.map/1", "model": model, "target": target.name(), "copies": options.copies,
@@ -410,7 +412,9 @@ fn words_table(cores: &[CoreUse<'_>], limits: &Limits) -> String {
             None => alike.push((core, 1)),
         }
     }
-    let intel = |name: &str| WORDS.iter().find(|word| word.0 == name).map_or("Total", |word| word.1);
+    fn intel(name: &str) -> &str {
+        WORDS.iter().find(|word| word.0 == name).map_or("Total", |word| word.1)
+    }
     let row = |(core, number): &(&CoreUse<'_>, u64)| {
         let names: Vec<String> = core.populations.iter().map(|(name, count)| format!("{name}: {count}")).collect();
         let words = core.pools.iter().map(|(_, need)| need.to_string());

@@ -176,14 +176,14 @@ impl RunReport<'_> {
 
     /// A line for each rule.
     fn learning_text(&self) -> String {
-        let line = |row: &LearningRow| {
+        fn line(row: &LearningRow) -> String {
             let LearningRow { name, epochs, weight_min, weight_max, at_bounds, changed, .. } = row;
             wrapped(&format!(
                 "{name} learned over {}: {}, from {weight_min} to {weight_max}, {at_bounds} at their bounds",
                 count(*epochs, "epoch"),
                 count(*changed, "changed weight")
             ))
-        };
+        }
         let lines: String = self.learning.iter().map(line).collect();
         if lines.is_empty() { lines } else { format!("\n{lines}") }
     }

@@ -12,11 +12,11 @@ use nsim_scene::wire::WireCounts;
 pub struct ClassSummary {
     /// Its name.
     pub name: String,
-    /// Number of samples.
+    /// Samples with this label.
     pub samples: usize,
     /// Spikes of touch in all samples.
     pub touch_spikes: u64,
-    /// Spikes of vision.
+    /// Spikes of vision in all samples.
     pub vision_spikes: u64,
     /// Spikes a channel and step of touch; NaN without samples.
     pub touch_density: f64,
@@ -74,7 +74,7 @@ impl ByMarkers {
 pub struct SceneReport {
     /// The scene with its parameters.
     pub scene: String,
-    /// The seed.
+    /// Seed from which the samples are drawn.
     pub seed: u64,
     /// Number of samples.
     pub samples: usize,

@@ -36,7 +36,7 @@ pub fn stimulus(
     default: Option<&str>,
     seed: Option<u64>,
 ) -> Result<Stimulus, Error> {
-    stimulus_with_progress(network, arguments, (default, seed), &|| ())
+    stimulus_with_progress(network, arguments, default, seed, &|| ())
 }
 
 /// As [`stimulus`], with the model's own scene and a seed; calls `progress` before each sample of a
@@ -44,7 +44,8 @@ pub fn stimulus(
 pub fn stimulus_with_progress(
     network: &Quantised,
     arguments: &[String],
-    (default, seed): (Option<&str>, Option<u64>),
+    default: Option<&str>,
+    seed: Option<u64>,
     progress: Progress<'_>,
 ) -> Result<Stimulus, Error> {
     let mut stimulus = read_samples(network, arguments, default, seed, progress)?;

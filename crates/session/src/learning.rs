@@ -27,11 +27,11 @@ pub fn learns(rules: &IdVec<RuleId, Learning>) -> bool {
 /// The state of a rule's synapses, by row; empty from engines that do not learn.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct LearnedRule {
-    /// Weights.
+    /// Weight of each synapse.
     pub weights: Vec<i32>,
-    /// Delays.
+    /// Delay of each synapse.
     pub delays: Vec<i32>,
-    /// Tags.
+    /// Tag of each synapse.
     pub tags: Vec<i32>,
 }
 

@@ -123,7 +123,9 @@ fn operations(network: &Quantised, counts: &SourceCounts) -> (u64, u64) {
 /// Returns the number of compartments, plus the voltages that change in later timesteps.
 fn membrane_updates(outcome: &Outcome) -> u64 {
     let steps = outcome.steps as usize;
-    let of_compartment = |voltages: &[i32]| 1 + voltages.windows(2).filter(|pair| pair[0] != pair[1]).count() as u64;
+    fn of_compartment(voltages: &[i32]) -> u64 {
+        1 + voltages.windows(2).filter(|pair| pair[0] != pair[1]).count() as u64
+    }
     let traces = outcome.probes.iter().flat_map(|probe| probe.chunks(steps.max(1)));
     traces.filter(|trace| !trace.is_empty()).map(of_compartment).sum()
 }

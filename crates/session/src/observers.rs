@@ -16,7 +16,7 @@ use crate::outcome::{Outcome, Probe, Quantity, SampleSettings};
 pub struct StepRange {
     /// The first of them.
     pub first: u32,
-    /// Number of steps.
+    /// Length of the range in steps.
     pub steps: u32,
     /// Whether nothing happened in them.
     pub idle: bool,

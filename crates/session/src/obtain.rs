@@ -27,7 +27,7 @@ use nsim_ir::quantised::Quantised;
 use nsim_quantise::prune::Plan;
 
 use crate::error::Error;
-use crate::front::{has_srm, real_and_integers};
+use crate::front::{front, has_srm, real_and_integers};
 use crate::{inputs, shapes};
 
 /// The engine for which a job is prepared.
@@ -43,9 +43,43 @@ pub enum EngineKind {
     ByModel,
 }
 
-/// Function that converts a network to integers: [`crate::front::front`], or a conversion of its
-/// spike response neurons.
-pub type Integers<'a> = &'a dyn Fn(&Network) -> Result<Front, Error>;
+/// One way to convert networks to integers.
+#[derive(Debug, Clone, Copy)]
+pub struct ConversionStage {
+    /// Name, for the log.
+    pub name: &'static str,
+    /// Whether it converts a network.
+    pub applies: fn(&Network) -> bool,
+    /// Converts a network, with at most this many taps of an input population.
+    pub convert: fn(&Network, usize) -> Result<Front, Error>,
+}
+
+impl ConversionStage {
+    /// Lowers and quantises: any network, spike response neurons by analysis.
+    pub const QUANTISE: ConversionStage =
+        ConversionStage { name: "quantise", applies: |_| true, convert: |network, _| Ok(front(network)?) };
+}
+
+/// A conversion of networks to integers: the first stage that applies is used.
+#[derive(Debug, Clone, Copy)]
+pub struct Conversion {
+    /// Its stages; the last applies to any network.
+    pub stages: &'static [ConversionStage],
+    /// Most taps of an input population.
+    pub most_taps: usize,
+}
+
+impl Conversion {
+    /// Converts a network.
+    ///
+    /// # Errors
+    /// Those of the stage.
+    pub fn convert(&self, network: &Network) -> Result<Front, Error> {
+        let stage = self.stages.iter().find(|stage| (stage.applies)(network)).unwrap_or(&ConversionStage::QUANTISE);
+        tracing::debug!(stage = stage.name, "converts");
+        (stage.convert)(network, self.most_taps)
+    }
+}
 
 /// The target of a mapping.
 #[derive(Clone, Copy)]
@@ -64,7 +98,7 @@ pub struct Request<'a> {
     /// The parsed model file.
     pub network: &'a Network,
     /// Its conversion to integers.
-    pub integers: Integers<'a>,
+    pub conversion: Conversion,
     /// The engine.
     pub engine: EngineKind,
     /// The target.
@@ -87,11 +121,11 @@ pub struct Request<'a> {
 
 impl<'a> Request<'a> {
     /// Returns the request for a network on its default target, with default options.
-    pub fn new(model: &'a str, network: &'a Network, integers: Integers<'a>) -> Self {
+    pub fn new(model: &'a str, network: &'a Network, conversion: Conversion) -> Self {
         Request {
             model,
             network,
-            integers,
+            conversion,
             engine: EngineKind::Mapped,
             target: TargetChoice::Named(None),
             mapping: None,
@@ -128,7 +162,10 @@ impl<'a> Request<'a> {
     }
 
     fn front(&self) -> Result<Front, Error> {
-        let front = (self.integers)(self.network)?;
+        self.pruned(self.conversion.convert(self.network)?)
+    }
+
+    fn pruned(&self, front: Front) -> Result<Front, Error> {
         let Some(plan) = self.plan(front.quantised())? else { return Ok(front) };
         refuse_large("--prune", front.quantised(), 1)?;
         Ok(front.prune(&plan)?)
@@ -247,6 +284,15 @@ pub struct MappingSettings {
 /// Returns the network in integers, pruned and with relays, and the goal of its mapping.
 /// Errors are those of [`obtain`].
 pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings), Error> {
+    prepare_converted(request, || request.conversion.convert(request.network))
+}
+
+/// As [`prepare_mapping`], for a network whose conversion the caller stores.
+/// Errors are those of [`obtain`].
+pub fn prepare_converted(
+    request: &Request<'_>,
+    converted: impl FnOnce() -> Result<Front, Error>,
+) -> Result<(Front, MappingSettings), Error> {
     let Request { network, mapping, .. } = *request;
     let target = match request.target {
         TargetChoice::Loaded(target) => target.clone(),
@@ -265,7 +311,7 @@ pub fn prepare_mapping(request: &Request<'_>) -> Result<(Front, MappingSettings)
     if saved.is_none() && !request.prunes() {
         shapes::check(network, &target, options.copies)?;
     }
-    let front = request.front()?.with_cores_of(request.cores_of)?;
+    let front = request.pruned(converted()?)?.with_cores_of(request.cores_of)?;
     let front = if request.relays { front.relay(&target)? } else { front };
     let saved = saved.zip(mapping).map(|(file, path)| (file, path.to_path_buf(), request.model.to_string()));
     Ok((front, MappingSettings { target, options, saved }))

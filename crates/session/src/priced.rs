@@ -229,7 +229,7 @@ pub fn run_priced(compiled: &Mapping, target: &Target, samples: &[Sample]) -> Re
     let copies = compiled.options.copies;
     let metered = MeteredMapping::new(compiled);
     let (settings, deployment) = metered.offline(target)?;
-    let price = step_price(&settings.tables[0], &deployment, copies, (Mode::Offline, Accounting::Profiler));
+    let price = step_price(&settings.tables[0], &deployment, copies, Mode::Offline, Accounting::Profiler);
     let settings = MeterSettings { distribution: Some((0, price)), ..settings };
     let samples: Vec<&Sample> = samples.iter().collect();
     let run = metered.run(settings, &samples, RunSettings::new(&SampleSettings::new(compiled.program.output())))?;

@@ -27,7 +27,7 @@ pub struct RankRow {
     pub rank: u32,
     /// Chips that its cores are on.
     pub chips: u32,
-    /// Number of compartments.
+    /// Compartments on its cores.
     pub compartments: u64,
     /// Synapses in the tables of its cores.
     pub synapses: u64,
@@ -79,7 +79,8 @@ pub fn part_of(program: &Arc<Program>, ranks: &Ranks) -> Result<Arc<Program>, Di
 /// and the row of its part.
 pub(super) type RankResults = (Vec<Outcome>, Activity, SourceCounts, u64, RankRow);
 
-/// Adds another rank's outcome of a sample. `shown`: every rank has received all output spikes.
+/// Adds another rank's outcome of a sample. `shown` is whether every rank has received all output
+/// spikes.
 pub(super) fn add_outcome(outcome: &mut Outcome, other: Outcome, shown: bool) {
     outcome.totals += other.totals;
     outcome.synaptic_updates += other.synaptic_updates;

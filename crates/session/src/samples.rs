@@ -220,7 +220,7 @@ fn run_sequentially<M: Meter>(
     run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {
-    let run = run_without_counts(&mut session, (0, samples), run_settings, new_meter);
+    let run = run_without_counts(&mut session, 0, samples, run_settings, new_meter);
     let (activity, counts) = session.into_engine().take_counts();
     Run { activity, counts, ..run }
 }
@@ -246,7 +246,7 @@ fn run_in_parallel<M: Meter>(
             let place = next.fetch_add(1, Ordering::Relaxed);
             let Some(part) = parts.get(place) else { break };
             let session = session.get_or_insert_with(&new_session);
-            runs.push((place, run_without_counts(session, (place * size, part), run_settings, &new_meter)));
+            runs.push((place, run_without_counts(session, place * size, part, run_settings, &new_meter)));
         }
         (session, runs)
     });
@@ -282,7 +282,8 @@ fn run_in_parallel<M: Meter>(
 /// them is at `place` in the run.
 fn run_without_counts<M: Meter>(
     session: &mut Session,
-    (place, samples): (usize, &[&Sample]),
+    place: usize,
+    samples: &[&Sample],
     run_settings: RunSettings<'_>,
     new_meter: impl Fn() -> M,
 ) -> Run<M> {

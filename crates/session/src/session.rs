@@ -225,8 +225,8 @@ impl<E: Engine + ?Sized> Session<E> {
 
     /// Checks that each rule whose numbers are set has those of the next step.
     fn check_draws(&self) -> Result<()> {
-        let given = self.draws.recorded.iter().zip(self.rules.iter());
-        given
+        let recorded = self.draws.recorded.iter().zip(self.rules.iter());
+        recorded
             .filter_map(|(numbers, rule)| Some((numbers.as_ref()?, rule)))
             .try_for_each(|(numbers, rule)| rule.check_numbers(numbers, self.steps))
     }
@@ -366,6 +366,21 @@ impl<E: Engine + ?Sized> Session<E> {
     }
 }
 
+/// Appends an integer for each compartment of a population in the order before pruning, from those
+/// of its compartments; others have 0.
+pub fn append_before_pruning(
+    one: &Quantised,
+    id: PopulationId,
+    of_compartments: impl Iterator<Item = (u32, i32)>,
+    values: &mut Vec<i32>,
+) {
+    let start = values.len();
+    values.resize(start + one.units_before_pruning(id) as usize, 0);
+    for (i, value) in of_compartments {
+        values[start + one.index_before_pruning(id, i) as usize] = value;
+    }
+}
+
 /// Steps all copies, each with the input of one.
 fn advance<E: Engine + ?Sized>(engine: &mut E, one: Spikes<'_>, copies: u32, (ids, values): &mut Input) {
     if copies == 1 {
@@ -413,17 +428,14 @@ impl Session {
             population.first_compartment() == Some(probe.first) && population.shape.len() == probe.count
         });
         let Some((id, _)) = population else { return };
-        let start = values.len();
-        values.resize(start + one.units_before_pruning(id) as usize, 0);
-        let place = |i| start + one.index_before_pruning(id, i) as usize;
-        if matches!(probe.quantity, Quantity::Spikes | Quantity::Message) {
-            for (i, payload) in self.spikes(probe.first, probe.count) {
-                values[place(i)] = if probe.quantity == Quantity::Spikes { 1 } else { payload };
-            }
-            return;
-        }
-        for i in 0..probe.count {
-            values[place(i)] = integer(&self.engine, probe.quantity, CompartmentId(probe.first.0 + i));
+        let &Probe { quantity, first, count, .. } = probe;
+        if matches!(quantity, Quantity::Spikes | Quantity::Message) {
+            let spikes = self.spikes(first, count).into_iter();
+            let integers = spikes.map(|(i, payload)| (i, if quantity == Quantity::Spikes { 1 } else { payload }));
+            append_before_pruning(one, id, integers, values);
+        } else {
+            let value = |i| (i, integer(&self.engine, quantity, CompartmentId(first.0 + i)));
+            append_before_pruning(one, id, (0..count).map(value), values);
         }
     }
 

@@ -158,7 +158,8 @@ impl Meter for Recorder<'_, '_> {
 pub fn run_recorded(
     metered: &MeteredMapping<'_>,
     settings: MeterSettings,
-    (samples, run_settings): (&[&Sample], RunSettings<'_>),
+    samples: &[&Sample],
+    run_settings: RunSettings<'_>,
     layout: &StepLayout,
     out: StepWriter<'_>,
 ) -> Result<(Run<StepMeter>, std::io::Result<()>)> {

@@ -312,9 +312,9 @@ fn nearest_of_runs(
                 let neuron = neurons.get(index);
                 let fires_from = neuron::fields(&neuron, *start_step, parts.semantics, parts.threshold).fires_from;
                 let index = run.network.index_before_pruning(*id, index);
-                let here = NearestCompartment { index, potential, fires_from, neuron };
-                if best.is_none_or(|best| here.share() > best.share()) {
-                    *best = Some(here);
+                let nearest = NearestCompartment { index, potential, fires_from, neuron };
+                if best.is_none_or(|best| nearest.share() > best.share()) {
+                    *best = Some(nearest);
                 }
             }
         }

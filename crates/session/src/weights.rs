@@ -120,7 +120,7 @@ impl OneSynapse {
             traces: traces.map(|side| side.map(|trace| (trace, vec![])).collect()),
             ..Default::default()
         };
-        let [before, after] = ends_in_network(network, rule, (source, target));
+        let [before, after] = ends_in_network(network, rule, source, target);
         let every = sample.steps().div_ceil(MOST_POINTS).max(1);
         engine.begin(sample.steps());
         for step in 0..sample.steps() {
@@ -158,7 +158,7 @@ impl OneSynapse {
 }
 
 /// A source and a target of a rule among those of the network.
-fn ends_in_network(network: &Quantised, rule: RuleId, (source, target): (u32, u32)) -> [Option<SpikeSource>; 2] {
+fn ends_in_network(network: &Quantised, rule: RuleId, source: u32, target: u32) -> [Option<SpikeSource>; 2] {
     let unit = |id, index: u32| match network.populations()[id].units {
         Units::Input(first) => SpikeSource::Channel(ChannelId(first.0 + index)),
         Units::Compartments { first, .. } => SpikeSource::Compartment(CompartmentId(first.0 + index)),

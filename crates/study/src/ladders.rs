@@ -204,11 +204,11 @@ impl LadderCase {
                 Class::Lists { fan_out, delays } => {
                     for place in 0..delays {
                         let synapses = random_synapses(size, fan_out / delays, seed + u64::from(place));
-                        net.connect(ends, 0, synapses)?;
+                        net.connect(ends.0, ends.1, 0, synapses)?;
                         net.delay_last((place * LONGEST / delays.max(2)).into())?;
                     }
                 }
-                _ => net.dense(ends, (-120, 120), seed)?,
+                _ => net.dense(ends, -120, 120, seed)?,
             }
         }
         Ok(net.build()?)

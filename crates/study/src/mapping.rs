@@ -29,7 +29,7 @@ use nsim_session::ranks::peak_mib;
 /// Measurements of a mapping.
 #[derive(Debug, Clone)]
 pub struct MeasuredMapping {
-    /// The network.
+    /// Name of the mapped network of the suite.
     pub network: &'static str,
     /// Strategy by which compartments were assigned to cores.
     pub strategy: Strategy,

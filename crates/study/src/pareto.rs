@@ -285,11 +285,11 @@ impl<'a> Subject<'a> {
         };
         let skip = variant != Variant::Fast { skip: false };
         let mut session = Session::new(Machine::new(&image, Settings { skip, per_step: meter.is_some() }), 1);
-        let given: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
+        let merged_samples: Vec<Sample> = self.samples.iter().map(|sample| merge(sample, merged)).collect();
         let alone = meter.is_none() && early_exit.is_none();
         let sample_settings = SampleSettings { early_exit, ..SampleSettings::new(network.output()) };
         let times = self.timed(|| {
-            for sample in &given {
+            for sample in &merged_samples {
                 if alone {
                     drive(session.engine_mut(), sample);
                     continue;
@@ -306,7 +306,7 @@ impl<'a> Subject<'a> {
         });
         let mut traces = self.traces(session.engine_mut(), network, merged);
         if sample_settings.early_exit.is_some() {
-            for (trace, sample) in traces.iter_mut().zip(&given) {
+            for (trace, sample) in traces.iter_mut().zip(&merged_samples) {
                 let until = session.run(sample, &sample_settings, ()).steps;
                 // Skipped steps have no spikes, and no potentials to compare.
                 let steps = trace.steps;

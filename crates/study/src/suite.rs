@@ -50,7 +50,7 @@ const RARE: u64 = 20;
 pub struct SuiteCase {
     /// Its name in results.
     pub name: &'static str,
-    /// Number of copies.
+    /// Copies of the network that are mapped together.
     pub copies: u32,
     /// Whether it is skipped unless all networks are requested.
     pub large: bool,
@@ -100,7 +100,7 @@ pub fn cases() -> Vec<SuiteCase> {
 }
 
 fn bench(net: Builder, target: &'static str) -> Result<BenchNetwork, BuildError> {
-    with_spikes(net, STEPS, (1, RARE), target)
+    with_spikes(net, STEPS, 1, RARE, target)
 }
 
 fn slip(name: &'static str) -> Result<BenchNetwork, BuildError> {
@@ -112,8 +112,8 @@ fn container(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let touch = net.input("touch", 78);
     let hidden = net.loihi("hidden", 32, 80, 1)?;
     let out = net.loihi("out", 20, 80, 1)?;
-    net.dense((touch, hidden), (-16, 32), 1)?;
-    net.dense((hidden, out), (-32, 48), 2)?;
+    net.dense((touch, hidden), -16, 32, 1)?;
+    net.dense((hidden, out), -32, 48, 2)?;
     bench(net, "nahuku-32")
 }
 
@@ -169,10 +169,12 @@ fn listed(
         all.extend_from_slice(&own);
         first.push(all.len() as u64);
     }
-    let weight = |index: u64| -16 + 2 * rng::below(17, 6, index, 0) as i16;
+    fn weight(index: u64) -> i16 {
+        -16 + 2 * rng::below(17, 6, index, 0) as i16
+    }
     let weights = (0..all.len() as u64).map(weight).collect();
     let synapses = Connectivity::Sparse { first: first.into(), targets: all.into(), weights };
-    net.connect((neurons, neurons), 0, synapses)?;
+    net.connect(neurons, neurons, 0, synapses)?;
     net.delay_last(delay)?;
     bench(net, if compartments > 50_000 { "pohoiki-springs" } else { "nahuku-32" })
 }
@@ -205,7 +207,9 @@ fn small_world(name: &'static str, side: u32) -> Result<BenchNetwork, BuildError
 /// compartment; `target_of` maps a rank to its compartment.
 fn hubs(
     name: &'static str,
-    (n, most_in, delay): (u32, u32, i64),
+    n: u32,
+    most_in: u32,
+    delay: i64,
     seed: u64,
     fan_out: impl Fn(u64) -> u64,
     target_of: fn(u64) -> u64,
@@ -228,13 +232,13 @@ fn hubs(
 }
 
 fn scale_free(name: &'static str, n: u32) -> Result<BenchNetwork, BuildError> {
-    hubs(name, (n, 2_000, 0), 8, |_| u64::from(FAN_OUT), |rank| rank)
+    hubs(name, n, 2_000, 0, 8, |_| u64::from(FAN_OUT), |rank| rank)
 }
 
 fn fly(name: &'static str) -> Result<BenchNetwork, BuildError> {
     let pareto = |source| (40.0 * (1.0 - rng::unit(12, source, 0)).powf(-1.0 / 1.6)).min(10_000.0) as u64;
     // Which compartments have many inputs is independent of their number of outputs.
-    hubs(name, (140_000, 4_000, 18), 13, pareto, |rank| rank * 99_991)
+    hubs(name, 140_000, 4_000, 18, 13, pareto, |rank| rank * 99_991)
 }
 
 #[cfg(test)]

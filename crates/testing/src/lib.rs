@@ -216,7 +216,8 @@ impl Builder {
     /// Adds a projection.
     pub fn connect(
         &mut self,
-        (source, target): (PopulationId, PopulationId),
+        source: PopulationId,
+        target: PopulationId,
         format: SynapseFormat,
         delay: i64,
         connectivity: Connectivity,
@@ -233,7 +234,7 @@ impl Builder {
         let (sources, targets) = (size(source), size(target));
         let weights: Arc<[i16]> =
             (0..sources).flat_map(|s| (0..targets).map(move |t| (s, t))).map(|(s, t)| f(s, t)).collect();
-        self.connect((source, target), plain_format(), 0, Connectivity::Dense { targets, weights });
+        self.connect(source, target, plain_format(), 0, Connectivity::Dense { targets, weights });
     }
 
     /// Adds a dense projection of plain weights `[target][source]`, the order of model files.
@@ -243,7 +244,7 @@ impl Builder {
         assert_eq!(weights.len(), sources * targets);
         let by_source = (0..sources).flat_map(|s| (0..targets).map(move |t| weights[t * sources + s] as i16)).collect();
         let connectivity = Connectivity::Dense { targets: targets as u32, weights: by_source };
-        self.connect((source, target), plain_format(), delay, connectivity);
+        self.connect(source, target, plain_format(), delay, connectivity);
     }
 
     /// Resets every population periodically.
@@ -255,7 +256,7 @@ impl Builder {
     pub fn random(&mut self, source: PopulationId, target: PopulationId, fan_out: u32, seed: u64) {
         let targets = self.parts.populations[target].shape.len();
         let random = Connectivity::Random { targets, fan_out, low: -64, high: 64, step: 2, seed, first_source: 0 };
-        self.connect((source, target), plain_format(), 0, random);
+        self.connect(source, target, plain_format(), 0, random);
     }
 
     /// The network.
@@ -375,7 +376,7 @@ pub fn random_network(seed: u64) -> Quantised {
         let format = format(draw.from(-2, 1), sign, draw.one_of(&[8, 8, 6, 4]));
         let delay = draw.one_of(&[0, 0, 0, 1, 3]);
         let connectivity = random_connectivity(&mut draw, format, from, to);
-        builder.connect((source, target), format, delay, connectivity);
+        builder.connect(source, target, format, delay, connectivity);
     }
     builder.build()
 }

@@ -15,9 +15,9 @@ const NOISE: u64 = 5;
 /// A variation of a sample; populations are moved in time together.
 pub fn vary(by: &AugmentDesc, inputs: &[Raster], seed: u64, sample: u64, epoch: u64) -> Vec<Raster> {
     let key = rng::bits(seed, sample, epoch);
-    let symmetric = |limit: u32, key: u64, entity: u64, step: u64| {
+    fn symmetric(limit: u32, key: u64, entity: u64, step: u64) -> i64 {
         rng::below(2 * u64::from(limit) + 1, key, entity, step) as i64 - i64::from(limit)
-    };
+    }
     let shift = symmetric(by.shift, key, SHIFT, 0);
     let factor = 1.0 + by.stretch * (2.0 * rng::unit(key, STRETCH, 0) - 1.0);
     let mut varied = Vec::with_capacity(inputs.len());

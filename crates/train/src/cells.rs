@@ -82,10 +82,10 @@ impl Srm {
 impl Loihi {
     /// Compartments with these fields; a trained weight of 1 contributes `weight_unit` units of 64.
     pub fn new(fields: Vec<Fields>, theta: f32, weight_unit: f32, credit: CreditDesc) -> Self {
-        let leaves = |f: &Fields| {
+        fn leaves(f: &Fields) -> (f32, f32, f32) {
             let (keep_u, keep_v) = (keep(f.neuron.du), keep(f.neuron.dv));
             (keep_u as f32, keep_v as f32, (1.0 / early_peak(keep_u, keep_v).0) as f32)
-        };
+        }
         let mut leaves: Vec<_> = fields.iter().map(leaves).collect();
         if theta.is_infinite() {
             // The outputs' registers are compared, so they need one unit.

@@ -76,10 +76,12 @@ fn described(plan: &Plan) -> Value {
 }
 
 fn layer(layer: &Layer) -> Value {
-    let source = |source: &Source| match source {
-        Source::Input(index) => json!(["input", index]),
-        Source::Layer(index) => json!(["layer", index]),
-    };
+    fn source(source: &Source) -> Value {
+        match source {
+            Source::Input(index) => json!(["input", index]),
+            Source::Layer(index) => json!(["layer", index]),
+        }
+    }
     let cells = match &layer.cells {
         Cells::Srm(srm) => json!({
             "kind": "srm", "theta": srm.theta, "response": srm.response, "refractory": srm.refractory,

@@ -88,7 +88,7 @@ pub struct Plan {
     pub topology: Topology,
     /// The objective.
     pub loss: Loss,
-    /// The optimiser.
+    /// Rule by which gradients change the weights.
     pub optimiser: Optimiser,
     /// Learning rate of each layer at the first step.
     pub rates: Vec<f32>,
@@ -96,7 +96,7 @@ pub struct Plan {
     pub last_rate: f32,
     /// Samples in a minibatch.
     pub batch: usize,
-    /// Epochs.
+    /// Passes over the examples.
     pub epochs: u32,
     /// Data augmentation.
     pub augment: AugmentDesc,

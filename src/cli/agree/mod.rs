@@ -83,7 +83,7 @@ fn with_counterpart(args: &Args, trained: &Compared<'_>, scene: Option<&str>, ta
     let Compared { graph, integers: analytic, samples, context, .. } = *trained;
     let against = against(args, graph, analytic)?;
     let wanted = args.calibration_samples as usize;
-    let integers = args.conversion.integers((graph, analytic), &args.input, scene, samples, wanted)?;
+    let integers = args.conversion.integers(graph, analytic, &args.input, scene, samples, wanted)?;
     let staged = integers.staged(graph)?;
     let Some(compiled) = trained.deployed(&args.model, staged.deployed())? else { return Ok(Answer::No) };
     let attributed = against.is_real() && matches!(args.attribution, Switch::On);
@@ -137,7 +137,7 @@ fn command_words(args: &Args) -> CommandWords<'_> {
         closer: args.plot.is_none().then(|| with_plot.collect()),
         words,
         model: &args.model,
-        conversion: (args.conversion.conversion, args.conversion.copies.most()),
+        conversion: (args.conversion.conversion, args.conversion.taps.most()),
     }
 }
 

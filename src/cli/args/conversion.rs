@@ -8,28 +8,28 @@ use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_train::convert::calibration::RunInput;
-use nsim_train::convert::copies;
 use nsim_train::convert::deployed::{Conversion, ConversionSettings, ConvertedIntegers};
+use nsim_train::convert::taps;
 
-/// Limit on the delayed copies of a conversion.
+/// Limit on the taps, delayed copies of an input, of a conversion.
 #[derive(Debug, Clone, clap::Args)]
-pub struct CopiesArgs {
+pub struct TapsArgs {
     /// Most delayed copies of the input of a spike response population, each with synapses of its
     /// own; twice this number where synapses are few
     #[arg(
-        long,
+        long = "delayed-copies",
         help_heading = "Conversion",
         value_name = "N",
-        default_value_t = copies::DEFAULT_COPIES as u32,
-        value_parser = clap::value_parser!(u32).range(1..=copies::MOST_COPIES as i64)
+        default_value_t = taps::DEFAULT_TAPS as u32,
+        value_parser = clap::value_parser!(u32).range(1..=taps::MOST_TAPS as i64)
     )]
-    pub delayed_copies: u32,
+    pub most_taps: u32,
 }
 
-impl CopiesArgs {
-    /// The greatest number of copies.
+impl TapsArgs {
+    /// The greatest number of taps.
     pub fn most(&self) -> usize {
-        self.delayed_copies as usize
+        self.most_taps as usize
     }
 }
 
@@ -48,14 +48,15 @@ pub struct ConversionArgs {
     #[arg(help_heading = "Conversion", long, value_name = "SOURCE")]
     pub calibrate: Vec<String>,
     #[command(flatten)]
-    pub copies: CopiesArgs,
+    pub taps: TapsArgs,
 }
 
 impl ConversionArgs {
     /// The converted form of each spike response population of a network.
     pub fn integers(
         &self,
-        networks: (&Graph, &Quantised),
+        graph: &Graph,
+        network: &Quantised,
         input: &InputArgs,
         scene: Option<&str>,
         samples: &[&Sample],
@@ -67,11 +68,11 @@ impl ConversionArgs {
             calibrate: &self.calibrate,
             run,
             wanted,
-            most_copies: self.copies.most(),
+            most_taps: self.taps.most(),
         };
-        let _busy = (networks.0.has_srm() && self.conversion == Conversion::Search)
+        let _busy = (graph.has_srm() && self.conversion == Conversion::Search)
             .then(|| progress::stage("searching for integers"));
-        ConvertedIntegers::find(networks, choice, samples, |population| match population {
+        ConvertedIntegers::find(graph, network, choice, samples, |population| match population {
             Some(population) => tracing::info!("searching '{population}'"),
             None => tracing::warn!("calibrating on the first samples of the input itself; --calibrate gives others"),
         })

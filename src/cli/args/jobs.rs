@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::cli::args::conversion::CopiesArgs;
+use crate::cli::args::conversion::TapsArgs;
 use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::diagnostics;
@@ -15,9 +15,9 @@ use nsim_files::network::Network;
 use nsim_ir::hardware::Target;
 use nsim_session::error::{Error, Result};
 use nsim_session::inputs;
-use nsim_session::obtain::{EngineKind, Integers, Job, Request, TargetChoice, obtain};
-use nsim_train::convert::copies;
-use nsim_train::convert::prepare::integers;
+use nsim_session::obtain::{EngineKind, Job, Request, TargetChoice, obtain};
+use nsim_train::convert::prepare::conversion;
+use nsim_train::convert::taps;
 
 /// Parses a population and the compartments of a core of it.
 fn cores_of(typed: &str) -> Result<(String, u32), String> {
@@ -40,16 +40,12 @@ pub struct MappingArgs {
     #[arg(help_heading = "Mapping", long, value_name = "none|static|INPUT")]
     pub prune: Vec<String>,
     #[command(flatten)]
-    pub copies: CopiesArgs,
+    pub taps: TapsArgs,
 }
 
 impl Default for MappingArgs {
     fn default() -> Self {
-        MappingArgs {
-            relays: false,
-            prune: Vec::new(),
-            copies: CopiesArgs { delayed_copies: copies::DEFAULT_COPIES as u32 },
-        }
+        MappingArgs { relays: false, prune: Vec::new(), taps: TapsArgs { most_taps: taps::DEFAULT_TAPS as u32 } }
     }
 }
 
@@ -99,7 +95,7 @@ impl JobArgs {
     }
 
     /// Request for a loaded network.
-    pub fn request<'a>(&'a self, network: &'a Network, integers: Integers<'a>) -> Request<'a> {
+    pub fn request<'a>(&'a self, network: &'a Network) -> Request<'a> {
         Request {
             target: TargetChoice::Named(self.target.as_deref()),
             mapping: self.mapping.as_deref(),
@@ -107,7 +103,7 @@ impl JobArgs {
             prune: &self.anew.prune,
             relays: self.anew.relays,
             cores_of: &self.cores_of,
-            ..Request::new(&self.model, network, integers)
+            ..Request::new(&self.model, network, conversion(self.anew.taps.most()))
         }
     }
 }
@@ -173,8 +169,7 @@ pub fn prepare_loaded(
     copies: Option<u32>,
     probed: &[&str],
 ) -> Result<Result<Job, Refusal>> {
-    let integers = |network: &Network| integers(network, args.anew.copies.most());
-    let request = Request { engine, copies, probed, ..args.request(network, &integers) };
+    let request = Request { engine, copies, probed, ..args.request(network) };
     let _busy = progress::stage(if args.mapping.is_some() { "checking the mapping" } else { "mapping" });
     match obtain(&request) {
         Err(Error::DoesNotFit(reasons)) => {

@@ -40,7 +40,7 @@ impl RecordingPair {
         let stimulus = inputs::stimulus(&integers, std::slice::from_ref(&self.input), None, None)?;
         let recorded = read_source(&self.output, u64::from(output_layer(&integers).count))?;
         let samples: Vec<_> = stimulus.samples.iter().collect();
-        Ok(compare_recording((&graph, &integers), &samples, &recorded)?)
+        Ok(compare_recording(&graph, &integers, &samples, &recorded)?)
     }
 
     /// Lines on a network of a file: whether it spikes as recorded, and by which conventions it

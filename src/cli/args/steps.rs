@@ -55,11 +55,11 @@ pub fn run_with_step_rows(
         let mut nowhere = std::io::sink();
         let table = StepWriter::new(&mut nowhere, StepFormat::Csv, layout.columns(), None)
             .map_err(|error| Error::Fault(error.to_string()))?;
-        return Ok(run_recorded(metered, settings, (samples, run_settings), &layout, table)?.0);
+        return Ok(run_recorded(metered, settings, samples, run_settings, &layout, table)?.0);
     }
     let run = batch.add(path, |out| {
         let table = StepWriter::new(out, format, layout.columns(), (!ends_early).then_some(rows))?;
-        match run_recorded(metered, settings, (samples, run_settings), &layout, table) {
+        match run_recorded(metered, settings, samples, run_settings, &layout, table) {
             Ok((run, written)) => written.map(|()| Ok(run)),
             Err(problem) => Ok(Err(problem)),
         }

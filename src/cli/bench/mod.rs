@@ -184,7 +184,9 @@ fn step(args: &StepArgs, context: Context) -> Result<Answer, Error> {
     let mut rows = Vec::new();
     // Networks that share a program are mapped and flattened once.
     for same in networks.chunk_by(|a, b| a.program_of() == b.program_of()) {
-        let build = |standard: StandardNetwork| standard.build().map_err(|e| fault(standard, &e));
+        fn build(standard: StandardNetwork) -> Result<BenchNetwork, Error> {
+            standard.build().map_err(|e| fault(standard, &e))
+        }
         let BenchNetwork { network, target, .. } = build(same[0])?;
         let program = map(same[0], network, target)?;
         let part = match ranks::several() {

@@ -200,22 +200,22 @@ pub fn run(args: &PaperArgs, context: Context) -> Result<Answer> {
     let is_both = args.stored && args.train.is_some();
     refuse_if(is_both, "--stored and --train exclude each other: remove one")?;
     let taken = output::check_files(&args.output, None, context)?;
-    let mut given = Vec::new();
+    let mut columns_given = Vec::new();
     if let Some(folder) = &args.train {
-        given = trained(args, folder, context)?;
+        columns_given = trained(args, folder, context)?;
         if let Some(path) = &args.output {
             let provenance = json!({
                 "command": "nsim bench paper --train", "training": "models/train/paper", "folds": args.folds,
                 "environment": Environment::here().to_string(),
             });
-            io::write::text(path, context.force, &paper::stored(&provenance, &given))?;
+            io::write::text(path, context.force, &paper::stored(&provenance, &columns_given))?;
         }
     }
     for path in &args.results {
         let source = io::text::read_text(path)?;
-        given.extend(paper::parse(&path.display().to_string(), source.text())?);
+        columns_given.extend(paper::parse(&path.display().to_string(), source.text())?);
     }
-    let mut rows = paper::rows(given)?;
+    let mut rows = paper::rows(columns_given)?;
     rows.retain(|row| is_among(row, &args.cell, &args.neurons));
     if args.full && !args.stored && args.train.is_none() {
         run_shipped(args, &mut rows, context)?;

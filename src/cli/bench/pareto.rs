@@ -66,8 +66,8 @@ pub fn run(args: &ParetoArgs, context: Context) -> Result<Answer, Error> {
     let stimulus = args.input.stimulus(&analytic, scene.as_deref())?;
     let samples = select(&stimulus.samples, &args.input)?;
     let count = samples.len();
-    let networks = (&graph, &analytic);
-    let integers = args.conversion.integers(networks, &args.input, scene.as_deref(), &samples, CALIBRATION_SAMPLES)?;
+    let integers =
+        args.conversion.integers(&graph, &analytic, &args.input, scene.as_deref(), &samples, CALIBRATION_SAMPLES)?;
     let target = io::target::load_target(&args.target)?;
     let subject = Subject::new(&graph, &integers.fits, &target, samples, args.seconds)?;
     let variants = Variant::all(graph.has_srm());

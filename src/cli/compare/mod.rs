@@ -8,6 +8,7 @@ use crate::cli::context::{Answer, Context};
 use crate::cli::energy::workload::{simulate, workload};
 use crate::cli::output;
 use nsim_cost::Host;
+use nsim_cost::estimate::RowUnit;
 use nsim_cost::job::{Accounting, Mode};
 use nsim_energy::evaluate::{self, DeploymentPlan};
 use nsim_energy::options::CostOptions;
@@ -64,28 +65,38 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let name = network.file().name.clone();
     let (mode, accounting) = (args.mode, args.accounting);
     let (input, set, targets_found) = (Vec::new(), Vec::new(), Vec::new());
-    let mut found =
+    let mut comparison =
         Comparison { model: name, input, samples: 0, mode, accounting, seed: None, set, targets: targets_found };
     for (name, target) in args.targets.iter().zip(&targets) {
-        let on_target = match priced(args, name, &mut found, context) {
+        let on_target = match priced(args, name, &mut comparison, context) {
             // A diagnostic of mapping reports a feature that a chip lacks.
             Err(Error::Input(problem)) if problem.code.starts_with("map.") => {
-                let reason = |problem: &Diagnostic| {
+                fn reason(problem: &Diagnostic) -> RefusalReason {
                     let help = problem.help.as_ref().map_or(String::new(), |help| format!("; {help}"));
                     RefusalReason { code: problem.code.to_string(), message: problem.message.clone() + &help }
-                };
+                }
                 Err(std::iter::once(&*problem).chain(problem.others()).map(reason).collect())
             }
             other => other?,
         };
         let constants = target.constants().first().map_or(String::new(), |preset| preset.name.clone());
         let hardware = target.chip().hardware().to_string();
-        found.targets.push(ComparedTarget { target: target.name().to_string(), hardware, constants, found: on_target });
+        comparison.targets.push(ComparedTarget {
+            target: target.name().to_string(),
+            hardware,
+            constants,
+            found: on_target,
+        });
     }
     let set = io::changes::process_changes().iter().filter(|change| change.changes_target());
-    found.set.extend(set.map(|change| change.path().to_string()));
-    output::print(context.format, || report::text(&found), || report::json(&found), || report::csv_rows(&found))?;
-    let holds = found.targets.iter().any(|target| target.found.is_ok());
+    comparison.set.extend(set.map(|change| change.path().to_string()));
+    output::print(
+        context.format,
+        || report::text(&comparison),
+        || report::json(&comparison),
+        || report::csv_rows(&comparison),
+    )?;
+    let holds = comparison.targets.iter().any(|target| target.found.is_ok());
     Ok(if holds { Answer::Yes } else { Answer::No })
 }
 
@@ -122,7 +133,7 @@ fn priced(
     (found.input, found.seed) = (evaluated.energy.input.clone(), evaluated.energy.seed);
     found.samples = evaluated.energy.samples;
     let x86_share = evaluated.energy.estimate.x86_share;
-    let total = evaluated.energy.estimate.rows.into_iter().find(|row| row.unit == "total");
+    let total = evaluated.energy.estimate.row(RowUnit::Total).cloned();
     let row = total.ok_or_else(|| Error::Fault("an estimate without a total".to_string()))?;
     let of_level = if evaluated.energy.level.is_some() { Intervals::Works } else { Intervals::Constants };
     let intervals = row.low.map(|_| of_level);

@@ -8,7 +8,7 @@ mod fine_tuning;
 
 use std::path::PathBuf;
 
-use crate::cli::args::conversion::CopiesArgs;
+use crate::cli::args::conversion::TapsArgs;
 use crate::cli::args::input::{InputArgs, select};
 use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
@@ -52,7 +52,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 60, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     calibration_samples: u32,
     #[command(flatten)]
-    copies: CopiesArgs,
+    taps: TapsArgs,
     /// Target of the integers: resets by subtraction become resets to zero if it lacks them
     #[arg(long, default_value = "nahuku-32")]
     target: String,
@@ -81,7 +81,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let apart = calibration::stimulus(&job.integers, &args.calibrate, run, wanted)?;
     let split = SampleSplit::new(&stimulus.origin, &shown, apart.as_ref(), wanted);
     let mut search = None;
-    let done = job.convert(&split, args.copies.most(), |population| {
+    let done = job.convert(&split, args.taps.most(), |population| {
         tracing::info!("searching '{population}'");
         drop(search.take());
         search = Some(progress::stage(format!("searching integers of '{population}'")));
@@ -105,7 +105,7 @@ pub fn run(args: &Args, context: Context) -> Result<Answer, Error> {
     let closer: Vec<String> = closer.chain(["--plot".to_string(), "first.svg".to_string()]).collect();
     let typed = CommandWords {
         model: &args.model,
-        conversion: (Conversion::Search, args.copies.most()),
+        conversion: (Conversion::Search, args.taps.most()),
         // The target of `nsim agree` has no reset by subtraction either.
         closer: (!job.resets_are_replaced()).then_some(closer),
         words,

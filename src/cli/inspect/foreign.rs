@@ -8,8 +8,8 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
-use nsim_import::foreign::hdf5::{Group, Item};
-use nsim_import::foreign::{self, Imported, Options, Reading, hdf5, torch};
+use nsim_import::foreign::{self, Imported, Options, Reading, torch};
+use nsim_import::hdf5::{self, Group, Item};
 use nsim_import::kind::{EventFormat, FileKind, RECORDINGS};
 use nsim_import::spikes::EventOptions;
 use nsim_import::spikes::events::event::{Counts, Event, Sink};
@@ -20,7 +20,7 @@ use nsim_session::front::check;
 
 /// Columns of the table, in which each array or text is a row.
 const COLUMNS: &[&str] = &["name", "dtype", "shape", "min", "max", "value"];
-/// Characters of a text that are shown.
+/// Most characters of a text that are printed.
 const MOST_TEXT: usize = 60;
 /// Most rows of a table, as files may hold a group for each of very many nodes.
 const MOST_ROWS: usize = 1 << 12;

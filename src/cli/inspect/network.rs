@@ -69,7 +69,7 @@ pub(in crate::cli) fn kind_and_parameters(population: &PopulationDesc) -> (Strin
 
 /// The rules of a network: the name, the changes as text, and the steps of an epoch.
 fn rules(network: &Network) -> Vec<Value> {
-    let learning = |projection: &ProjectionDesc| {
+    fn learning(projection: &ProjectionDesc) -> Option<Value> {
         let rule = projection.learning.as_ref()?;
         let changes = Variable::ALL.map(|variable| rule.change(variable)).into_iter();
         let changes = changes.filter(|(_, text)| !text.is_empty()).map(|(name, text)| format!("{name} {text}"));
@@ -78,7 +78,7 @@ fn rules(network: &Network) -> Vec<Value> {
             false => (changes.collect::<Vec<_>>().join("; "), rule.epoch.unwrap_or(1)),
         };
         Some(json!([projection.name_or_ends(), text, epoch]))
-    };
+    }
     network.file().projections.iter().filter_map(learning).collect()
 }
 

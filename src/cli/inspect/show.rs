@@ -119,10 +119,10 @@ fn without_extension(file: &'static Shipped) -> &'static str {
 }
 
 fn find(name: &str) -> Result<&'static Shipped, Error> {
-    let given = name.strip_suffix(".ron").unwrap_or(name);
+    let stem = name.strip_suffix(".ron").unwrap_or(name);
     let is = |file: &&'static Shipped| {
         let path = without_extension(file);
-        path == given || file.name == given || path.strip_suffix(given).is_some_and(|folder| folder.ends_with('/'))
+        path == stem || file.name == stem || path.strip_suffix(stem).is_some_and(|folder| folder.ends_with('/'))
     };
     // Many training files have the name of their model.
     let is_training = |file: &&'static Shipped| file.path.starts_with("models/train/");

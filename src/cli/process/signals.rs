@@ -78,7 +78,7 @@ fn end(signal: i32, format: Format) {
     let name = if signal == SIGINT { "SIGINT" } else { "SIGTERM" };
     // The command runs on meanwhile, and may end before the process is ended.
     let last = LAST_ACTION.lock().ok().and_then(|mut last| last.take());
-    let kept = last.and_then(|last| last());
+    let saved_state = last.and_then(|last| last());
     let unfinished: Vec<String> = write::abandon().iter().map(|folder| folder.display().to_string()).collect();
     if ranks::is_reported_elsewhere() {
         std::process::exit(128 + signal);
@@ -87,8 +87,8 @@ fn end(signal: i32, format: Format) {
     if !unfinished.is_empty() {
         message += &format!("; {} is unfinished and the same command completes it", unfinished.join(", "));
     }
-    if let Some(kept) = kept {
-        message += &format!("; {kept}");
+    if let Some(saved_state) = saved_state {
+        message += &format!("; {saved_state}");
     }
     if format == Format::Json && !write::has_printed() {
         let object = json!({

@@ -1,8 +1,8 @@
 //! `nsim report`: a run, or saved results, as one page.
 //!
 //! Output: an HTML file that opens without a network. A model is run and priced as in `nsim
-//! energy`; every step of its first sample is shown. A model in real numbers is also compared with
-//! its trained form.
+//! energy`; the page has every step of its first sample. A model in real numbers is also compared
+//! with its trained form.
 
 use std::path::{Path, PathBuf};
 
@@ -124,10 +124,12 @@ fn write(
     origins: Vec<Origin>,
     context: Context,
 ) -> Result<Answer, Error> {
-    let quoted = |word: String| match word.chars().all(|c| c.is_alphanumeric() || "-_./:=,+".contains(c)) {
-        true => word,
-        false => format!("'{}'", word.replace('\'', "'\\''")),
-    };
+    fn quoted(word: String) -> String {
+        match word.chars().all(|c| c.is_alphanumeric() || "-_./:=,+".contains(c)) {
+            true => word,
+            false => format!("'{}'", word.replace('\'', "'\\''")),
+        }
+    }
     // `--force` does not affect the content of the page.
     let words = std::env::args_os().skip(1).filter(|word| word != "--force");
     let words = words.map(|word| quoted(word.to_string_lossy().into_owned()));

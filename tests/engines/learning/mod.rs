@@ -67,8 +67,8 @@ impl Small {
         net.parts.populations[reward].message = Message::Value(MessageBits::new(17).unwrap());
         let out = net.each("out", Shape::Line(1), &[neuron(4096, 4096, 8_000, 1)], 0);
         let one = |weight| Connectivity::Dense { targets: 1, weights: [weight].into() };
-        net.connect((teach, out), format(6, SignMode::Mixed, 8), 0, one(254));
-        net.connect((input, out), format(0, SignMode::Mixed, 8), self.delay, one(10));
+        net.connect(teach, out, format(6, SignMode::Mixed, 8), 0, one(254));
+        net.connect(input, out, format(0, SignMode::Mixed, 8), self.delay, one(10));
         let change = |text: &str| if text.is_empty() { Change::default() } else { parse(text).unwrap() };
         let rule = Rule::new(RuleText {
             changes: [self.dw, self.dd, ""].map(change),

@@ -75,7 +75,7 @@ impl Connection {
     ) -> RuleId {
         let [w, d, t] = ["w0", "d0", "t0"].map(|name| archive.array(&format!("{prefix}{name}")));
         let format = format(exponent, self.sign, self.weight_bits);
-        net.connect(ends, format, 0, dense(&w, |w| cut(w, self.sign, self.weight_bits)));
+        net.connect(ends.0, ends.1, format, 0, dense(&w, |w| cut(w, self.sign, self.weight_bits)));
         let id = net.parts.projections.ids().last().unwrap();
         let rule = make_plastic(&mut net.parts, id, self.rule());
         let [targets, sources] = [w.shape[0] as u32, w.shape[1] as u32];
@@ -217,7 +217,7 @@ fn connection(folder: &Path, case: &Connection) -> Recording {
     let neurons = vec![neuron(4096, 4096, 8_000, 1); case.targets as usize];
     let out = net.each("out", Shape::Line(case.targets), &neurons, 0);
     let one_to_one = sparse((0..case.targets).map(|target| vec![(target, 254)]));
-    net.connect((teach, out), format(6, SignMode::Mixed, 8), 0, one_to_one);
+    net.connect(teach, out, format(6, SignMode::Mixed, 8), 0, one_to_one);
     let rule = case.connect(&mut net, (input, out), -8, &archive, "");
     let id = net.parts.projections.ids().last().unwrap();
     Arc::make_mut(net.parts.projections[id].plastic.as_mut().unwrap()).signals = signals;
@@ -318,7 +318,7 @@ fn net(folder: &Path, case: &Net) -> Recording {
     for (number, Static { from, to, weight_exp, sign }) in case.r#static.iter().enumerate() {
         let weights = archive.array(&format!("static{number}_w"));
         let connectivity = dense(&weights, |weight| cut(weight, *sign, 8));
-        net.connect((ids[from.as_str()], ids[to.as_str()]), format(*weight_exp, *sign, 8), 0, connectivity);
+        net.connect(ids[from.as_str()], ids[to.as_str()], format(*weight_exp, *sign, 8), 0, connectivity);
     }
     let mut draws = Vec::new();
     for (number, plastic) in case.plastic.iter().enumerate() {
@@ -371,7 +371,7 @@ fn pes(folder: &Path, case: &Pes) -> Recording {
     };
     let weights = mantissas("w0").values.iter().map(|&weight| weight as i16).collect();
     let format = format(case.weight_exp - 6, SignMode::Mixed, 8);
-    net.connect((input, out), format, 0, Connectivity::Dense { targets, weights });
+    net.connect(input, out, format, 0, Connectivity::Dense { targets, weights });
     let x1 = TraceSettings { impulse: case.magnitude.try_into().unwrap(), tau: case.tau.try_into().unwrap() };
     let id = net.parts.projections.ids().last().unwrap();
     let rule = make_plastic(&mut net.parts, id, Rule::pes(x1, None));
@@ -454,7 +454,7 @@ fn rewarded<E: Engine>(case: &Rewards, seed: u64, engine: impl Fn(&Quantised) ->
     let (input, reward) = (net.input("in", 1), net.input("reward", 1));
     let out = net.each("out", Shape::Line(1), &[neuron(4096, 4096, 8_000, 1)], 0);
     let one = Connectivity::Dense { targets: 1, weights: [case.weight_first].into() };
-    net.connect((input, out), format(0, SignMode::Mixed, 8), 0, one);
+    net.connect(input, out, format(0, SignMode::Mixed, 8), 0, one);
     let mut text = RuleText {
         changes: [parse("u0*r1").unwrap(), Change::default(), Change::default()],
         epoch: 2,
@@ -562,8 +562,8 @@ impl PairWindow {
         let out = net.each("out", Shape::Line(count), &vec![neuron(4096, 4096, 8_000, 1); count as usize], 0);
         let row = |row: u32| (row * PAIRS as u32..(row + 1) * PAIRS as u32).map(|target| (target, 254)).collect();
         let all = sparse((0..self.rows.len() as u32).map(row));
-        net.connect((teach, out), format(6, SignMode::Mixed, 8), 0, all);
-        net.connect((input, out), format(0, self.sign, 8), 0, sparse((0..count).map(|unit| vec![(unit, self.w0)])));
+        net.connect(teach, out, format(6, SignMode::Mixed, 8), 0, all);
+        net.connect(input, out, format(0, self.sign, 8), 0, sparse((0..count).map(|unit| vec![(unit, self.w0)])));
         let mut text = RuleText {
             changes: [parse(&self.rule).unwrap(), Change::default(), Change::default()],
             epoch: 1,

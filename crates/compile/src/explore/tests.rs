@@ -83,11 +83,11 @@ fn layered(seed: u64) -> Quantised {
         let kind = format(0, sign, [8, 6][draw(2, k + 12) as usize]);
         let delay = i64::from([0, 0, 2][draw(3, k + 13) as usize]);
         if own && draw(2, k + 14) == 0 {
-            net.connect((from, to), kind, delay, Connectivity::SumPool2d { window, weight: 8 });
+            net.connect(from, to, kind, delay, Connectivity::SumPool2d { window, weight: 8 });
         } else {
             let weights = (shape.0 * source.0 / groups * kernel.0 * kernel.1) as usize;
             let kernel = (0..weights).map(|i| weight(kind, seed, k, i as u64)).collect();
-            net.connect((from, to), kind, delay, Connectivity::Conv2d { window, kernel });
+            net.connect(from, to, kind, delay, Connectivity::Conv2d { window, kernel });
         }
         // A recurrent convolution.
         if draw(3, k + 15) == 0 {
@@ -96,7 +96,7 @@ fn layered(seed: u64) -> Quantised {
             let own = format(0, SignMode::Mixed, 8);
             let weights = u64::from(shape.0 * shape.0 * 3);
             let kernel = (0..weights).map(|i| weight(own, seed, k + 1, i)).collect();
-            net.connect((to, to), own, 0, Connectivity::Conv2d { window: once, kernel });
+            net.connect(to, to, own, 0, Connectivity::Conv2d { window: once, kernel });
         }
         all.push((to, shape));
     }

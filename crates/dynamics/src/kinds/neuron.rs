@@ -100,8 +100,8 @@ impl OverflowFlags {
 /// Equation (3): a word after decay, rounded toward zero; `keep` is in 4096ths.
 #[inline(always)]
 pub(super) fn decay(x: i32, keep: i32) -> i64 {
-    let kept = ((u64::from(x.unsigned_abs()) * u64::from(keep as u32)) >> 12) as i64;
-    if x < 0 { -kept } else { kept }
+    let decayed = ((u64::from(x.unsigned_abs()) * u64::from(keep as u32)) >> 12) as i64;
+    if x < 0 { -decayed } else { decayed }
 }
 
 /// Returns all ones where the condition holds, else 0.

@@ -46,9 +46,9 @@ impl<const IZ: bool> Neuron for Resonator<IZ> {
             (sin * re).trunc() + (cos * im).trunc() + arrived(imag),
         ];
         const MOST: f64 = ((1 << UV_BITS) - 1) as f64;
-        let kept = whole.map(|x| x.clamp(-MOST, MOST));
-        overflows.note_clip((kept[0] != whole[0]) | (kept[1] != whole[1]));
-        let [re, im] = kept.map(|x| x as i32);
+        let clamped = whole.map(|x| x.clamp(-MOST, MOST));
+        overflows.note_clip((clamped[0] != whole[0]) | (clamped[1] != whole[1]));
+        let [re, im] = clamped.map(|x| x as i32);
         let spikes = match IZ {
             true => im >= p.threshold,
             false => (re >= p.threshold) & (im >= 0) & (s.im < 0),
@@ -138,7 +138,9 @@ impl Neuron for RfZero {
 
     #[inline(always)]
     fn update(p: &ZeroParameters, s: &mut Parts, [real, imag]: Arrived, overflows: &mut OverflowFlags) -> Emission {
-        let floor = |factor: i32, x: i32| (i64::from(factor) * i64::from(x)) >> 15;
+        fn floor(factor: i32, x: i32) -> i64 {
+            (i64::from(factor) * i64::from(x)) >> 15
+        }
         let u = overflows.word(floor(p.cos, s.u) - floor(p.sin, s.v) + i64::from(real));
         let v = overflows.word(floor(p.cos, s.v) + floor(p.sin, s.u) + i64::from(imag));
         let sends = (u > p.threshold) & (v >= 0) & (s.v < 0);

@@ -5,6 +5,7 @@
 
 use serde::Deserialize;
 
+use nsim_cost::estimate::RowUnit;
 use nsim_cost::job::Mode;
 use nsim_files::shipped;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
@@ -44,7 +45,7 @@ pub struct MeasurementsFile {
     pub notes: String,
     /// The model whose activity represents the workload.
     pub model: String,
-    /// The target.
+    /// Name of the target that was measured.
     pub target: String,
     /// Number of copies; each figure is the share of one.
     pub copies: u32,
@@ -57,7 +58,7 @@ pub struct MeasurementsFile {
 }
 
 /// Units of a row that a table may name.
-pub const UNITS: [&str; 3] = ["x86", "neuron", "total"];
+pub const UNITS: [&str; 3] = [RowUnit::X86.name(), RowUnit::Neuron.name(), RowUnit::Total.name()];
 /// Figures of a row that a table may name.
 pub const FIGURES: [&str; 6] = ["static_mw", "dynamic_mw", "total_mw", "latency_us", "energy_uj", "edp_pjs"];
 

@@ -41,7 +41,7 @@ pub struct ScenarioFile {
     pub measured: Vec<Spanned<String>>,
     /// Name of the publication, as used in sentences.
     pub work: String,
-    /// Source of the numbers.
+    /// Publication and table that state the numbers.
     pub source: String,
     /// Inferred details.
     pub notes: String,

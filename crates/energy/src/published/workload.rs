@@ -284,7 +284,7 @@ pub enum Per {
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PublishedFigure {
-    /// The quantity.
+    /// What was published: an energy, a power or a time.
     pub quantity: Quantity,
     /// Its value in the quantity's unit.
     pub published: Spanned<f64>,
@@ -316,7 +316,7 @@ pub struct WorkloadFile {
     pub activity: Status,
     /// The assumptions.
     pub assumed: Vec<String>,
-    /// The target.
+    /// Name or file of the target on which it ran.
     pub target: Spanned<String>,
     /// The populations.
     pub populations: Vec<WorkloadPopulation>,

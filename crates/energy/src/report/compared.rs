@@ -6,7 +6,7 @@ use std::fmt::Write;
 
 use serde::Serialize;
 
-use nsim_cost::estimate::{EnergyRow, FigureSource};
+use nsim_cost::estimate::{EnergyRow, FigureSource, RowUnit};
 use nsim_files::table::{table, three, wrapped};
 
 /// Other hardware over the simulated chip: above 1, the chip needs less.
@@ -27,7 +27,7 @@ pub struct Ratio {
 /// Time and energy of one sample on one piece of hardware.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct PerSample {
-    /// The hardware.
+    /// Name of the hardware, as in the energy table.
     pub hardware: String,
     /// Time from its first timestep to its last, us.
     pub time_us: f64,
@@ -92,7 +92,7 @@ pub fn per_sample<'r>(rows: impl Iterator<Item = &'r EnergyRow>, steps: f64) -> 
             energy_uj: energy(row)? * steps,
         })
     };
-    rows.filter(|row| row.unit == "total").filter_map(of).collect()
+    rows.filter(|row| row.unit == RowUnit::Total).filter_map(of).collect()
 }
 
 /// Comparison with other hardware.
@@ -172,7 +172,8 @@ mod tests {
 
     fn row(hardware: &str, total_mw: f64, latency_us: f64) -> EnergyRow {
         let (powers, published) = ((0.0, Some(total_mw)), FigureSource::Published);
-        let row = EnergyRow::new(hardware, "total", Convention::Published, powers, Some(latency_us), published, None);
+        let row =
+            EnergyRow::new(hardware, RowUnit::Total, Convention::Published, powers, Some(latency_us), published, None);
         EnergyRow { energy_uj: Some(1.0), edp_pjs: Some(1.0), ..row }
     }
 
@@ -189,7 +190,7 @@ mod tests {
 
     #[test]
     fn a_sample_costs_its_steps() {
-        let rows = [row("loihi", 33.7, 231.0), EnergyRow { unit: "x86", ..row("loihi", 1.0, 231.0) }];
+        let rows = [row("loihi", 33.7, 231.0), EnergyRow { unit: RowUnit::X86, ..row("loihi", 1.0, 231.0) }];
         let found = per_sample(rows.iter(), 150.0);
         assert_eq!(found.len(), 1);
         assert!(

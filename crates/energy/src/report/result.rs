@@ -7,7 +7,7 @@ use super::compared::Comparison;
 use crate::published::scenario::ScenarioFile;
 use nsim_compile::explore::cost_estimate::Score;
 use nsim_cost::deployment::Deployment;
-use nsim_cost::estimate::{Convention, EnergyRow, Estimate};
+use nsim_cost::estimate::{Convention, EnergyRow, Estimate, RowUnit};
 use nsim_cost::job::{Accounting, Mode};
 use nsim_cost::{Host, Transport};
 use nsim_ir::hardware::constants::{Constants, Status, Unit};
@@ -51,7 +51,9 @@ pub struct JobPart {
 impl JobPart {
     /// Ratios of static, dynamic and total power here to the printed ones; `None` if not printed.
     pub(super) fn ratios(&self) -> [Option<f64>; 3] {
-        let powers = |row: &EnergyRow| [row.static_mw, row.dynamic_mw, row.total_mw];
+        fn powers(row: &EnergyRow) -> [Option<f64>; 3] {
+            [row.static_mw, row.dynamic_mw, row.total_mw]
+        }
         let (here, printed) = (powers(&self.here), powers(&self.printed));
         std::array::from_fn(|at| Some(here[at]? / printed[at].filter(|mw| *mw > 0.0)?))
     }
@@ -68,7 +70,7 @@ impl JobPart {
 pub struct ConstantEntry {
     /// Its name; barriers carry their number of tiles.
     pub name: String,
-    /// The number.
+    /// Value, in `unit`.
     pub value: f64,
     /// Its unit.
     pub unit: Unit,
@@ -207,7 +209,7 @@ impl EnergyReport {
     }
 
     pub(super) fn total(&self) -> Option<&EnergyRow> {
-        self.estimate.rows.iter().find(|row| row.unit == "total")
+        self.estimate.row(RowUnit::Total)
     }
 
     /// Powers of all copies, and a copy's share, by the report's accounting.
@@ -223,7 +225,9 @@ impl EnergyReport {
             .breakdown_pj
             .as_ref()
             .map(|parts| parts.iter().map(|&(name, pj)| (name.to_string(), json!(pj))).collect::<Map<_, _>>());
-        let times = |times: [(&str, f64); 6]| times.map(|(name, us)| (name.replace(' ', "_"), json!(us)));
+        fn times(times: [(&str, f64); 6]) -> [(String, Value); 6] {
+            times.map(|(name, us)| (name.replace(' ', "_"), json!(us)))
+        }
         let Deployment { x86_cores, x86_chips, host, .. } = self.deployment;
         let injecting = if host == Host::Stream { x86_chips } else { 0 };
         let (deployment, estimate, total) = (&self.deployment, &self.estimate, self.total());
@@ -258,11 +262,10 @@ impl EnergyReport {
 
     /// Physical cost of a mean sample, and of its neuron cores; `None` without timesteps.
     pub(super) fn sample(&self) -> Option<SampleCost> {
-        let row = |unit: &str| self.estimate.rows.iter().find(|row| row.unit == unit);
         let steps = (self.samples > 0).then(|| self.timesteps as f64 / self.samples as f64)?;
         let time_us = steps * self.total()?.latency_us?;
         let energy_uj = |row: &EnergyRow| Some(row.total_mw? * time_us / 1e3);
-        let cores_uj = row("neuron").and_then(energy_uj);
+        let cores_uj = self.estimate.row(RowUnit::Neuron).and_then(energy_uj);
         Some(SampleCost { steps, time_us, energy_uj: energy_uj(self.total()?)?, cores_uj })
     }
 }

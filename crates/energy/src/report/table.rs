@@ -5,7 +5,7 @@
 use std::fmt::Write;
 
 use super::result::{EnergyReport, JobPart};
-use nsim_cost::estimate::{Bound, Convention, EnergyRow, FigureSource};
+use nsim_cost::estimate::{Bound, Convention, EnergyRow, FigureSource, RowUnit};
 use nsim_cost::job::Accounting;
 use nsim_files::table::{count, csv, csv_text, digits, three};
 
@@ -23,13 +23,15 @@ pub(super) fn row_name(row: &EnergyRow, chip: &str) -> String {
     }
     match row.unit {
         // Of the x86 cores of a copy the row counts all.
-        "x86" if row.x86_cores.is_some_and(|cores| cores > 1) => count(row.x86_cores.unwrap_or_default(), "x86 core"),
-        "x86" => "x86 core".to_string(),
-        "neuron" => "neuron cores".to_string(),
-        "boot" => "board, boot".to_string(),
-        "idle" => "board, idle".to_string(),
+        RowUnit::X86 if row.x86_cores.is_some_and(|cores| cores > 1) => {
+            count(row.x86_cores.unwrap_or_default(), "x86 core")
+        }
+        RowUnit::X86 => "x86 core".to_string(),
+        RowUnit::Neuron => "neuron cores".to_string(),
+        RowUnit::Boot => "board, boot".to_string(),
+        RowUnit::Idle => "board, idle".to_string(),
         // Intel's chips as the field writes them; other names as their files do.
-        _ => chip.strip_prefix("loihi").map_or(chip.to_string(), |rest| format!("Loihi{rest}")),
+        RowUnit::Total => chip.strip_prefix("loihi").map_or(chip.to_string(), |rest| format!("Loihi{rest}")),
     }
 }
 
@@ -96,11 +98,13 @@ impl EnergyReport {
         let printed = row.source == FigureSource::Published;
         let computed = row.energy_source == FigureSource::Computed;
         let assumed = row.power_source != row.source && row.power_source == FigureSource::Assumed;
-        let cell = |figure: Option<f64>, exact: bool| match figure {
-            None => String::new(),
-            Some(figure) if exact => format!("{figure}"),
-            Some(figure) => readable(figure),
-        };
+        fn cell(figure: Option<f64>, exact: bool) -> String {
+            match figure {
+                None => String::new(),
+                Some(figure) if exact => format!("{figure}"),
+                Some(figure) => readable(figure),
+            }
+        }
         let mark = if assumed { "?" } else { "" };
         let power = |figure: Option<f64>| cell(figure, printed) + mark;
         let [(_, of_energy), (_, of_edp)] = self.units();
@@ -112,7 +116,7 @@ impl EnergyReport {
             let mark = if computed { "*" } else { mark };
             if text.is_empty() { text } else { text + mark }
         };
-        let is_part = ["x86", "neuron"].contains(&row.unit);
+        let is_part = matches!(row.unit, RowUnit::X86 | RowUnit::Neuron);
         [
             power(row.static_mw),
             power(row.dynamic_mw),
@@ -145,8 +149,8 @@ impl EnergyReport {
                 continue;
             }
             // The only figure of rails that no published total bounds.
-            let at_work = own && row.unit == "x86" && self.accounting == Accounting::Rails;
-            let is_part = ["x86", "neuron", "boot", "idle"].contains(&row.unit);
+            let at_work = own && row.unit == RowUnit::X86 && self.accounting == Accounting::Rails;
+            let is_part = row.unit.is_part();
             let source = match row.busy {
                 Some(_) => "busy CPUs".to_string(),
                 None if own && is_part => String::new(),
@@ -167,7 +171,7 @@ impl EnergyReport {
                 interval[3..].iter_mut().filter(|_| is_part).for_each(String::clear);
                 lines.push((of_interval.to_string(), interval, String::new()));
             }
-            if let Some(alone) = self.inputs_on_chip.as_ref().filter(|_| own && row.unit == "total") {
+            if let Some(alone) = self.inputs_on_chip.as_ref().filter(|_| own && row.unit == RowUnit::Total) {
                 lines.push(("inputs on chip".to_string(), self.cells(alone), alone.source.name().to_string()));
                 let interval = self.interval(alone);
                 lines.extend(interval.map(|interval| (of_interval.to_string(), interval, String::new())));
@@ -219,10 +223,12 @@ impl EnergyReport {
         let header =
             ["Hardware", "Static (mW)", "Dynamic (mW)", "Total (mW)", "Latency (\u{b5}s)", energy, edp, "Source"];
         // A mark needs its footnote in the same row.
-        let marked = |cells: &[String; 6], source: String| match cells.iter().any(|cell| cell.ends_with('*')) {
-            true => format!("{source}; * from its power x time"),
-            false => source,
-        };
+        fn marked(cells: &[String; 6], source: String) -> String {
+            match cells.iter().any(|cell| cell.ends_with('*')) {
+                true => format!("{source}; * from its power x time"),
+                false => source,
+            }
+        }
         // Without indentation, a line names the row to which it belongs.
         let mut above = String::new();
         let row = |(name, cells, source): (String, [String; 6], String)| {

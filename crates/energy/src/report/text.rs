@@ -128,10 +128,10 @@ impl EnergyReport {
 
     /// Remark on ratios of units of the published job, and on what its source does not state.
     fn assumptions_text(&self, job: &ScenarioFile) -> String {
-        let part = |part: &JobPart| {
+        fn part(part: &JobPart) -> String {
             let [fixed, dynamic, _] = part.ratios().map(|ratio| ratio.map_or_else(unknown, |x| format!("{x:.2}")));
             format!("{} {fixed}, {dynamic}", row_name(&part.here, &part.here.hardware))
-        };
+        }
         let parts: Vec<String> = self.parts.iter().map(part).collect();
         let relays = if job.input_relays { "relays; " } else { "" };
         let streams = if self.deployment.streams > 1 { "one stream per copy" } else { "one stream" };

@@ -159,7 +159,7 @@ impl Writer<'_> {
                 synapses.iter_mut().zip(weights).for_each(|(synapse, weight)| synapse.2 = weight);
             }
             _ => {
-                self.listed(index, projection, &ends, (weights, delays));
+                self.listed(index, projection, &ends, weights, delays);
                 return Ok(());
             }
         }
@@ -173,7 +173,8 @@ impl Writer<'_> {
         index: usize,
         projection: &mut ProjectionDesc,
         ends: &[(u32, u32)],
-        (weights, delays): (Vec<f64>, &[i32]),
+        weights: Vec<f64>,
+        delays: &[i32],
     ) {
         let source = self.stored(index, "source", column(ends.iter().map(|end| end.0.into()).collect()));
         let target = self.stored(index, "target", column(ends.iter().map(|end| end.1.into()).collect()));

@@ -152,8 +152,8 @@ impl RuleDesc {
 
     /// First values of tags and delays that are arrays, by field.
     pub(super) fn arrays_mut(&mut self) -> impl Iterator<Item = (&'static str, &mut Weights)> {
-        let given = [("tags", &mut self.tags), ("delays", &mut self.delays)];
-        given.into_iter().filter_map(|(field, values)| match values {
+        let arrays = [("tags", &mut self.tags), ("delays", &mut self.delays)];
+        arrays.into_iter().filter_map(|(field, values)| match values {
             Some(PerSynapse::Each(values)) => Some((field, values)),
             _ => None,
         })
@@ -161,8 +161,8 @@ impl RuleDesc {
 
     /// First values that are elsewhere, by field.
     pub(super) fn sources(&self) -> impl Iterator<Item = (&'static str, &Source)> {
-        let given = [("tags", &self.tags), ("delays", &self.delays)];
-        given.into_iter().filter_map(|(field, values)| match values {
+        let arrays = [("tags", &self.tags), ("delays", &self.delays)];
+        arrays.into_iter().filter_map(|(field, values)| match values {
             Some(PerSynapse::Each(Weights::From(source))) => Some((field, source)),
             _ => None,
         })

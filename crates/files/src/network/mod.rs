@@ -3,7 +3,7 @@
 //! [`NetworkFile`] is the content of a model file, parsed or built by a reader of foreign files;
 //! serde makes its text. [`Network`] is a file with its text, for messages, and with every array
 //! that it refers to. Values do not store their places; [`nsim_ir::locate`] finds the place that a
-//! message needs. [`crate::lower`] checks that the values are consistent.
+//! message needs. Lowering to a graph checks that the values are consistent.
 
 mod kinds;
 pub mod learned;
@@ -473,6 +473,6 @@ impl Network {
 pub fn place(source: &SourceText, path: &str) -> Span {
     let whole = Span { start: 0, end: source.text().len() };
     let ends = path.rmatch_indices('.').map(|(at, _)| at);
-    let found = std::iter::once(path.len()).chain(ends).find_map(|end| locate(source.text(), whole, &path[..end]));
-    found.unwrap_or_default()
+    let place = std::iter::once(path.len()).chain(ends).find_map(|end| locate(source.text(), whole, &path[..end]));
+    place.unwrap_or_default()
 }

@@ -114,7 +114,7 @@ impl<'de> Deserialize<'de> for PopulationDesc {
             fn visit_enum<A: EnumAccess<'de>>(self, data: A) -> Result<PopulationDesc, A::Error> {
                 let (Identifier(name), variant) = data.variant()?;
                 let own = FIELDS.iter().find(|(known, _)| *known == name);
-                let found = match (own, stated(&name)) {
+                let value = match (own, stated(&name)) {
                     (Some((name, fields)), _) => {
                         let kind = NeuronKind::ALL.into_iter().find(|kind| kind.name() == *name);
                         Fields { name, kind, fields }
@@ -124,7 +124,7 @@ impl<'de> Deserialize<'de> for PopulationDesc {
                     }
                     (None, None) => return Err(unknown(&name)),
                 };
-                variant.newtype_variant_seed(found)
+                variant.newtype_variant_seed(value)
             }
         }
         deserializer.deserialize_enum("Population", &POPULATIONS, Read)

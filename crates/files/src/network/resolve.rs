@@ -76,7 +76,7 @@ impl Network {
     }
 
     fn in_place(&self, weights: &Weights) -> Result<Weights> {
-        let found = self.tensor(weights).ok_or_else(|| seeded("a Uniform array"))?;
-        Ok(tensor(found.shape().to_vec(), found.reals().collect()))
+        let stored = self.tensor(weights).ok_or_else(|| seeded("a Uniform array"))?;
+        Ok(tensor(stored.shape().to_vec(), stored.reals().collect()))
     }
 }

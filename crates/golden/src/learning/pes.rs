@@ -45,7 +45,7 @@ impl Learner {
                 let added = if end.note > 0 { f64::from(settings.impulse) } else { 0.0 };
                 let z = libm::exp(-f64::from(PES_TRACE_EPOCH) / settings.tau.get()) * x as f64 + added;
                 let number = (step + 1) / PES_TRACE_EPOCH - 1;
-                let r = numbers.draws.each(self.place_of_step(numbers, Use::Trace, step), number, (index, count));
+                let r = numbers.draws.each(self.place_of_step(numbers, Use::Trace, step), number, index, count);
                 end.traces[Trace::X1.index()] = rounded(z, r).min(GREATEST_TRACE.into());
                 end.note = 0;
             }
@@ -75,7 +75,7 @@ impl Learner {
             let number = (step + 1) / self.rule.epoch() - 1;
             let place = self.place_of_step(numbers, Use::Weight, step);
             let entity = source * targets as u32 + target;
-            let r = numbers.draws.each(place, number, (entity, self.source_count() as usize * targets));
+            let r = numbers.draws.each(place, number, entity, self.source_count() as usize * targets);
             let whole = rounded(z as f64 / (128 * s) as f64, r).clamp(-(256 / s - 1), 256 / s - 1);
             *weight = ((s * whole) as i16).clamp(least, greatest);
         }

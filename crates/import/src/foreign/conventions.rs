@@ -138,7 +138,7 @@ pub enum TimeUnit {
 /// The conventions of a tool.
 #[derive(Debug, Clone, Copy)]
 pub struct Row {
-    /// The tool.
+    /// The tool that writes such files.
     pub tool: Tool,
     /// Its name in sentences.
     pub title: &'static str,

@@ -8,6 +8,7 @@ use nsim_files::network::{NetworkFile, Parameter};
 use nsim_ir::arithmetic::{ReadOut, ThresholdTest};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::fixed::{Delay, ThresholdMantissa};
+use nsim_ir::base::names::named_variants;
 use nsim_ir::base::warning::{Warning, WarningCode};
 
 /// The greatest threshold mantissa, for compartments that should not spike.
@@ -71,9 +72,14 @@ impl Options {
         self.reading.row().map_or(GainRule::Equations, |row| row.gain)
     }
 
-    /// Refuses a tool that does not write a kind of file.
-    pub(super) fn refuse_tools(&self, file: &str, writers: &[Tool]) -> Result<()> {
-        match self.reading.row().filter(|row| !writers.contains(&row.tool)) {
+    /// Refuses options that a format lacks, and a tool that does not write it.
+    pub(super) fn check(&self, format: Format) -> Result<()> {
+        let file = format.name();
+        if let Some(option) = ImportOption::ALL.into_iter().find(|&option| self.has(option) && !format.has(option)) {
+            let message = format!("{} does not apply to {file}", option.name());
+            return Err(wrong_option(message).help("leave it out"));
+        }
+        match self.reading.row().filter(|row| !format.writers().contains(&row.tool)) {
             None => Ok(()),
             Some(row) => {
                 let message =
@@ -83,23 +89,91 @@ impl Options {
         }
     }
 
-    /// Refuses given options other than `used`, which a kind of file does not use.
-    pub(super) fn refuse_unused(&self, file: &str, used: &[&str]) -> Result<()> {
-        let given = [
-            ("--neuron", self.neuron.is_some()),
-            ("--from", self.reading.tool.is_some()),
-            ("--reset", self.reading.reset.is_some()),
-            ("--decay", self.decay.is_some()),
-            ("--image", self.image.is_some()),
-            ("--first-step", self.first_step.is_some()),
-            ("--reset-interval", self.reset_interval.is_some()),
-            ("--input-shape", self.input_shape.is_some()),
-            ("--spike-exp", self.spike_exp.is_some()),
-            ("--state-exp", self.state_exp.is_some()),
-        ];
-        match given.into_iter().find(|(name, given)| *given && !used.contains(name)) {
-            None => Ok(()),
-            Some((name, _)) => Err(wrong_option(format!("{name} does not apply to {file}")).help("leave it out")),
+    /// Whether an option is given.
+    fn has(&self, option: ImportOption) -> bool {
+        match option {
+            ImportOption::Neuron => self.neuron.is_some(),
+            ImportOption::From => self.reading.tool.is_some(),
+            ImportOption::Reset => self.reading.reset.is_some(),
+            ImportOption::Decay => self.decay.is_some(),
+            ImportOption::Image => self.image.is_some(),
+            ImportOption::FirstStep => self.first_step.is_some(),
+            ImportOption::ResetInterval => self.reset_interval.is_some(),
+            ImportOption::InputShape => self.input_shape.is_some(),
+            ImportOption::SpikeExp => self.spike_exp.is_some(),
+            ImportOption::StateExp => self.state_exp.is_some(),
+        }
+    }
+}
+
+named_variants! {
+    /// An option that some formats lack.
+    #[derive(Clone, Copy, PartialEq)]
+    pub enum ImportOption {
+        /// [`Options::neuron`].
+        Neuron = "--neuron",
+        /// The tool of [`Options::reading`].
+        From = "--from",
+        /// The reset of [`Options::reading`].
+        Reset = "--reset",
+        /// [`Options::decay`].
+        Decay = "--decay",
+        /// [`Options::image`].
+        Image = "--image",
+        /// [`Options::first_step`].
+        FirstStep = "--first-step",
+        /// [`Options::reset_interval`].
+        ResetInterval = "--reset-interval",
+        /// [`Options::input_shape`].
+        InputShape = "--input-shape",
+        /// [`Options::spike_exp`].
+        SpikeExp = "--spike-exp",
+        /// [`Options::state_exp`].
+        StateExp = "--state-exp",
+    }
+}
+
+named_variants! {
+    /// A foreign format, named as in messages.
+    #[derive(Clone, Copy, PartialEq)]
+    pub enum Format {
+        /// A NIR graph.
+        Nir = "a NIR graph",
+        /// lava-dl's netx.
+        Netx = "a network of lava-dl's netx",
+        /// A state dictionary.
+        Layers = "layers of SLAYER and lava-dl",
+        /// The arrays of VT_SNN.
+        VtSnn = "weights of VT_SNN",
+        /// A model of nsim in a netx file.
+        Nsim = "a model of nsim, restored unchanged",
+    }
+}
+
+impl Format {
+    /// Whether an option applies to the format.
+    fn has(self, option: ImportOption) -> bool {
+        use ImportOption::{
+            Decay, FirstStep, From, Image, InputShape, Neuron, Reset, ResetInterval, SpikeExp, StateExp,
+        };
+        match self {
+            Format::Nir => matches!(option, From | Reset | Decay),
+            Format::Netx => {
+                matches!(option, From | Image | FirstStep | ResetInterval | InputShape | SpikeExp | StateExp)
+            }
+            Format::Layers | Format::VtSnn => matches!(option, From | Neuron | InputShape),
+            Format::Nsim => false,
+        }
+    }
+
+    /// The tools that write the format.
+    fn writers(self) -> &'static [Tool] {
+        match self {
+            Format::Nir => &Tool::ALL,
+            Format::Netx => &[Tool::LavaDl],
+            Format::Layers => &[Tool::Slayer, Tool::LavaDl],
+            Format::VtSnn => &[Tool::Slayer],
+            Format::Nsim => &[],
         }
     }
 }
@@ -109,7 +183,7 @@ impl Options {
 pub struct Imported {
     /// Name of the file's format.
     pub kind: &'static str,
-    /// The model.
+    /// The network as a model file of nsim.
     pub model: NetworkFile,
     /// The conventions by which it was read, and the changes.
     pub notes: Vec<String>,

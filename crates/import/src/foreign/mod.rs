@@ -8,8 +8,6 @@
 
 pub mod conventions;
 mod encode;
-pub mod hdf5;
-mod hdf5_links;
 pub mod imported;
 mod netx;
 pub(crate) mod neuron_config;
@@ -24,11 +22,12 @@ mod window;
 use std::path::Path;
 
 pub use self::conventions::{DecayRule, Reading, ResetMode, Tool};
-use self::imported::name_list;
+use self::imported::{Format, name_list};
 pub use self::imported::{Imported, LayerWeights, Options};
 pub use self::netx::export as netx_export;
 pub use self::nir::export as nir_export;
-use super::kind::FileKind;
+use crate::hdf5;
+use crate::kind::FileKind;
 use nsim_files::budget::MOST_ARRAY;
 use nsim_files::changes;
 use nsim_files::network::{Conventions, Network, NetworkFile};
@@ -98,7 +97,7 @@ pub fn from_nodes(
     held: &[String],
     options: &Options,
 ) -> Result<Imported> {
-    options.refuse_unused("a NIR graph", &["--from", "--reset", "--decay"])?;
+    options.check(Format::Nir)?;
     let root = hdf5::Group::default().with("node", nir_export::nir_graph(nodes, edges));
     let options = Options { known: true, ..options.clone() };
     Ok(nir::read(&root, name, &options)?.with_refractory(held))
@@ -113,13 +112,10 @@ fn read_hdf5(path: &Path, bytes: Vec<u8>, options: &Options) -> Result<Imported>
             .help("store it as integers, as floating-point numbers of 16, 32 or 64 bits, or as text"));
     }
     if root.group("layer").is_some() {
-        let used =
-            ["--from", "--image", "--first-step", "--reset-interval", "--input-shape", "--spike-exp", "--state-exp"];
-        options.refuse_unused("a network of lava-dl's netx", &used)?;
-        options.refuse_tools("a network of lava-dl's netx", &[Tool::LavaDl])?;
+        options.check(Format::Netx)?;
         netx::read(&root, &name, options)
     } else if root.group("node").is_some() {
-        options.refuse_unused("a NIR graph", &["--from", "--reset", "--decay"])?;
+        options.check(Format::Nir)?;
         nir::read(&root, &name, options)
     } else {
         let members: Vec<&str> = root.items.keys().take(8).map(String::as_str).collect();

@@ -187,7 +187,9 @@ pub(super) fn read_neuron(options: &Options) -> Result<(Neuron, Vec<String>)> {
     let neuron = config(&decode(path, read_bytes(path, MOST_YAML)?)?)?;
     let described = match &neuron.kind {
         NeuronKind::Loihi { vth_mant, dv, du, refractory, weight_exp, .. } => {
-            let decay = |decay: &Option<f64>| decay.map_or("of the weights' file".to_string(), |d| d.to_string());
+            fn decay(decay: &Option<f64>) -> String {
+                decay.map_or("of the weights' file".to_string(), |d| d.to_string())
+            }
             let (du, dv) = (decay(du), decay(dv));
             format!("du {du}, dv {dv}, vth_mant {vth_mant}, refractory {refractory}, weight_exp {weight_exp}")
         }

@@ -9,9 +9,8 @@
 
 use std::path::Path;
 
-use super::conventions::Tool;
 use super::encode;
-use super::imported::{Imported, LayerWeights, Options, wrong_option};
+use super::imported::{Format, Imported, LayerWeights, Options, wrong_option};
 use super::neuron_config::{self, Neuron, NeuronKind};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind, tensor};
 use nsim_files::text::unreadable;
@@ -63,8 +62,7 @@ pub fn read_set(path: &Path, options: &Options) -> Result<Imported> {
         let weights = tensor.reals().collect();
         matrices.push(Matrix { name: (*part).to_string(), targets, sources, weights, ..Matrix::default() });
     }
-    options.refuse_unused("weights of VT_SNN", &["--from", "--neuron", "--input-shape"])?;
-    options.refuse_tools("weights of VT_SNN", &[Tool::Slayer])?;
+    options.check(Format::VtSnn)?;
     let (neuron, notes) = neuron_config::read_neuron(options)?;
     build("weights of VT_SNN", prefix.unwrap_or("vtsnn"), matrices, &neuron, notes, options)
 }

@@ -13,8 +13,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use super::conventions::Tool;
-use super::imported::{Imported, Options, population_name, wrong_option};
+use super::imported::{Format, Imported, Options, population_name, wrong_option};
 use super::neuron_config::{self, LAVA_SCALE, NeuronKind};
 use super::slayer::{self, Matrix};
 use super::stored::{self, Array, wrong};
@@ -93,8 +92,7 @@ pub fn read(bytes: Vec<u8>, path: &Path, name: &str, options: &Options) -> Resul
     refuse_others(&arrays, lava, path, key.as_deref())?;
     let (used, unused): (Vec<Array>, Vec<Array>) = arrays.into_iter().partition(|array| role(&array.key).is_some());
     ignored.extend(unused.into_iter().map(|array| array.key));
-    options.refuse_unused("layers of SLAYER and lava-dl", &["--from", "--neuron", "--input-shape"])?;
-    options.refuse_tools("layers of SLAYER and lava-dl", &[Tool::Slayer, Tool::LavaDl])?;
+    options.check(Format::Layers)?;
     let (mut neuron, mut notes) = neuron_config::read_neuron(options)?;
     if !ignored.is_empty() {
         notes.insert(0, format!("not used: {}", ignored[..ignored.len().min(12)].join(", ")));
@@ -223,20 +221,20 @@ fn refuse_others(arrays: &[Array], lava: bool, path: &Path, key: Option<&str>) -
 /// The layers in the order of the file.
 fn layers(arrays: Vec<Array>) -> Result<Vec<Layer>> {
     let mut names: Vec<String> = Vec::new();
-    let mut found: BTreeMap<String, BTreeMap<Role, Array>> = BTreeMap::new();
+    let mut layers_by_name: BTreeMap<String, BTreeMap<Role, Array>> = BTreeMap::new();
     for array in arrays {
         let Some((layer, role)) = role(&array.key) else { continue };
         let layer = layer.to_string();
-        if !found.contains_key(&layer) {
+        if !layers_by_name.contains_key(&layer) {
             names.push(layer.clone());
         }
-        if let Some(other) = found.entry(layer).or_default().insert(role, array) {
+        if let Some(other) = layers_by_name.entry(layer).or_default().insert(role, array) {
             return Err(wrong(format!("'{}' is given twice, as it is and in two parts", other.key)));
         }
     }
     let mut layers = Vec::new();
     for name in names {
-        let mut others = found.remove(&name).unwrap_or_default();
+        let mut others = layers_by_name.remove(&name).unwrap_or_default();
         let Some(weight) = others.remove(&Role::Weight) else {
             let keys: Vec<&str> = others.values().map(|array| array.key.as_str()).collect();
             return Err(wrong(format!("'{name}' has no weights, only {}", keys.join(", "))));

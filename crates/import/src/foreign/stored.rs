@@ -65,12 +65,12 @@ pub(super) fn arrays(checkpoint: &mut Checkpoint, within: &str) -> Result<Vec<Ar
             continue;
         }
         let values = array(checkpoint, within, key, shape)?;
-        let found = TWO_PARTS.iter().find_map(|parts| {
+        let parts_of_weight = TWO_PARTS.iter().find_map(|parts| {
             let base = key.strip_suffix(parts.values)?;
             let factor = format!("{base}{}", parts.factor);
             Some((parts, base, by_key.get(&*factor)?, factor))
         });
-        let Some((parts, base, axes, factor)) = found else {
+        let Some((parts, base, axes, factor)) = parts_of_weight else {
             arrays.push(values);
             continue;
         };

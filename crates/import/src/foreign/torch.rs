@@ -12,12 +12,11 @@ use std::io::{Cursor, Read};
 use zip::ZipArchive;
 
 use super::pickle::{self, Arena, PickleError, Value, ValueId};
+use crate::kind::ZIP;
 use nsim_files::budget::Budget;
 use nsim_files::element::Element;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
-/// The first bytes of a zip archive.
-pub const ZIP: &[u8] = b"PK\x03\x04";
 /// The deepest nesting of dictionaries that are searched for tensors.
 const DEEPEST: usize = 4;
 const MOST_TENSORS: usize = 1 << 14;

@@ -86,9 +86,9 @@ impl Sliding {
         let per_out = (self.target[0] / self.groups).max(1);
         let places = [per_in, self.size.0, self.size.1];
         let many = self.target.iter().chain(&places).try_fold(1usize, |product, &axis| product.checked_mul(axis))?;
-        let place = |o: usize, stride: usize, k: usize, dilation: usize, padding: usize, side: usize| {
+        fn place(o: usize, stride: usize, k: usize, dilation: usize, padding: usize, side: usize) -> Option<usize> {
             (o * stride + k * dilation).checked_sub(padding).filter(|&i| i < side)
-        };
+        }
         (many <= MOST_LISTED).then(|| {
             each3(window.target).flat_map(move |(o, y, x)| {
                 each3(places).filter_map(move |(within, ky, kx)| {

@@ -28,13 +28,13 @@ impl Merging {
     /// The channel; `None` for a dropped polarity. Index 1 of the axis is a rise.
     fn channel(self, flat: usize) -> Option<usize> {
         let on = (flat / self.inner) % 2 == 1;
-        let kept = match self.polarity {
+        let spiking = match self.polarity {
             Polarity::Both => return Some(flat),
             Polarity::Merge => true,
             Polarity::On => on,
             Polarity::Off => !on,
         };
-        kept.then(|| flat / (2 * self.inner) * self.inner + flat % self.inner)
+        spiking.then(|| flat / (2 * self.inner) * self.inner + flat % self.inner)
     }
 
     /// The merging of channel axes that results in `units` channels; `None` for another number.

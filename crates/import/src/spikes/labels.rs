@@ -34,7 +34,9 @@ pub(super) fn from_array(array: &npy::Array) -> Result<Vec<u32>> {
         }));
     }
     let tensor = array.tensor()?;
-    let class = |number: f64| (number >= 0.0 && number.fract() == 0.0 && number < 4e9).then_some(number as u32);
+    fn class(number: f64) -> Option<u32> {
+        (number >= 0.0 && number.fract() == 0.0 && number < 4e9).then_some(number as u32)
+    }
     let labels = tensor.reals().enumerate().map(|(sample, number)| {
         class(number)
             .ok_or_else(|| wrong(format!("the label of sample {sample} is {number}, expected a class number from 0")))

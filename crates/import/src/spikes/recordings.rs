@@ -10,7 +10,7 @@ use super::folder::list_folder;
 use super::options::{ArrayOptions, EventOptions};
 use super::population::{InputSpec, PopulationSpikes};
 use super::{array, csv, npz};
-use crate::foreign::hdf5;
+use crate::hdf5;
 use crate::kind::{FileKind, RECORDINGS};
 use nsim_files::budget::MOST_ARRAY;
 use nsim_files::npy;

@@ -127,7 +127,7 @@ ranged!(
 );
 ranged!(
     /// Refractory period: a spike at t allows the next at t + period. 0 behaves as 1 in hardware
-    /// semantics. The counter of a chip may be narrower ([`crate::hardware::Chip::refractory`]).
+    /// semantics. The counter of a chip may be narrower.
     Refractory(u8) in 0..=255, "refractory period"
 );
 ranged!(

@@ -50,7 +50,9 @@ pub fn is_unprintable(c: char) -> bool {
 /// passes through here, so that no name moves a cursor, colours a terminal or makes an unreadable
 /// picture.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    let is_replaced = |c: char| is_unprintable(c) && !matches!(c, '\n' | '\t');
+    fn is_replaced(c: char) -> bool {
+        is_unprintable(c) && !matches!(c, '\n' | '\t')
+    }
     match text.contains(is_replaced) {
         true => Cow::Owned(text.replace(is_replaced, "\u{fffd}")),
         false => Cow::Borrowed(text),

@@ -382,42 +382,42 @@ macro_rules! constants {
             /// constant, and all errors if the hardware differs.
             #[must_use]
             pub fn applied(self, base: &Constants, name: String) -> Constants {
-                let mut made = Constants { name, notes: self.notes, ..base.clone() };
-                made.hardware = self.hardware.unwrap_or(made.hardware);
-                let foreign = made.hardware != base.hardware && !base.hardware.is_empty();
+                let mut constants = Constants { name, notes: self.notes, ..base.clone() };
+                constants.hardware = self.hardware.unwrap_or(constants.hardware);
+                let foreign = constants.hardware != base.hardware && !base.hardware.is_empty();
                 let inherited = |stated_in: &mut BTreeMap<_, _>, name| {
                     stated_in.entry(name).or_insert_with(|| base.name.clone());
                 };
                 match self.barrier {
                     Some(barrier) => {
-                        made.barrier = barrier;
-                        made.stated_in.remove(BARRIER);
-                        made.forget_errors(&[FigureClass::Time]);
+                        constants.barrier = barrier;
+                        constants.stated_in.remove(BARRIER);
+                        constants.forget_errors(&[FigureClass::Time]);
                     }
-                    None => inherited(&mut made.stated_in, BARRIER),
+                    None => inherited(&mut constants.stated_in, BARRIER),
                 }
                 $(match self.$field {
                     Some(constant) => {
-                        made.$field = constant;
-                        made.stated_in.remove(stringify!($field));
-                        made.borrowed.remove(stringify!($field));
-                        made.forget_errors(classes_of(stringify!($field)));
+                        constants.$field = constant;
+                        constants.stated_in.remove(stringify!($field));
+                        constants.borrowed.remove(stringify!($field));
+                        constants.forget_errors(classes_of(stringify!($field)));
                     }
                     None => {
-                        inherited(&mut made.stated_in, stringify!($field));
-                        if foreign && made.$field.status != Status::NotGiven {
-                            made.borrowed.insert(stringify!($field));
+                        inherited(&mut constants.stated_in, stringify!($field));
+                        if foreign && constants.$field.status != Status::NotGiven {
+                            constants.borrowed.insert(stringify!($field));
                         }
                     }
                 })*
-                made.step = self.step.unwrap_or(made.step);
-                made.turn = self.turn.unwrap_or(made.turn);
-                made.barrier_bounds = self.barrier_bounds.or(made.barrier_bounds);
-                if made.hardware != base.hardware {
-                    made.errors.clear();
+                constants.step = self.step.unwrap_or(constants.step);
+                constants.turn = self.turn.unwrap_or(constants.turn);
+                constants.barrier_bounds = self.barrier_bounds.or(constants.barrier_bounds);
+                if constants.hardware != base.hardware {
+                    constants.errors.clear();
                 }
-                made.errors = self.errors.unwrap_or(made.errors);
-                made
+                constants.errors = self.errors.unwrap_or(constants.errors);
+                constants
             }
         }
 
@@ -452,7 +452,7 @@ macro_rules! constants {
                 others
             }
 
-            /// Drops the errors of these classes, when the constants behind them change.
+            /// Drops the errors of these classes, when their constants change.
             pub fn forget_errors(&mut self, classes: &[FigureClass]) {
                 self.errors.retain(|error| !classes.contains(&error.class));
             }

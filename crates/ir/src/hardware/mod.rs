@@ -335,7 +335,9 @@ impl Target {
     /// # Errors
     /// A diagnostic when a size is 0 or too large, or no preset is given.
     pub fn new(file: &TargetFile, source: &SourceText, chip: Chip, mut constants: Vec<Constants>) -> Result<Self> {
-        let wrong = |message: String| Diagnostic::new("target.size", message);
+        fn wrong(message: String) -> Diagnostic {
+            Diagnostic::new("target.size", message)
+        }
         for (what, side) in [("chips_x", &file.chips_x), ("chips_y", &file.chips_y)] {
             if !(1..=128).contains(&side.value) {
                 return Err(wrong(format!("{what} {} is outside 1..=128", side.value)).at(source, side.span));

@@ -136,7 +136,7 @@ impl Draws {
 
     /// The number of one of a count of entities, real in [0, 1). `number` counts those of each
     /// entity in the run from 0; recorded ones have all entities in a row.
-    pub fn each(&self, place: Place, number: u32, (entity, count): (u32, usize)) -> f64 {
+    pub fn each(&self, place: Place, number: u32, entity: u32, count: usize) -> f64 {
         match self.recorded.get(place.rule).and_then(Option::as_ref).and_then(|recorded| recorded.get(&place.of)) {
             Some(numbers) => numbers.get(self.place(number) * count + entity as usize).copied().unwrap_or(0.0),
             None => self.at(place).unit(entity),

@@ -145,10 +145,12 @@ impl Product {
 
     /// A bound on its magnitude, where factors are not clipped.
     fn most(&self) -> f64 {
-        let greatest = |factor: &Factor| match factor.sign {
-            true => 1.0,
-            false => f64::from(1 << factor.of.bits()) + f64::from(factor.plus).abs(),
-        };
+        fn greatest(factor: &Factor) -> f64 {
+            match factor.sign {
+                true => 1.0,
+                false => f64::from(1 << factor.of.bits()) + f64::from(factor.plus).abs(),
+            }
+        }
         let factors: f64 = self.factors.iter().map(greatest).product();
         f64::from(self.mantissa).abs() * 2f64.powi(self.exponent.into()) * factors
     }

@@ -91,7 +91,9 @@ impl<'t> Parser<'t> {
     fn peek(&mut self) -> &'t str {
         let rest = self.text[self.at..].trim_start();
         self.at = self.text.len() - rest.len();
-        let part = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '.';
+        fn part(c: char) -> bool {
+            c.is_ascii_alphanumeric() || c == '_' || c == '.'
+        }
         let length = match rest.chars().next() {
             Some(c) if part(c) => rest.find(|c: char| !part(c)).unwrap_or(rest.len()),
             other => other.map_or(0, char::len_utf8),
@@ -245,12 +247,15 @@ impl<'t> Parser<'t> {
         self.peek();
         let at = self.at;
         let second = self.operand()?;
-        let whole = |mantissa: i64, exponent: i64| match exponent {
-            0..=20 => {
-                mantissa.checked_mul(1 << exponent).filter(|value| value.abs() <= GREATEST).map(|value| value as i32)
+        fn whole(mantissa: i64, exponent: i64) -> Option<i32> {
+            match exponent {
+                0..=20 => mantissa
+                    .checked_mul(1 << exponent)
+                    .filter(|value| value.abs() <= GREATEST)
+                    .map(|value| value as i32),
+                _ => None,
             }
-            _ => None,
-        };
+        }
         match (first, second) {
             (Operand::Factor(factor), Operand::Literal { mantissa, exponent }) if factor.plus == 0 && !factor.sign => {
                 match whole(mantissa, exponent) {

@@ -285,14 +285,14 @@ impl Microcode {
 
 /// The price that a declaration states.
 fn stated_price(declaration: &Declaration) -> Result<Option<UpdatePrice>, Problem> {
-    let thousandths = |path: &str, typed: &str, unit: Unit| {
+    fn thousandths(path: &str, typed: &str, unit: Unit) -> Result<u64, Problem> {
         let wrong = |message: String| Problem::new(path, message);
         let value = unit.parsed(typed).map_err(wrong)?;
         if !(0.0..=MOST_PRICE).contains(&value) {
             return Err(wrong(format!("{typed} is outside 0..={MOST_PRICE} {}", unit.suffix())));
         }
         Ok((value * 1e3).round() as u64)
-    };
+    }
     match (&declaration.time, &declaration.energy) {
         (Some(time), Some(energy)) => Ok(Some(UpdatePrice::Stated {
             energy: thousandths("energy", energy, Unit::pJ)?,

@@ -137,7 +137,9 @@ impl<'t> Parser<'t> {
     fn peek(&mut self) -> &'t str {
         let rest = self.text[self.at..].trim_start();
         self.at = self.text.len() - rest.len();
-        let part = |c: char| c.is_ascii_alphanumeric() || c == '_';
+        fn part(c: char) -> bool {
+            c.is_ascii_alphanumeric() || c == '_'
+        }
         let length = match rest.chars().next() {
             Some(c) if part(c) => rest.find(|c: char| !part(c)).unwrap_or(rest.len()),
             Some(_) if ["<<", ">>", "<=", ">=", "==", "!="].iter().any(|two| rest.starts_with(two)) => 2,
@@ -164,7 +166,9 @@ impl<'t> Parser<'t> {
             "&" | "|" | "!" | "&&" | "||" => "; write and, or, not",
             _ => "",
         };
-        let shown = |token: &str| if token.is_empty() { "the end".to_string() } else { format!("'{token}'") };
+        fn shown(token: &str) -> String {
+            if token.is_empty() { "the end".to_string() } else { format!("'{token}'") }
+        }
         let found = shown(self.peek());
         self.wrong(self.at, format!("expected {} but found {found}{help}", shown(token)))
     }

@@ -161,6 +161,8 @@ pub(super) const MOST_TEMPORARIES: usize = 64;
 
 /// Whether a text is a letter or `_`, then letters, digits and `_`, at most 64 in all.
 pub(super) fn is_name(text: &str) -> bool {
-    let part = |c: char| c.is_ascii_alphanumeric() || c == '_';
+    fn part(c: char) -> bool {
+        c.is_ascii_alphanumeric() || c == '_'
+    }
     text.len() <= 64 && text.starts_with(|c: char| part(c) && !c.is_ascii_digit()) && text.chars().all(part)
 }

@@ -40,13 +40,6 @@ impl SynapseFormat {
     pub const fn is_plastic(self) -> bool {
         self.rule.is_some()
     }
-
-    /// The nearest weight of the format toward 0.
-    pub fn toward_zero(self, weight: i16) -> i16 {
-        let (low, high) = self.sign.range(self.bits);
-        let weight = weight.clamp(low, high);
-        weight - weight % self.sign.step(self.bits)
-    }
 }
 
 /// A separate sum, which is narrowed before it is added to its port. It sums the arrivals of a
@@ -233,7 +226,9 @@ impl Window {
 }
 
 fn window_fits(window: &Window, source: Shape, target: Shape) -> bool {
-    let within = |pair: (u32, u32), least: u32| [pair.0, pair.1].iter().all(|n| (least..=65_535).contains(n));
+    fn within(pair: (u32, u32), least: u32) -> bool {
+        [pair.0, pair.1].iter().all(|n| (least..=65_535).contains(n))
+    }
     source.volume() == Some(window.source)
         && target.volume() == Some(window.target)
         && window.groups > 0

@@ -466,7 +466,9 @@ impl Quantised {
                     return wrong("has not the parameters of one neuron for each compartment");
                 }
                 let values = matches!(population.message, Message::Value(_));
-                let computes = |neuron: &Neuron| neuron.kind.table().emits == Emits::Values;
+                fn computes(neuron: &Neuron) -> bool {
+                    neuron.kind.table().emits == Emits::Values
+                }
                 if population.message != Message::Spike && neurons.any(|neuron| computes(neuron) != values) {
                     return wrong("sends messages that its neurons do not have");
                 }
@@ -844,7 +846,9 @@ fn check_plastic(parts: &Parts, projection: &Projection) -> Result<(), &'static 
     if semantics.delays_act() && learning.rule.changes(Variable::Delay) && projection.format.apart.is_some() {
         return Err("its rule changes delays, by which its target sums arrivals separately");
     }
-    let within = |values: &[i16], (low, high): (i32, i32)| values.iter().all(|&v| (low..=high).contains(&v.into()));
+    fn within(values: &[i16], (low, high): (i32, i32)) -> bool {
+        values.iter().all(|&v| (low..=high).contains(&v.into()))
+    }
     if !within(&plastic.tags, semantics.tags()) || !within(&plastic.delays, semantics.delays()) {
         return Err("a first tag or delay is out of range");
     }

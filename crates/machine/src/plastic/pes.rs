@@ -95,7 +95,7 @@ impl Learner {
         let entities = (plan.of.plastic.first_source..).zip(self.traces.iter_mut().zip(&mut self.spiked));
         for (entity, (trace, spiked)) in entities {
             let place = arrivals.place(plan.of.plastic.rule, Use::Trace);
-            let draw = || arrivals.draws.each(place, number, (entity, self.sources));
+            let draw = || arrivals.draws.each(place, number, entity, self.sources);
             *trace = self.pes.trace(*trace, std::mem::take(spiked), draw);
         }
     }
@@ -136,7 +136,7 @@ impl Change<'_> {
                 let target = shard.plastic.targets[place];
                 let (random, entity) =
                     (self.arrivals.place(of.rule, Use::Weight), source * errors.len() as u32 + target);
-                let draw = || self.arrivals.draws.each(random, self.number, (entity, sources * errors.len()));
+                let draw = || self.arrivals.draws.each(random, self.number, entity, sources * errors.len());
                 let weight = &mut state.plastic.weights[place];
                 *weight = pes.weight(*weight, trace, errors[target as usize], draw);
                 state.updates[rows.core_of[target as usize].index()] += 1;

@@ -416,7 +416,7 @@ mod tests {
         let (source, target) = ((3, 4, 5), (1, 4, 5));
         let once = (1, 1);
         let window = Window { source, target, kernel: once, stride: once, padding: (0, 0), dilation: once, groups: 1 };
-        net.connect((image, to), plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2, 4, 6].into() });
+        net.connect(image, to, plain_format(), 0, Connectivity::Conv2d { window, kernel: vec![2, 4, 6].into() });
         let places = Places::for_network(&net.build(), &limits());
         assert_eq!(places.of_source(6), None);
         assert_eq!(places.of_source(7), Some((0, 0)));

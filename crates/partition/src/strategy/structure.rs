@@ -84,7 +84,7 @@ mod tests {
             .collect();
         let (first, weights) = ((0..=u64::from(n)).map(|source| 32 * source).collect(), vec![2; targets.len()].into());
         let synapses = Connectivity::Sparse { first, targets: targets.into(), weights };
-        builder.connect((layer, layer), plain_format(), 0, synapses);
+        builder.connect(layer, layer, plain_format(), 0, synapses);
         builder.build()
     }
 

@@ -355,7 +355,7 @@ mod tests {
         let (source, target) = ((2, 5, 5), (4, 5, 5));
         let window = Window { source, target, kernel: (3, 3), stride: once, padding: once, dilation: once, groups: 1 };
         let kernel = vec![2; 72].into();
-        net.connect((image, layer), plain_format(), 0, Connectivity::Conv2d { window, kernel });
+        net.connect(image, layer, plain_format(), 0, Connectivity::Conv2d { window, kernel });
         net.dense(layer, out, |_, _| 2);
         let network = net.build();
         let most = |synapses| most_compartments(&network, &limits(), synapses).iter().copied().collect::<Vec<u32>>();

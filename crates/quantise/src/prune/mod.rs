@@ -147,8 +147,9 @@ pub fn check_stimulus(network: &Quantised, samples: &[&Sample], first: usize) ->
         for step in 0..sample.steps() {
             let Some(&channel) = sample.at(step).iter().find(|&&channel| dead[channel]) else { continue };
             let inputs = network.inputs().filter_map(|(_, p)| Some((p, channel.0.checked_sub(p.first_channel()?.0)?)));
-            let found = inputs.filter(|(population, index)| *index < population.shape.len()).last();
-            let (name, index) = found.map_or(("?", channel.0), |(population, index)| (population.name.as_str(), index));
+            let source = inputs.filter(|(population, index)| *index < population.shape.len()).last();
+            let (name, index) =
+                source.map_or(("?", channel.0), |(population, index)| (population.name.as_str(), index));
             let stimulus = pruned.stimulus.as_deref().unwrap_or_default().join(" ");
             let message = format!(
                 "sample {} fires channel {index} of '{name}' in step {step}, but the network was pruned for \
@@ -326,7 +327,7 @@ fn rebuilt(network: &Quantised, survey: &Survey, tally: &mut Tally) -> (Parts, I
     (parts, kept)
 }
 
-/// Warning of a convolution that is no kernel any more.
+/// Warning of a convolution whose synapses pruning lists, instead of a kernel.
 fn listed(network: &Quantised, projection: &Projection, left: &Connectivity) -> Warning {
     let message = format!(
         "--prune lists the {} synapses of the convolution {} one by one, which can take more cores than its kernel: \

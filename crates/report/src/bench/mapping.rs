@@ -43,7 +43,7 @@ fn against_sequential(rows: &[MeasuredMapping], strategy: Strategy, objective: O
 
 /// `nsim.bench/1`.
 pub fn json(environment: &Environment, rows: &[MeasuredMapping]) -> Value {
-    let row = |row: &MeasuredMapping| {
+    fn row(row: &MeasuredMapping) -> Value {
         json!({
             "network": row.network, "strategy": row.strategy.name(), "placed": row.placed,
             "objective": row.objective.name(), "cores": row.cores, "chips": row.chips,
@@ -53,7 +53,7 @@ pub fn json(environment: &Environment, rows: &[MeasuredMapping]) -> Value {
             "simulated": row.simulated, "energy_uj": rounded(row.energy_uj), "step_us": rounded(row.step_us),
             "seconds": rounded(row.seconds), "peak_mib": row.peak_mib.map(rounded),
         })
-    };
+    }
     let rows: Vec<Value> = rows.iter().map(row).collect();
     json!({ "schema": "nsim.bench/1", "name": "map", "environment": environment, "rows": rows })
 }

@@ -18,7 +18,9 @@ fn interval(row: &PaperRow) -> String {
 
 /// A mean with its deviation, where there is one.
 fn mean(mean: Option<f64>, deviation: Option<f64>) -> String {
-    let digits = |x: f64| if x.abs() < 10.0 { format!("{x:.3}") } else { format!("{x:.1}") };
+    fn digits(x: f64) -> String {
+        if x.abs() < 10.0 { format!("{x:.3}") } else { format!("{x:.1}") }
+    }
     let deviation = deviation.map_or(String::new(), |deviation| format!("\u{b1}{}", digits(deviation)));
     mean.map_or(String::new(), |mean| digits(mean) + &deviation)
 }
@@ -138,8 +140,8 @@ fn accuracies(rows: &[PaperRow], task: &str, title: &str) -> Option<Grid> {
             let row = find(rows, table, [task, senses, "accuracy"], loss, note);
             line.push(row.map_or(String::new(), |row| {
                 let folds = if row.deviation.is_some() { "" } else { "*" };
-                let here = row.measured.map(|share| format!("{share:.3}{folds}"));
-                here_and_printed(here, row.published.map(|share| format!("{share:.2}")))
+                let measured_share = row.measured.map(|share| format!("{share:.3}{folds}"));
+                here_and_printed(measured_share, row.published.map(|share| format!("{share:.2}")))
             }));
             epochs.extend(row.and_then(|row| row.note.split_once(" epochs")?.0.split(' ').next_back()));
         }

@@ -17,7 +17,7 @@ pub struct ParetoReport<'a> {
     pub input: &'a [String],
     /// Their seed, when they had one.
     pub seed: Option<u64>,
-    /// Number of samples.
+    /// Samples that each variant ran.
     pub samples: usize,
     /// Environment of the measurement.
     pub environment: &'a Environment,

@@ -35,7 +35,7 @@ const KEYS: &str = "work,workload,chip,quantity,kind,unit,published,predicted,lo
 
 /// `nsim.bench/1`.
 pub fn json(rows: &[PublishedRow]) -> Value {
-    let row = |row: &PublishedRow| {
+    fn row(row: &PublishedRow) -> Value {
         json!({
             "work": row.work, "workload": row.workload, "chip": row.chip, "quantity": row.quantity.name(),
             "kind": row.quantity.kind(), "unit": row.quantity.unit(), "published": row.published,
@@ -44,7 +44,7 @@ pub fn json(rows: &[PublishedRow]) -> Value {
             "first_hand": row.first_hand, "accounting": row.quantity.accounting(), "activity": row.activity,
             "assumed": row.assumed, "source": row.source, "cause": row.cause,
         })
-    };
+    }
     json!({ "schema": "nsim.bench/1", "name": "published", "rows": rows.iter().map(row).collect::<Vec<_>>() })
 }
 

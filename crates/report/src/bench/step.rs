@@ -11,7 +11,7 @@ use nsim_files::table::{Column, csv, table_of, three, wrapped};
 pub struct StepRow {
     /// The standard network.
     pub network: &'static str,
-    /// Number of threads.
+    /// Threads of the run.
     pub threads: usize,
     /// Whether idle compartments were skipped.
     pub skip: bool,
@@ -42,7 +42,7 @@ pub(super) fn rounded(x: f64) -> f64 {
 
 /// `nsim.bench/1`.
 pub fn json(environment: &Environment, rows: &[StepRow]) -> Value {
-    let row = |row: &StepRow| {
+    fn row(row: &StepRow) -> Value {
         json!({
             "network": row.network, "threads": row.threads, "ranks": row.ranks, "skip": row.skip,
             "us_per_timestep": rounded(row.measured.us_per_timestep), "spread": rounded(row.measured.spread),
@@ -51,7 +51,7 @@ pub fn json(environment: &Environment, rows: &[StepRow]) -> Value {
             "spikes_per_step": rounded(row.spikes()), "repeats": row.measured.repeats,
             "steps_per_repeat": row.measured.steps,
         })
-    };
+    }
     let rows: Vec<Value> = rows.iter().map(row).collect();
     json!({ "schema": "nsim.bench/1", "name": "step", "environment": environment, "rows": rows })
 }

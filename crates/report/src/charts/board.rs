@@ -52,7 +52,7 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
     let mut sheet = Sheet::new((width, height), LEFT, &title);
     let busiest = links.busiest();
     let words = "fill: use of a core's fullest resource; the busiest link carries";
-    sheet.text((LEFT, 40.0), GREY, &format!("{words} {busiest:.3} messages a step"));
+    sheet.text(LEFT, 40.0, GREY, &format!("{words} {busiest:.3} messages a step"));
     // Links first, so that cores lie above them.
     layout.used.iter().for_each(|&chip| draw_chip(&mut sheet, &layout, chip, links, busiest));
     let shown = draw_cores(&mut sheet, &layout, compiled, target);
@@ -60,10 +60,10 @@ pub fn svg(compiled: &Mapping, target: &Target, links: &Links) -> String {
     for (index, (id, population)) in with_compartments().take(MOST_NAMES).enumerate() {
         let y = TOP + 18.0 * index as f64;
         let (full, note) = if shown.contains(&id) { (1.0, "") } else { (0.0, " (with others)") };
-        square(&mut sheet, (x, y), full, colour(id));
-        sheet.text((x + 19.0, y + 11.0), "", &format!("{}{note}", population.name));
+        square(&mut sheet, x, y, full, colour(id));
+        sheet.text(x + 19.0, y + 11.0, "", &format!("{}{note}", population.name));
     }
-    scales(&mut sheet, (x, TOP + 18.0 * names as f64 + 16.0), busiest);
+    scales(&mut sheet, x, TOP + 18.0 * names as f64 + 16.0, busiest);
     if cores <= MOST_BARS {
         bars(&mut sheet, compiled, target, bars_top, width - LEGEND - 25.0);
     }
@@ -161,34 +161,34 @@ fn draw_cores(sheet: &mut Sheet, layout: &Layout, compiled: &Mapping, target: &T
         let compartments = usage[Resource::Compartments];
         let resource = resource.name();
         let words = format!("{core}: {compartments} compartments, mostly {name}; {:.0} % of {resource}", 100.0 * most);
-        sheet.titled(&words, |sheet| square(sheet, (x, y), most, colour(population)));
+        sheet.titled(&words, |sheet| square(sheet, x, y, most, colour(population)));
     }
     shown
 }
 
 /// A core, filled from below.
-fn square(sheet: &mut Sheet, (x, y): (f64, f64), full: f64, colour: &str) {
+fn square(sheet: &mut Sheet, x: f64, y: f64, full: f64, colour: &str) {
     let (inner, filled_to) = (CORE - 1.0, (CORE - 1.0) * full.clamp(0.0, 1.0));
     sheet.rect([x, y, inner, inner], r##"fill="#eee" stroke="#444" stroke-width="0.5""##);
     sheet.rect([x, y + inner - filled_to, inner, filled_to], &filled(colour));
 }
 
 /// Legend of the fill of cores and the width of links.
-fn scales(sheet: &mut Sheet, (x, top): (f64, f64), busiest: f64) {
-    sheet.text((x, top), GREY, "use of the fullest resource");
+fn scales(sheet: &mut Sheet, x: f64, top: f64, busiest: f64) {
+    sheet.text(x, top, GREY, "use of the fullest resource");
     for (index, percent) in [25, 50, 100].into_iter().enumerate() {
         let (left, y) = (x + 46.0 * index as f64, top + 6.0);
-        square(sheet, (left, y), f64::from(percent) / 100.0, "#666");
-        sheet.text((left + CORE + 2.0, y + 11.0), SMALL, &format!("{percent} %"));
+        square(sheet, left, y, f64::from(percent) / 100.0, "#666");
+        sheet.text(left + CORE + 2.0, y + 11.0, SMALL, &format!("{percent} %"));
     }
     if busiest <= 0.0 {
         return;
     }
-    sheet.text((x, top + 42.0), GREY, "messages a step on a link");
+    sheet.text(x, top + 42.0, GREY, "messages a step on a link");
     for (index, part) in [0.1, 0.5, 1.0].into_iter().enumerate() {
         let y = top + 55.0 + 15.0 * index as f64;
         sheet.line([x, y, x + 24.0, y], &link(part));
-        sheet.text((x + 30.0, y + 4.0), "", &three(part * busiest));
+        sheet.text(x + 30.0, y + 4.0, "", &three(part * busiest));
     }
 }
 
@@ -202,7 +202,7 @@ fn bars(sheet: &mut Sheet, compiled: &Mapping, target: &Target, top: f64, width:
     let each = (width - LEFT) / compiled.partition.cores().max(1) as f64;
     for (row, (resource, name)) in BARS.iter().enumerate() {
         let y = top + row as f64 * (BAR_HEIGHT + 22.0) + 16.0;
-        sheet.text((LEFT, y - 4.0), "", &format!("{name}, share of a core's limit"));
+        sheet.text(LEFT, y - 4.0, "", &format!("{name}, share of a core's limit"));
         sheet.line([LEFT, y, width, y], &stroked("#bbb", 1.0, "3 3"));
         sheet.line([LEFT, y + BAR_HEIGHT, width, y + BAR_HEIGHT], &stroked("#444", 1.0, ""));
         for (core, usage) in compiled.partition.usage().enumerate() {

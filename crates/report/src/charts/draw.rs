@@ -44,7 +44,7 @@ pub(super) fn stroked(colour: &str, width: f64, dashes: &str) -> String {
 pub struct Axis {
     /// Its quantity, with unit.
     pub label: String,
-    /// Whether it is logarithmic; then only positive numbers are shown.
+    /// Whether it is logarithmic; then only positive numbers are drawn.
     pub log: bool,
 }
 
@@ -81,14 +81,14 @@ impl Sheet {
             "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width:.0} {height:.0}\" \
              font-family=\"sans-serif\" font-size=\"12\">\n<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n"
         ));
-        sheet.text((left, 22.0), r#"font-size="15""#, title);
+        sheet.text(left, 22.0, r#"font-size="15""#, title);
         sheet
     }
 
     /// A sheet for a chart, with the names of its axes.
     pub fn chart(title: &str, x: &str, y: &str) -> Sheet {
         let mut sheet = Sheet::new((WIDTH, HEIGHT), LEFT, title);
-        sheet.text(((LEFT + RIGHT) / 2.0, HEIGHT - 14.0), MIDDLE, x);
+        sheet.text((LEFT + RIGHT) / 2.0, HEIGHT - 14.0, MIDDLE, x);
         sheet.upright((TOP + BOTTOM) / 2.0, y);
         sheet
     }
@@ -113,17 +113,17 @@ impl Sheet {
         _ = writeln!(self.0, r#"<polyline points="{points}" {style}/>"#);
     }
 
-    pub fn dot(&mut self, (x, y): (f64, f64), colour: &str) {
+    pub fn dot(&mut self, x: f64, y: f64, colour: &str) {
         _ = writeln!(self.0, r#"<circle cx="{x:.1}" cy="{y:.1}" r="4" fill="{colour}"/>"#);
     }
 
-    pub fn text(&mut self, (x, y): (f64, f64), style: &str, words: &str) {
+    pub fn text(&mut self, x: f64, y: f64, style: &str, words: &str) {
         _ = writeln!(self.0, r#"<text x="{x:.1}" y="{y:.1}" {style}>{}</text>"#, markup(words));
     }
 
     /// Adds vertical words along the left edge, around height `y`.
     pub fn upright(&mut self, y: f64, words: &str) {
-        self.text((18.0, y), &format!(r#"{MIDDLE} transform="rotate(-90 18 {y:.1})""#), words);
+        self.text(18.0, y, &format!(r#"{MIDDLE} transform="rotate(-90 18 {y:.1})""#), words);
     }
 
     /// Adds shapes with a tooltip.
@@ -139,7 +139,7 @@ impl Sheet {
             if grid {
                 self.line([x, TOP, x, BOTTOM], THIN);
             }
-            self.text((x, BOTTOM + 18.0), MIDDLE, &label);
+            self.text(x, BOTTOM + 18.0, MIDDLE, &label);
         }
     }
 
@@ -147,19 +147,19 @@ impl Sheet {
     pub fn ticks_up(&mut self, scale: &Scale) {
         for (y, label) in scale.ticks() {
             self.line([LEFT, y, RIGHT, y], THIN);
-            self.text((LEFT - 8.0, y + 4.0), END, &label);
+            self.text(LEFT - 8.0, y + 4.0, END, &label);
         }
     }
 
     /// Adds entry `index` of the legend.
-    pub fn legend(&mut self, index: usize, (colour, mark): (&str, Mark), name: &str) {
+    pub fn legend(&mut self, index: usize, colour: &str, mark: Mark, name: &str) {
         let (x, y) = (RIGHT + 14.0, TOP + 8.0 + 18.0 * index as f64);
         match mark {
             Mark::Area => self.rect([x, y - 9.0, 12.0, 10.0], &filled(colour)),
             Mark::Line(dash) => self.line([x - 10.0, y - 4.0, x + 14.0, y - 4.0], &stroked(colour, 2.0, dash)),
-            Mark::Dot => self.dot((x + 6.0, y - 4.0), colour),
+            Mark::Dot => self.dot(x + 6.0, y - 4.0, colour),
         }
-        self.text((x + 18.0, y), "", name);
+        self.text(x + 18.0, y, "", name);
     }
 
     /// The whole text.

@@ -36,7 +36,9 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
     sheet.ticks_across(&across, RIGHT, true);
     sheet.ticks_up(&up);
     // A front is drawn above the other points, and its labels are placed first.
-    let is_front = |one: &Series| matches!(one, Series::Front(..));
+    fn is_front(one: &Series) -> bool {
+        matches!(one, Series::Front(..))
+    }
     let mut order: Vec<(usize, &Series)> = series.iter().enumerate().collect();
     order.sort_by_key(|(_, one)| is_front(one));
     let mut labels = Vec::new();
@@ -67,13 +69,13 @@ pub fn chart(title: &str, x: &Axis, y: &Axis, series: &[Series]) -> String {
                     sheet.through(&line, &stroked(colour, 1.5, "5 3"));
                 }
                 for (at, label) in placed {
-                    sheet.dot(at, colour);
+                    sheet.dot(at.0, at.1, colour);
                     labels.push((is_front(one), at.0, at.1, label));
                 }
                 (name, Mark::Dot)
             }
         };
-        sheet.legend(index, (colour, mark), name);
+        sheet.legend(index, colour, mark, name);
     }
     write_labels(&mut sheet, labels);
     sheet.svg()
@@ -113,7 +115,7 @@ fn name_groups(sheet: &mut Sheet, names: &[String]) -> f64 {
         for (number, line) in name.lines().enumerate() {
             let (x, y) = (LEFT + group * (place as f64 + 0.5), BOTTOM + 14.0 * (number + 1) as f64);
             let turned = format!(r#"{END} {SMALL} transform="rotate(-20 {x:.1} {y:.1})""#);
-            sheet.text((x, y + if has_room { 4.0 } else { 0.0 }), if has_room { MIDDLE } else { &turned }, line);
+            sheet.text(x, y + if has_room { 4.0 } else { 0.0 }, if has_room { MIDDLE } else { &turned }, line);
         }
     }
     group
@@ -130,7 +132,7 @@ pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<
     let middle = |row: usize| top + tall * (row as f64 + 0.5);
     for (row, name) in categories.iter().enumerate() {
         for (number, line) in name.lines().enumerate() {
-            sheet.text((left - 10.0, middle(row) + 2.0 + 13.0 * number as f64), END, line);
+            sheet.text(left - 10.0, middle(row) + 2.0 + 13.0 * number as f64, END, line);
         }
     }
     for (index, (name, marks)) in series.iter().enumerate() {
@@ -143,12 +145,12 @@ pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<
         // The label of a point at an end stays within the panel.
         let across = Scale::new(&Axis::log(""), ends, from + 18.0, from + wide - 18.0);
         sheet.rect([from, top, wide, bottom - top], &stroked("#999", 1.0, ""));
-        sheet.text((from + wide / 2.0, top - 8.0), MIDDLE, name);
+        sheet.text(from + wide / 2.0, top - 8.0, MIDDLE, name);
         let mut last = f64::MIN;
         for (x, label) in across.ticks() {
             if x - last >= 34.0 {
                 sheet.line([x, top, x, bottom], &stroked("#ddd", 1.0, ""));
-                sheet.text((x, bottom + 14.0), &format!("{MIDDLE} {SMALL}"), &label);
+                sheet.text(x, bottom + 14.0, &format!("{MIDDLE} {SMALL}"), &label);
                 last = x;
             }
         }
@@ -159,8 +161,8 @@ pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<
                 sheet.line([low, y, high, y], &stroked(&colour, 2.0, ""));
             }
             if let Some(x) = across.place(value) {
-                sheet.dot((x, y), &colour);
-                sheet.text((x, y - 8.0), MIDDLE, &three(value));
+                sheet.dot(x, y, &colour);
+                sheet.text(x, y - 8.0, MIDDLE, &three(value));
             }
         }
     }
@@ -168,7 +170,9 @@ pub fn panels(title: &str, categories: &[String], series: &[(String, Vec<Option<
 }
 
 fn barred(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f64>)], stacked: bool) -> String {
-    let value = |series: &(String, Vec<f64>), place: usize| series.1.get(place).copied().unwrap_or(0.0);
+    fn value(series: &(String, Vec<f64>), place: usize) -> f64 {
+        series.1.get(place).copied().unwrap_or(0.0)
+    }
     let tops: Vec<f64> = match stacked {
         true => (0..categories.len()).map(|place| series.iter().map(|one| value(one, place)).sum()).collect(),
         false => series.iter().flat_map(|(_, values)| values.iter().copied()).collect(),
@@ -194,7 +198,7 @@ fn barred(title: &str, y: &str, categories: &[String], series: &[(String, Vec<f6
     }
     sheet.line([LEFT, ground, RIGHT, ground], &stroked("#333", 1.0, ""));
     for (index, (name, _)) in series.iter().enumerate() {
-        sheet.legend(index, (&colour(index), Mark::Area), name);
+        sheet.legend(index, &colour(index), Mark::Area, name);
     }
     sheet.svg()
 }
@@ -215,7 +219,7 @@ fn write_labels(sheet: &mut Sheet, mut labels: Vec<(bool, f64, f64, String)>) {
                 && taken.iter().all(|&(from, to, at)| left + wide < from || left > to || (middle - at).abs() > 8.5)
         };
         if let Some((left, middle)) = places.into_iter().chain(upright).find(free) {
-            sheet.text((left, middle + 3.0), SMALL, &text);
+            sheet.text(left, middle + 3.0, SMALL, &text);
             taken.push((left, left + wide, middle));
         }
     }
@@ -250,7 +254,7 @@ mod tests {
             .take(2)
             .map(|rect| rect.split("height=\"").nth(1).unwrap().split('"').next().unwrap().parse().unwrap())
             .collect();
-        // The second stands on the first: their heights are as 30 to 70.
+        // The second bar is above the first: their heights are as 30 to 70.
         assert!((tops[1] / tops[0] - 70.0 / 30.0).abs() < 0.01, "{tops:?} {svg}");
         let svg = bars("b", "y", &["c".into(), "d".into()], &[("s".into(), vec![1.0, -2.0])]);
         assert_eq!(svg.matches("<rect").count(), 1 + 2 + 1);

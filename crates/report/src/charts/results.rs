@@ -82,7 +82,9 @@ pub fn energy(result: &Value) -> Option<String> {
         ("neuron dynamic", number(&neuron["dynamic_mw"])?),
     ];
     let parts = parts(&result["breakdown_pj_per_timestep"]);
-    let share = |value: f64, total: f64| if total > 0.0 { 100.0 * value / total } else { 0.0 };
+    fn share(value: f64, total: f64) -> f64 {
+        if total > 0.0 { 100.0 * value / total } else { 0.0 }
+    }
     let (all, dynamic): (f64, f64) = (powers.iter().map(|(_, mw)| mw).sum(), parts.iter().map(|(_, pj)| pj).sum());
     let mut series: Vec<(String, Vec<f64>)> =
         powers.iter().map(|(name, mw)| ((*name).to_string(), vec![share(*mw, all), 0.0])).collect();
@@ -151,7 +153,9 @@ pub fn agreement(result: &Value) -> Option<String> {
     let model = words(&result["model"]);
     let shares = rows(&result["attribution"]);
     if shares.is_empty() {
-        let known = |layer: &Value| Some((words(&layer["name"]).to_string(), number(&layer["coincidence"])?));
+        fn known(layer: &Value) -> Option<(String, f64)> {
+            Some((words(&layer["name"]).to_string(), number(&layer["coincidence"])?))
+        }
         let (names, values): (Vec<String>, Vec<f64>) = rows(&result["layers"]).iter().filter_map(known).unzip();
         let title = format!("{model} and {}: spikes that coincide", words(&result["against"]));
         let series = [(String::new(), values)];

@@ -47,7 +47,7 @@ pub struct Panel {
 /// One sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Panels {
-    /// The title.
+    /// Title above the panels.
     pub title: String,
     /// Common quantity of all panels; empty where panels name their own.
     pub y_label: String,
@@ -78,8 +78,8 @@ impl Panels {
             match &panel.content {
                 Content::Spikes(channels, of_kinds) => {
                     sheet.upright(top + height / 2.0, &panel.label);
-                    sheet.text((LEFT - 8.0, top + 10.0), END, "0");
-                    sheet.text((LEFT - 8.0, top + height), END, &channels.saturating_sub(1).to_string());
+                    sheet.text(LEFT - 8.0, top + 10.0, END, "0");
+                    sheet.text(LEFT - 8.0, top + height, END, &channels.saturating_sub(1).to_string());
                     let (row, length) = (height / f64::from((*channels).max(1)), (at(1.0) - at(0.0)).max(1.0));
                     for (name, spikes) in of_kinds {
                         let colour = COLOURS[kinds % COLOURS.len()];
@@ -89,7 +89,7 @@ impl Panels {
                             _ = write!(path, "M{:.1} {y:.1}h{length:.1}", at(f64::from(step)));
                         }
                         sheet.path(&path, &stroked(colour, row.clamp(0.8, 4.0), ""));
-                        sheet.legend(kinds, (colour, Mark::Dot), name);
+                        sheet.legend(kinds, colour, Mark::Dot, name);
                         kinds += 1;
                     }
                 }
@@ -99,11 +99,11 @@ impl Panels {
                     let up = |v: f64| top + height - (v - low) / (high - low) * height;
                     for (level, dashes) in [(0.0, ""), (1.0, "4 3")] {
                         sheet.line([LEFT, up(level), end, up(level)], &stroked("#888", 0.8, dashes));
-                        sheet.text((LEFT - 6.0, up(level) + 4.0), END, &level.to_string());
+                        sheet.text(LEFT - 6.0, up(level) + 4.0, END, &level.to_string());
                     }
                     let points: Vec<_> = points.iter().map(|&(step, v)| (at(step as f64), up(v))).collect();
                     sheet.through(&points, &stroked(COLOURS[number % COLOURS.len()], 1.3, ""));
-                    sheet.text((RIGHT + 10.0, top + height / 2.0 + 4.0), "", &panel.label);
+                    sheet.text(RIGHT + 10.0, top + height / 2.0 + 4.0, "", &panel.label);
                 }
             }
             top += height + GAP;
@@ -113,7 +113,7 @@ impl Panels {
         if let Some(onset) = self.onset_ms {
             let x = at(onset / self.timestep_ms);
             sheet.line([x, TOP - 8.0, x, BOTTOM + 22.0], &stroked("#000", 1.0, "5 3"));
-            sheet.text((x, BOTTOM + 34.0), MIDDLE, &format!("onset {onset:.0} ms"));
+            sheet.text(x, BOTTOM + 34.0, MIDDLE, &format!("onset {onset:.0} ms"));
         }
         sheet.svg()
     }

@@ -20,21 +20,21 @@ const PANEL: f64 = 70.0;
 pub fn weights(title: &str, history: &WeightHistory) -> String {
     let below = if history.most_changed.is_some() { 3.0 * PANEL + 50.0 } else { 0.0 };
     let mut sheet = Sheet::new((WIDTH, HEIGHT + MATRIX + 70.0 + below), LEFT, title);
-    sheet.text(((LEFT + RIGHT) / 2.0, HEIGHT - 14.0), MIDDLE, "timestep");
+    sheet.text((LEFT + RIGHT) / 2.0, HEIGHT - 14.0, MIDDLE, "timestep");
     sheet.upright((TOP + BOTTOM) / 2.0, "weight");
     distribution(&mut sheet, history);
     let greatest = history.first.iter().chain(&history.last).map(|weight| weight.unsigned_abs()).max().unwrap_or(0);
     let top = HEIGHT + 30.0;
     for (name, weights, left) in [("before", &history.first, LEFT), ("after", &history.last, LEFT + MATRIX + 40.0)] {
         let name = format!("{name}: sources across, targets down");
-        sheet.text((left + MATRIX / 2.0, top - 8.0), MIDDLE, &name);
-        matrix(&mut sheet, (left, top), (weights, &history.ends), f64::from(greatest.max(1)));
+        sheet.text(left + MATRIX / 2.0, top - 8.0, MIDDLE, &name);
+        matrix(&mut sheet, left, top, weights, &history.ends, f64::from(greatest.max(1)));
     }
     let [sources, targets] = units(&history.ends).map(|units| units.div_ceil(MOST));
     let mean =
         if sources * targets > 1 { format!(", a cell the mean of {sources} x {targets} units") } else { String::new() };
     let words = format!("the strongest colour is a weight of {greatest}{mean}");
-    sheet.text((LEFT, top + MATRIX + 20.0), GREY, &words);
+    sheet.text(LEFT, top + MATRIX + 20.0, GREY, &words);
     if let Some(one) = &history.most_changed {
         one_synapse(&mut sheet, top + MATRIX + 70.0, one, history.ends[one.row]);
     }
@@ -44,7 +44,7 @@ pub fn weights(title: &str, history: &WeightHistory) -> String {
 /// Spikes and traces of both ends of a synapse, and its weight, over time.
 fn one_synapse(sheet: &mut Sheet, top: f64, one: &OneSynapse, (source, target): (u32, u32)) {
     let name = format!("the synapse that changed most, from source {source} to target {target}; grey lines are spikes");
-    sheet.text((LEFT, top - 10.0), "", &name);
+    sheet.text(LEFT, top - 10.0, "", &name);
     let end = one.times.last().copied().unwrap_or(1);
     let x = Scale::new(&Axis::linear(""), [0.0, f64::from(end)].into_iter(), LEFT, RIGHT);
     let at = |step: u32| x.place(f64::from(step)).unwrap_or(LEFT);
@@ -69,13 +69,13 @@ fn one_synapse(sheet: &mut Sheet, top: f64, one: &OneSynapse, (source, target): 
         let (low, high) = values.fold((0, 1), |(low, high), value| (low.min(value), high.max(value)));
         let up = |value: i32| top + height - f64::from(value - low) / f64::from(high - low) * height;
         for level in [low, high] {
-            sheet.text((LEFT - 6.0, up(level) + 4.0), END, &level.to_string());
+            sheet.text(LEFT - 6.0, up(level) + 4.0, END, &level.to_string());
         }
         for (index, (name, values)) in curves.iter().enumerate() {
             let points: Vec<_> = one.times.iter().zip(*values).map(|(&time, &value)| (at(time), up(value))).collect();
             sheet.through(&points, &stroked(COLOURS[index % COLOURS.len()], 1.3, ""));
-            let place = (RIGHT + 10.0, top + 12.0 + 14.0 * index as f64);
-            sheet.text(place, &format!(r#"fill="{}""#, COLOURS[index % COLOURS.len()]), name);
+            let below = top + 12.0 + 14.0 * index as f64;
+            sheet.text(RIGHT + 10.0, below, &format!(r#"fill="{}""#, COLOURS[index % COLOURS.len()]), name);
         }
     }
 }
@@ -119,7 +119,7 @@ fn units(ends: &[(u32, u32)]) -> [usize; 2] {
 }
 
 /// The mean weight between ranges of sources and of targets.
-fn matrix(sheet: &mut Sheet, (left, top): (f64, f64), (weights, ends): (&[i32], &[(u32, u32)]), greatest: f64) {
+fn matrix(sheet: &mut Sheet, left: f64, top: f64, weights: &[i32], ends: &[(u32, u32)], greatest: f64) {
     let [sources, targets] = units(ends);
     let (columns, rows) = (sources.min(MOST), targets.min(MOST));
     let mut cells = vec![(0i64, 0i64); columns * rows];

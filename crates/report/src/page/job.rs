@@ -1,7 +1,7 @@
 //! Contents of the page of a run (`nsim report`).
 //!
-//! Input: a priced run, and the network of its file. Output: [`Sections`] for `report::page`. The
-//! first sample is shown step by step. A network in real numbers is compared with its trained form.
+//! Input: a priced run, and the network of its file. Output: [`Sections`] for `report::page`, with
+//! every step of the first sample. A network in real numbers is compared with its trained form.
 
 use serde_json::{Value, json};
 

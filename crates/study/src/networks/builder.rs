@@ -44,7 +44,7 @@ impl Builder {
             targets: (0..compartments).collect(),
             weights: vec![254; compartments as usize].into(),
         };
-        net.connect((drive, neurons), 3, one_to_one)?;
+        net.connect(drive, neurons, 3, one_to_one)?;
         Ok((net, drive, neurons))
     }
 
@@ -106,7 +106,8 @@ impl Builder {
 
     pub(crate) fn connect(
         &mut self,
-        (source, target): (PopulationId, PopulationId),
+        source: PopulationId,
+        target: PopulationId,
         exponent: i64,
         connectivity: Connectivity,
     ) -> Result<(), OutOfRange> {
@@ -138,7 +139,8 @@ impl Builder {
     pub(crate) fn dense(
         &mut self,
         ends: (PopulationId, PopulationId),
-        (low, high): (i16, i16),
+        low: i16,
+        high: i16,
         seed: u64,
     ) -> Result<(), OutOfRange> {
         let size = |id| self.parts.populations[id].shape.len();
@@ -146,7 +148,7 @@ impl Builder {
         let levels = ((high - low) / 2 + 1) as u64;
         let weight = |index| low + 2 * rng::below(levels, seed, index, 0) as i16;
         let weights = (0..u64::from(sources) * u64::from(targets)).map(weight).collect();
-        self.connect(ends, 0, Connectivity::Dense { targets, weights })
+        self.connect(ends.0, ends.1, 0, Connectivity::Dense { targets, weights })
     }
 
     pub(crate) fn build(self) -> Result<Quantised, Inconsistent> {

@@ -40,7 +40,7 @@ fn every(stride: u32, spikes: u32) -> Vec<ChannelId> {
 
 /// A network of lists of `synapses` synapses each.
 fn lists(synapses: u32) -> Result<DeliveryNetwork, BuildError> {
-    lists_over(format!("lists of {synapses}"), synapses, (8_192, 16_384), (8, 1))
+    lists_over(format!("lists of {synapses}"), synapses, 8_192, 16_384, 8, 1)
 }
 
 /// A network of lists of 64 synapses; a second-level cache holds less than a tenth of them.
@@ -48,18 +48,20 @@ fn lists(synapses: u32) -> Result<DeliveryNetwork, BuildError> {
 /// # Errors
 /// As [`delivery_networks`].
 pub fn lists_beyond_caches() -> Result<DeliveryNetwork, BuildError> {
-    lists_over("lists of 64 in no cache".to_string(), 64, (65_536, 65_536), (64, 64))
+    lists_over("lists of 64 in no cache".to_string(), 64, 65_536, 65_536, 64, 64)
 }
 
 fn lists_over(
     name: String,
     synapses: u32,
-    (channels, compartments): (u32, u32),
-    (stride, period): (u32, u32),
+    channels: u32,
+    compartments: u32,
+    stride: u32,
+    period: u32,
 ) -> Result<DeliveryNetwork, BuildError> {
     let mut net = Builder::new(&name);
     let ends = (net.input("in", channels), silent(&mut net, "out", compartments));
-    net.connect(ends, 0, random_synapses(compartments, synapses, 1))?;
+    net.connect(ends.0, ends.1, 0, random_synapses(compartments, synapses, 1))?;
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(stride, 1_024), period })
 }
 
@@ -68,7 +70,7 @@ fn dense(compartments: u32) -> Result<DeliveryNetwork, BuildError> {
     let name = format!("dense to {compartments}");
     let mut net = Builder::new(&name);
     let ends = (net.input("in", 512), silent(&mut net, "out", compartments));
-    net.dense(ends, (-8, 8), 1)?;
+    net.dense(ends, -8, 8, 1)?;
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(2, 256), period: 1 })
 }
 
@@ -81,7 +83,7 @@ fn groups(groups: u32, places: u32) -> Result<DeliveryNetwork, BuildError> {
         for (group, &source) in sources.iter().enumerate() {
             let target = silent(&mut net, &format!("out{group}.{place}"), 16);
             // Groups differ in weights, since common weights would be stored as rows.
-            net.dense((source, target), (-8, 8), u64::from(place) << 32 | group as u64)?;
+            net.dense((source, target), -8, 8, u64::from(place) << 32 | group as u64)?;
         }
     }
     Ok(DeliveryNetwork { name, network: net.build()?, spikes: every(TOGETHER, groups), period: 1 })

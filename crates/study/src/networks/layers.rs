@@ -76,21 +76,21 @@ impl Layers {
         // 20 positive and 12 negative levels, so that layers keep firing.
         let weight = |index| -24 + 2 * rng::below(33, self.seed, index, 0) as i16;
         let kernel = (0..weights).map(weight).collect();
-        self.net.connect(ends, 0, Connectivity::Conv2d { window, kernel })
+        self.net.connect(ends.0, ends.1, 0, Connectivity::Conv2d { window, kernel })
     }
 
     /// Adds a layer of sums of windows without overlap.
     pub fn pool(&mut self, side: u32) -> Result<(), OutOfRange> {
         let window = self.window(self.size.0, side, side, 0, self.size.0);
         let ends = self.next(window.target)?;
-        self.net.connect(ends, 0, Connectivity::SumPool2d { window, weight: 80 })
+        self.net.connect(ends.0, ends.1, 0, Connectivity::SumPool2d { window, weight: 80 })
     }
 
     /// Adds layers of these sizes, each dense from the previous one.
     pub fn dense(&mut self, sizes: &[u32]) -> Result<(), OutOfRange> {
         sizes.iter().try_for_each(|&units| {
             let ends = self.next((units, 1, 1))?;
-            self.net.dense(ends, (-24, 40), self.seed)
+            self.net.dense(ends, -24, 40, self.seed)
         })
     }
 }

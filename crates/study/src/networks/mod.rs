@@ -97,7 +97,7 @@ pub enum BuildError {
 /// A network with its input.
 #[derive(Debug, Clone)]
 pub struct BenchNetwork {
-    /// The network.
+    /// The network in integers.
     pub network: Quantised,
     /// Its input, to be repeated.
     pub period: Sample,
@@ -128,15 +128,15 @@ impl StandardNetwork {
         let small = |background| Random { compartments: 32_768, background, driven: 714, period: 256 };
         let large = |driven| Random { compartments: 1_000_000, background: 0, driven, period: 64 };
         match self {
-            StandardNetwork::VtSnn1Pct => with_spikes(vtsnn(self.name())?, VTSNN_STEPS, (1, 100), "nahuku-32"),
-            StandardNetwork::VtSnn5Pct => with_spikes(vtsnn(self.name())?, VTSNN_STEPS, (5, 100), "nahuku-32"),
+            StandardNetwork::VtSnn1Pct => with_spikes(vtsnn(self.name())?, VTSNN_STEPS, 1, 100, "nahuku-32"),
+            StandardNetwork::VtSnn5Pct => with_spikes(vtsnn(self.name())?, VTSNN_STEPS, 5, 100, "nahuku-32"),
             StandardNetwork::Random32k => random(self.name(), small(4), &[0]),
             StandardNetwork::Random1m => random(self.name(), large(10_170), &[0]),
             StandardNetwork::Silent1m => random(self.name(), large(0), &[0]),
-            StandardNetwork::PilotNet => with_spikes(lava_pilotnet(self.name())?, LAYERS_STEPS, (5, 100), "nahuku-32"),
-            StandardNetwork::DvsGesture => with_spikes(dvs_gesture(self.name())?, LAYERS_STEPS, (5, 100), "nahuku-32"),
-            StandardNetwork::Conv98k => with_spikes(conv_98k(self.name())?, LAYERS_STEPS, (8, 100), "pohoiki-springs"),
-            StandardNetwork::Conv10m => with_spikes(conv_10m(self.name())?, LAYERS_STEPS, (1, 100), "pohoiki-springs"),
+            StandardNetwork::PilotNet => with_spikes(lava_pilotnet(self.name())?, LAYERS_STEPS, 5, 100, "nahuku-32"),
+            StandardNetwork::DvsGesture => with_spikes(dvs_gesture(self.name())?, LAYERS_STEPS, 5, 100, "nahuku-32"),
+            StandardNetwork::Conv98k => with_spikes(conv_98k(self.name())?, LAYERS_STEPS, 8, 100, "pohoiki-springs"),
+            StandardNetwork::Conv10m => with_spikes(conv_10m(self.name())?, LAYERS_STEPS, 1, 100, "pohoiki-springs"),
             StandardNetwork::Delays32k => random(self.name(), small(0), &DELAYS),
             StandardNetwork::DelaysBusy => events_over(self.name(), 32_768, 22_938, 64, &DELAYS),
         }
@@ -152,10 +152,10 @@ pub(super) fn vtsnn(name: &str) -> Result<Builder, OutOfRange> {
     let (tactile, vision) = (net.input("tactile", 156), net.input("vision", 3150));
     let (touch, sight) = (net.loihi("touch", 50, 80, 1)?, net.loihi("sight", 10, 80, 1)?);
     let out = net.loihi("out", 2, 80, 1)?;
-    net.dense((tactile, touch), (-16, 16), 1)?;
-    net.dense((vision, sight), (-4, 4), 2)?;
-    net.dense((touch, out), (-64, 80), 3)?;
-    net.dense((sight, out), (-64, 80), 4)?;
+    net.dense((tactile, touch), -16, 16, 1)?;
+    net.dense((vision, sight), -4, 4, 2)?;
+    net.dense((touch, out), -64, 80, 3)?;
+    net.dense((sight, out), -64, 80, 4)?;
     Ok(net)
 }
 
@@ -163,7 +163,8 @@ pub(super) fn vtsnn(name: &str) -> Result<Builder, OutOfRange> {
 pub(super) fn with_spikes(
     net: Builder,
     steps: u32,
-    (spiking, all): (u64, u64),
+    spiking: u64,
+    all: u64,
     target: &'static str,
 ) -> Result<BenchNetwork, BuildError> {
     let (network, mut events) = (net.build()?, Vec::new());
@@ -199,13 +200,14 @@ const DELAYS: [i64; 8] = [0, 3, 9, 17, 25, 38, 50, 62];
 
 /// Adds random synapses, divided evenly among delays.
 fn spread(
-    (net, ends): (&mut Builder, (PopulationId, PopulationId)),
+    net: &mut Builder,
+    ends: (PopulationId, PopulationId),
     targets: u32,
     delays: &[i64],
 ) -> Result<(), OutOfRange> {
     for (&delay, seed) in delays.iter().zip(2..) {
         let fan_out = FAN_OUT / delays.len().max(1) as u32;
-        net.connect(ends, 0, random_synapses(targets, fan_out, seed))?;
+        net.connect(ends.0, ends.1, 0, random_synapses(targets, fan_out, seed))?;
         net.delay_last(delay)?;
     }
     Ok(())
@@ -257,9 +259,9 @@ pub fn random(name: &str, sizes: Random, delays: &[i64]) -> Result<BenchNetwork,
     let n = sizes.compartments;
     let (mut net, drive, neurons) = Builder::driven(name, n)?;
     if sizes.background > 0 {
-        net.connect((drive, neurons), 0, random_synapses(n, sizes.background, 1))?;
+        net.connect(drive, neurons, 0, random_synapses(n, sizes.background, 1))?;
     }
-    spread((&mut net, (neurons, neurons)), n, delays)?;
+    spread(&mut net, (neurons, neurons), n, delays)?;
     let spikes = |t| {
         let channel = move |k| rng::below(u64::from(n), 3, u64::from(t), u64::from(k)) as u32;
         (0..sizes.driven).map(move |k| (t, ChannelId(channel(k))))
@@ -290,7 +292,7 @@ fn events_over(
     let drive = net.input("drive", compartments);
     // Without memory, and with the greatest threshold.
     let neurons = net.compartments("neurons", compartments, PerCompartment::Same(Neuron::PLAIN));
-    spread((&mut net, (drive, neurons)), compartments, delays)?;
+    spread(&mut net, (drive, neurons), compartments, delays)?;
     // A stride coprime to the number of channels visits every channel before it repeats one.
     let stride = (1..).map(|k| 7_919 + 2 * k).find(|&s| gcd(s, u64::from(compartments)) == 1).unwrap_or(1);
     let channel = |k: u64| ChannelId((k * stride % u64::from(compartments)) as u32);

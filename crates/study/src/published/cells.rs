@@ -113,7 +113,7 @@ pub fn is_among(row: &PaperRow, cells: &[&str], neurons: &[Neurons]) -> bool {
 /// Tested networks of a cell, one for each fold.
 #[derive(Debug)]
 pub struct TestedNetworks<'a> {
-    /// The cell.
+    /// Task and senses of the networks.
     pub cell: Cell,
     /// Its loss.
     pub loss: &'a str,
@@ -210,10 +210,10 @@ pub fn leads(rows: &[PaperRow]) -> Vec<String> {
             let of_cell = rows.iter().filter(move |row| {
                 row.task == task && row.loss.as_deref() == Some(loss) && row.modality == modality && row.table == table
             });
-            let at = |row: &PaperRow| {
+            fn at(row: &PaperRow) -> Option<AccuracyAtTime> {
                 let time_ms = row.quantity.strip_prefix("accuracy_by_")?.strip_suffix("_ms")?.parse().ok()?;
                 Some(AccuracyAtTime { time_ms, low: row.low?, high: row.high? })
-            };
+            }
             of_cell.filter_map(at).collect::<Vec<_>>()
         };
         let (touch, vision) = (by("tactile"), by("vision"));

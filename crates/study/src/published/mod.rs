@@ -23,9 +23,9 @@ use nsim_session::error::Error;
 /// A printed figure and its prediction.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PublishedRow {
-    /// The work.
+    /// Name of the publication.
     pub work: String,
-    /// The workload.
+    /// Name of the workload within it.
     pub workload: String,
     /// The chip's name.
     pub chip: String,

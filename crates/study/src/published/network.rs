@@ -138,12 +138,12 @@ pub fn build(file: &WorkloadFile, choice: RateChoice) -> Result<(Quantised, Samp
                 Connectivity::Random { targets, fan_out, low: 2, high: 2, step: 2, seed, first_source: 0 }
             }
         };
-        net.connect((source, target), 0, connectivity)?;
+        net.connect(source, target, 0, connectivity)?;
     }
     for population in &file.populations {
         if let WorkloadPopulation::Relay { name, of, shape } = population {
             let connectivity = one_to_one(shape.iter().product());
-            net.connect((place(of), place(name)), 0, connectivity)?;
+            net.connect(place(of), place(name), 0, connectivity)?;
         }
     }
     Ok((net.build()?, Sample::new(all_steps, &input, None)?))

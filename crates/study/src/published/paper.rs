@@ -110,8 +110,12 @@ impl PaperRow {
 
 /// Whether two rows are about the same figure: of the same network where rows compare networks.
 fn same(a: &PaperRow, b: &PaperRow) -> bool {
-    let figure = |row: &PaperRow| (row.table.clone(), row.task.clone(), row.modality.clone(), row.loss.clone());
-    let network = |row: &PaperRow| row.note.split([',', ';']).next().unwrap_or("").trim().to_lowercase();
+    fn figure(row: &PaperRow) -> (String, String, String, Option<String>) {
+        (row.table.clone(), row.task.clone(), row.modality.clone(), row.loss.clone())
+    }
+    fn network(row: &PaperRow) -> String {
+        row.note.split([',', ';']).next().unwrap_or("").trim().to_lowercase()
+    }
     figure(a) == figure(b) && a.quantity == b.quantity && (a.table != "ann" || network(a) == network(b))
 }
 

@@ -15,7 +15,7 @@ use crate::sweep::cache::SharedCache;
 use crate::sweep::variants::{FIGURES, Job, Training};
 use nsim_compile::{Front, Mapping};
 use nsim_cost::HostWork;
-use nsim_cost::estimate::{EstimateInput, estimate};
+use nsim_cost::estimate::{EstimateInput, RowUnit, estimate};
 use nsim_energy::options::select_constants;
 use nsim_files::changes::{Change, with_changes};
 use nsim_files::network::Network;
@@ -33,11 +33,11 @@ use nsim_quantise::prune::check_stimulus;
 use nsim_session::error::Error;
 use nsim_session::front::has_srm;
 use nsim_session::inputs::{require_scene, stimulus};
-use nsim_session::obtain::{Request, TargetChoice, prepare_mapping};
+use nsim_session::obtain::{Request, TargetChoice, prepare_converted};
 use nsim_session::priced::{MeteredMapping, steps_per_sample};
 use nsim_session::samples::{Run, RunSettings};
 use nsim_session::{SampleSettings, accuracy, digest};
-use nsim_train::convert::prepare::integers;
+use nsim_train::convert::prepare::conversion;
 use nsim_train::job as train;
 use nsim_train::job::{Part, training_text, with_fields};
 
@@ -72,7 +72,7 @@ impl Trained {
 /// Key of a mapping; variants with the same key share it.
 fn mapping_key(job: &Job) -> String {
     let of_model = (&job.model, &job.training, &job.model_changes, job.reading);
-    let of_mapping = (&job.options, job.relays, &job.prune, job.delayed_copies);
+    let of_mapping = (&job.options, job.relays, &job.prune, job.most_taps);
     format!("{:?}", (of_model, &job.target, &job.target_changes, of_mapping))
 }
 
@@ -184,26 +184,28 @@ impl Runner {
 
     /// The mapping of a variant's network.
     fn mapped(&self, job: &Job, network: &Network, target: &Target) -> Result<Arc<Mapping>, Error> {
-        let as_integers = |network: &Network| {
-            if !has_srm(network) {
-                return integers(network, job.delayed_copies);
-            }
-            let network_of =
-                format!("{:?}", (&job.model, &job.training, job.reading, &job.model_changes, job.delayed_copies));
-            Ok(Front::clone(&*self.converted.get(network_of, || integers(network, job.delayed_copies))?))
-        };
         let request = Request {
             target: TargetChoice::Loaded(target),
             copies: Some(job.options.copies),
             options: job.options,
             prune: &job.prune,
             relays: job.relays,
-            ..Request::new(&job.model, network, &as_integers)
+            ..Request::new(&job.model, network, conversion(job.most_taps))
         };
         self.mappings.get(mapping_key(job), || {
-            let (front, settings) = prepare_mapping(&request)?;
+            let (front, settings) = prepare_converted(&request, || self.converted(job, &request))?;
             settings.compiled(front)
         })
+    }
+
+    /// The network of a variant in integers; searches are stored.
+    fn converted(&self, job: &Job, request: &Request<'_>) -> Result<Front, Error> {
+        let convert = || request.conversion.convert(request.network);
+        if !has_srm(request.network) {
+            return convert();
+        }
+        let key = format!("{:?}", (&job.model, &job.training, job.reading, &job.model_changes, job.most_taps));
+        Ok(Front::clone(&*self.converted.get(key, convert)?))
     }
 
     fn stimulus(
@@ -258,7 +260,7 @@ impl Runner {
             ..EstimateInput::new(&activity, &meter, &deployment)
         };
         let estimate = estimate(&case);
-        let total = estimate.rows.iter().find(|row| row.unit == "total");
+        let total = estimate.row(RowUnit::Total);
         let figure = |name| or_empty(total.and_then(|row| row.figure(name)));
         let mut totals = Totals::default();
         outcomes.iter().for_each(|outcome| totals += outcome.totals);

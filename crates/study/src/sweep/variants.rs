@@ -18,7 +18,7 @@ use nsim_import::foreign::Reading;
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::base::names::did_you_mean;
 use nsim_ir::spanned::parse;
-use nsim_train::convert::copies::DEFAULT_COPIES;
+use nsim_train::convert::taps::DEFAULT_TAPS;
 
 /// The columns after the varied values.
 pub const FIGURES: [&str; 25] = [
@@ -106,8 +106,8 @@ pub struct Job {
     pub relays: bool,
     /// Arguments of `--prune`.
     pub prune: Vec<String>,
-    /// Greatest number of delayed copies of projections to a spike response population.
-    pub delayed_copies: usize,
+    /// Greatest number of taps of projections to a spike response population.
+    pub most_taps: usize,
     /// A preset of constants; the target's first when `None`.
     pub constants: Option<String>,
     /// Host of its input spikes; an x86 core of each chip that has one when `None`.
@@ -153,7 +153,7 @@ impl Job {
             target: file.target.clone(),
             input: file.input.clone(),
             seed: file.seed,
-            delayed_copies: DEFAULT_COPIES,
+            most_taps: DEFAULT_TAPS,
             options: Options { copies: file.copies, ..Options::default() },
             ..Job::default()
         }
@@ -335,14 +335,14 @@ impl Sweep {
     }
 
     /// The sweep with defaults: facts that the files of other tools do not state; relays, pruning
-    /// and delayed copies as `nsim map` takes them, for variants without their own.
-    pub fn with(mut self, reading: Reading, relays: bool, prune: &[String], delayed_copies: usize) -> Self {
+    /// and taps as `nsim map` takes them, for variants without their own.
+    pub fn with(mut self, reading: Reading, relays: bool, prune: &[String], most_taps: usize) -> Self {
         self.base.reading = reading;
         self.base.relays |= relays;
         if !prune.is_empty() {
             self.base.prune = prune.to_vec();
         }
-        self.base.delayed_copies = delayed_copies;
+        self.base.most_taps = most_taps;
         self
     }
 

@@ -36,8 +36,8 @@ pub struct ConversionSettings<'a> {
     pub run: RunInput<'a>,
     /// Number of samples for the search.
     pub wanted: usize,
-    /// Most delayed copies of a population's input.
-    pub most_copies: usize,
+    /// Most taps of a population's input.
+    pub most_taps: usize,
 }
 
 /// Integers that represent a network.
@@ -56,7 +56,8 @@ impl ConvertedIntegers {
     /// # Errors
     /// A source that cannot be used.
     pub fn find(
-        (graph, network): (&Graph, &Quantised),
+        graph: &Graph,
+        network: &Quantised,
         choice: ConversionSettings<'_>,
         samples: &[&Sample],
         mut searching: impl FnMut(Option<&str>),
@@ -72,8 +73,9 @@ impl ConvertedIntegers {
                 samples.iter().take(choice.wanted).copied().collect()
             }
         };
-        let found = search::search(graph, &calibration, choice.most_copies, |population| searching(Some(population)))?;
-        Ok(ConvertedIntegers { fits: found.conversion.fits.clone(), found: Some(found) })
+        let search_result =
+            search::search(graph, &calibration, choice.most_taps, |population| searching(Some(population)))?;
+        Ok(ConvertedIntegers { fits: search_result.conversion.fits.clone(), found: Some(search_result) })
     }
 
     /// The comparison stages from the trained network to these integers.

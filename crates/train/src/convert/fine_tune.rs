@@ -5,7 +5,7 @@
 //! their scores. Invariants: in every minibatch `quantise` makes the weights integers, and exactly
 //! these run the samples (`agree::staged`, whose last stage equals the golden interpreter bit for
 //! bit). The gradient is the trained neurons' at the integers' potentials, in thresholds, and at
-//! their spikes. Rounding, reset and delayed copies have a derivative of 1. The selected epoch does
+//! their spikes. Rounding, reset and taps have a derivative of 1. The selected epoch does
 //! best on the unvaried training samples, the start included: most right, then least loss. Held-out
 //! samples are only counted, at the start and at the end. Errors: networks that the plan does not
 //! describe.
@@ -146,7 +146,9 @@ impl TunedIntegers {
     /// A sentence for a model's provenance.
     pub fn provenance_text(&self) -> String {
         let FineTuned { kept, samples, held_out, seed, fingerprint, .. } = &self.tuned;
-        let change = |before: &TaskScore, after: &TaskScore| format!("{:.4} -> {:.4}", before.accuracy, after.accuracy);
+        fn change(before: &TaskScore, after: &TaskScore) -> String {
+            format!("{:.4} -> {:.4}", before.accuracy, after.accuracy)
+        }
         let (before, after) = self.tuned.scores();
         let unseen = held_out.map_or_else(String::new, |held| {
             let change = change(&held.before, &held.after);
@@ -387,7 +389,8 @@ impl Task {
     /// As [`Task::integers`], if weights exceed the range of the integers.
     pub fn run(
         &self,
-        (examples, held_out): (&[Example], &[Example]),
+        examples: &[Example],
+        held_out: &[Example],
         epochs: u32,
         shown: &(impl Fn() + Sync),
         mut after: impl FnMut(&BestEpoch),

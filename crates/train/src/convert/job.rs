@@ -121,10 +121,10 @@ impl Job {
     pub fn convert(
         &self,
         samples: &SampleSplit<'_>,
-        most_copies: usize,
+        most_taps: usize,
         searching: impl FnMut(&str),
     ) -> Result<ConversionRun> {
-        let choices = staged::ConversionLimits { most_copies, soft_reset: self.soft_reset };
+        let choices = staged::ConversionLimits { most_taps, soft_reset: self.soft_reset };
         let start = Instant::now();
         let converted = staged::convert(&self.graph, &samples.calibration, choices, searching)?;
         let seconds = start.elapsed().as_secs_f64();
@@ -232,7 +232,7 @@ impl FineTuning {
         after: impl FnMut(&BestEpoch),
     ) -> Result<TunedIntegers> {
         let FineTuning { task, epochs, origin, examples, unseen } = self;
-        let tuned = task.run((&examples, &unseen), epochs, shown, after)?;
+        let tuned = task.run(&examples, &unseen, epochs, shown, after)?;
         let integers = task.integers(&tuned.weights)?;
         let held_out = (!held_out.is_empty()).then(|| converted.measure(&integers, held_out));
         Ok(TunedIntegers { tuned, epochs, integers, samples: origin, held_out })

@@ -1,7 +1,6 @@
 //! Networks in real numbers -> integers, searched on samples.
 
 pub mod calibration;
-pub mod copies;
 pub mod deployed;
 pub mod fine_tune;
 pub mod job;
@@ -11,3 +10,4 @@ pub mod prepare;
 pub mod resets;
 pub mod search;
 pub mod staged;
+pub mod taps;

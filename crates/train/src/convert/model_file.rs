@@ -60,13 +60,13 @@ fn population_desc(population: &Population) -> Result<PopulationDesc> {
         return Err(unsupported(&format!("'{}', whose sums lava shifts,", population.name)));
     }
     let kind = neurons.first().map_or(Neuron::PLAIN.kind, |neuron| neuron.kind);
-    let given = kind.parameters().iter().filter_map(|parameter| {
+    let stated = kind.parameters().iter().filter_map(|parameter| {
         let values = neurons.iter().map(|neuron| neuron.parameter(parameter.name) as f64).collect();
         let values = Parameter::from_values(values);
         let default = parameter.default.map(|default| Parameter::Same(default as f64));
         (default.as_ref() != Some(&values)).then_some((parameter.name, values))
     });
-    let loihi = PopulationDesc::loihi(&population.name, shape, given.collect());
+    let loihi = PopulationDesc::loihi(&population.name, shape, stated.collect());
     Ok(PopulationDesc { kind, start_step: *start_step, ..loihi })
 }
 

@@ -4,8 +4,8 @@
 //! changes something about the costliest cause, or that looks closer if nothing can be changed. A
 //! change of the model is tried on the samples, and printed only if the integers come nearer.
 
-use crate::convert::copies;
 use crate::convert::deployed::Conversion;
+use crate::convert::taps;
 use nsim_agree::attribution::{Attribution, Distance, LayerLoss, compare_stages};
 use nsim_agree::causes::{Cause, ComparisonStage};
 use nsim_agree::compare::output_layer;
@@ -41,14 +41,16 @@ pub struct CommandWords<'a> {
     pub words: Vec<String>,
     /// The model among them.
     pub model: &'a str,
-    /// How a spike response network becomes integers, and the number of delayed copies.
+    /// How a spike response network becomes integers, and the number of taps.
     pub conversion: (Conversion, usize),
     /// The words after `nsim` of a command that looks closer.
     pub closer: Option<Vec<String>>,
 }
 
 fn quoted(word: &str) -> String {
-    let plain = |c: char| c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c);
+    fn plain(c: char) -> bool {
+        c.is_ascii_alphanumeric() || "-_./=:,+@%".contains(c)
+    }
     if !word.is_empty() && word.chars().all(plain) {
         word.to_string()
     } else {
@@ -67,8 +69,8 @@ impl CommandWords<'_> {
     fn with_options(&self, options: &[(&str, &str)]) -> String {
         let mut words = self.words.clone();
         for &(name, value) in options {
-            let given = words.iter().position(|word| word == name || word.starts_with(&format!("{name}=")));
-            match given.filter(|_| name != "--set") {
+            let place = words.iter().position(|word| word == name || word.starts_with(&format!("{name}=")));
+            match place.filter(|_| name != "--set") {
                 Some(at) => {
                     let both = if words[at] == name { at..(at + 2).min(words.len()) } else { at..at + 1 };
                     words.splice(both, [name.to_string(), value.to_string()]);
@@ -102,11 +104,13 @@ fn candidates(cause: Cause, graph: &Graph) -> Vec<(&'static str, Vec<String>)> {
 /// Thresholds, biases and weights of populations in the chip's integers, doubled `times` times. The
 /// rounding of current and voltage then weighs less. `None` if a field cannot represent a value.
 fn doubled(graph: &Graph, times: i64) -> Option<Vec<String>> {
-    let same = |p: &NeuronParameters, name: &str| match p.get(name).map(|values| &values.each) {
-        None => Some(p.value(name, 0) as i64),
-        Some(PerCompartment::Same(value)) => Some(*value as i64),
-        Some(PerCompartment::Each(_)) => None,
-    };
+    fn same(p: &NeuronParameters, name: &str) -> Option<i64> {
+        match p.get(name).map(|values| &values.each) {
+            None => Some(p.value(name, 0) as i64),
+            Some(PerCompartment::Same(value)) => Some(*value as i64),
+            Some(PerCompartment::Each(_)) => None,
+        }
+    }
     // A population with the greatest threshold is read out by its potential.
     let never = f64::from(ThresholdMantissa::MAX.get());
     let in_integers = |kind: &PopulationKind| match kind {
@@ -209,7 +213,9 @@ fn remedy(
         );
         return spelled(&changes, what);
     }
-    let total = |distance: &Distance| distance.class_agreement.unwrap_or(1.0) + distance.coincidence;
+    fn total(distance: &Distance) -> f64 {
+        distance.class_agreement.unwrap_or(1.0) + distance.coincidence
+    }
     let mut best: Option<(&str, Vec<String>, Distance)> = None;
     // A model that is read again has the resets of its file.
     let replaced = !graph.has_srm() && staged.causes().contains(&Cause::HardReset);
@@ -235,13 +241,13 @@ fn remedy(
 
 /// A better search for the integers of a spike response network, unless this one was full.
 fn search(typed: &CommandWords<'_>) -> Option<(&'static str, String)> {
-    let (conversion, most_copies) = typed.conversion;
+    let (conversion, most_taps) = typed.conversion;
     match conversion {
         Conversion::Analytic => {
             Some(("searches for better integers", typed.with_options(&[("--conversion", Conversion::Search.name())])))
         }
-        Conversion::Search => (most_copies < copies::DEFAULT_COPIES).then(|| {
-            let most = copies::DEFAULT_COPIES.to_string();
+        Conversion::Search => (most_taps < taps::DEFAULT_TAPS).then(|| {
+            let most = taps::DEFAULT_TAPS.to_string();
             ("gives the search more delayed copies of the input", typed.with_options(&[("--delayed-copies", &most)]))
         }),
     }

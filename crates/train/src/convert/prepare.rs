@@ -13,18 +13,25 @@ use nsim_ir::base::warning::{Warning, WarningCode};
 use nsim_ir::spikes::Sample;
 use nsim_session::error::Error;
 use nsim_session::front::{has_srm, real_and_integers};
+use nsim_session::obtain::{Conversion, ConversionStage};
 
 /// Number of calibration samples by default.
 const CALIBRATION_SAMPLES: usize = 60;
 
-/// A network in integers, with at most this many delayed input copies a population.
+/// The stages by which commands and the Python module convert a network.
+const STAGES: &[ConversionStage] =
+    &[ConversionStage { name: "search", applies: has_srm, convert: searched_integers }, ConversionStage::QUANTISE];
+
+/// The conversion of a network, with at most this many taps of an input population.
+pub fn conversion(most_taps: usize) -> Conversion {
+    Conversion { stages: STAGES, most_taps }
+}
+
+/// A network of spike response neurons in integers, from a search on its own scene.
 ///
 /// # Errors
 /// [`Error`] when the network cannot be used.
-pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
-    if !has_srm(network) {
-        return Ok(nsim_session::front::front(network)?);
-    }
+fn searched_integers(network: &Network, most_taps: usize) -> Result<Front, Error> {
     let (graph, start) = real_and_integers(network)?;
     let name = &network.file().name;
     let run = RunInput { sources: &[], seed: None, scene: network.file().scene.as_deref() };
@@ -37,7 +44,7 @@ pub fn integers(network: &Network, most_copies: usize) -> Result<Front, Error> {
         return Ok(start.warned(Warning::of_network(WarningCode::Converted, message)).into());
     };
     let samples: Vec<&Sample> = stimulus.samples.iter().collect();
-    let search_result = search(&graph, &samples, most_copies, |_| ())?;
+    let search_result = search(&graph, &samples, most_taps, |_| ())?;
     let message = format!(
         "{name}: its spike response neurons become Loihi compartments, converted on {} samples of its scene: classes \
          agree in {:.4}, coincidence {:.3}; `nsim convert -o` writes them",

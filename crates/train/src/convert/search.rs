@@ -6,11 +6,11 @@
 //! through the populations from the input on. A population receives the spikes of its converted
 //! sources, and is to send the spikes of the trained population, step by step:
 //!
-//! 1. [`Stage::Shape`]: du, dv, and delayed copies of the input (`super::copies`), with synapses of
+//! 1. [`Stage::Shape`]: du, dv, and taps of the input (`super::taps`), with synapses of
 //!    each compartment onto itself for the refractory response. Then threshold and these synapses
 //!    are refined in finer steps while they help. A voltage that forgets everything in a step loses
-//!    nothing at a reset, and the copies turn the current's exponential into an alpha kernel.
-//! 2. [`Stage::Rounding`]: the rounding error of a copy is carried to the next one
+//!    nothing at a reset, and the taps turn the current's exponential into an alpha kernel.
+//! 2. [`Stage::Rounding`]: the rounding error of a tap is carried to the next one
 //!    (`nsim_quantise::carry`).
 //!
 //! The objective is 1 minus the coincidence factor, plus a share of the difference of spike counts
@@ -40,7 +40,7 @@ use nsim_quantise::exponents::Detail;
 use nsim_quantise::quantise::quantise_with;
 use nsim_reference::synapses::{SumOrder, Synapses};
 
-use super::copies::{self, Arrivals, Copies, MOST_COPIES};
+use super::taps::{self, Arrivals, MOST_TAPS, Taps};
 
 /// Most neuron-steps on which a candidate is tried; further calibration samples are skipped.
 const MOST_WORK: u64 = 2_000_000;
@@ -58,14 +58,14 @@ const SELF_SYNAPSES: usize = 12;
 /// Factor on the greatest input of the calibration samples up to which no register wraps.
 const INPUT_MARGIN: f64 = 2.0;
 
-/// Distance that one more copy must gain: a constant, and a part for each synapse.
-const COPY_PRICE: f64 = 0.0005;
+/// Distance that one more tap must gain: a constant, and a part for each synapse.
+const TAP_PRICE: f64 = 0.0005;
 const SYNAPSE_PRICE: f64 = 5e-8;
 
-/// Most synapses of the copies of a compartment's input: a core's memory at 20 bits a synapse.
+/// Most synapses of the taps of a compartment's input: a core's memory at 20 bits a synapse.
 const MOST_SYNAPSES: usize = 49_152;
 
-/// Most copied synapses, half a core, of a population that gets twice the copies.
+/// Most synapses of the taps, half a core, of a population that gets twice the taps.
 const FEW_SYNAPSES: f64 = 24_576.0;
 
 /// Most compartments of a searched population, whose synapses onto themselves are listed.
@@ -77,9 +77,9 @@ named_variants! {
     pub enum Stage {
         /// The analytic start.
         Start = "analytic start",
-        /// Decays, delayed copies, threshold and self-synapses of each population together.
+        /// Decays, taps, threshold and self-synapses of each population together.
         Shape = "decays, delayed copies and reset together",
-        /// Rounding errors carried over to the next copy.
+        /// Rounding errors carried over to the next tap.
         Rounding = "rounding errors carried to the next copy",
     }
 }
@@ -165,18 +165,18 @@ struct Candidate {
     keep_u: f64,
     keep_v: f64,
     threshold: f64,
-    copies: Copies,
+    taps: Taps,
     own: [f64; SELF_SYNAPSES],
 }
 
 impl Candidate {
     /// Simulates its spikes; `see` receives the input of each step and the current after it.
-    fn spikes(&self, copied: &[f64], spikes: &mut Vec<u32>, mut see: impl FnMut(f64, f64)) {
+    fn spikes(&self, arrived: &[f64], spikes: &mut Vec<u32>, mut see: impl FnMut(f64, f64)) {
         spikes.clear();
         let (mut u, mut v) = (0.0, 0.0);
         // Arrivals from its own spikes, in this step and the next ones.
         let (mut coming, mut at) = ([0.0; SELF_SYNAPSES], 0);
-        for (step, x) in copied.iter().enumerate() {
+        for (step, x) in arrived.iter().enumerate() {
             let x = x + coming[at];
             u = self.keep_u * u + x;
             see(x, u);
@@ -224,13 +224,13 @@ impl Task {
         Arrivals { neurons: self.neurons, samples: &self.arrivals }
     }
 
-    /// The summed input through all copies, laid out as [`Task::arrivals`].
-    fn copied(&self, copies: &Copies) -> Vec<Vec<f64>> {
+    /// The summed input through all taps, laid out as [`Task::arrivals`].
+    fn through_taps(&self, taps: &Taps) -> Vec<Vec<f64>> {
         let of_sample = |arrivals: &Vec<f64>| {
             let steps = (arrivals.len() / self.neurons.max(1)).max(1);
             let mut sums = vec![0.0; arrivals.len()];
             for (sums, arrived) in sums.chunks_mut(steps).zip(arrivals.chunks(steps)) {
-                for &(delay, factor) in copies.as_slice() {
+                for &(delay, factor) in taps.as_slice() {
                     let late = (delay as usize).min(sums.len());
                     sums[late..].iter_mut().zip(arrived).for_each(|(sum, x)| *sum += factor * x);
                 }
@@ -240,11 +240,11 @@ impl Task {
         self.arrivals.par_iter().map(of_sample).collect()
     }
 
-    fn gap(&self, neuron: usize, c: &Candidate, copied: &[Vec<f64>], spikes: &mut Vec<u32>) -> Gap {
+    fn gap(&self, neuron: usize, c: &Candidate, arrived: &[Vec<f64>], spikes: &mut Vec<u32>) -> Gap {
         let mut gap = Gap::default();
-        for (copied, wanted) in copied.iter().zip(&self.wanted) {
-            let steps = copied.len() / self.neurons;
-            c.spikes(&copied[neuron * steps..(neuron + 1) * steps], spikes, |_, _| ());
+        for (arrived, wanted) in arrived.iter().zip(&self.wanted) {
+            let steps = arrived.len() / self.neurons;
+            c.spikes(&arrived[neuron * steps..(neuron + 1) * steps], spikes, |_, _| ());
             let (wanted, got) = (&wanted[neuron], &*spikes);
             if !(wanted.is_empty() && got.is_empty()) {
                 let (beyond_chance, at_most) = coincidence(wanted, got, steps as u32);
@@ -259,19 +259,19 @@ impl Task {
     /// The greatest input of a step to plan for: `INPUT_MARGIN` times the greatest of these
     /// samples, or times the constant input that holds the current at its greatest value.
     fn greatest_input(&self, c: &Candidate) -> f64 {
-        let of_sample = |copied: &Vec<f64>| {
+        let of_sample = |arrived: &Vec<f64>| {
             let (mut most, mut spikes) = (0.0, Vec::new());
-            for row in copied.chunks((copied.len() / self.neurons.max(1)).max(1)) {
+            for row in arrived.chunks((arrived.len() / self.neurons.max(1)).max(1)) {
                 c.spikes(row, &mut spikes, |x, u| most = f64::max(most, x.abs().max(u.abs() * (1.0 - c.keep_u))));
             }
             most
         };
-        INPUT_MARGIN * self.copied(&c.copies).par_iter().map(of_sample).reduce(|| 0.0, f64::max)
+        INPUT_MARGIN * self.through_taps(&c.taps).par_iter().map(of_sample).reduce(|| 0.0, f64::max)
     }
 
-    fn distance(&self, candidate: &Candidate, copied: &[Vec<f64>]) -> f64 {
+    fn distance(&self, candidate: &Candidate, arrived: &[Vec<f64>]) -> f64 {
         let mut spikes = Vec::new();
-        let gaps = (0..self.neurons).map(|neuron| self.gap(neuron, candidate, copied, &mut spikes));
+        let gaps = (0..self.neurons).map(|neuron| self.gap(neuron, candidate, arrived, &mut spikes));
         gaps.fold(Gap::default(), Gap::add).distance(self.count_weight)
     }
 
@@ -293,7 +293,7 @@ impl Task {
 struct Shape {
     keep_u: f64,
     keep_v: f64,
-    copies: Copies,
+    taps: Taps,
     threshold: f64,
     /// Voltage at a spike in thresholds, and factor on the trained neuron's refractory response.
     given_back: f64,
@@ -306,16 +306,16 @@ impl Shape {
     }
 
     fn candidate(&self, srm: &SrmParameters, timestep_ms: f64) -> Candidate {
-        let Shape { keep_u, keep_v, copies, threshold, given_back, refractory } = *self;
+        let Shape { keep_u, keep_v, taps, threshold, given_back, refractory } = *self;
         let relative =
             analytic::own_synapses((srm, timestep_ms), (keep_u, keep_v), (given_back, refractory), SELF_SYNAPSES);
         let own = std::array::from_fn(|step| relative.get(step).map_or(0.0, |relative| relative * threshold));
-        Candidate { keep_u, keep_v, threshold, copies, own }
+        Candidate { keep_u, keep_v, threshold, taps, own }
     }
 
-    /// Distance that its copies have to gain.
+    /// Distance that its taps have to gain.
     fn price(&self, synapses: f64) -> f64 {
-        (COPY_PRICE + SYNAPSE_PRICE * synapses) * self.copies.as_slice().len() as f64
+        (TAP_PRICE + SYNAPSE_PRICE * synapses) * self.taps.as_slice().len() as f64
     }
 }
 
@@ -324,7 +324,7 @@ impl Shape {
 /// # Errors
 /// As `nsim_quantise::quantise`.
 ///
-/// `most` is the greatest number of delayed copies of a population's input.
+/// `most` is the greatest number of taps of a population's input.
 pub fn search(graph: &Graph, samples: &[&Sample], most: usize, progress: impl FnMut(&str)) -> Result<SearchResult> {
     let starts = analytic::starts(graph);
     let staged = StagedNetwork::new(graph, &starts)?;
@@ -480,7 +480,7 @@ fn task(
     Task { neurons, arrivals, wanted, count_weight }
 }
 
-/// A shape and its distance, with the price of its copies.
+/// A shape and its distance, with the price of its taps.
 #[derive(Clone, Copy)]
 struct RatedShape {
     shape: Shape,
@@ -491,22 +491,22 @@ struct RatedShape {
 struct Trials<'t> {
     srm: &'t SrmParameters,
     timestep_ms: f64,
-    /// Synapses of one copy.
+    /// Synapses of one tap.
     synapses: f64,
     /// Number of candidates tried.
     tried: &'t mut u64,
 }
 
 impl Trials<'_> {
-    fn rated(&self, task: &Task, shape: Shape, copied: &[Vec<f64>]) -> RatedShape {
-        let distance = task.distance(&shape.candidate(self.srm, self.timestep_ms), copied);
+    fn rated(&self, task: &Task, shape: Shape, arrived: &[Vec<f64>]) -> RatedShape {
+        let distance = task.distance(&shape.candidate(self.srm, self.timestep_ms), arrived);
         RatedShape { shape, distance: distance + shape.price(self.synapses) }
     }
 
     /// The shapes, the nearest first.
     fn ranked(&mut self, task: &Task, shapes: &[Shape]) -> Vec<RatedShape> {
         *self.tried += shapes.len() as u64;
-        let rated = shapes.par_iter().map(|shape| self.rated(task, *shape, &task.copied(&shape.copies)));
+        let rated = shapes.par_iter().map(|shape| self.rated(task, *shape, &task.through_taps(&shape.taps)));
         let mut rated: Vec<RatedShape> = rated.collect();
         rated.sort_by(|a, b| a.distance.total_cmp(&b.distance));
         rated
@@ -515,13 +515,13 @@ impl Trials<'_> {
     /// The nearest shape that is reached by steps of these factors, each while it helps.
     fn descend(&mut self, task: &Task, from: RatedShape, steps: &[f64]) -> RatedShape {
         let mut best = from;
-        let copied = task.copied(&from.shape.copies);
+        let arrived = task.through_taps(&from.shape.taps);
         for &step in steps {
             // A bound on the rounds, with room to reach any value in range.
             for _ in 0..12 {
                 let near = near(&best.shape, step);
                 *self.tried += near.len() as u64;
-                let rated: Vec<_> = near.par_iter().map(|shape| self.rated(task, *shape, &copied)).collect();
+                let rated: Vec<_> = near.par_iter().map(|shape| self.rated(task, *shape, &arrived)).collect();
                 let nearest = rated.into_iter().reduce(|a, b| if b.distance < a.distance { b } else { a });
                 match nearest {
                     Some(next) if next.distance < best.distance - 1e-6 => best = next,
@@ -552,17 +552,17 @@ fn best_shape(
     let synapses = sources.sum::<f64>() * task.neurons as f64;
     let most = if into().any(|projection| matches!(projection.kind, ProjectionKind::Random { .. })) { 1 } else { most };
     let fan_in = (synapses / task.neurons.max(1) as f64) as usize;
-    // With few synapses, copies are almost free.
-    let most = if 2.0 * most as f64 * synapses <= FEW_SYNAPSES { (2 * most).min(MOST_COPIES) } else { most };
+    // With few synapses, taps are almost free.
+    let most = if 2.0 * most as f64 * synapses <= FEW_SYNAPSES { (2 * most).min(MOST_TAPS) } else { most };
     let most = most.min(MOST_SYNAPSES / fan_in.max(1)).max(1);
-    let shape = |(keep_u, keep_v, copies): (f64, f64, Copies)| {
+    let shape = |(keep_u, keep_v, taps): (f64, f64, Taps)| {
         // Random weights have no factor, so the threshold is scaled.
-        let unit = if most == 1 { copies.as_slice().first().map_or(1.0, |copy| copy.1) } else { 1.0 };
+        let unit = if most == 1 { taps.as_slice().first().map_or(1.0, |tap| tap.1) } else { 1.0 };
         let threshold = srm.theta / unit;
-        Shape { keep_u, keep_v, copies: copies.scaled(1.0 / unit), threshold, given_back: 1.15, refractory: 1.0 }
+        Shape { keep_u, keep_v, taps: taps.scaled(1.0 / unit), threshold, given_back: 1.15, refractory: 1.0 }
     };
     let shapes: Vec<Shape> =
-        copies::candidates(sketch.arrived(), srm, timestep_ms, most, room).into_iter().map(shape).collect();
+        taps::candidates(sketch.arrived(), srm, timestep_ms, most, room).into_iter().map(shape).collect();
     let mut trials = Trials { srm, timestep_ms, synapses, tried };
     let few: Vec<RatedShape> = trials.ranked(&sketch, &shapes).into_iter().take(3).collect();
     let refined: Vec<Shape> = few.into_iter().map(|from| trials.descend(&sketch, from, &[1.1, 1.05]).shape).collect();
@@ -594,7 +594,7 @@ fn fit_of(shape: &Shape, srm: &SrmParameters, timestep_ms: f64) -> Fit {
         dv: decay(shape.keep_v).unwrap_or(start.dv),
         refractory: Refractory::new(1).unwrap_or(start.refractory),
         threshold: candidate.threshold,
-        copies: shape.copies.as_slice().to_vec(),
+        taps: shape.taps.as_slice().to_vec(),
         own: candidate.own.iter().map(|&weight| vec![weight]).collect(),
         greatest_input: None,
     }

@@ -68,7 +68,7 @@ pub struct MeasuredDistance {
     pub distance: Distance,
     /// Name of each layer, coincidence (none where nothing spikes), spikes of the integers.
     pub layers: Vec<(String, Option<f64>, u64)>,
-    /// Number of samples.
+    /// Samples on which the distance was measured.
     pub samples: usize,
     /// Fractions of right classes of that network and of the integers, if all samples have labels.
     pub accuracy: Option<(f64, f64)>,
@@ -101,13 +101,15 @@ pub struct Converted {
 
 /// Whether a network has real numbers that become integers.
 pub fn is_real(graph: &Graph) -> bool {
-    let real = |kind: &PopulationKind| match kind {
-        PopulationKind::Input => false,
-        PopulationKind::Srm(_) => true,
-        PopulationKind::Neurons(parameters) => {
-            ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.real(name).is_some())
+    fn real(kind: &PopulationKind) -> bool {
+        match kind {
+            PopulationKind::Input => false,
+            PopulationKind::Srm(_) => true,
+            PopulationKind::Neurons(parameters) => {
+                ["vth", "tau_u_ms", "tau_v_ms"].iter().any(|name| parameters.real(name).is_some())
+            }
         }
-    };
+    }
     graph.populations().any(|(_, population)| real(&population.kind))
         || graph.projections().any(|(_, _, _, projection)| projection.weight_scale.is_some())
 }
@@ -133,8 +135,8 @@ impl Converted {
 /// Limits of a conversion.
 #[derive(Debug, Clone, Copy)]
 pub struct ConversionLimits {
-    /// Most delayed copies of a population's input.
-    pub most_copies: usize,
+    /// Most taps of a population's input.
+    pub most_taps: usize,
     /// Whether compartments can reset by subtraction.
     pub soft_reset: bool,
 }
@@ -151,7 +153,7 @@ pub fn convert(
 ) -> Result<Converted> {
     let replaced = (resets::has_soft_reset(given) && !choices.soft_reset).then(|| resets::to_zero(given));
     let graph = replaced.as_ref().unwrap_or(given);
-    let most = choices.most_copies;
+    let most = choices.most_taps;
     let UnmeasuredConversion { fits, detail, mut stages, mut staged } = match graph.has_srm() {
         true => convert_by_search(graph, samples, most, progress)?,
         false => convert_by_exponents(graph)?,
@@ -167,9 +169,9 @@ pub fn convert(
     }
     let output = output_layer(staged.deployed());
     let trained = attribution::as_trained(&staged, &output, samples);
-    let mut rungs: Vec<(&StagedNetwork, ComparisonStage)> = vec![(&staged, ComparisonStage::MACHINE)];
-    rungs.extend(stages.iter().filter_map(|stage| Some((stage.staged.as_ref()?, ComparisonStage::MACHINE))));
-    let mut all = attribution::compare_stages((&staged, trained), &rungs, &output, samples).into_iter();
+    let mut stage_pairs: Vec<(&StagedNetwork, ComparisonStage)> = vec![(&staged, ComparisonStage::MACHINE)];
+    stage_pairs.extend(stages.iter().filter_map(|stage| Some((stage.staged.as_ref()?, ComparisonStage::MACHINE))));
+    let mut all = attribution::compare_stages((&staged, trained), &stage_pairs, &output, samples).into_iter();
     let none = || attribution::StageComparison::new(0, std::iter::empty());
     let calibration = by_layer(&staged, all.next().unwrap_or_else(none), samples.len());
     let distances_of_stages: Vec<Distance> = stages

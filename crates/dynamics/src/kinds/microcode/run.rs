@@ -27,7 +27,9 @@ pub(super) struct Registers {
 impl Registers {
     /// Grows to at least the number of registers of a section.
     pub(super) fn make_room(&mut self, section: &Section) {
-        let grow = |length: usize, to: Place| length.max(to.into());
+        fn grow(length: usize, to: Place) -> usize {
+            length.max(to.into())
+        }
         self.narrow.resize(grow(self.narrow.len(), section.narrow), Default::default());
         self.wide.resize(grow(self.wide.len(), section.wide), Default::default());
     }
@@ -274,7 +276,9 @@ fn execute<const N: usize>(
                         word::<N>(out, overflows, of, i32::wrapping_sub, |a, b, x| (a ^ x) & (a ^ b));
                     }
                     _ => {
-                        let shifted = |a: i32, b: i32| a.wrapping_shl(b as u32);
+                        fn shifted(a: i32, b: i32) -> i32 {
+                            a.wrapping_shl(b as u32)
+                        }
                         word::<N>(out, overflows, of, shifted, |a, b, x| mask(x.wrapping_shr(b as u32) != a));
                     }
                 }

@@ -117,7 +117,9 @@ impl Code {
         // For each register of 32 bits: one that is 0 where it is 0, and one that equals it.
         let mut tested: Vec<Place> = (0..self.step.narrow).collect();
         let mut same: Vec<Place> = (0..self.step.narrow).collect();
-        let found = |same: &[Place], place: Place| if place & FIXED == 0 { same[usize::from(place)] } else { place };
+        fn found(same: &[Place], place: Place) -> u16 {
+            if place & FIXED == 0 { same[usize::from(place)] } else { place }
+        }
         let mut instructions: Vec<Instruction> = Vec::new();
         for instruction in &self.step.instructions {
             let mut new = *instruction;

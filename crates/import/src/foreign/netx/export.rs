@@ -8,9 +8,9 @@
 //!
 //! Errors: `export.unsupported` for a model without a form in netx.
 
-use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::nir::export::{MOST_MATRIX, check_neurons, model_metadata};
 use crate::foreign::window::Step;
+use crate::hdf5::{Group, Item, Numbers};
 use nsim_files::network::{NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::neurons::{NeuronKind, Port};
@@ -175,8 +175,8 @@ fn neuron(population: &PopulationDesc, notes: &mut Vec<String>) -> Result<Group>
         let is_bias = form.bias.is_some() && ["bias_mant", "bias_exp"].contains(&field.name);
         let fixed = form.fixed.iter().find(|(fixed, _)| *fixed == field.name).map(|(_, value)| *value);
         let default = field.default.unwrap_or(0) as f64;
-        let given = population.parameter(field.name).cloned().unwrap_or(Parameter::Same(default));
-        if !written && !is_bias && given != Parameter::Same(fixed.unwrap_or(default)) {
+        let parameter = population.parameter(field.name).cloned().unwrap_or(Parameter::Same(default));
+        if !written && !is_bias && parameter != Parameter::Same(fixed.unwrap_or(default)) {
             lost.push(field.name);
         }
     }

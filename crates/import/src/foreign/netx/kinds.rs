@@ -70,8 +70,8 @@ impl Reader<'_> {
         let groups = layer.pair("groups", (1, 1), 1)?.0;
         let step @ [stride, padding, dilation] = geometry(layer, (1, 1))?;
         let channels = per_group.saturating_mul(groups);
-        let given = self.options.input_shape.clone();
-        let source = self.source(|| input_of_window(layer, given, channels, &shape, (kh, kw), step))?;
+        let input_shape = self.options.input_shape.clone();
+        let source = self.source(|| input_of_window(layer, input_shape, channels, &shape, (kh, kw), step))?;
         if out != shape[0] || source.shape.len() != 3 || source.shape[0] != channels {
             return Err(layer.wrong(format!(
                 "a kernel {kernel:?} in {groups} groups does not map {:?} to {shape:?}",
@@ -91,8 +91,8 @@ impl Reader<'_> {
         let shape = volume(layer)?;
         let kernel = layer.pair("kernelSize", (1, 1), 1)?;
         let step @ [stride, padding, dilation] = geometry(layer, kernel)?;
-        let given = self.options.input_shape.clone();
-        let source = self.source(|| input_of_window(layer, given, shape[0], &shape, kernel, step))?;
+        let input_shape = self.options.input_shape.clone();
+        let source = self.source(|| input_of_window(layer, input_shape, shape[0], &shape, kernel, step))?;
         if source.shape.len() != 3 || source.shape[0] != shape[0] {
             return Err(
                 layer.wrong(format!("a pool from {:?} to {shape:?} changes the number of channels", source.shape))

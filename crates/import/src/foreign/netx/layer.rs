@@ -4,9 +4,9 @@
 //! errors that name the layer.
 
 use super::reader::wrong;
-use crate::foreign::hdf5::{Group, Numbers};
 use crate::foreign::imported::wrong_option;
 use crate::foreign::window::Step;
+use crate::hdf5::{Group, Numbers};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 
 pub(super) struct Layer<'a> {
@@ -124,9 +124,9 @@ pub(super) fn input_of_window(
     if let Some(given) = given {
         return Ok(given);
     }
-    let side = |out: u64, kernel: u64, padding: u64, dilation: u64| {
+    fn side(out: u64, kernel: u64, padding: u64, dilation: u64) -> Option<u64> {
         (out + dilation * (kernel - 1)).checked_sub(2 * padding).filter(|&side| side > 0)
-    };
+    }
     let height = side(shape[1], kernel.0.max(1), padding.0, dilation.0);
     let width = side(shape[2], kernel.1.max(1), padding.1, dilation.1);
     match (stride, height, width) {

@@ -18,10 +18,10 @@ mod reader;
 
 use std::cell::Cell;
 
-use super::hdf5::{Group, Numbers};
-use super::imported::{Imported, Options, name_list, wrong_option};
+use super::imported::{Format, Imported, Options, name_list, wrong_option};
 use super::nir::unmodified_model;
 use crate::foreign::nir::export::restore;
+use crate::hdf5::{Group, Numbers};
 use layer::Layer;
 use neuron::set_bias;
 use nsim_files::network::{NetworkFile, ProjectionDesc, ProjectionKind};
@@ -38,7 +38,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
     let mut notes = Vec::new();
     let written = restore(root, export::GROUP, ["layer", "simulation"], "layers", export::export);
     if let Some(Ok(_)) = &written {
-        options.refuse_unused("a model of nsim, restored unchanged", &[])?;
+        options.check(Format::Nsim)?;
     }
     if let Some(imported) = unmodified_model("lava-dl netx", written, options, &mut notes)? {
         return Ok(imported);
@@ -239,12 +239,12 @@ impl Reader<'_> {
     }
 
     fn check_size(&mut self, layer: &Layer<'_>, key: &str, right: &[f64]) {
-        let given: Vec<f64> = layer.group.numbers(key).into_iter().flat_map(Numbers::reals).collect();
+        let numbers: Vec<f64> = layer.group.numbers(key).into_iter().flat_map(Numbers::reals).collect();
         // One number is the height and the width of a kernel.
-        if right.is_empty() || given.iter().zip(right).all(|(a, b)| a == b) {
+        if right.is_empty() || numbers.iter().zip(right).all(|(a, b)| a == b) {
             return;
         }
-        let message = format!("{key} is {given:?}, the arrays have {right:?}: only the arrays count, as in netx");
+        let message = format!("{key} is {numbers:?}, the arrays have {right:?}: only the arrays count, as in netx");
         self.warn(layer, WarningCode::SizeIgnored, message);
     }
 

@@ -6,8 +6,8 @@
 use super::export::{NetxNeuron, netx_neuron};
 use super::layer::Layer;
 use super::reader::{BIAS_EXP, DEFAULT_BITS, MOST_EXPANDED, Neurons, Reader, SDNN_EXP, units};
-use crate::foreign::hdf5::Numbers;
 use crate::foreign::imported::{MAX_THRESHOLD, integrator};
+use crate::hdf5::Numbers;
 use nsim_files::network::Parameter;
 use nsim_ir::base::diagnostic::Result;
 use nsim_ir::base::warning::WarningCode;

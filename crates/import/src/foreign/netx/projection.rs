@@ -31,9 +31,9 @@ impl Reader<'_> {
             ));
         }
         // netx reads weights as integers, toward zero.
-        let given = layer.reals(key)?;
-        let whole: Vec<f64> = given.iter().map(|x| x.trunc() + 0.0).collect();
-        let cut = given.iter().zip(&whole).filter(|(a, b)| a != b).count();
+        let delays = layer.reals(key)?;
+        let whole: Vec<f64> = delays.iter().map(|x| x.trunc() + 0.0).collect();
+        let cut = delays.iter().zip(&whole).filter(|(a, b)| a != b).count();
         if cut > 0 {
             let message = format!("{cut} numbers of '{key}' are not whole and lose their fraction");
             self.warn(layer, WarningCode::FractionLost, message);
@@ -49,12 +49,12 @@ impl Reader<'_> {
                 "{} of {} numbers of '{key}' do not fit into one synapse format with the others; they are rounded to \
                  even steps and clipped",
                 encoded.changed,
-                given.len()
+                delays.len()
             );
             self.warn(layer, WarningCode::WeightsRounded, message);
         }
         let made = encoded.in_units(exponent as i64);
-        let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &given, &made);
+        let line = LayerWeights::new(to, layer.numbers(key)?.shape(), 1.0, &delays, &made);
         if line.is_lost() {
             return Err(layer.wrong(format!("the weights are too small for integers: {line}")).help(
                 "netx weights are integers, as lava-dl's export_hdf5 writes them; quantise the network before \

@@ -10,9 +10,9 @@ use super::filter::cannot_send;
 use super::linear::{Connection, Linear, Window, all_equal, at, scaled, spread, sum_of_delays};
 use super::node_types::{FILTER, Node};
 use super::state::{MOST_UNITS, Reader, axes, product, reals, unsupported, wrong};
-use crate::foreign::hdf5::Group;
 use crate::foreign::imported::LONGEST_DELAY;
 use crate::foreign::window::{MOST_LISTED, Sliding, Synapses};
+use crate::hdf5::Group;
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::warning::{Warning, WarningCode};
 
@@ -180,7 +180,9 @@ impl Reader<'_> {
     pub(super) fn note_rounded_delays(&mut self) -> Result<()> {
         for (name, node) in self.flat.nodes.iter().filter(|(_, node)| node.kind == "Delay") {
             let steps: Vec<f64> = reals(node.group, name, "delay")?.iter().map(|delay| delay / self.dt).collect();
-            let off = |steps: f64| (steps - steps.round_ties_even()).abs();
+            fn off(steps: f64) -> f64 {
+                (steps - steps.round_ties_even()).abs()
+            }
             let Some(most) = steps.iter().copied().max_by(|a, b| off(*a).total_cmp(&off(*b))) else { continue };
             if off(most) > 1e-3 {
                 let message = format!(

@@ -11,9 +11,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::state::MOST_NODES;
-use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::{MAX_THRESHOLD, always_spiking};
 use crate::foreign::window::Step;
+use crate::hdf5::{Group, Item, Numbers};
 use nsim_files::network::{ArrayRef, Network, NetworkFile, Parameter, PopulationDesc, ProjectionDesc, ProjectionKind};
 use nsim_ir::base::diagnostic::{Diagnostic, Result, SourceText};
 use nsim_ir::neurons::NeuronKind;

@@ -7,8 +7,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use super::node_types::{Flat, Node, is_population};
 use super::state::{DEEPEST, MOST_NODES, MOST_PATHS, MOST_UNITS, Reader, product, reals, wrong};
-use crate::foreign::hdf5::{Group, Item, Numbers};
 use crate::foreign::imported::population_name;
+use crate::hdf5::{Group, Item, Numbers};
 use nsim_ir::base::diagnostic::Result;
 
 /// Adds a graph's nodes under a prefix. Edges to a nested graph end at its inputs, edges from it
@@ -122,12 +122,12 @@ impl Reader<'_> {
         for name in populations {
             let node = &self.flat.nodes[name];
             let shape = if node.kind == "Input" {
-                let given = reals(node.group, name, "shape")?;
-                let whole = given.iter().all(|x| x.fract() == 0.0 && (1.0..=MOST_UNITS as f64).contains(x));
+                let axes = reals(node.group, name, "shape")?;
+                let whole = axes.iter().all(|x| x.fract() == 0.0 && (1.0..=MOST_UNITS as f64).contains(x));
                 if !whole {
-                    return Err(wrong(format!("input '{name}' has the shape {given:?}")));
+                    return Err(wrong(format!("input '{name}' has the shape {axes:?}")));
                 }
-                Some(given.iter().map(|&x| x as usize).collect::<Vec<_>>())
+                Some(axes.iter().map(|&x| x as usize).collect::<Vec<_>>())
             } else {
                 let fields = ["v_threshold", "tau_mem", "tau", "r", "v_leak", "tau_syn", "threshold"];
                 let shapes = fields.iter().filter_map(|key| node.group.numbers(key)).map(Numbers::shape);

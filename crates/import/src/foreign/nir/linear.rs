@@ -98,10 +98,10 @@ impl Window {
             return None;
         }
         // (places, dilation, distance of the kernel's places, distance of the pool's) of an axis.
-        let axis = |size: usize, dilation: usize, stride: usize, pool: usize| {
+        fn axis(size: usize, dilation: usize, stride: usize, pool: usize) -> (usize, usize, usize, usize) {
             let step = if pool > 1 { gcd(dilation, stride) } else { dilation };
             ((size - 1) * (dilation / step) + (pool - 1) * (stride / step) + 1, step, dilation / step, stride / step)
-        };
+        }
         let (height, dy, ky, py) = axis(conv.size.0, conv.dilation.0, conv.stride.0, behind.size.0);
         let (width, dx, kx, px) = axis(conv.size.1, conv.dilation.1, conv.stride.1, behind.size.1);
         let kernels = conv.target[0] * conv.per_group();

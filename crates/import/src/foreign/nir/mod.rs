@@ -47,8 +47,8 @@ mod timestep;
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::conventions::ResetMode;
-use super::hdf5::Group;
 use super::imported::{Imported, MAX_THRESHOLD, Options, wrong_option};
+use crate::hdf5::Group;
 use graph::unfold;
 use neuron::{Discrete, Reset};
 use node_types::{Flat, WITHOUT_MEANING, fields, is_population};

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use crate::foreign::hdf5::Group;
+use crate::hdf5::Group;
 
 pub(super) struct Node<'a> {
     pub(super) kind: String,

@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::node_types::Flat;
-use crate::foreign::hdf5::Group;
 use crate::foreign::imported::{Options, shortest_decimal};
+use crate::hdf5::Group;
 use nsim_files::network::{NetworkFile, Parameter};
 use nsim_ir::base::diagnostic::{Diagnostic, Result};
 use nsim_ir::base::warning::Warning;

@@ -204,7 +204,9 @@ pub fn aedat4(chosen: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink)
 fn unpack(packed: Vec<u8>, compression: i32) -> Result<Vec<u8>> {
     let mut plain = Vec::new();
     let limit = MOST_PACKET as u64 + 1;
-    let damaged = |error: &dyn std::fmt::Display| wrong(format!("a packet does not decompress: {error}"));
+    fn damaged(error: &dyn std::fmt::Display) -> Diagnostic {
+        wrong(format!("a packet does not decompress: {error}"))
+    }
     match compression {
         0 => return Ok(packed),
         // LZ4 and LZ4_HIGH, ZSTD and ZSTD_HIGH.
@@ -261,7 +263,9 @@ fn packet_events(buffer: &[u8], sink: &mut dyn Sink) -> Result<()> {
     };
     for event in events {
         let t_us = i64::from_le_bytes([event[0], event[1], event[2], event[3], event[4], event[5], event[6], event[7]]);
-        let side = |a: u8, b: u8| u32::try_from(i16::from_le_bytes([a, b])).unwrap_or(u32::MAX);
+        fn side(a: u8, b: u8) -> u32 {
+            u32::try_from(i16::from_le_bytes([a, b])).unwrap_or(u32::MAX)
+        }
         sink.event(Event { t_us, x: side(event[8], event[9]), y: side(event[10], event[11]), on: event[12] != 0 })?;
     }
     Ok(())

@@ -19,7 +19,9 @@ pub fn raw(camera: Option<u32>, input: &mut dyn BufRead, sink: &mut dyn Sink) ->
     let (mut encoding, mut size) = (None, None);
     for line in &lines {
         let lower = line.to_ascii_lowercase();
-        let sides = |columns: &str, rows: &str| columns.trim().parse::<u32>().ok().zip(rows.trim().parse::<u32>().ok());
+        fn sides(columns: &str, rows: &str) -> Option<(u32, u32)> {
+            columns.trim().parse::<u32>().ok().zip(rows.trim().parse::<u32>().ok())
+        }
         if let Some(version) = lower.strip_prefix("evt ") {
             set_consistent(&mut encoding, version.trim().to_string(), "encodings")?;
         } else if let Some(format) = lower.strip_prefix("format ") {

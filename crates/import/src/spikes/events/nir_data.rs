@@ -8,7 +8,7 @@
 use std::path::Path;
 
 use super::event::wrong;
-use crate::foreign::hdf5::{Attribute, Group, Item, Numbers};
+use crate::hdf5::{Attribute, Group, Item, Numbers};
 use crate::spikes::options::{ArrayOptions, EventOptions};
 use crate::spikes::population::{InputSpec, PopulationSpikes};
 use nsim_files::budget::MOST_STEPS;

@@ -84,7 +84,9 @@ impl Columns {
 
     /// The columns that a comment names, if it names as many as a row has.
     fn from_comment(comment: &str, row: &str) -> Option<Columns> {
-        let count = |line: &str| fields(line, line.contains(',')).len();
+        fn count(line: &str) -> usize {
+            fields(line, line.contains(',')).len()
+        }
         Columns::from_header(comment).filter(|_| count(comment) == count(row))
     }
 

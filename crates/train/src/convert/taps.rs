@@ -1,13 +1,13 @@
-//! Current and voltage with delayed copies of the input, as near to a spike response as possible.
+//! Current and voltage with taps, delayed copies of the input, as near to a spike response as possible.
 //!
 //! Input: a population's arrivals on calibration samples, and its spike response parameters.
-//! Output: decays of current and voltage with the delays and factors of the copies, for the search.
+//! Output: decays of current and voltage with the delays and factors of the taps, for the search.
 //!
 //! A hard reset clears the voltage and leaves the current. So the faster the voltage forgets, the
 //! less a reset takes: with dv = 4096 the voltage is the current, and nothing is taken. This loses
 //! the alpha kernel, which has two equal decays. F(t) is the response of such a compartment to its
 //! arrivals, without resets, and P(t) the potential of the trained neuron. The factors a of the
-//! copies with delays d minimise `sum over t of w(t) (P(t) - sum_i a_i F(t - d_i))^2`, where w is
+//! taps with delays d minimise `sum over t of w(t) (P(t) - sum_i a_i F(t - d_i))^2`, where w is
 //! [`relevance`]. The delays are chosen sequentially, each for the least error. The arrivals of the
 //! calibration samples matter: a population with thousands of sources needs the slow part of the
 //! kernel, one with few also its shape.
@@ -18,11 +18,11 @@ use nsim_ir::base::fixed::DECAY_ONE;
 use nsim_ir::graph::SrmParameters;
 use nsim_quantise::analytic;
 
-/// Greatest number of copies that an option can set.
-pub const MOST_COPIES: usize = 32;
-/// Greatest number of copies by default. The synapses of a source onto one compartment, delayed by
+/// Greatest number of taps that an option can set.
+pub const MOST_TAPS: usize = 32;
+/// Greatest number of taps by default. The synapses of a source onto one compartment, delayed by
 /// up to 62 steps, then take 310 bits, five words of a Loihi core's memory.
-pub const DEFAULT_COPIES: usize = 15;
+pub const DEFAULT_TAPS: usize = 15;
 
 /// Time constants of the current relative to the response's; fractions of v kept by a step.
 const CURRENTS: [f64; 4] = [1.2, 1.4, 1.65, 2.0];
@@ -30,11 +30,11 @@ const VOLTAGES: [f64; 4] = [0.0, 0.2, 0.4, 0.6];
 /// Latest delay in time constants, and number of delays tried up to it.
 const LATEST: f64 = 4.5;
 const DELAYS: u32 = 45;
-/// Numbers of copies that are tried.
+/// Numbers of taps that are tried.
 const COUNTS: [usize; 12] = [1, 2, 3, 4, 5, 7, 9, 12, 15, 20, 24, 32];
 /// Approximate number of neuron-steps of the least squares.
 const POINTS: usize = 12_000;
-/// Rounds in which every copy may move to another delay.
+/// Rounds in which every tap may move to another delay.
 const SWAPS: usize = 3;
 
 /// Arrivals at a population.
@@ -46,23 +46,23 @@ pub struct Arrivals<'a> {
     pub samples: &'a [Vec<f64>],
 }
 
-/// Delays and factors of the copies of a population's input.
+/// Delays and factors of the taps of a population's input.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
-pub struct Copies {
-    each: [(u32, f64); MOST_COPIES],
+pub struct Taps {
+    each: [(u32, f64); MOST_TAPS],
     count: usize,
 }
 
-impl Copies {
-    /// (delay, factor) of each copy.
+impl Taps {
+    /// (delay, factor) of each tap.
     pub fn as_slice(&self) -> &[(u32, f64)] {
         &self.each[..self.count]
     }
 
-    /// The copies with all factors multiplied by one number.
+    /// The taps with all factors multiplied by one number.
     #[must_use]
-    pub fn scaled(mut self, by: f64) -> Copies {
-        self.each.iter_mut().for_each(|copy| copy.1 *= by);
+    pub fn scaled(mut self, by: f64) -> Taps {
+        self.each.iter_mut().for_each(|tap| tap.1 *= by);
         self
     }
 }
@@ -97,7 +97,7 @@ fn nearest_decay(keep: f64) -> f64 {
     1.0 - libm::rint(DECAY_ONE as f64 * (1.0 - keep)).clamp(1.0, DECAY_ONE as f64) / DECAY_ONE as f64
 }
 
-/// Candidates: (current kept by a step, voltage kept, copies), the copies of least error for each
+/// Candidates: (current kept by a step, voltage kept, taps), the taps of least error for each
 /// number up to `most`, with delays up to `room`. Where the voltage forgets everything, each decay
 /// of the current is one; elsewhere only the best is.
 pub fn candidates(
@@ -106,7 +106,7 @@ pub fn candidates(
     timestep_ms: f64,
     most: usize,
     room: u32,
-) -> Vec<(f64, f64, Copies)> {
+) -> Vec<(f64, f64, Taps)> {
     let tau = srm.tau_sr_ms / timestep_ms;
     let latest = (LATEST * tau).min(f64::from(room));
     let mut delays: Vec<u32> =
@@ -116,12 +116,12 @@ pub fn candidates(
     let of_voltage = |&voltage: &f64| {
         let pairs = CURRENTS.iter().flat_map(|current| {
             let keep_u = nearest_decay(libm::exp(-1.0 / (current * tau)));
-            let found = copies_for_decays(task, &wanted, (keep_u, nearest_decay(voltage)), &delays, most);
-            found.into_iter().map(move |(taken, copies)| (taken, keep_u, copies))
+            let fitted = taps_for_decays(task, &wanted, (keep_u, nearest_decay(voltage)), &delays, most);
+            fitted.into_iter().map(move |(taken, taps)| (taken, keep_u, taps))
         });
-        let mut pairs: Vec<(f64, f64, Copies)> = pairs.collect();
+        let mut pairs: Vec<(f64, f64, Taps)> = pairs.collect();
         if voltage > 0.0 {
-            let best = |pair: &(f64, f64, Copies)| {
+            let best = |pair: &(f64, f64, Taps)| {
                 let rivals = pairs.iter().filter(|rival| rival.2.count == pair.2.count);
                 rivals.fold(0.0, |most: f64, rival| most.max(rival.0)) <= pair.0
             };
@@ -131,10 +131,10 @@ pub fn candidates(
         }
         pairs
             .into_iter()
-            .map(|(_, keep_u, copies)| (keep_u, nearest_decay(voltage), copies.scaled(srm.theta)))
+            .map(|(_, keep_u, taps)| (keep_u, nearest_decay(voltage), taps.scaled(srm.theta)))
             .collect::<Vec<_>>()
     };
-    let each: Vec<Vec<(f64, f64, Copies)>> = VOLTAGES.par_iter().map(of_voltage).collect();
+    let each: Vec<Vec<(f64, f64, Taps)>> = VOLTAGES.par_iter().map(of_voltage).collect();
     each.into_iter().flatten().collect()
 }
 
@@ -270,16 +270,16 @@ impl Products {
     }
 }
 
-/// Reduction of the error and the copies, for each number in `COUNTS` up to `most`.
-fn copies_for_decays(
+/// Reduction of the error and the taps, for each number in `COUNTS` up to `most`.
+fn taps_for_decays(
     task: Arrivals<'_>,
     wanted: &[Vec<f64>],
     keeps: (f64, f64),
     delays: &[u32],
     most: usize,
-) -> Vec<(f64, Copies)> {
+) -> Vec<(f64, Taps)> {
     let products = Products::new(task, wanted, keeps, delays);
-    let (mut chosen, mut found): (Vec<usize>, Vec<(f64, Copies)>) = (Vec::new(), Vec::new());
+    let (mut chosen, mut found): (Vec<usize>, Vec<(f64, Taps)>) = (Vec::new(), Vec::new());
     while let Some((mut taken, next)) = products.best_next(&chosen).filter(|_| chosen.len() < most) {
         chosen.push(next);
         if !COUNTS.contains(&chosen.len()) {
@@ -302,12 +302,12 @@ fn copies_for_decays(
             }
         }
         let Some(factors) = products.factors(&chosen) else { break };
-        let mut copies = Copies { count: chosen.len(), ..Copies::default() };
+        let mut taps = Taps { count: chosen.len(), ..Taps::default() };
         let mut each: Vec<(u32, f64)> =
             chosen.iter().zip(factors).map(|(&place, factor)| (delays[place], factor)).collect();
         each.sort_by_key(|&(delay, _)| delay);
-        copies.each[..each.len()].copy_from_slice(&each);
-        found.push((taken, copies));
+        taps.each[..each.len()].copy_from_slice(&each);
+        found.push((taken, taps));
     }
     found
 }
@@ -338,9 +338,9 @@ mod tests {
         let samples = [arrivals];
         let task = Arrivals { neurons: 1, samples: &samples };
         let delays: Vec<u32> = (0..20).collect();
-        let found = copies_for_decays(task, &wanted, keeps, &delays, 2);
-        let (_, copies) = found.iter().find(|(_, copies)| copies.count == 2).unwrap();
-        for (&(delay, factor), (d, planted)) in copies.as_slice().iter().zip(planted) {
+        let found = taps_for_decays(task, &wanted, keeps, &delays, 2);
+        let (_, taps) = found.iter().find(|(_, taps)| taps.count == 2).unwrap();
+        for (&(delay, factor), (d, planted)) in taps.as_slice().iter().zip(planted) {
             assert_eq!(delay as usize, d);
             assert!((factor - planted).abs() < 1e-6, "{factor} for {planted}");
         }

@@ -358,7 +358,9 @@ fn dataset(name: &str, dataset: &Dataset, budget: &mut ReadBudget<'_>) -> Result
     if axes.len() > MOST_AXES {
         return Err(wrong(budget, &format!("an array of {} axes", axes.len())));
     }
-    let product = |axes: &[u64]| axes.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis));
+    fn product(axes: &[u64]) -> Option<u64> {
+        axes.iter().try_fold(1u64, |product, &axis| product.checked_mul(axis))
+    }
     let length = product(&axes);
     let datatype = dataset.datatype().map_err(|error| wrong(budget, &error))?;
     // A chunk is decoded whole, even where the shape uses little of it.
