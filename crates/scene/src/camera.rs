@@ -83,13 +83,13 @@ struct Pixel {
 }
 
 /// What a camera sees.
-pub trait View {
+pub trait View: Copy {
     /// Brightness of a pixel, as a natural logarithm. Implementations are inlined into loops over
     /// pixels.
     fn at(&self, x: u32, y: u32) -> f32;
 }
 
-impl<F: Fn(u32, u32) -> f32> View for F {
+impl<F: Fn(u32, u32) -> f32 + Copy> View for F {
     #[inline(always)]
     fn at(&self, x: u32, y: u32) -> f32 {
         self(x, y)

@@ -382,6 +382,7 @@ fn line(from: (f32, f32), to: (f32, f32), reach: f32, near: &mut Vec<u32>) {
 }
 
 /// The box at a pose, under the lamps.
+#[derive(Clone, Copy)]
 struct SlipView<'a> {
     look: &'a BoxGeometry,
     pose: Pose,
