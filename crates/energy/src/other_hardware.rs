@@ -16,7 +16,7 @@ use nsim_ir::program::Program;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;
 
-/// Approximate time of each of the two measurements; results of 400 ms differ by less than their quartiles.
+/// Approximate time of each of the two measurements.
 const BUDGET: Duration = Duration::from_millis(80);
 /// Time of measuring the counters at idle.
 const IDLE: Duration = Duration::from_millis(300);
@@ -125,8 +125,8 @@ fn add_cpu_rows(one: CopyWorkload<'_>, watts: Option<Watts>, found: &mut Hardwar
             // Other programs disturbed the fastest repeat least.
             let figures = figures(timed.fastest, power, one.conditions, window);
             let source = format!(
-                "one thread of {environment}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles {:.3} us \
-                 apart{}{}; {}",
+                "one thread of {environment}; fastest of {} repeats of {} timesteps, median {:.3} us, quartiles \
+                 {:.3} us apart{}{}; {}",
                 timed.repeats,
                 timed.timesteps,
                 timed.us_per_timestep,

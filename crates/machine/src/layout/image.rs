@@ -70,10 +70,12 @@ pub struct Image {
     pub(crate) longest_delay: u32,
     pub(crate) semantics: Semantics,
     pub(crate) reset: Option<Reset>,
+    /// Parameters of compartments, each once; and as a block of equal ones has them.
     pub(crate) fields: Vec<Fields>,
     pub(crate) shared: Vec<BlockParameters>,
     /// Index of the first parameters that equal these but for the bias.
     but_for_bias: Vec<u32>,
+    /// Indices of the parameters of blocks whose compartments differ.
     pub(crate) field_of: Vec<u32>,
     /// First compartment of the range that each step sorts, where lanes are not in ascending order.
     /// Spikes that reach dense blocks have to ascend.
@@ -163,7 +165,7 @@ impl Image {
         let of_channels = image.payloads.get(..image.channels as usize);
         image.channels_carry = of_channels.is_some_and(|payloads| payloads.iter().all(Option::is_none));
         let sums = Sums::new(program, &LaneOrder::new(program)).map_err(ImageError::TooManySums)?;
-        let blocks = image.lay_out(&sums);
+        let blocks = image.lay_out_compartments(&sums);
         image.held = image.lanes.iter().filter(|lane| **lane != NOT_LOCAL).count();
         image.check_fan_in()?;
         let events = |source| image.tally().events_within(std::iter::once(source), u32::MAX);
@@ -275,34 +277,36 @@ impl Image {
             + self.rows.bytes()
     }
 
-    /// Lays compartments out in lanes over all shards and returns their blocks.
-    fn lay_out(&mut self, sums: &Sums) -> Vec<CoreBlock> {
+    /// Gives each compartment of this rank a lane over all shards, core by core, and returns its core
+    /// blocks ([`crate::layout::shard`]). Fills the lanes, and the parameters that compartments and
+    /// blocks refer to. `sums` says how many lanes a compartment of words takes.
+    fn lay_out_compartments(&mut self, sums: &Sums) -> Vec<CoreBlock> {
         let program = Arc::clone(&self.program);
         let order = LaneOrder::new(&program);
         let (mut known, mut blocks, mut lane) = (Known::default(), Vec::new(), 0u32);
-        // Parameters and population of the last block, if it is updated as vectors.
-        let mut last_run: Option<(u32, usize)> = None;
+        // That of the last block, if it is updated as vectors.
+        let mut last_run: Option<Run> = None;
         for (core, CoreImage { class, ids, .. }) in program.cores().enumerate() {
             if !program.is_local(core) {
                 continue;
             }
             let (slots, compartments) = (order.slots(core), &program.classes()[*class].compartments);
             let ids: Vec<CompartmentId> = slots.iter().map(|&slot| ids[usize::from(slot)]).collect();
-            let field_of: Vec<u32> =
-                slots.iter().map(|&slot| self.field(&compartments[usize::from(slot)], &mut known)).collect();
+            let parameters: Vec<u32> =
+                slots.iter().map(|&slot| self.parameter_index(&compartments[usize::from(slot)], &mut known)).collect();
             let populations = ids.iter().map(|&id| order.population(id)).collect();
             let mut at = 0;
             while at < ids.len() {
-                let members =
-                    CoreLanes { image: self, sums, ids: &ids, field_of: &field_of, populations: &populations };
-                // No padding between cores: it would be a third of a large network.
-                if last_run != Some(members.run_of(at)) {
+                let of_core =
+                    CoreLanes { image: self, sums, ids: &ids, parameters: &parameters, populations: &populations };
+                // A block that continues a vector run is not aligned, also on the next core: padding
+                // would be a third of a large network.
+                if last_run != Some(of_core.run_of(at)) {
                     lane = lane.next_multiple_of(LANES as u32);
                 }
-                let cut = members.cut(at, lane);
-                let block = &ids[at..at + cut.length];
-                blocks.push(self.core_block(core, &cut, &field_of[at..at + cut.length]));
-                for (lane, id) in (cut.start..).zip(block) {
+                let cut = of_core.cut(at, lane);
+                blocks.push(self.core_block(core, &cut, &parameters[at..at + cut.length]));
+                for (lane, id) in (cut.start..).zip(&ids[at..at + cut.length]) {
                     self.lanes[id.index()] = lane;
                 }
                 lane = cut.start + cut.lanes as u32;
@@ -314,7 +318,7 @@ impl Image {
     }
 
     /// The index of a compartment's parameters, which are stored once; `known` has those so far.
-    fn field(&mut self, compartment: &Compartment, known: &mut Known) -> u32 {
+    fn parameter_index(&mut self, compartment: &Compartment, known: &mut Known) -> u32 {
         let &Compartment { neuron, start_step, .. } = compartment;
         *known.fields.entry((neuron, start_step)).or_insert_with(|| {
             let Parts { semantics, threshold, .. } = *self.program.parts();
@@ -329,29 +333,29 @@ impl Image {
     }
 
     /// The core block of the compartments of a cut.
-    fn core_block(&mut self, core: CoreId, cut: &Cut, field_of: &[u32]) -> CoreBlock {
-        let kind = self.fields[field_of[0] as usize].neuron.kind;
-        let fields = match kind.table().registers && field_of.iter().all(|&field| field == field_of[0]) {
-            true => BlockFields::Same(field_of[0]),
+    fn core_block(&mut self, core: CoreId, cut: &Cut, parameters: &[u32]) -> CoreBlock {
+        let kind = self.fields[parameters[0] as usize].neuron.kind;
+        let fields = match kind.table().registers && parameters.iter().all(|&index| index == parameters[0]) {
+            true => BlockFields::Same(parameters[0]),
             false => {
-                self.field_of.extend(field_of);
-                BlockFields::Each((self.field_of.len() - field_of.len()) as u32)
+                self.field_of.extend(parameters);
+                BlockFields::Each((self.field_of.len() - parameters.len()) as u32)
             }
         };
-        let starts = field_of.iter().map(|&field| self.fields[field as usize].start_step).min().unwrap_or(0);
+        let starts = parameters.iter().map(|&index| self.fields[index as usize].start_step).min().unwrap_or(0);
         let (length, stated) = (cut.length as u32, kind.has_stated_price());
-        let vector = self.vector(field_of);
+        let vector = self.vector(parameters);
         CoreBlock { start: cut.start, length, core, fields, vector, starts, sums: cut.sums, stated }
     }
 
     /// The parameters that compartments share but for the bias, if they can be updated as vectors.
-    fn vector(&self, field_of: &[u32]) -> Option<u32> {
+    fn vector(&self, parameters: &[u32]) -> Option<u32> {
         let but_for_bias = |field: &u32| self.but_for_bias[*field as usize];
-        let first = but_for_bias(field_of.first()?);
+        let first = but_for_bias(parameters.first()?);
         let fields = &self.fields[first as usize];
         // A compartment that spikes at a voltage of 0 would make padding spike too.
         let are_vectors = fields.vectors && fields.fires_from > 0 && fields.neuron.kind.table().registers;
-        (are_vectors && field_of.iter().all(|field| but_for_bias(field) == first)).then_some(first)
+        (are_vectors && parameters.iter().all(|index| but_for_bias(index) == first)).then_some(first)
     }
 
     /// Bounds sums. Each synapse adds at most once a step, so no sum exceeds the total of the
@@ -560,6 +564,14 @@ struct Known {
     but_for_bias: HashMap<(Neuron, u32), u32>,
 }
 
+/// Compartments that may be updated as vectors together: their parameters but for the bias, and their
+/// population.
+#[derive(Clone, Copy, PartialEq, Eq)]
+struct Run {
+    parameters: u32,
+    population: usize,
+}
+
 /// The next block of a core's compartments.
 struct Cut {
     /// Its first lane.
@@ -570,8 +582,8 @@ struct Cut {
     lanes: usize,
     /// Index of the list of sums of compartments whose state is words.
     sums: u32,
-    /// Parameters and population, if it is updated as vectors.
-    run: Option<(u32, usize)>,
+    /// Its run, if it is updated as vectors.
+    run: Option<Run>,
 }
 
 /// The compartments of a core in the order of lanes.
@@ -580,14 +592,14 @@ struct CoreLanes<'a> {
     sums: &'a Sums,
     ids: &'a [CompartmentId],
     /// Index of the parameters of each.
-    field_of: &'a [u32],
+    parameters: &'a [u32],
     /// Population of each, as [`LaneOrder::population`] numbers them.
     populations: &'a Vec<usize>,
 }
 
 impl CoreLanes<'_> {
     fn fields(&self, at: usize) -> &Fields {
-        &self.image.fields[self.field_of[at] as usize]
+        &self.image.fields[self.parameters[at] as usize]
     }
 
     fn has_words(&self, at: usize) -> bool {
@@ -599,10 +611,11 @@ impl CoreLanes<'_> {
         !self.fields(at).neuron.stack.is_unused()
     }
 
-    /// Parameters but for the bias, and population. Weights of dense blocks are aligned when a
-    /// population begins with a core block of its own.
-    fn run_of(&self, at: usize) -> (u32, usize) {
-        (self.image.but_for_bias[self.field_of[at] as usize], self.populations[at])
+    /// The run of a compartment. Populations are told apart, so that weights of dense blocks are
+    /// aligned.
+    fn run_of(&self, at: usize) -> Run {
+        let parameters = self.image.but_for_bias[self.parameters[at] as usize];
+        Run { parameters, population: self.populations[at] }
     }
 
     /// The block that begins with a compartment, from this lane on.
@@ -633,8 +646,8 @@ impl CoreLanes<'_> {
         Cut { start, length, lanes: if count > 1 { SKIP_BLOCK } else { length }, sums, run: None }
     }
 
-    /// Whole neurons of several compartments: a block has more lanes than a neuron has
-    /// compartments.
+    /// Whole neurons of several compartments, at most
+    /// [`MOST_COMPARTMENTS`](nsim_ir::quantised::MOST_COMPARTMENTS) each: fewer than lanes are left.
     fn cut_neurons(&self, at: usize, start: u32) -> Cut {
         let members = (at..self.ids.len()).take(left_of_skip_block(start));
         let left = members.take_while(|&other| self.is_in_neuron(other)).count();
@@ -648,10 +661,10 @@ impl CoreLanes<'_> {
     fn cut_registers(&self, at: usize, start: u32) -> Cut {
         let members = (at..self.ids.len()).take(left_of_skip_block(start));
         let left = members.take_while(|&other| !self.has_words(other) && !self.is_in_neuron(other)).count();
-        let runs: Vec<(u32, usize)> = (at..at + left).map(|other| self.run_of(other)).collect();
+        let runs: Vec<Run> = (at..at + left).map(|other| self.run_of(other)).collect();
         if is_long_run(&runs) {
             let length = first_run(&runs);
-            let run = Some(runs[0]).filter(|&(field, _)| self.image.vector(&[field]).is_some());
+            let run = Some(runs[0]).filter(|run| self.image.vector(&[run.parameters]).is_some());
             return Cut { start, length, lanes: length, sums: 0, run };
         }
         let aligned = start.next_multiple_of(LANES as u32);
@@ -675,12 +688,12 @@ fn left_of_skip_block(lane: u32) -> usize {
 }
 
 /// Length of the run of equal parameters at the begin.
-fn first_run(runs: &[(u32, usize)]) -> usize {
+fn first_run(runs: &[Run]) -> usize {
     runs.iter().take_while(|&run| *run == runs[0]).count()
 }
 
 /// Whether the run at the begin gets a core block of its own.
-fn is_long_run(runs: &[(u32, usize)]) -> bool {
+fn is_long_run(runs: &[Run]) -> bool {
     let length = first_run(runs);
     length == runs.len() || length >= SHORTEST_RUN
 }

@@ -228,7 +228,7 @@ fn stated_cores(filler: &Filler<'_>, stated: &[(PopulationId, u32)]) -> Result<F
     }
     let is_stated = |id: PopulationId| stated.iter().any(|(stated, _)| *stated == id);
     let spatial: Spatial = network.populations().ids().map(|id| is_spatial(network, id) && !is_stated(id)).collect();
-    let tiles = if spatial.iter().any(|&is| is) { tiled(filler, &spatial, Chips::Row, None) } else { Vec::new() };
+    let tiles = if spatial.iter().any(|&is| is) { cut_into_tiles(filler, &spatial, Chips::Row, None) } else { Vec::new() };
     let others = file_order(network).into_iter().filter(|one| !is_stated(one.population) && !spatial[one.population]);
     let order: Vec<_> = tiles.into_iter().chain(others).collect();
     if !order.is_empty() {
@@ -353,13 +353,13 @@ struct CopySearch<'a> {
     spatial: Spatial,
     /// Whether a compartment is in a tile.
     fixed: Vec<bool>,
-    tiled: Vec<Segment>,
+    tile_segments: Vec<Segment>,
     /// Whether every synapse is listed.
     is_listed: bool,
-    /// Whether connectivity is sampled uniformly, and so has no groups to find.
+    /// Whether large listed connectivity is sampled uniformly, and so has no groups to find.
     is_uniform: bool,
     /// Number of synapses into populations without tiles.
-    free: u64,
+    free_synapses: u64,
     /// Connectivity of compartments without tiles, where groups may be found within the effort.
     graph: Option<Hypergraph>,
 }
@@ -369,7 +369,7 @@ struct Mappings {
     /// All, beginning with the order of the file where it fits and was not given up.
     all: Vec<FilledCores>,
     /// The mapping in tiles, until it is its turn.
-    in_tiles: Option<Result<FilledCores>>,
+    mapping_in_tiles: Option<Result<FilledCores>>,
     /// Whether the first is in the order of the file.
     has_file_order: bool,
     /// The error of the first that does not fit.
@@ -395,7 +395,9 @@ impl Mappings {
 type Candidate = fn(&CopySearch<'_>, &mut Mappings);
 
 /// What is tried besides the order of the file, with the reason for which it may be the best. Of
-/// mappings with equal cores and messages the first is taken, so this order decides ties.
+/// mappings with equal cores and messages the first is taken, so this order decides ties. Each adds
+/// nothing where its reason does not hold or the effort is too small; levels, and so moves, are of
+/// [`Strategy::Multilevel`] alone.
 const CANDIDATES: [(&str, Candidate); 5] = [
     ("a source that reaches a core already costs no further input axon or message", by_shared_sources),
     ("neighbours over space share most of their sources", in_tiles),
@@ -404,7 +406,13 @@ const CANDIDATES: [(&str, Candidate); 5] = [
     ("groups that move from the best mapping so far, or from a perturbed one, save messages", with_moved_groups),
 ];
 
-/// The members that a strategy finds for one copy.
+/// The cores of one copy by a strategy, and by those above it: of all candidates the one with the
+/// fewest cores, then the fewest messages. A network on one core and neurons of several compartments
+/// are in the order of the file. `chips` is [`Chips::Apart`] where copies follow whose chips are not
+/// known; counts are dropped then.
+///
+/// # Errors
+/// [`CompileError::DoesNotFit`] of the first candidate, where none fits.
 fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<FilledCores> {
     let network = filler.network;
     if search.strategy == Strategy::Sequential || !network.parts().children.is_empty() {
@@ -412,26 +420,27 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fil
     }
     let spatial: Spatial = network.populations().ids().map(|id| is_spatial(network, id)).collect();
     let any_spatial = spatial.iter().any(|&spatial| spatial);
-    let tiled = if any_spatial { tiled(filler, &spatial, chips, search.most_synapses) } else { Vec::new() };
-    let in_tiles = (!tiled.is_empty()).then(|| {
-        let order: Vec<Segment> = tiled.iter().cloned().chain(without_tiles(network, &spatial)).collect();
+    let tile_segments =
+        if any_spatial { cut_into_tiles(filler, &spatial, chips, search.most_synapses) } else { Vec::new() };
+    // Filled first, since it bounds the order of the file; it is compared second.
+    let mapping_in_tiles = (!tile_segments.is_empty()).then(|| {
+        let order: Vec<Segment> = tile_segments.iter().cloned().chain(without_tiles(network, &spatial)).collect();
         filler.fewest_cores(&order, chips)
     });
-    let most = match &in_tiles {
-        Some(Ok(in_tiles)) => in_tiles.members.len() * MOST_TIMES_TILES,
+    let most_cores = match &mapping_in_tiles {
+        Some(Ok(mapping)) => mapping.members.len() * MOST_TIMES_TILES,
         _ => usize::MAX,
     };
-    let sequential = filler.at_most(most, &file_order(network), chips).transpose();
-    if let Some(Ok(only)) = &sequential
-        && only.members.len() == 1
-    {
-        return Ok(only.clone());
-    }
-    let has_file_order = matches!(sequential, Some(Ok(_)));
-    let copy = CopySearch::new(filler, search, chips, spatial, tiled);
-    let mut mappings = Mappings { all: Vec::new(), in_tiles, has_file_order, failure: None, levels: None };
-    if let Some(sequential) = sequential {
-        mappings.keep(sequential);
+    let in_file_order = match filler.at_most(most_cores, &file_order(network), chips) {
+        Ok(Some(only)) if only.members.len() == 1 => return Ok(only),
+        in_file_order => in_file_order,
+    };
+    let has_file_order = matches!(in_file_order, Ok(Some(_)));
+    let copy = CopySearch::new(filler, search, chips, spatial, tile_segments);
+    let mut mappings = Mappings { all: Vec::new(), mapping_in_tiles, has_file_order, failure: None, levels: None };
+    match in_file_order {
+        Ok(given_up_or_filled) => mappings.all.extend(given_up_or_filled),
+        Err(error) => mappings.failure = Some(error),
     }
     for (reason, add) in CANDIDATES {
         add(&copy, &mut mappings);
@@ -446,15 +455,15 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fil
     let best = mappings.all.swap_remove(best);
     // Compartments in the order of the file make lists denser; refined cores take newcomers at
     // their end.
-    let sorted = sorted(&best.members, &copy.fixed);
-    let sorted = if sorted == best.members { None } else { within_limits(network, sorted, filler.target) };
-    let best = sorted.unwrap_or(best);
+    let in_order = sort_members(&best.members, &copy.fixed);
+    let recounted = if in_order == best.members { None } else { within_limits(network, in_order, filler.target) };
+    let best = recounted.unwrap_or(best);
     // Chips that are assumed to be separate are not final, so their counts are dropped.
     Ok(if chips == Chips::Row { best } else { uncounted(best.members) })
 }
 
 impl<'a> CopySearch<'a> {
-    fn new(filler: &'a Filler<'a>, search: Search<'a>, chips: Chips, spatial: Spatial, tiled: Vec<Segment>) -> Self {
+    fn new(filler: &'a Filler<'a>, search: Search<'a>, chips: Chips, spatial: Spatial, tile_segments: Vec<Segment>) -> Self {
         let network = filler.network;
         let mut fixed = vec![false; network.compartments() as usize];
         for (_, population) in network.populations().enumerate().filter(|&(id, _)| spatial[id]) {
@@ -462,13 +471,14 @@ impl<'a> CopySearch<'a> {
             fixed[first.index()..first.index() + population.shape.len() as usize].fill(true);
         }
         let free = network.projections().enumerate().filter(|(_, projection)| !spatial[projection.target]);
-        let free: u64 = free.map(|(id, _)| network.synapses_of(id)).sum();
+        let free_synapses: u64 = free.map(|(id, _)| network.synapses_of(id)).sum();
         let is_listed = !spatial.iter().any(|&spatial| spatial) && sharing::is_listed(network);
-        let is_uniform = is_listed && free >= EVEN_SYNAPSES && structure::is_uniform(network);
+        let is_uniform = is_listed && free_synapses >= EVEN_SYNAPSES && structure::is_uniform(network);
+        // An effort in seconds is spent even where groups are unlikely.
         let promising = search.end.is_some() || !is_uniform;
-        let affordable = promising && free.saturating_mul(WORK_PER_SYNAPSE) <= search.work;
+        let affordable = promising && free_synapses.saturating_mul(WORK_PER_SYNAPSE) <= search.work;
         let graph = (affordable && fixed.contains(&false)).then(|| Hypergraph::new(network, search.rates, &fixed));
-        CopySearch { filler, search, chips, spatial, fixed, tiled, is_listed, is_uniform, free, graph }
+        CopySearch { filler, search, chips, spatial, fixed, tile_segments, is_listed, is_uniform, free_synapses, graph }
     }
 }
 
@@ -481,15 +491,15 @@ fn by_shared_sources(copy: &CopySearch<'_>, mappings: &mut Mappings) {
 }
 
 fn in_tiles(_: &CopySearch<'_>, mappings: &mut Mappings) {
-    if let Some(in_tiles) = mappings.in_tiles.take() {
-        mappings.keep(in_tiles);
+    if let Some(mapping) = mappings.mapping_in_tiles.take() {
+        mappings.keep(mapping);
     }
 }
 
 /// Tiles with fewer words, for one population at a time.
 fn in_tiles_of_fewer_words(copy: &CopySearch<'_>, mappings: &mut Mappings) {
     let (network, limits) = (copy.filler.network, copy.filler.target.limits());
-    if copy.search.work == 0 || copy.tiled.is_empty() || network.synapses() > FEW_SYNAPSES {
+    if copy.search.work == 0 || copy.tile_segments.is_empty() || network.synapses() > FEW_SYNAPSES {
         return;
     }
     let mut filling = Filling::new(network, &copy.filler.fan_in, limits);
@@ -498,7 +508,7 @@ fn in_tiles_of_fewer_words(copy: &CopySearch<'_>, mappings: &mut Mappings) {
         let Some(fewer) = tiles::tiles(network, population, &mut filling, limits, most, Rank::Words) else { continue };
         let mut fewer = Some(fewer);
         let mut order: Vec<Segment> = Vec::new();
-        for segment in &copy.tiled {
+        for segment in &copy.tile_segments {
             match segment.population == population {
                 true => order.extend(fewer.take().into_iter().flatten()),
                 false => order.push(segment.clone()),
@@ -516,7 +526,7 @@ fn in_groups(copy: &CopySearch<'_>, mappings: &mut Mappings) {
     let Some(graph) = graph else { return };
     let typical =
         mappings.in_file_order().map_or(1, |one| filler.network.compartments() as usize / one.members.len().max(1));
-    let filled = |ids: &[u32]| filler.fewest_cores(&with_ids(filler.network, &copy.tiled, ids), copy.chips);
+    let filled = |ids: &[u32]| filler.fewest_cores(&with_ids(filler.network, &copy.tile_segments, ids), copy.chips);
     let grown = || filled(&levels::grown(graph, fixed, typical.max(1), search.end));
     let in_levels = || {
         let levels = (search.strategy == Strategy::Multilevel).then(|| Levels::new(graph, fixed, search.end))?;
@@ -537,7 +547,7 @@ fn with_moved_groups(copy: &CopySearch<'_>, mappings: &mut Mappings) {
     let (filler, rates, all) = (copy.filler, copy.search.rates, &mut mappings.all);
     let (network, target) = (filler.network, filler.target);
     // Making the levels has used a part of the effort.
-    let work = copy.search.work.saturating_sub(copy.free.saturating_mul(WORK_PER_SYNAPSE));
+    let work = copy.search.work.saturating_sub(copy.free_synapses.saturating_mul(WORK_PER_SYNAPSE));
     let mut refiner = Refiner { graph, levels: &levels, target, work, end: copy.search.end };
     if let Some(best) = fewest(filler, all, rates) {
         for percent in WORD_MARGINS {
@@ -548,7 +558,7 @@ fn with_moved_groups(copy: &CopySearch<'_>, mappings: &mut Mappings) {
             }
         }
     }
-    for attempt in 0..(SHAKEN_SYNAPSES / copy.free.max(1)).min(MOST_SHAKES) {
+    for attempt in 0..(SHAKEN_SYNAPSES / copy.free_synapses.max(1)).min(MOST_SHAKES) {
         let Some(best) = fewest(filler, all, rates) else { break };
         let shaken = shaken(&all[best].members, &copy.fixed, attempt);
         let refined = refiner.refined(&shaken, WORD_MARGINS[0]);
@@ -643,7 +653,7 @@ fn shaken(members: &Members, fixed: &[bool], attempt: u64) -> Members {
 }
 
 /// Members in the order of the file, on cores that hold no tile.
-fn sorted(members: &Members, fixed: &[bool]) -> Members {
+fn sort_members(members: &Members, fixed: &[bool]) -> Members {
     let sort = |held: &Vec<CompartmentId>| {
         let mut held = held.clone();
         if !held.iter().any(|id| fixed[id.index()]) {
@@ -655,7 +665,7 @@ fn sorted(members: &Members, fixed: &[bool]) -> Members {
 }
 
 /// Populations over space as tiles, smaller where their output axons would not fit.
-fn tiled(filler: &Filler<'_>, spatial: &Spatial, chips: Chips, most_synapses: Option<u64>) -> Vec<Segment> {
+fn cut_into_tiles(filler: &Filler<'_>, spatial: &Spatial, chips: Chips, most_synapses: Option<u64>) -> Vec<Segment> {
     let (network, limits) = (filler.network, filler.target.limits());
     let mut filling = Filling::new(network, &filler.fan_in, limits);
     let mut most = tiles::most_compartments(network, limits, most_synapses);

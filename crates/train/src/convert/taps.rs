@@ -1,4 +1,5 @@
-//! Current and voltage with taps, delayed copies of the input, as near to a spike response as possible.
+//! Current and voltage with taps, delayed copies of the input, as near to a spike response as
+//! possible.
 //!
 //! Input: a population's arrivals on calibration samples, and its spike response parameters.
 //! Output: decays of current and voltage with the delays and factors of the taps, for the search.

@@ -85,7 +85,7 @@ pub fn read(root: &Group, name: &str, options: &Options) -> Result<Imported> {
         depths: BTreeMap::new(),
         loops: BTreeSet::new(),
         dt: 0.0,
-        file_dt: 0.0,
+        dt_in_file_units: 0.0,
         listed: 0,
     };
     reader.network()?;

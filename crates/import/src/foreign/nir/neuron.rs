@@ -27,9 +27,9 @@ pub(super) struct Discrete {
     /// Time constants in ms of the current and of the voltage, where 4096ths do not represent the
     /// decays exactly.
     pub(super) taus: [Option<Parameter>; 2],
-    /// A weight of 1 in units of the threshold.
+    /// What a weight of 1 adds to v, in the unit of v and of the threshold.
     pub(super) gain: Parameter,
-    /// A number that is added to the input of v, without a current, in units of the threshold.
+    /// What a number that skips the current adds to v, such as a bias behind a filter; same unit.
     pub(super) voltage_gain: Parameter,
     /// None for neurons that never spike.
     pub(super) threshold: Option<Parameter>,
@@ -53,7 +53,7 @@ impl Discrete {
         }
     }
 
-    /// The weight from a unit to itself that completes its reset, in thresholds.
+    /// The weight from a unit to itself that completes its reset, as a multiple of the threshold.
     pub(super) fn own_weight(&self, unit: usize) -> f64 {
         match self.reset {
             Reset::Mode(ResetMode::Zero | ResetMode::Subtract) => 0.0,
@@ -67,7 +67,11 @@ impl Discrete {
 const EXACT: f64 = 1e-3;
 
 impl Reader<'_> {
-    /// The discretised neuron of a node; `None` for an input.
+    /// The discretised neuron of a node, with the filter on the paths before it; `None` for an input.
+    /// Notes and warnings are added. The timestep, filters and shapes have been found before.
+    ///
+    /// # Errors
+    /// `import.nir`, `import.option`, `import.unsupported`.
     pub(super) fn discretise(&mut self, name: &str) -> Result<Option<Discrete>> {
         let node = &self.flat.nodes[name];
         if node.kind == "Input" {
@@ -80,13 +84,13 @@ impl Reader<'_> {
             node,
             units,
             dt: self.dt,
-            file_dt: self.file_dt,
+            dt_in_file_units: self.dt_in_file_units,
             options: self.options,
             long: None,
             rest: None,
         };
         let neuron = reader.neuron(filter.as_ref())?;
-        let (long, rest) = (reader.long.take(), reader.rest);
+        let NodeReader { long, rest, .. } = reader;
         let [du, dv, gain] = [&neuron.du, &neuron.dv, &neuron.gain].map(|value| match value {
             Parameter::Same(x) => format!("{}", (x * 1e6).round() / 1e6),
             _ => "each its own".to_string(),
@@ -109,14 +113,13 @@ impl Reader<'_> {
 /// The share of a state that a step takes away.
 struct Share {
     share: Parameter,
-    /// dt / tau.
-    steps: Parameter,
+    dt_over_tau: Parameter,
 }
 
 impl Share {
     /// That of a state without decay.
     fn none() -> Share {
-        Share { share: Parameter::Same(0.0), steps: Parameter::Same(0.0) }
+        Share { share: Parameter::Same(0.0), dt_over_tau: Parameter::Same(0.0) }
     }
 
     /// The time constant in ms with `1 - share = exp(-dt / tau)`; none where 4096ths represent it.
@@ -156,7 +159,7 @@ struct NodeReader<'r> {
     /// Seconds of a timestep.
     dt: f64,
     /// A timestep in the unit of the file's time constants.
-    file_dt: f64,
+    dt_in_file_units: f64,
     options: &'r Options,
     /// The warning that a step is longer than a time constant.
     long: Option<String>,
@@ -186,11 +189,11 @@ impl NodeReader<'_> {
     }
 
     fn share_of(&mut self, key: &str, tau: &Parameter) -> Result<Share> {
-        let (name, dt) = (self.name, self.file_dt);
+        let (name, dt) = (self.name, self.dt_in_file_units);
         if !all(tau, |tau| tau > 0.0) {
             return Err(wrong(format!("node '{name}': '{key}' is not above 0")));
         }
-        let steps = tau.map(|tau| dt / tau);
+        let dt_over_tau = tau.map(|tau| dt / tau);
         if self.options.decay() == DecayRule::Exponential {
             if let Some(&tau) = tau.values().iter().find(|&&tau| dt > tau) {
                 let short = format!("{:.4e}", tau / dt).parse().unwrap_or(tau / dt);
@@ -200,28 +203,28 @@ impl NodeReader<'_> {
                     100.0 * (-dt / tau).exp()
                 ));
             }
-            return Ok(Share { share: steps.map(|steps| -(-steps).exp_m1()), steps });
+            return Ok(Share { share: dt_over_tau.map(|part| -(-part).exp_m1()), dt_over_tau });
         }
-        if !all(&steps, |steps| steps <= 1.0 + 1e-6) {
+        if !all(&dt_over_tau, |part| part <= 1.0 + 1e-6) {
             let message = format!("node '{name}': a timestep of {} ms is longer than its '{key}'", self.dt * 1e3);
             return Err(wrong_option(message).help(
                 "give a shorter timestep with --dt MS; time constants in the file are in seconds. For tools whose states \
                  decay by exp(-dt / tau), give --decay exponential",
             ));
         }
-        Ok(Share { share: steps.map(|steps| steps.min(1.0)), steps })
+        Ok(Share { share: dt_over_tau.map(|part| part.min(1.0)), dt_over_tau })
     }
 
     /// What a weight counts in the voltage.
     fn in_voltage(&self, share: &Share, key: &str) -> Result<Parameter> {
         let (rule, of_neuron, r) = (self.options.gain(), resets(&self.node.kind), self.parameter(key, Some(1.0))?);
-        self.checked(snapped(&zip3(&share.share, &share.steps, &r, |a, s, r| rule.in_voltage(a, s, r, of_neuron))), key)
+        self.checked(snapped(&zip3(&share.share, &share.dt_over_tau, &r, |a, s, r| rule.in_voltage(a, s, r, of_neuron))), key)
     }
 
     /// What a weight counts in the current, from the factor of its input.
     fn in_current(&self, share: &Share, w_in: &Parameter, key: &str) -> Result<Parameter> {
         let rule = self.options.gain();
-        self.checked(snapped(&zip3(&share.share, &share.steps, w_in, |b, s, w| rule.in_current(b, s, w))), key)
+        self.checked(snapped(&zip3(&share.share, &share.dt_over_tau, w_in, |b, s, w| rule.in_current(b, s, w))), key)
     }
 
     /// A gain, which is finite and not that of a state that no input can change.
@@ -279,7 +282,7 @@ impl NodeReader<'_> {
         };
         let gain = match filter.tau {
             Some(_) => {
-                zip3(&share.share, &share.steps, &filter.r, |a, s, r| self.options.gain().in_voltage(a, s, r, false))
+                zip3(&share.share, &share.dt_over_tau, &filter.r, |a, s, r| self.options.gain().in_voltage(a, s, r, false))
             }
             None => self.per_step(filter.r.clone()),
         };
@@ -289,10 +292,10 @@ impl NodeReader<'_> {
     /// What a weight counts in a state without decay: NIR's r is per second, and a file without a
     /// timestep means sums.
     fn per_step(&self, r: Parameter) -> Parameter {
-        if all(&r, |r| r == 1.0) { r } else { r.map(|r| r * self.file_dt) }
+        if all(&r, |r| r == 1.0) { r } else { r.map(|r| r * self.dt_in_file_units) }
     }
 
-    /// A neuron with these states, each with what its input counts in it, that never resets.
+    /// A neuron with these states, each with what its input counts in it; callers state its reset.
     fn filtering(
         &self,
         current: Option<(Share, Parameter)>,

@@ -92,7 +92,7 @@ pub(super) struct Reader<'a> {
     /// Seconds of a timestep.
     pub(super) dt: f64,
     /// A timestep in the unit of the file's time constants.
-    pub(super) file_dt: f64,
+    pub(super) dt_in_file_units: f64,
     pub(super) listed: usize,
     pub(super) warnings: Vec<Warning>,
 }

@@ -146,7 +146,7 @@ impl<'a> Reader<'a> {
         };
         self.notes.push(format!("timestep {} ms: {why}", (dt_ms * 1e6).round() / 1e6));
         self.dt = dt_ms / 1e3;
-        self.file_dt = match unit {
+        self.dt_in_file_units = match unit {
             TimeUnit::Seconds => self.dt,
             TimeUnit::Steps => by_file.map_or(1.0, |step| step.seconds),
             TimeUnit::Norse => self.dt * self.dt,
