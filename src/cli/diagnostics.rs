@@ -7,8 +7,8 @@ use serde_json::json;
 
 use crate::cli::context::Format;
 use crate::cli::process::advice::with_owners;
+use crate::cli::process::progress;
 use crate::cli::process::ranks;
-use crate::cli::progress;
 use nsim_files::write;
 use nsim_ir::base::diagnostic::{Diagnostic, Place, SourceText, Span};
 use nsim_ir::base::names::{is_unprintable, printable};

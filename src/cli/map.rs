@@ -6,7 +6,7 @@ use crate::cli::args::jobs::JobArgs;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_compile::explore;
 use nsim_compile::explore::remedy::{self, Refused, Remedy};
 use nsim_compile::{

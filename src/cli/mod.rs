@@ -21,7 +21,6 @@ mod output;
 mod plot;
 mod probes;
 mod process;
-mod progress;
 mod report;
 mod run;
 mod scene;
@@ -35,7 +34,7 @@ use std::process::ExitCode;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 
 use crate::cli::context::{Answer, Context, Format};
-use crate::cli::process::{advice, log, panics, ranks, signals, threads};
+use crate::cli::process::{advice, log, panics, progress, ranks, signals, threads};
 use nsim_files::{changes, shipped};
 use nsim_session::error::Error;
 

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use crate::cli::context::{Context, Format, refuse_if};
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_energy::environment::Environment;
 use nsim_files as io;
 use nsim_files::table::{latex, markdown, replace_section};

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_files::dataset::{DataSet, SampleEntry};
 use nsim_files::{mapping, npy, write};
 use nsim_import::spikes::{self, MANIFEST};

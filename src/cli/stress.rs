@@ -4,7 +4,7 @@ use rayon::prelude::*;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_agree::stress::{CASES, Case, Verdict};
 use nsim_files as io;
 use nsim_report::stress as report;

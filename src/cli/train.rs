@@ -5,8 +5,8 @@ use std::sync::{Arc, Mutex};
 
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
+use crate::cli::process::progress;
 use crate::cli::process::signals;
-use crate::cli::progress;
 use nsim_files as io;
 use nsim_files::network::NetworkFile;
 #[cfg(feature = "ann")]

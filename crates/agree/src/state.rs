@@ -35,7 +35,7 @@ struct Parameters {
 }
 
 impl Parameters {
-    fn of(neurons: &[RealForm]) -> Self {
+    fn from_neurons(neurons: &[RealForm]) -> Self {
         let column = |value: fn(&RealForm) -> f64| neurons.iter().map(value).collect();
         Parameters {
             keep_u: column(|n| n.keep_u),
@@ -201,7 +201,7 @@ impl PopulationState {
             refractory_left: vec![0; count],
             now: 0,
             step_potentials: vec![0.0; count],
-            parameters: Parameters::of(neurons),
+            parameters: Parameters::from_neurons(neurons),
             arch: Arch::new(),
             floors,
         }

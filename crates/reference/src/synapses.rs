@@ -195,7 +195,7 @@ impl<F: Real> Synapses<F> {
                 let of_channel = (window.kernel.0 * window.kernel.1) as usize * width;
                 let rows = &kernel[channel as usize * of_channel..][..of_channel];
                 let plane = (window.target.1 * window.target.2) as usize;
-                let reached = reach.of(source % (window.source.1 * window.source.2));
+                let reached = reach.targets_from(source % (window.source.1 * window.source.2));
                 for &(tap, position) in reached {
                     let (row, position) = (&rows[tap as usize * width..][..width], position as usize);
                     if order.channels == 1 {
@@ -239,7 +239,7 @@ impl Reach {
         Reach { first, targets }
     }
 
-    fn of(&self, source_position: u32) -> &[(u32, u32)] {
+    fn targets_from(&self, source_position: u32) -> &[(u32, u32)] {
         let at = source_position as usize;
         &self.targets[self.first[at] as usize..self.first[at + 1] as usize]
     }

@@ -19,7 +19,7 @@ use crate::cli::args::recording::RecordingPair;
 use crate::cli::args::values::Switch;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_agree::attribution::attribute;
 use nsim_agree::compare::{Counterpart, DeployedNetwork, compare, output_layer};
 use nsim_agree::staged::layers;

@@ -11,7 +11,7 @@ use crate::cli::agree::args::{Args, answer, deployed_warnings, draw, within_boun
 use crate::cli::args::jobs::Refusal;
 use crate::cli::context::{Answer, Context, refuse_if};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_agree::compare::compare_models;
 use nsim_compile::{CompileError, Mapping, refuse_large};
 use nsim_files as io;

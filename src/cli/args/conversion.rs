@@ -2,7 +2,7 @@
 
 use crate::cli::args::input::InputArgs;
 use crate::cli::args::values::one_of;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_ir::graph::Graph;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::Sample;

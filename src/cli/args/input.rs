@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use crate::cli::args::values::sample_range;
 use crate::cli::context::refuse_if;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_ir::quantised::Quantised;
 use nsim_ir::spikes::{Sample, Stimulus};
 use nsim_quantise::prune::check_stimulus;

@@ -7,7 +7,7 @@ use serde_json::json;
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use crate::cli::train::labelled;
 use nsim_ann::{AnnKind, AnnResult, AnnSettings, Senses, trained};
 use nsim_energy::environment::Environment;

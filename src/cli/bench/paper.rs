@@ -10,7 +10,7 @@ use crate::cli::bench::scenes::each_cell;
 use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::workload::simulate;
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use crate::cli::train::train;
 use nsim_energy::environment::Environment;
 use nsim_energy::workload::Workload;

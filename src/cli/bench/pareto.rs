@@ -9,7 +9,7 @@ use crate::cli::args::reading::ReadingArgs;
 use crate::cli::args::values;
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_compile::refuse_large;
 use nsim_files as io;
 use nsim_report::bench::pareto::ParetoReport;

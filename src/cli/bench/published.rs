@@ -4,7 +4,7 @@ use std::path::PathBuf;
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_energy::published::workload;
 use nsim_files as io;
 use nsim_report::bench::published as report;

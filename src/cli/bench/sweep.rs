@@ -2,7 +2,7 @@
 
 use crate::cli::context::{Answer, Context};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_report::bench::ladders as report;
 use nsim_session::error::Error;
 use nsim_study::ladders::{LadderCase, ladder_cases, mark_cliffs};

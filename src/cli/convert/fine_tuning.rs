@@ -8,8 +8,8 @@ use std::path::Path;
 use std::sync::{Arc, Mutex};
 
 use crate::cli::context::Context;
+use crate::cli::process::progress;
 use crate::cli::process::signals;
-use crate::cli::progress;
 use nsim_files::shipped;
 use nsim_ir::graph::Graph;
 use nsim_ir::spikes::Sample;

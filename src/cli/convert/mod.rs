@@ -14,7 +14,7 @@ use crate::cli::args::reading::ReadingArgs;
 use crate::cli::context::{Answer, Context};
 use crate::cli::convert::fine_tuning::FineTuneArgs;
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_files as io;
 use nsim_files::network::NetworkFile;
 use nsim_files::warnings::show;

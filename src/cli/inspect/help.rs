@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::Command;
 
 use crate::cli::context::{Answer, Context};
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_files as io;
 use nsim_session::error::Error;
 

@@ -13,7 +13,7 @@ use crate::cli::args::jobs::{JobArgs, prepare};
 use crate::cli::args::values::one_of;
 use crate::cli::context::{Answer, Context, Format};
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_files as io;
 use nsim_files::mapping::pretty;
 use nsim_files::shipped::{self, Shipped};

@@ -17,7 +17,7 @@ use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
 use crate::cli::energy::workload::workload;
 use crate::cli::output;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_compile::DEFAULT_RATE;
 use nsim_energy::workload::Workload;
 use nsim_ir::base::diagnostic::Diagnostic;

@@ -5,7 +5,8 @@ use std::io::Write;
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::prelude::*;
 
-use crate::cli::{diagnostics, progress};
+use crate::cli::diagnostics;
+use crate::cli::process::progress;
 
 /// Stderr, whose errors are ignored.
 struct LossyStderr;

@@ -14,8 +14,8 @@ use signal_hook::iterator::Signals;
 
 use crate::cli::context::Format;
 use crate::cli::diagnostics;
+use crate::cli::process::progress;
 use crate::cli::process::ranks;
-use crate::cli::progress;
 use nsim_files::write;
 
 /// Last action of a command that a signal ends: it saves finished work and returns a message.

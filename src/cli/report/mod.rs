@@ -10,7 +10,7 @@ use crate::cli::args::saved;
 use crate::cli::context::{Answer, Context, Format, refuse_if};
 use crate::cli::energy::args::CostArgs;
 use crate::cli::energy::evaluate::evaluate;
-use crate::cli::progress;
+use crate::cli::process::progress;
 use nsim_energy::evaluate::Evaluation;
 use nsim_energy::workload::Workload;
 use nsim_files as io;

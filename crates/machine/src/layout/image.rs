@@ -611,7 +611,7 @@ impl CoreLanes<'_> {
         !self.fields(at).neuron.stack.is_unused()
     }
 
-    /// The run of a compartment. Populations are told apart, so that weights of dense blocks are
+    /// The run of a compartment. It ends with its population, so that weights of dense blocks are
     /// aligned.
     fn run_of(&self, at: usize) -> Run {
         let parameters = self.image.but_for_bias[self.parameters[at] as usize];

@@ -228,7 +228,8 @@ fn stated_cores(filler: &Filler<'_>, stated: &[(PopulationId, u32)]) -> Result<F
     }
     let is_stated = |id: PopulationId| stated.iter().any(|(stated, _)| *stated == id);
     let spatial: Spatial = network.populations().ids().map(|id| is_spatial(network, id) && !is_stated(id)).collect();
-    let tiles = if spatial.iter().any(|&is| is) { cut_into_tiles(filler, &spatial, Chips::Row, None) } else { Vec::new() };
+    let tiles =
+        if spatial.iter().any(|&is| is) { cut_into_tiles(filler, &spatial, Chips::Row, None) } else { Vec::new() };
     let others = file_order(network).into_iter().filter(|one| !is_stated(one.population) && !spatial[one.population]);
     let order: Vec<_> = tiles.into_iter().chain(others).collect();
     if !order.is_empty() {
@@ -463,7 +464,13 @@ fn searched(filler: &Filler<'_>, search: Search<'_>, chips: Chips) -> Result<Fil
 }
 
 impl<'a> CopySearch<'a> {
-    fn new(filler: &'a Filler<'a>, search: Search<'a>, chips: Chips, spatial: Spatial, tile_segments: Vec<Segment>) -> Self {
+    fn new(
+        filler: &'a Filler<'a>,
+        search: Search<'a>,
+        chips: Chips,
+        spatial: Spatial,
+        tile_segments: Vec<Segment>,
+    ) -> Self {
         let network = filler.network;
         let mut fixed = vec![false; network.compartments() as usize];
         for (_, population) in network.populations().enumerate().filter(|&(id, _)| spatial[id]) {

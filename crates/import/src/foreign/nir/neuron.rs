@@ -218,7 +218,10 @@ impl NodeReader<'_> {
     /// What a weight counts in the voltage.
     fn in_voltage(&self, share: &Share, key: &str) -> Result<Parameter> {
         let (rule, of_neuron, r) = (self.options.gain(), resets(&self.node.kind), self.parameter(key, Some(1.0))?);
-        self.checked(snapped(&zip3(&share.share, &share.dt_over_tau, &r, |a, s, r| rule.in_voltage(a, s, r, of_neuron))), key)
+        self.checked(
+            snapped(&zip3(&share.share, &share.dt_over_tau, &r, |a, s, r| rule.in_voltage(a, s, r, of_neuron))),
+            key,
+        )
     }
 
     /// What a weight counts in the current, from the factor of its input.
@@ -281,9 +284,9 @@ impl NodeReader<'_> {
             None => Share::none(),
         };
         let gain = match filter.tau {
-            Some(_) => {
-                zip3(&share.share, &share.dt_over_tau, &filter.r, |a, s, r| self.options.gain().in_voltage(a, s, r, false))
-            }
+            Some(_) => zip3(&share.share, &share.dt_over_tau, &filter.r, |a, s, r| {
+                self.options.gain().in_voltage(a, s, r, false)
+            }),
             None => self.per_step(filter.r.clone()),
         };
         Ok((share, self.checked(snapped(&gain), "r")?))
