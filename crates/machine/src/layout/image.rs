@@ -277,8 +277,8 @@ impl Image {
             + self.rows.bytes()
     }
 
-    /// Gives each compartment of this rank a lane over all shards, core by core, and returns its core
-    /// blocks ([`crate::layout::shard`]). Fills the lanes, and the parameters that compartments and
+    /// Gives each compartment of this rank a lane over all shards, core by core, and returns its
+    /// core blocks ([`crate::layout::shard`]). Fills the lanes, and the parameters that compartments and
     /// blocks refer to. `sums` says how many lanes a compartment of words takes.
     fn lay_out_compartments(&mut self, sums: &Sums) -> Vec<CoreBlock> {
         let program = Arc::clone(&self.program);
@@ -299,8 +299,8 @@ impl Image {
             while at < ids.len() {
                 let of_core =
                     CoreLanes { image: self, sums, ids: &ids, parameters: &parameters, populations: &populations };
-                // A block that continues a vector run is not aligned, also on the next core: padding
-                // would be a third of a large network.
+                // A block that continues a vector run is not aligned, also on the next core:
+                // padding would be a third of a large network.
                 if last_run != Some(of_core.run_of(at)) {
                     lane = lane.next_multiple_of(LANES as u32);
                 }
@@ -564,8 +564,8 @@ struct Known {
     but_for_bias: HashMap<(Neuron, u32), u32>,
 }
 
-/// Compartments that may be updated as vectors together: their parameters but for the bias, and their
-/// population.
+/// Compartments that may be updated as vectors together: their parameters but for the bias, and
+/// their population.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Run {
     parameters: u32,
@@ -647,7 +647,8 @@ impl CoreLanes<'_> {
     }
 
     /// Whole neurons of several compartments, at most
-    /// [`MOST_COMPARTMENTS`](nsim_ir::quantised::MOST_COMPARTMENTS) each: fewer than lanes are left.
+    /// [`MOST_COMPARTMENTS`](nsim_ir::quantised::MOST_COMPARTMENTS) each: fewer than lanes are
+    /// left.
     fn cut_neurons(&self, at: usize, start: u32) -> Cut {
         let members = (at..self.ids.len()).take(left_of_skip_block(start));
         let left = members.take_while(|&other| self.is_in_neuron(other)).count();

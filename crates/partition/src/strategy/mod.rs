@@ -408,9 +408,9 @@ const CANDIDATES: [(&str, Candidate); 5] = [
 ];
 
 /// The cores of one copy by a strategy, and by those above it: of all candidates the one with the
-/// fewest cores, then the fewest messages. A network on one core and neurons of several compartments
-/// are in the order of the file. `chips` is [`Chips::Apart`] where copies follow whose chips are not
-/// known; counts are dropped then.
+/// fewest cores, then the fewest messages. A network on one core and neurons of several
+/// compartments are in the order of the file. `chips` is [`Chips::Apart`] where copies follow whose
+/// chips are not known; counts are dropped then.
 ///
 /// # Errors
 /// [`CompileError::DoesNotFit`] of the first candidate, where none fits.

@@ -233,8 +233,8 @@ impl<'a> Filler<'a> {
         }
         let (whole, full) = rayon::join(whole, || self.first_filling(order, false));
         let whole = whole?;
-        // Settling never takes fewer cores.
-        let fewer = whole.as_ref().map_or(most, |whole| whole.members.len() - 1);
+        // Settling never takes fewer cores. A network whose compartments are all pruned has none.
+        let fewer = whole.as_ref().map_or(most, |whole| whole.members.len().saturating_sub(1));
         let full = full.ok().filter(|(_, full)| full.len() <= fewer);
         match full.map(|(estimate, full)| self.settled(fewer, order, chips, false, estimate, full)) {
             Some(Ok(Some(full))) => Ok(Some(full)),

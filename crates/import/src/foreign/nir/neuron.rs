@@ -67,8 +67,8 @@ impl Discrete {
 const EXACT: f64 = 1e-3;
 
 impl Reader<'_> {
-    /// The discretised neuron of a node, with the filter on the paths before it; `None` for an input.
-    /// Notes and warnings are added. The timestep, filters and shapes have been found before.
+    /// The discretised neuron of a node, with the filter on the paths before it; `None` for an
+    /// input. Notes and warnings are added. The timestep, filters and shapes have been found before.
     ///
     /// # Errors
     /// `import.nir`, `import.option`, `import.unsupported`.
